@@ -1,0 +1,434 @@
+//! The enumerations of the wire: `u32` values that another process writes, and what they mean.
+//!
+//! `TryFrom<u32>` is the only way in, so bits that mean nothing are refused. Values are never reused;
+//! new ones are added at the end.
+
+/// Declares a wire enumeration with its values, its checked conversion and a sentence for people.
+macro_rules! wire_enum {
+    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal: $text:literal,)+ }) => {
+        $(#[$meta])*
+        #[repr(u32)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum $name { $($(#[doc = $doc])+ $variant = $value,)+ }
+
+        impl $name {
+            /// Every value, in the order of the codes.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)+];
+            /// How many codes there are; codes run from 0 to this, less one.
+            pub const COUNT: usize = Self::ALL.len();
+
+            /// The value on the wire.
+            pub const fn code(self) -> u32 { self as u32 }
+
+            /// What it means, in words.
+            pub const fn text(self) -> &'static str {
+                match self { $(Self::$variant => $text,)+ }
+            }
+
+            /// The name in words for a code that came from the wire, known or not.
+            pub fn text_of(code: u32) -> &'static str {
+                Self::try_from(code).map_or("unknown code", Self::text)
+            }
+        }
+
+        impl TryFrom<u32> for $name {
+            type Error = UnknownCode;
+            fn try_from(code: u32) -> Result<Self, UnknownCode> {
+                match code { $($value => Ok(Self::$variant),)+ _ => Err(UnknownCode { code }) }
+            }
+        }
+
+        impl core::fmt::Display for $name {
+            fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result { f.write_str(self.text()) }
+        }
+    };
+}
+
+/// A `u32` that is no value of the enumeration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct UnknownCode {
+    /// What was found.
+    pub code: u32,
+}
+
+impl core::fmt::Display for UnknownCode {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(f, "unknown code {}", self.code)
+    }
+}
+
+impl core::error::Error for UnknownCode {}
+
+wire_enum! {
+    /// How much of a reference point's orientation counts.
+    OrientationKind {
+        /// Position only.
+        None = 0: "none",
+        /// The direction of the tip axis.
+        Axis = 1: "tip axis",
+        /// All three angles.
+        Full = 2: "full orientation",
+    }
+}
+
+wire_enum! {
+    /// What a reference chunk does to the trajectory.
+    ChunkMode {
+        /// Begin a new trajectory; what was buffered is forgotten.
+        Replace = 0: "replace",
+        /// Continue the trajectory after its last point.
+        Append = 1: "append",
+    }
+}
+
+wire_enum! {
+    /// How positions are interpolated between points.
+    Interpolation {
+        /// Straight lines.
+        Linear = 0: "linear",
+        /// Cubic Hermite curve with finite-difference tangents: fourth order on smooth references.
+        Cubic = 1: "cubic",
+    }
+}
+
+wire_enum! {
+    /// Shape of an obstacle.
+    ObstacleShape {
+        /// A ball.
+        Sphere = 0: "sphere",
+        /// All points within a radius of a line segment.
+        Capsule = 1: "capsule",
+    }
+}
+
+wire_enum! {
+    /// What an obstacle message does.
+    ObstacleAction {
+        /// Insert, or replace by id.
+        Upsert = 0: "upsert",
+        /// Remove by id.
+        Remove = 1: "remove",
+        /// Remove all.
+        Clear = 2: "clear",
+    }
+}
+
+wire_enum! {
+    /// What a measurement measures.
+    MeasurementKind {
+        /// Nothing.
+        None = 0: "none",
+        /// The bend vector of every section.
+        Configuration = 1: "configuration",
+        /// Position and orientation of the tip.
+        TipPose = 2: "tip pose",
+        /// The length of every cable.
+        CableLengths = 3: "cable lengths",
+    }
+}
+
+wire_enum! {
+    /// Where measurements come from and commands go to.
+    RobotLink {
+        /// The simulated robot inside the daemon.
+        Simulated = 0: "simulated",
+        /// A driver process on the measurement and command services.
+        Driver = 1: "driver",
+    }
+}
+
+wire_enum! {
+    /// Mode of the daemon.
+    Mode {
+        /// Before the first good cycle.
+        Starting = 0: "starting",
+        /// Rates ramp to zero, the position is kept.
+        Holding = 1: "holding",
+        /// The controller follows the reference.
+        Tracking = 2: "tracking",
+        /// Moves to the straight configuration.
+        Homing = 3: "homing",
+        /// Latched until reset: rates zero.
+        Stopped = 4: "stopped",
+        /// Latched until reset, like stopped, with a cause.
+        Faulted = 5: "faulted",
+    }
+}
+
+wire_enum! {
+    /// Why the daemon is in its mode.
+    Reason {
+        /// Nothing happened yet.
+        Start = 0: "started",
+        /// A client asked for it.
+        Request = 1: "requested",
+        /// The reference came to its end.
+        ReferenceEnded = 2: "the reference ended",
+        /// The holder of the lease fell silent.
+        LeaseExpired = 3: "the reference lease expired",
+        /// The home configuration is reached.
+        HomeReached = 4: "home is reached",
+        /// Too many deadlines were missed.
+        DeadlineMisses = 5: "too many deadline misses",
+        /// The driver sends no fresh measurement.
+        MeasurementLost = 6: "the measurement is lost",
+        /// A measurement or a result was not a finite number.
+        NonFinite = 7: "a value was not finite",
+        /// The measured bend is beyond the limits.
+        LimitBroken = 8: "a limit is broken",
+        /// The body came too near to an obstacle.
+        ClearanceBroken = 9: "the clearance is broken",
+        /// The daemon ends.
+        Shutdown = 10: "the daemon ends",
+        /// The lease was given back.
+        LeaseReleased = 11: "the reference lease was released",
+    }
+}
+
+wire_enum! {
+    /// What a client asks for.
+    RequestKind {
+        /// Follow the reference.
+        Track = 1: "track",
+        /// Stop following, keep the position.
+        Hold = 2: "hold",
+        /// Stop and latch.
+        Stop = 3: "stop",
+        /// Leave stopped or faulted.
+        Reset = 4: "reset",
+        /// Move to the straight configuration.
+        Home = 5: "home",
+        /// Acquire or renew the reference lease.
+        AcquireLease = 6: "acquire the lease",
+        /// Give the reference lease back.
+        ReleaseLease = 7: "release the lease",
+        /// Change the solver's settings.
+        Settings = 8: "change settings",
+    }
+}
+
+wire_enum! {
+    /// What became of an input message or a request.
+    Outcome {
+        /// It took effect.
+        Accepted = 0: "accepted",
+        /// A number is NaN or infinite.
+        NotFinite = 1: "a value is not a finite number",
+        /// A time lies in the past.
+        InThePast = 2: "a time lies in the past",
+        /// A position is farther from the base than the robot is long.
+        OutOfReach = 3: "a position is outside the reachable ball",
+        /// Times do not increase strictly.
+        TimeNotIncreasing = 4: "times do not increase",
+        /// The sender does not hold the reference lease.
+        NoLease = 5: "the sender does not hold the reference lease",
+        /// A chunk before this one was lost or refused.
+        SequenceGap = 6: "an earlier chunk is missing",
+        /// There is no room for it.
+        BufferFull = 7: "the buffer is full",
+        /// A count is outside its range.
+        CountOutOfRange = 8: "a count is out of range",
+        /// A code means nothing.
+        UnknownCode = 9: "a code is unknown",
+        /// An orientation is not a unit vector or quaternion.
+        NotUnit = 10: "an orientation is not of unit length",
+        /// The daemon has no such function.
+        Unsupported = 11: "this daemon does not support it",
+        /// Another client holds the lease.
+        LeaseHeld = 12: "another client holds the reference lease",
+        /// No reference is buffered that is still ahead.
+        NoReference = 13: "there is no reference ahead",
+        /// The mode does not allow it.
+        WrongMode = 14: "the mode does not allow it",
+        /// The cause of the fault still stands.
+        CauseStands = 15: "the cause of the fault still stands",
+        /// A value is outside its range.
+        OutOfRange = 16: "a value is out of range",
+        /// Too many requests at once; try again.
+        Busy = 17: "too many requests at once",
+        /// The message is older than one that was seen, or is repeated.
+        Stale = 18: "the message is older than one already seen",
+        /// A sections count is not the robot's.
+        WrongRobot = 19: "the message belongs to another robot",
+    }
+}
+
+wire_enum! {
+    /// What kind of message an event reports.
+    EventKind {
+        /// A reference chunk.
+        Reference = 0: "reference",
+        /// An obstacle update.
+        Obstacles = 1: "obstacles",
+        /// A measurement; only refused ones are reported.
+        Measurement = 2: "measurement",
+        /// A request.
+        Request = 3: "request",
+    }
+}
+
+wire_enum! {
+    /// Where an instant lies relative to the buffered reference.
+    ReferenceState {
+        /// There is none.
+        None = 0: "no reference",
+        /// Before its first point: the first point counts.
+        Before = 1: "before the start",
+        /// Inside.
+        Inside = 2: "inside",
+        /// After its last point: the last point counts.
+        Ended = 3: "ended",
+    }
+}
+
+wire_enum! {
+    /// How the optimal control problem is solved.
+    SolverKind {
+        /// Knowledge-based particle swarm, Eq. 6-7.
+        Kpso = 0: "kpso",
+        /// Damped Gauss-Newton steps, projected on the box.
+        GaussNewton = 1: "gauss-newton",
+        /// The swarm chooses the basin, Gauss-Newton finishes.
+        KpsoRefined = 2: "kpso-refined",
+    }
+}
+
+wire_enum! {
+    /// Coordinates in which the controls are held over a block.
+    Coordinates {
+        /// Bend-vector rates (u̇, v̇).
+        BendVector = 0: "bend-vector",
+        /// The paper's (θ̇, φ̇).
+        BendAngles = 1: "bend-angles",
+    }
+}
+
+wire_enum! {
+    /// How a particle's velocity is updated.
+    VelocityRule {
+        /// Eq. 6 with an inertia weight.
+        Inertia = 0: "inertia",
+        /// Clerc and Kennedy's constriction.
+        Constriction = 1: "constriction",
+        /// Eq. 6 as printed.
+        Verbatim = 2: "verbatim",
+    }
+}
+
+wire_enum! {
+    /// How a solve ended.
+    SolverStatus {
+        /// It did not run.
+        Idle = 0: "idle",
+        /// The tolerance is reached.
+        Converged = 1: "converged",
+        /// The time budget ended it; the best solution so far is used.
+        BudgetSpent = 2: "budget spent",
+        /// All iterations were used.
+        IterationsSpent = 3: "iterations spent",
+        /// The best solution violates a constraint.
+        ConstraintViolated = 4: "constraint violated",
+        /// The problem itself was not finite.
+        NonFinite = 5: "not finite",
+    }
+}
+
+wire_enum! {
+    /// Which candidate the solution descends from.
+    Winner {
+        /// The warm start.
+        WarmStart = 0: "warm start",
+        /// The previous plan, not shifted.
+        Previous = 1: "previous plan",
+        /// Zero rates.
+        Zero = 2: "zero",
+        /// The damped least-squares step.
+        LeastSquares = 3: "least squares",
+        /// A particle that was scattered.
+        Swarm = 4: "swarm",
+        /// A candidate along a Hessian eigenvector.
+        Eigenvector = 5: "eigenvector",
+    }
+}
+
+/// Bits of [`Telemetry::timing_flags`](crate::Telemetry::timing_flags).
+pub mod timing {
+    /// The cycle started later than the late-start limit after its release.
+    pub const LATE_START: u32 = 1;
+    /// The command was handed over after the deadline.
+    pub const DEADLINE_MISS: u32 = 1 << 1;
+}
+
+/// Bits of [`Telemetry::guard_flags`](crate::Telemetry::guard_flags).
+pub mod guard {
+    /// A rate was cut to its limit.
+    pub const RATE: u32 = 1;
+    /// A bend was kept inside its limit.
+    pub const BEND: u32 = 1 << 1;
+    /// All rates were scaled down to the cable speed limit.
+    pub const CABLE_SPEED: u32 = 1 << 2;
+    /// The command was replaced because it was not finite.
+    pub const NON_FINITE: u32 = 1 << 3;
+    /// The clearance guard changed the command.
+    pub const CLEARANCE: u32 = 1 << 4;
+}
+
+/// Bits of [`Status::realtime_missing`](crate::Status::realtime_missing).
+pub mod realtime {
+    /// The real-time threads do not have `SCHED_FIFO`.
+    pub const FIFO: u32 = 1;
+    /// The real-time threads are not pinned to their core.
+    pub const PINNED: u32 = 1 << 1;
+    /// Memory is not locked.
+    pub const LOCKED: u32 = 1 << 2;
+    /// Real time was switched off in the configuration.
+    pub const OFF: u32 = 1 << 3;
+
+    /// Every bit with its name and what would mend it.
+    pub const ALL: &[(u32, &str, &str)] = &[
+        (
+            FIFO,
+            "SCHED_FIFO",
+            "run as root, or set RLIMIT_RTPRIO (limits.conf: rtprio 80)",
+        ),
+        (
+            PINNED,
+            "core pinning",
+            "choose a core that the process may use (realtime.core)",
+        ),
+        (
+            LOCKED,
+            "locked memory",
+            "run as root, or set RLIMIT_MEMLOCK to unlimited (limits.conf: memlock unlimited)",
+        ),
+        (
+            OFF,
+            "real time",
+            "set realtime.mode to \"prefer\" or \"require\"",
+        ),
+    ];
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn codes_round_trip_and_unknown_ones_are_refused() {
+        for &outcome in Outcome::ALL {
+            assert_eq!(Outcome::try_from(outcome.code()), Ok(outcome));
+        }
+        assert_eq!(
+            Outcome::try_from(Outcome::COUNT as u32),
+            Err(UnknownCode { code: 20 })
+        );
+        assert_eq!(Mode::text_of(77), "unknown code");
+    }
+
+    #[test]
+    fn outcome_codes_index_the_counters_of_the_status() {
+        for (index, outcome) in Outcome::ALL.iter().enumerate() {
+            assert_eq!(outcome.code() as usize, index);
+        }
+    }
+}

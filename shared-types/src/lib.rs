@@ -1,0 +1,58 @@
+//! The wire contract of `cdcrd`: every message, service name and limit that more than one process
+//! must agree on.
+//!
+//! All communication runs over [iceoryx2](https://docs.rs/iceoryx2) shared memory. The daemon
+//! creates the services of [`Service::ALL`] under `cdcr/<robot>/`, so it alone fixes their types and
+//! queue lengths; clients and drivers open them.
+//!
+//! | service | pattern | direction | payload |
+//! |---|---|---|---|
+//! | `reference` | publish-subscribe | client → daemon | [`ReferenceChunk`] |
+//! | `obstacles` | publish-subscribe | client → daemon | [`ObstacleUpdate`] |
+//! | `measurement` | publish-subscribe | driver → daemon | [`Measurement`] |
+//! | `command` | publish-subscribe | daemon → driver | [`Command`] |
+//! | `telemetry` | publish-subscribe | daemon → any | [`Telemetry`] |
+//! | `status` | publish-subscribe, history 1 | daemon → any | [`Status`] |
+//! | `control` | request-response | client ↔ daemon | [`Request`] → [`Response`] |
+//!
+//! # Rules that every type here keeps
+//!
+//! * `#[repr(C)]`, fixed size, no padding that a reader could mistake for data: gaps are spelt out
+//!   as `reserved` fields. Sizes and offsets are pinned by `tests/layout.rs`.
+//! * An explicit iceoryx2 type name `cdcr.<Type>.v<n>`. iceoryx2 compares name, size and alignment
+//!   only, so **a change of meaning or layout changes the version in the name** and an old peer is
+//!   refused when it opens the service, never misread.
+//! * SI units; the unit ends the field's name. Times are nanoseconds of `CLOCK_MONOTONIC`.
+//! * Enumerations travel as `u32` because another process may write any bits; [`codes`] holds their
+//!   values and the checked conversion.
+//! * Every message starts with a [`Header`]: who sent it, its sequence number and when. iceoryx2 does
+//!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
+//!
+//! Invariant: no logic lives here. Nothing validates, computes or decides; the daemon's
+//! `exchange/convert.rs` does that at the edge.
+
+pub mod codes;
+mod command;
+mod control;
+mod header;
+pub mod limits;
+mod measurement;
+mod obstacles;
+mod reference;
+mod services;
+mod settings;
+mod status;
+mod telemetry;
+
+pub use command::Command;
+pub use control::{Request, Response};
+pub use header::Header;
+pub use measurement::Measurement;
+pub use obstacles::{Obstacle, ObstacleUpdate};
+pub use reference::{ReferenceChunk, ReferencePoint};
+pub use services::{
+    DEFAULT_PREFIX, Location, LocationError, QueueLengths, Service, ServiceNameError,
+};
+pub use settings::SolverSettings;
+pub use status::{LatencySummary, RobotDescription, SectionDescription, Status};
+pub use telemetry::{InputEvent, ReferenceSample, SolverReport, Telemetry};

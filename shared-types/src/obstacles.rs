@@ -1,0 +1,53 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::Header;
+use crate::limits::OBSTACLES_MAX;
+
+/// A sphere or a capsule that the body of the robot must stay clear of.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.Obstacle.v1")]
+pub struct Obstacle {
+    /// Identity chosen by the sender, unique among all senders; an upsert with a known id replaces.
+    pub id: u32,
+    /// [`codes::ObstacleShape`](crate::codes::ObstacleShape).
+    pub shape: u32,
+    /// Centre of the sphere, or first end of the capsule's axis, in the base frame \[m\].
+    pub start_m: [f64; 3],
+    /// Second end of the capsule's axis \[m\]; unused for a sphere.
+    pub end_m: [f64; 3],
+    /// Radius \[m\], ≥ 0.
+    pub radius_m: f64,
+    /// Velocity of the whole shape \[m/s\], used to predict it over the horizon.
+    pub velocity_m_s: [f64; 3],
+    /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\].
+    pub measured_ns: u64,
+    /// How long it stays known after `measured_ns` \[ns\]; 0: until removed.
+    pub lifetime_ns: u64,
+}
+
+/// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, taken whole or not at all.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("cdcr.ObstacleUpdate.v1")]
+pub struct ObstacleUpdate {
+    /// Sender, sequence, time.
+    pub header: Header,
+    /// [`codes::ObstacleAction`](crate::codes::ObstacleAction): upsert, remove by id, clear all.
+    pub action: u32,
+    /// Obstacles used, 0 ..= [`OBSTACLES_MAX`].
+    pub count: u32,
+    /// The obstacles; only the first `count` are read, and of a removal only their ids.
+    pub obstacles: [Obstacle; OBSTACLES_MAX],
+}
+
+impl Default for ObstacleUpdate {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            action: 0,
+            count: 0,
+            obstacles: [Obstacle::default(); OBSTACLES_MAX],
+        }
+    }
+}

@@ -1,0 +1,253 @@
+use std::path::{Path, PathBuf};
+
+use iceoryx2::config::Config;
+use iceoryx2::prelude::{
+    FileName, NodeBuilder, Path as IoxPath, SemanticString, ServiceName, SignalHandlingMode,
+};
+
+/// Prefix of every shared-memory file of ours, unless a user chooses another.
+pub const DEFAULT_PREFIX: &str = "cdcr_";
+
+/// The seven services of a daemon.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Service {
+    /// Reference chunks, client → daemon.
+    Reference,
+    /// Obstacle updates, client → daemon.
+    Obstacles,
+    /// Measurements, driver → daemon.
+    Measurement,
+    /// Commands, daemon → driver.
+    Command,
+    /// One record per cycle, daemon → any.
+    Telemetry,
+    /// Snapshots for late joiners, daemon → any.
+    Status,
+    /// Requests and answers.
+    Control,
+}
+
+/// Quality of service of a publish-subscribe service: the daemon creates with these numbers, and
+/// they bound its memory. Safe overflow is always on: a stopped reader loses the oldest messages, and
+/// never stops a writer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct QueueLengths {
+    /// Writers at one time.
+    pub publishers: usize,
+    /// Readers at one time.
+    pub subscribers: usize,
+    /// Messages that wait for one reader.
+    pub queue: usize,
+    /// Messages that a late joiner still gets.
+    pub history: usize,
+}
+
+impl Service {
+    /// Every service.
+    pub const ALL: [Self; 7] = [
+        Self::Reference,
+        Self::Obstacles,
+        Self::Measurement,
+        Self::Command,
+        Self::Telemetry,
+        Self::Status,
+        Self::Control,
+    ];
+
+    /// Clients that may have a control connection at one time.
+    pub const CONTROL_CLIENTS: usize = 16;
+    /// Requests of one client that may wait at one time.
+    pub const CONTROL_REQUESTS: usize = 4;
+    /// Processes that may have a service open at one time.
+    pub const NODES: usize = 40;
+
+    /// Last part of the service's name.
+    pub const fn key(self) -> &'static str {
+        match self {
+            Self::Reference => "reference",
+            Self::Obstacles => "obstacles",
+            Self::Measurement => "measurement",
+            Self::Command => "command",
+            Self::Telemetry => "telemetry",
+            Self::Status => "status",
+            Self::Control => "control",
+        }
+    }
+
+    /// Queue lengths, for all but [`Service::Control`].
+    pub const fn queues(self) -> QueueLengths {
+        let (publishers, subscribers, queue, history) = match self {
+            // 32 chunks: the whole reference buffer of the daemon.
+            Self::Reference => (8, 4, 32, 0),
+            Self::Obstacles => (8, 4, 16, 0),
+            Self::Measurement => (2, 4, 16, 0),
+            Self::Command => (1, 4, 16, 0),
+            // 256 records: 1.28 s at 5 ms.
+            Self::Telemetry => (1, 8, 256, 0),
+            Self::Status | Self::Control => (1, 16, 2, 1),
+        };
+        QueueLengths {
+            publishers,
+            subscribers,
+            queue,
+            history,
+        }
+    }
+
+    /// Full name `cdcr/<robot>/<key>`.
+    ///
+    /// # Errors
+    /// When `robot` is not a legal part of a service name (empty, or too long).
+    pub fn name(self, robot: &str) -> Result<ServiceName, ServiceNameError> {
+        let error = || ServiceNameError {
+            robot: robot.to_owned(),
+        };
+        if !Location::is_legal_name(robot) {
+            return Err(error());
+        }
+        let name = format!("cdcr/{robot}/{}", self.key());
+        name.as_str().try_into().map_err(|_| error())
+    }
+}
+
+/// A robot name that cannot be part of a service name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ServiceNameError {
+    /// The name.
+    pub robot: String,
+}
+
+impl core::fmt::Display for ServiceNameError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(
+            f,
+            "{:?} is no robot name: use 1 to 40 letters, digits, '-' and '_'",
+            self.robot
+        )
+    }
+}
+
+impl core::error::Error for ServiceNameError {}
+
+/// Where in shared memory a daemon and its clients meet: an iceoryx2 prefix and root path of our own,
+/// never iceoryx2's defaults (which a file in the working directory could change).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Location {
+    prefix: String,
+    root: PathBuf,
+}
+
+/// A prefix or root path that iceoryx2 cannot use.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum LocationError {
+    /// The prefix is not a legal start of a file name.
+    Prefix(String),
+    /// The root is not an absolute path that iceoryx2 accepts.
+    Root(PathBuf),
+}
+
+impl core::fmt::Display for LocationError {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Prefix(prefix) => write!(
+                f,
+                "{prefix:?} is no prefix: use 1 to 40 letters, digits, '-' and '_'"
+            ),
+            Self::Root(root) => write!(
+                f,
+                "{} is no root path: use an absolute path of at most 100 characters",
+                root.display()
+            ),
+        }
+    }
+}
+
+impl core::error::Error for LocationError {}
+
+impl Location {
+    /// A location with the given prefix and root path.
+    ///
+    /// # Errors
+    /// When iceoryx2 could not use them; the message says what is legal.
+    pub fn new(prefix: &str, root: &Path) -> Result<Self, LocationError> {
+        if !Self::is_legal_name(prefix) {
+            return Err(LocationError::Prefix(prefix.to_owned()));
+        }
+        if !root.is_absolute() || root.as_os_str().len() > 100 {
+            return Err(LocationError::Root(root.to_owned()));
+        }
+        let location = Self {
+            prefix: prefix.to_owned(),
+            root: root.to_owned(),
+        };
+        location.iceoryx2_config()?;
+        Ok(location)
+    }
+
+    /// Root path unless a user chooses another: one per Unix user, because the files are private to
+    /// their owner.
+    pub fn default_root() -> PathBuf {
+        use std::os::unix::fs::MetadataExt;
+        let user_id = std::fs::metadata("/proc/self").map_or(0, |process| process.uid());
+        PathBuf::from(format!("/tmp/cdcr-{user_id}"))
+    }
+
+    /// Prefix of the shared-memory files.
+    pub fn prefix(&self) -> &str {
+        &self.prefix
+    }
+
+    /// Root path.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The iceoryx2 configuration for this location, to be passed to every node.
+    ///
+    /// # Errors
+    /// As [`Location::new`].
+    pub fn iceoryx2_config(&self) -> Result<Config, LocationError> {
+        let mut config = Config::default();
+        config.global.prefix = FileName::new(self.prefix.as_bytes())
+            .map_err(|_| LocationError::Prefix(self.prefix.clone()))?;
+        let root = IoxPath::new(self.root.as_os_str().as_encoded_bytes())
+            .map_err(|_| LocationError::Root(self.root.clone()))?;
+        config.global.set_root_path(&root);
+        Ok(config)
+    }
+
+    /// A node builder for this location that leaves signals to the process.
+    ///
+    /// # Errors
+    /// As [`Location::new`].
+    pub fn node_builder(&self) -> Result<NodeBuilder, LocationError> {
+        Ok(NodeBuilder::new()
+            .config(&self.iceoryx2_config()?)
+            .signal_handling_mode(SignalHandlingMode::Disabled))
+    }
+
+    fn is_legal_name(name: &str) -> bool {
+        (1..=40).contains(&name.len())
+            && name
+                .bytes()
+                .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_checked_before_iceoryx2_sees_them() {
+        assert_eq!(
+            Service::Status.name("trunk").map(|n| n.to_string()).ok(),
+            Some("cdcr/trunk/status".to_owned())
+        );
+        assert!(Service::Status.name("").is_err());
+        assert!(Service::Status.name("a/b").is_err());
+        assert!(Location::new("x y", Path::new("/tmp/x")).is_err());
+        assert!(Location::new("x_", Path::new("relative")).is_err());
+        assert!(Location::new("x_", Path::new("/tmp/x")).is_ok());
+    }
+}

@@ -1,0 +1,165 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::codes::Outcome;
+use crate::limits::{SECTIONS_MAX, TEXT_BYTES};
+use crate::{Header, SolverSettings};
+
+/// One bending section of the robot that the daemon controls.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.SectionDescription.v1")]
+pub struct SectionDescription {
+    /// Length of the backbone \[m\].
+    pub length_m: f64,
+    /// Distance of the cables from the backbone \[m\].
+    pub cable_radius_m: f64,
+    /// Angle of the first cable \[rad\].
+    pub cable_offset_rad: f64,
+    /// Largest bend \[rad\].
+    pub bend_max_rad: f64,
+    /// Largest rate of each bend-vector component \[rad/s\].
+    pub rate_max_rad_s: f64,
+    /// Radius of the body \[m\].
+    pub body_radius_m: f64,
+}
+
+/// The robot that the daemon controls.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.RobotDescription.v1")]
+pub struct RobotDescription {
+    /// Sections used, 1 ..= [`SECTIONS_MAX`].
+    pub sections: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// Fingerprint of all parameters, equal to that of the telemetry.
+    pub fingerprint: u64,
+    /// Largest speed of a cable \[m/s\].
+    pub cable_speed_max_m_s: f64,
+    /// The sections, base first.
+    pub section: [SectionDescription; SECTIONS_MAX],
+}
+
+/// Percentiles of one latency since the start \[ns\].
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[type_name("cdcr.LatencySummary.v1")]
+pub struct LatencySummary {
+    /// Values counted.
+    pub count: u64,
+    /// Smallest.
+    pub min_ns: u64,
+    /// Median.
+    pub p50_ns: u64,
+    /// 99th percentile.
+    pub p99_ns: u64,
+    /// 99.9th percentile.
+    pub p999_ns: u64,
+    /// Largest.
+    pub max_ns: u64,
+}
+
+/// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("cdcr.Status.v1")]
+pub struct Status {
+    /// The daemon, sequence, time.
+    pub header: Header,
+    /// Name of the robot, as in the service names.
+    pub robot_name: [u8; TEXT_BYTES],
+    /// Version of the daemon.
+    pub build: [u8; TEXT_BYTES],
+    /// Process id.
+    pub process_id: u32,
+    /// [`codes::Mode`](crate::codes::Mode).
+    pub mode: u32,
+    /// [`codes::Reason`](crate::codes::Reason) why this mode.
+    pub reason: u32,
+    /// [`codes::realtime`](crate::codes::realtime) bits that are **missing**; 0: real time.
+    pub realtime_missing: u32,
+    /// [`codes::RobotLink`](crate::codes::RobotLink): simulated or driver.
+    pub link: u32,
+    /// Core of the real-time threads.
+    pub core: u32,
+    /// When the first cycle was released \[ns, `CLOCK_MONOTONIC`\].
+    pub origin_ns: u64,
+    /// Period T \[ns\].
+    pub period_ns: u64,
+    /// Deadline D \[ns\] after the release.
+    pub deadline_ns: u64,
+
+    /// Cycles run.
+    pub cycles: u64,
+    /// Cycles that started later than the late-start limit.
+    pub late_starts: u64,
+    /// Cycles whose command was handed over after the deadline.
+    pub deadline_misses: u64,
+    /// Releases that passed before the cycle could start.
+    pub skipped_periods: u64,
+    /// Solves that the time budget ended.
+    pub budget_hits: u64,
+    /// Records that were lost inside the daemon because a ring was full.
+    pub dropped_records: u64,
+    /// Faults since the start.
+    pub faults: u64,
+    /// Input messages by their [`Outcome`], index = code; 0 counts the accepted ones.
+    pub outcomes: [u64; Outcome::COUNT],
+
+    /// Release to start.
+    pub wake: LatencySummary,
+    /// The solver.
+    pub solve: LatencySummary,
+    /// Release to hand-over of the command.
+    pub response: LatencySummary,
+
+    /// Holder of the reference lease; 0: nobody.
+    pub lease_holder: u64,
+    /// Last time of the buffered reference \[ns, `CLOCK_MONOTONIC`\]; 0: none.
+    pub reference_end_ns: u64,
+    /// Points of the buffered reference that are still ahead.
+    pub reference_points: u32,
+    /// Obstacles known.
+    pub obstacle_count: u32,
+
+    /// The robot.
+    pub robot: RobotDescription,
+    /// The solver's settings.
+    pub settings: SolverSettings,
+}
+
+impl Default for Status {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            robot_name: [0; TEXT_BYTES],
+            build: [0; TEXT_BYTES],
+            process_id: 0,
+            mode: 0,
+            reason: 0,
+            realtime_missing: 0,
+            link: 0,
+            core: 0,
+            origin_ns: 0,
+            period_ns: 0,
+            deadline_ns: 0,
+            cycles: 0,
+            late_starts: 0,
+            deadline_misses: 0,
+            skipped_periods: 0,
+            budget_hits: 0,
+            dropped_records: 0,
+            faults: 0,
+            outcomes: [0; Outcome::COUNT],
+            wake: LatencySummary::default(),
+            solve: LatencySummary::default(),
+            response: LatencySummary::default(),
+            lease_holder: 0,
+            reference_end_ns: 0,
+            reference_points: 0,
+            obstacle_count: 0,
+            robot: RobotDescription::default(),
+            settings: SolverSettings::default(),
+        }
+    }
+}

@@ -1,0 +1,210 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::limits::{COORDINATES_MAX, EVENTS_MAX, PLAN_MAX};
+use crate::{Command, Header, Measurement, SolverSettings};
+
+/// One message that the daemon took in, and what became of it.
+///
+/// The events of the records, in order, say exactly which reference chunk, obstacle update or request
+/// took effect in which cycle. Together with a recording of those messages they rebuild the state of
+/// the reference buffer and of the obstacle set for every cycle.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[type_name("cdcr.InputEvent.v1")]
+pub struct InputEvent {
+    /// `header.sender_id` of the message.
+    pub sender_id: u64,
+    /// `header.sequence` of the message.
+    pub sequence: u64,
+    /// The daemon's clock when it judged the message \[ns, `CLOCK_MONOTONIC`\].
+    pub judged_ns: u64,
+    /// [`codes::EventKind`](crate::codes::EventKind).
+    pub kind: u32,
+    /// [`codes::Outcome`](crate::codes::Outcome).
+    pub outcome: u32,
+    /// Place of the trouble: index of the point or obstacle; for a request its
+    /// [`codes::RequestKind`](crate::codes::RequestKind).
+    pub detail: u32,
+    /// Zero.
+    pub reserved: u32,
+}
+
+/// The reference at one instant, after interpolation.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.ReferenceSample.v1")]
+pub struct ReferenceSample {
+    /// Position in the base frame \[m\].
+    pub position_m: [f64; 3],
+    /// As in [`ReferencePoint`](crate::ReferencePoint).
+    pub orientation: [f64; 4],
+    /// [`codes::OrientationKind`](crate::codes::OrientationKind).
+    pub orientation_kind: u32,
+    /// [`codes::ReferenceState`](crate::codes::ReferenceState).
+    pub state: u32,
+}
+
+/// What the solver did in one cycle. All zero in cycles that did not solve.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.SolverReport.v1")]
+pub struct SolverReport {
+    /// Cost of the solution, in the scale of the weights.
+    pub cost: f64,
+    /// Cost of the warm start.
+    pub warm_cost: f64,
+    /// Norm of the projected gradient at the solution.
+    pub gradient_norm: f64,
+    /// Seed of this cycle's swarm: a function of `settings.seed` and the cycle.
+    pub seed: u64,
+    /// Cost evaluations.
+    pub evaluations: u32,
+    /// Budget checks that were passed. A replay with a budget of this many checks does the same
+    /// work, whatever its clock says.
+    pub quanta: u32,
+    /// Swarm iterations.
+    pub iterations: u32,
+    /// Gauss-Newton steps that were accepted.
+    pub refinements: u32,
+    /// [`codes::SolverStatus`](crate::codes::SolverStatus).
+    pub status: u32,
+    /// [`codes::Winner`](crate::codes::Winner): which candidate the solution descends from.
+    pub winner: u32,
+}
+
+/// Everything of one cycle: inputs as used, outputs, timing, mode, fault.
+///
+/// A record holds all that the solver used, so one record is enough to compute that cycle again bit
+/// for bit; see `docs/replay.md`.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+#[type_name("cdcr.Telemetry.v1")]
+pub struct Telemetry {
+    /// The daemon, number of the record, time of publication.
+    pub header: Header,
+
+    // ---- when
+    /// Number of the cycle on the grid: release = origin + cycle · period.
+    pub cycle: u64,
+    /// Release time r \[ns, `CLOCK_MONOTONIC`\].
+    pub release_ns: u64,
+    /// The cycle started s \[ns\].
+    pub start_ns: u64,
+    /// The solver began \[ns\].
+    pub solve_start_ns: u64,
+    /// The solver ended \[ns\].
+    pub solve_end_ns: u64,
+    /// The command was handed over p \[ns\].
+    pub handed_over_ns: u64,
+    /// Period T \[ns\].
+    pub period_ns: u64,
+    /// Time since the release of the previous cycle that ran \[ns\]: a multiple of the period.
+    pub elapsed_ns: u64,
+    /// Periods skipped between the previous cycle and this one.
+    pub skipped_periods: u32,
+    /// [`codes::timing`](crate::codes::timing) bits: late start, deadline miss.
+    pub timing_flags: u32,
+    /// Deadline misses since the start.
+    pub deadline_misses_total: u64,
+    /// Skipped periods since the start.
+    pub skipped_periods_total: u64,
+
+    // ---- mode
+    /// [`codes::Mode`](crate::codes::Mode) in which the command was made.
+    pub mode: u32,
+    /// [`codes::Reason`](crate::codes::Reason) why this mode.
+    pub reason: u32,
+    /// Level of the leaky bucket of deadline misses.
+    pub miss_bucket: u32,
+    /// Events of this record, 0 ..= [`EVENTS_MAX`].
+    pub event_count: u32,
+
+    // ---- inputs as used
+    /// Number of the gather whose inputs the cycle used; the first `event_count` events took effect
+    /// with it.
+    pub gather: u64,
+    /// The clock of that gather \[ns, `CLOCK_MONOTONIC`\].
+    pub gather_ns: u64,
+    /// What took effect.
+    pub events: [InputEvent; EVENTS_MAX],
+    /// The newest measurement; `kind` 0 when there is none (simulated robot: the plant's own state).
+    pub measurement: Measurement,
+    /// Estimated bend vector at the release \[rad\].
+    pub bend_rad: [f64; COORDINATES_MAX],
+    /// Rates of the previous command \[rad/s\].
+    pub previous_rate_rad_s: [f64; COORDINATES_MAX],
+    /// The solver's settings in this cycle.
+    pub settings: SolverSettings,
+    /// Fingerprint of the robot's parameters, as in the status.
+    pub robot_fingerprint: u64,
+    /// Scalars of `warm_plan` and `plan` that are used; 0: the solver did not run.
+    pub plan_length: u32,
+    /// Obstacles known in this cycle.
+    pub obstacle_count: u32,
+    /// The plan that the solver started from \[rad/s\], block by block.
+    pub warm_plan: [f64; PLAN_MAX],
+
+    // ---- outputs
+    /// The solution \[rad/s\], block by block.
+    pub plan: [f64; PLAN_MAX],
+    /// What the solver did.
+    pub report: SolverReport,
+    /// Reference at the release.
+    pub reference: ReferenceSample,
+    /// Tip position at the release, from `bend_rad` \[m\].
+    pub tip_position_m: [f64; 3],
+    /// Tip orientation at the release, unit quaternion (x, y, z, w).
+    pub tip_orientation: [f64; 4],
+    /// Distance of tip and reference at the release \[m\]; NaN without a reference.
+    pub position_error_m: f64,
+    /// [`codes::guard`](crate::codes::guard) bits: which limits changed the solver's command.
+    pub guard_flags: u32,
+    /// Zero.
+    pub reserved: u32,
+    /// The command as it left.
+    pub command: Command,
+}
+
+impl Default for Telemetry {
+    fn default() -> Self {
+        Self {
+            header: Header::default(),
+            cycle: 0,
+            release_ns: 0,
+            start_ns: 0,
+            solve_start_ns: 0,
+            solve_end_ns: 0,
+            handed_over_ns: 0,
+            period_ns: 0,
+            elapsed_ns: 0,
+            skipped_periods: 0,
+            timing_flags: 0,
+            deadline_misses_total: 0,
+            skipped_periods_total: 0,
+            mode: 0,
+            reason: 0,
+            miss_bucket: 0,
+            event_count: 0,
+            gather: 0,
+            gather_ns: 0,
+            events: [InputEvent::default(); EVENTS_MAX],
+            measurement: Measurement::default(),
+            bend_rad: [0.0; COORDINATES_MAX],
+            previous_rate_rad_s: [0.0; COORDINATES_MAX],
+            settings: SolverSettings::default(),
+            robot_fingerprint: 0,
+            plan_length: 0,
+            obstacle_count: 0,
+            warm_plan: [0.0; PLAN_MAX],
+            plan: [0.0; PLAN_MAX],
+            report: SolverReport::default(),
+            reference: ReferenceSample::default(),
+            tip_position_m: [0.0; 3],
+            tip_orientation: [0.0; 4],
+            position_error_m: 0.0,
+            guard_flags: 0,
+            reserved: 0,
+            command: Command::default(),
+        }
+    }
+}

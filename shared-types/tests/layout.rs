@@ -1,0 +1,146 @@
+//! Pins the layout of every message. A failing line means that the wire contract changed: then the
+//! version in the type's name has to change with it.
+
+use std::mem::{align_of, offset_of, size_of};
+
+use cdcr_shared_types::{
+    Command, Header, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
+    ReferenceChunk, ReferencePoint, ReferenceSample, Request, Response, RobotDescription,
+    SectionDescription, SolverReport, SolverSettings, Status, Telemetry,
+};
+
+#[test]
+fn sizes_are_pinned() {
+    let sizes = [
+        ("Header", size_of::<Header>(), 24),
+        ("ReferencePoint", size_of::<ReferencePoint>(), 72),
+        ("ReferenceChunk", size_of::<ReferenceChunk>(), 9256),
+        ("Obstacle", size_of::<Obstacle>(), 104),
+        ("ObstacleUpdate", size_of::<ObstacleUpdate>(), 6688),
+        ("Measurement", size_of::<Measurement>(), 336),
+        ("Command", size_of::<Command>(), 536),
+        ("SolverSettings", size_of::<SolverSettings>(), 160),
+        ("Request", size_of::<Request>(), 192),
+        ("Response", size_of::<Response>(), 64),
+        ("InputEvent", size_of::<InputEvent>(), 40),
+        ("ReferenceSample", size_of::<ReferenceSample>(), 64),
+        ("SolverReport", size_of::<SolverReport>(), 56),
+        ("Telemetry", size_of::<Telemetry>(), 6056),
+        ("LatencySummary", size_of::<LatencySummary>(), 48),
+        ("SectionDescription", size_of::<SectionDescription>(), 48),
+        ("RobotDescription", size_of::<RobotDescription>(), 312),
+        ("Status", size_of::<Status>(), 1024),
+    ];
+    let changed: Vec<_> = sizes.iter().filter(|(_, is, was)| is != was).collect();
+    assert!(changed.is_empty(), "(type, is, was): {changed:?}");
+    assert_eq!(align_of::<Telemetry>(), 8);
+}
+
+#[test]
+fn offsets_are_pinned() {
+    let offsets = [
+        (
+            "ReferencePoint.position_m",
+            offset_of!(ReferencePoint, position_m),
+            8,
+        ),
+        (
+            "ReferencePoint.orientation",
+            offset_of!(ReferencePoint, orientation),
+            32,
+        ),
+        (
+            "ReferencePoint.orientation_kind",
+            offset_of!(ReferencePoint, orientation_kind),
+            64,
+        ),
+        ("ReferenceChunk.mode", offset_of!(ReferenceChunk, mode), 24),
+        (
+            "ReferenceChunk.count",
+            offset_of!(ReferenceChunk, count),
+            32,
+        ),
+        (
+            "ReferenceChunk.points",
+            offset_of!(ReferenceChunk, points),
+            40,
+        ),
+        ("Obstacle.start_m", offset_of!(Obstacle, start_m), 8),
+        ("Obstacle.radius_m", offset_of!(Obstacle, radius_m), 56),
+        (
+            "Obstacle.lifetime_ns",
+            offset_of!(Obstacle, lifetime_ns),
+            96,
+        ),
+        (
+            "ObstacleUpdate.obstacles",
+            offset_of!(ObstacleUpdate, obstacles),
+            32,
+        ),
+        ("Measurement.kind", offset_of!(Measurement, kind), 32),
+        (
+            "Measurement.bend_rad",
+            offset_of!(Measurement, bend_rad),
+            40,
+        ),
+        (
+            "Measurement.tip_position_m",
+            offset_of!(Measurement, tip_position_m),
+            136,
+        ),
+        (
+            "Measurement.cable_length_m",
+            offset_of!(Measurement, cable_length_m),
+            192,
+        ),
+        ("Command.cycle", offset_of!(Command, cycle), 24),
+        (
+            "Command.bend_rate_rad_s",
+            offset_of!(Command, bend_rate_rad_s),
+            56,
+        ),
+        (
+            "Command.cable_length_m",
+            offset_of!(Command, cable_length_m),
+            248,
+        ),
+        (
+            "SolverSettings.inertia",
+            offset_of!(SolverSettings, inertia),
+            40,
+        ),
+        ("SolverSettings.seed", offset_of!(SolverSettings, seed), 152),
+        ("Request.kind", offset_of!(Request, kind), 24),
+        ("Request.settings", offset_of!(Request, settings), 32),
+        ("Response.outcome", offset_of!(Response, outcome), 40),
+        ("InputEvent.kind", offset_of!(InputEvent, kind), 24),
+        (
+            "Telemetry.release_ns",
+            offset_of!(Telemetry, release_ns),
+            32,
+        ),
+        ("Telemetry.mode", offset_of!(Telemetry, mode), 112),
+        ("Telemetry.events", offset_of!(Telemetry, events), 144),
+        (
+            "Telemetry.measurement",
+            offset_of!(Telemetry, measurement),
+            784,
+        ),
+        ("Telemetry.bend_rad", offset_of!(Telemetry, bend_rad), 1120),
+        ("Telemetry.settings", offset_of!(Telemetry, settings), 1312),
+        (
+            "Telemetry.warm_plan",
+            offset_of!(Telemetry, warm_plan),
+            1488,
+        ),
+        ("Telemetry.plan", offset_of!(Telemetry, plan), 3408),
+        ("Telemetry.report", offset_of!(Telemetry, report), 5328),
+        ("Telemetry.command", offset_of!(Telemetry, command), 5520),
+        ("Status.mode", offset_of!(Status, mode), 124),
+        ("Status.cycles", offset_of!(Status, cycles), 168),
+        ("Status.outcomes", offset_of!(Status, outcomes), 224),
+        ("Status.robot", offset_of!(Status, robot), 552),
+    ];
+    let moved: Vec<_> = offsets.iter().filter(|(_, is, was)| is != was).collect();
+    assert!(moved.is_empty(), "(field, is, was): {moved:?}");
+}
