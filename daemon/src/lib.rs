@@ -1,1 +1,26 @@
-//! x
+//! `cdcrd`: the real-time control daemon for cable-driven continuum robots.
+//!
+//! Three threads (see `ARCHITECTURE.md`): the **cycle** on a pinned core sleeps to each release of an
+//! absolute time grid, estimates, decides, solves, limits, and hands a record on; the **exchange** on
+//! the same core below it moves messages between shared memory and the cycle; the **supervisor**
+//! elsewhere does what is slow or textual.
+//!
+//! | module | knows | must not know |
+//! |---|---|---|
+//! | [`config`] | TOML, ranges | threads, messages |
+//! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
+//! | [`ports`] | what the cycle needs | who provides it |
+//! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
+//! | [`rt`] | clock, grid, hand-over, privileges | the robot |
+//! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |
+//! | [`app`] | every concrete type | nothing is hidden from it |
+
+pub mod app;
+pub mod config;
+pub mod cycle;
+pub mod exchange;
+pub mod instance;
+pub mod link;
+pub mod ports;
+pub mod rt;
+pub mod supervisor;

@@ -25,8 +25,9 @@ pub struct InputEvent {
     /// Place of the trouble: index of the point or obstacle; for a request its
     /// [`codes::RequestKind`](crate::codes::RequestKind).
     pub detail: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// It took effect this many gathers before the record's `gather`: 0, unless more happened at once
+    /// than one record can report.
+    pub gathers_ago: u32,
 }
 
 /// The reference at one instant, after interpolation.
@@ -120,14 +121,14 @@ pub struct Telemetry {
     pub event_count: u32,
 
     // ---- inputs as used
-    /// Number of the gather whose inputs the cycle used; the first `event_count` events took effect
-    /// with it.
+    /// Number of the gather whose inputs the cycle used.
     pub gather: u64,
     /// The clock of that gather \[ns, `CLOCK_MONOTONIC`\].
     pub gather_ns: u64,
-    /// What took effect.
+    /// What the daemon took in since the last record; the first `event_count` are used.
     pub events: [InputEvent; EVENTS_MAX],
-    /// The newest measurement; `kind` 0 when there is none (simulated robot: the plant's own state).
+    /// The measurement as used, header zero; `kind` 0 when there was none. The simulated robot measures
+    /// its own configuration.
     pub measurement: Measurement,
     /// Estimated bend vector at the release \[rad\].
     pub bend_rad: [f64; COORDINATES_MAX],

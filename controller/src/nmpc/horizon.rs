@@ -1,0 +1,106 @@
+use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, NmpcSettings};
+
+/// N prediction steps in M ≤ N blocks: in each block the rates are held.
+///
+/// The blocks are as even as N and M allow, longer ones last, because the near future deserves the
+/// finer control.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Horizon {
+    steps: usize,
+    blocks: usize,
+    /// Block of each step.
+    block_of: [u8; HORIZON_STEPS_MAX],
+    /// First step of each block.
+    first_step: [u8; CONTROL_BLOCKS_MAX],
+}
+
+impl Horizon {
+    /// The horizon of validated settings; M = 0 stands for M = N.
+    pub fn new(settings: &NmpcSettings) -> Self {
+        let steps = (settings.horizon_steps as usize).clamp(1, HORIZON_STEPS_MAX);
+        let wished = match settings.control_blocks as usize {
+            0 => steps,
+            blocks => blocks,
+        };
+        let blocks = wished.clamp(1, steps.min(CONTROL_BLOCKS_MAX));
+        let mut horizon = Self {
+            steps,
+            blocks,
+            block_of: [0; HORIZON_STEPS_MAX],
+            first_step: [0; CONTROL_BLOCKS_MAX],
+        };
+        for block in 0..blocks {
+            let (first, end) = (block * steps / blocks, (block + 1) * steps / blocks);
+            horizon.first_step[block] = first as u8;
+            horizon.block_of[first..end].fill(block as u8);
+        }
+        horizon
+    }
+
+    /// Prediction steps N.
+    pub fn steps(&self) -> usize {
+        self.steps
+    }
+
+    /// Control blocks M.
+    pub fn blocks(&self) -> usize {
+        self.blocks
+    }
+
+    /// The block that controls step `step` (0-based).
+    pub fn block_of(&self, step: usize) -> usize {
+        usize::from(self.block_of[step])
+    }
+
+    /// The plan moved on by `elapsed` periods: what was planned for then; past its end the last
+    /// block is held on. `into` has the length of `plan`.
+    pub(super) fn shift(&self, plan: &[f64], elapsed: u64, into: &mut [f64]) {
+        let width = plan.len() / self.blocks;
+        let elapsed = elapsed.min(HORIZON_STEPS_MAX as u64) as usize;
+        for (block, target) in into.chunks_exact_mut(width).enumerate() {
+            let step = usize::from(self.first_step[block]) + elapsed;
+            let source = if step < self.steps { self.block_of(step) } else { self.blocks - 1 };
+            target.copy_from_slice(&plan[source * width..][..width]);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn horizon(steps: u32, blocks: u32) -> Horizon {
+        Horizon::new(&NmpcSettings {
+            horizon_steps: steps,
+            control_blocks: blocks,
+            ..NmpcSettings::default()
+        })
+    }
+
+    #[test]
+    fn blocks_cover_all_steps_in_order() {
+        for steps in 1..=50 {
+            for blocks in 0..=steps {
+                let horizon = horizon(steps, blocks);
+                let of: Vec<_> = (0..horizon.steps()).map(|step| horizon.block_of(step)).collect();
+                assert_eq!(of[0], 0);
+                assert_eq!(of[of.len() - 1], horizon.blocks() - 1);
+                assert!(of.windows(2).all(|pair| pair[1] == pair[0] || pair[1] == pair[0] + 1));
+            }
+        }
+    }
+
+    #[test]
+    fn shifting_moves_the_plan_on_in_time() {
+        let mut into = [0.0; 4];
+        horizon(4, 4).shift(&[1.0, 2.0, 3.0, 4.0], 1, &mut into);
+        assert_eq!(into, [2.0, 3.0, 4.0, 4.0]);
+        horizon(4, 4).shift(&[1.0, 2.0, 3.0, 4.0], 99, &mut into);
+        assert_eq!(into, [4.0; 4]);
+        let mut into = [0.0; 2];
+        horizon(4, 2).shift(&[1.0, 2.0], 1, &mut into);
+        assert_eq!(into, [1.0, 2.0]);
+        horizon(4, 2).shift(&[1.0, 2.0], 2, &mut into);
+        assert_eq!(into, [2.0, 2.0]);
+    }
+}

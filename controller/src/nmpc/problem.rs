@@ -1,0 +1,179 @@
+use nalgebra::Vector3;
+
+use super::{Horizon, NmpcSettings, SolveInput};
+use crate::optimizer::{LinearModel, Problem};
+use crate::reference::{ReferenceSample, ReferenceState};
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
+
+/// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the rates of every block.
+pub(super) struct TrackingProblem<'a> {
+    robot: &'a Robot,
+    period_s: f64,
+    settings: &'a NmpcSettings,
+    horizon: &'a Horizon,
+    configuration: &'a Configuration,
+    previous_rates: &'a [f64],
+    reference: &'a [ReferenceSample],
+}
+
+/// Section evaluations between two looks at the budget: about 2 µs.
+const SECTIONS_PER_QUANTUM: usize = 100;
+
+impl<'a> TrackingProblem<'a> {
+    pub(super) fn new(
+        robot: &'a Robot,
+        period_s: f64,
+        settings: &'a NmpcSettings,
+        horizon: &'a Horizon,
+        input: &SolveInput<'a>,
+    ) -> Self {
+        Self {
+            robot,
+            period_s,
+            settings,
+            horizon,
+            configuration: input.configuration,
+            previous_rates: input.previous_rates.as_slice(),
+            reference: input.reference,
+        }
+    }
+
+    /// Whether there is a reference to follow.
+    pub(super) fn is_posed(&self) -> bool {
+        self.reference.iter().any(|sample| sample.state != ReferenceState::None)
+    }
+
+    fn width(&self) -> usize {
+        self.robot.coordinate_count()
+    }
+
+    /// Reference position after step `step` (0-based); the last known one past the end.
+    fn target(&self, step: usize) -> Option<Vector3<f64>> {
+        let sample = self.reference.get(step).or(self.reference.last())?;
+        (sample.state != ReferenceState::None).then_some(sample.position_m)
+    }
+
+    /// Weight of the position error after step `step`: with ω on the last.
+    fn position_weight(&self, step: usize) -> f64 {
+        let last = step + 1 == self.horizon.steps();
+        self.settings.position_weight * if last { self.settings.terminal_weight } else { 1.0 }
+    }
+
+    /// Eq. 4: one period with the rates of the step's block.
+    fn advance(&self, bend_rad: &mut [f64], z: &[f64], step: usize) {
+        let rates = &z[self.horizon.block_of(step) * self.width()..][..self.width()];
+        for (bend, rate) in bend_rad.iter_mut().zip(rates) {
+            *bend += self.period_s * rate;
+        }
+    }
+
+    fn start(&self) -> [f64; COORDINATES_MAX] {
+        let mut bend_rad = [0.0; COORDINATES_MAX];
+        bend_rad[..self.width()].copy_from_slice(self.configuration.as_slice());
+        bend_rad
+    }
+
+    /// Weights on the rates and on their change from block to block.
+    fn regularisation(&self, z: &[f64]) -> f64 {
+        let NmpcSettings { rate_weight, rate_change_weight, .. } = *self.settings;
+        let mut cost = 0.0;
+        if rate_weight > 0.0 {
+            cost += rate_weight * z.iter().map(|rate| rate * rate).sum::<f64>();
+        }
+        if rate_change_weight > 0.0 {
+            let before = self.previous_rates.iter().chain(z);
+            let changes = z.iter().zip(before).map(|(rate, before)| (rate - before).powi(2));
+            cost += rate_change_weight * changes.sum::<f64>();
+        }
+        cost
+    }
+
+    /// Rows of the position error after `step`, and its derivatives with respect to every block.
+    fn push_position_rows(
+        &self,
+        step: usize,
+        error: Vector3<f64>,
+        jacobian: &Jacobian,
+        block_periods: &[f64],
+        model: &mut LinearModel,
+    ) {
+        let scale = self.position_weight(step).sqrt();
+        for axis in 0..3 {
+            let row = model.push(scale * error[axis]);
+            for (block, &periods) in block_periods.iter().enumerate() {
+                let factor = scale * self.period_s * periods;
+                for (i, derivative) in row[block * self.width()..][..self.width()].iter_mut().enumerate() {
+                    *derivative = factor * jacobian.column(i)[axis];
+                }
+            }
+        }
+    }
+
+    fn push_regularisation_rows(&self, z: &[f64], model: &mut LinearModel) {
+        let NmpcSettings { rate_weight, rate_change_weight, .. } = *self.settings;
+        if rate_weight > 0.0 {
+            let scale = rate_weight.sqrt();
+            for (i, rate) in z.iter().enumerate() {
+                model.push(scale * rate)[i] = scale;
+            }
+        }
+        if rate_change_weight > 0.0 {
+            let scale = rate_change_weight.sqrt();
+            for i in 0..z.len() {
+                let earlier = i.checked_sub(self.width());
+                let before = earlier.map_or_else(|| self.previous_rates[i], |k| z[k]);
+                let row = model.push(scale * (z[i] - before));
+                row[i] = scale;
+                if let Some(k) = earlier {
+                    row[k] = -scale;
+                }
+            }
+        }
+    }
+}
+
+impl Problem for TrackingProblem<'_> {
+    fn dimension(&self) -> usize {
+        self.width() * self.horizon.blocks()
+    }
+
+    fn rows(&self) -> usize {
+        3 * self.horizon.steps() + 2 * self.dimension()
+    }
+
+    fn cost(&self, z: &[f64]) -> f64 {
+        let mut state = self.start();
+        let bend_rad = &mut state[..self.width()];
+        let mut cost = self.regularisation(z);
+        for step in 0..self.horizon.steps() {
+            self.advance(bend_rad, z, step);
+            if let Some(target) = self.target(step) {
+                let error = self.robot.tip_position(bend_rad) - target;
+                cost += self.position_weight(step) * error.norm_squared();
+            }
+        }
+        cost
+    }
+
+    fn linearise(&self, z: &[f64], model: &mut LinearModel) {
+        let mut state = self.start();
+        let bend_rad = &mut state[..self.width()];
+        let mut jacobian = Jacobian::default();
+        let mut block_periods = [0.0; super::CONTROL_BLOCKS_MAX];
+        for step in 0..self.horizon.steps() {
+            self.advance(bend_rad, z, step);
+            block_periods[self.horizon.block_of(step)] += 1.0;
+            if let Some(target) = self.target(step) {
+                let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
+                let periods = &block_periods[..=self.horizon.block_of(step)];
+                self.push_position_rows(step, tip.position_m - target, &jacobian, periods, model);
+            }
+        }
+        self.push_regularisation_rows(z, model);
+    }
+
+    fn evaluations_per_quantum(&self) -> usize {
+        let sections = self.horizon.steps() * self.robot.section_count();
+        (SECTIONS_PER_QUANTUM / sections).max(1)
+    }
+}

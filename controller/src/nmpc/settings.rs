@@ -1,0 +1,213 @@
+use serde::{Deserialize, Serialize};
+
+use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, SWARM_MAX};
+use crate::optimizer::{KpsoSettings, VelocityRule};
+
+/// How the optimal control problem is solved.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SolverKind {
+    /// Knowledge-based particle swarm, as in the paper.
+    Kpso,
+    /// Damped Gauss-Newton steps from the best candidate.
+    GaussNewton,
+    /// The swarm chooses the basin, Gauss-Newton finishes.
+    #[default]
+    KpsoRefined,
+}
+
+impl SolverKind {
+    pub(super) fn searches(self) -> bool {
+        self != Self::GaussNewton
+    }
+
+    pub(super) fn refines(self) -> bool {
+        self != Self::Kpso
+    }
+}
+
+/// Everything that tunes the optimal control problem and its solver.
+///
+/// The default is the paper's swarm (6 × 30, c₁ = c₂ = 1.2, N = 2) with the inertia weight that Eq. 6
+/// lacks, refined by Gauss-Newton.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NmpcSettings {
+    /// The solver.
+    pub solver: SolverKind,
+    /// Prediction steps N.
+    pub horizon_steps: u32,
+    /// Control blocks M ≤ N; 0: one for each step.
+    pub control_blocks: u32,
+    /// Particles.
+    pub swarm_size: u32,
+    /// Swarm iterations.
+    pub swarm_iterations: u32,
+    /// Iterations without improvement after which the swarm is regenerated; 0: never.
+    pub regenerate_after: u32,
+    /// Velocity rule of the swarm.
+    pub velocity_rule: VelocityRule,
+    /// Inertia w.
+    pub inertia: f64,
+    /// Cognitive coefficient c₁.
+    pub cognitive: f64,
+    /// Social coefficient c₂.
+    pub social: f64,
+    /// Gauss-Newton steps.
+    pub refinement_steps: u32,
+    /// Damping λ of the Gauss-Newton step.
+    pub damping: f64,
+    /// Weight of the squared position error, per m².
+    pub position_weight: f64,
+    /// Weight of the squared rates, per (rad/s)².
+    pub rate_weight: f64,
+    /// Weight of the squared change of rates from block to block, per (rad/s)².
+    pub rate_change_weight: f64,
+    /// Factor ω on the last step's error; 1 counts it like the others.
+    pub terminal_weight: f64,
+    /// Seed of the swarm.
+    pub seed: u64,
+}
+
+impl Default for NmpcSettings {
+    fn default() -> Self {
+        Self {
+            solver: SolverKind::KpsoRefined,
+            horizon_steps: 2,
+            control_blocks: 0,
+            swarm_size: 6,
+            swarm_iterations: 30,
+            regenerate_after: 10,
+            velocity_rule: VelocityRule::Inertia,
+            inertia: 0.5,
+            cognitive: 1.2,
+            social: 1.2,
+            refinement_steps: 3,
+            damping: 1e-14,
+            position_weight: 1.0,
+            rate_weight: 0.0,
+            rate_change_weight: 0.0,
+            terminal_weight: 1.0,
+            seed: 1,
+        }
+    }
+}
+
+/// A setting that is out of its range.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("{key} = {value} is out of range: allowed is {low} to {high}")]
+pub struct SettingsError {
+    /// Name of the setting.
+    pub key: &'static str,
+    /// The value found.
+    pub value: f64,
+    /// Smallest allowed value.
+    pub low: f64,
+    /// Largest allowed value.
+    pub high: f64,
+}
+
+/// Allowed ranges of the settings, key by key.
+pub mod ranges {
+    use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, SWARM_MAX};
+    use std::ops::RangeInclusive;
+
+    /// Prediction steps.
+    pub const HORIZON_STEPS: RangeInclusive<f64> = 1.0..=HORIZON_STEPS_MAX as f64;
+    /// Control blocks.
+    pub const CONTROL_BLOCKS: RangeInclusive<f64> = 0.0..=CONTROL_BLOCKS_MAX as f64;
+    /// Particles.
+    pub const SWARM_SIZE: RangeInclusive<f64> = 1.0..=SWARM_MAX as f64;
+    /// Swarm iterations, and iterations before a regeneration.
+    pub const ITERATIONS: RangeInclusive<f64> = 0.0..=1000.0;
+    /// Inertia.
+    pub const INERTIA: RangeInclusive<f64> = 0.0..=1.0;
+    /// Swarm coefficients.
+    pub const COEFFICIENT: RangeInclusive<f64> = 0.0..=4.0;
+    /// Gauss-Newton steps.
+    pub const REFINEMENT_STEPS: RangeInclusive<f64> = 0.0..=50.0;
+    /// Damping: above zero, because the matrix of a straight robot is singular.
+    pub const DAMPING: RangeInclusive<f64> = 1e-20..=1.0;
+    /// Weights.
+    pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e12;
+    /// Position weight: above zero, or there is nothing to follow.
+    pub const POSITION_WEIGHT: RangeInclusive<f64> = 1e-12..=1e12;
+}
+
+/// A Gauss-Newton step below this counts as converged: at 5 ms it moves a tip by 1e-15 m.
+pub(super) const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
+/// A mean position error below this counts as none \[m\].
+const POSITION_TOLERANCE_M: f64 = 1e-15;
+
+impl NmpcSettings {
+    /// Checks every value against its range.
+    ///
+    /// # Errors
+    /// [`SettingsError`] for the first that is outside, NaN included.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        let checks = [
+            ("horizon_steps", f64::from(self.horizon_steps), ranges::HORIZON_STEPS),
+            ("control_blocks", f64::from(self.control_blocks), ranges::CONTROL_BLOCKS),
+            (
+                "control_blocks",
+                f64::from(self.control_blocks),
+                0.0..=f64::from(self.horizon_steps),
+            ),
+            ("swarm_size", f64::from(self.swarm_size), ranges::SWARM_SIZE),
+            ("swarm_iterations", f64::from(self.swarm_iterations), ranges::ITERATIONS),
+            ("regenerate_after", f64::from(self.regenerate_after), ranges::ITERATIONS),
+            ("inertia", self.inertia, ranges::INERTIA),
+            ("cognitive", self.cognitive, ranges::COEFFICIENT),
+            ("social", self.social, ranges::COEFFICIENT),
+            ("refinement_steps", f64::from(self.refinement_steps), ranges::REFINEMENT_STEPS),
+            ("damping", self.damping, ranges::DAMPING),
+            ("position_weight", self.position_weight, ranges::POSITION_WEIGHT),
+            ("rate_weight", self.rate_weight, ranges::WEIGHT),
+            ("rate_change_weight", self.rate_change_weight, ranges::WEIGHT),
+            ("terminal_weight", self.terminal_weight, ranges::WEIGHT),
+        ];
+        for (key, value, range) in checks {
+            if !range.contains(&value) {
+                let (low, high) = range.into_inner();
+                return Err(SettingsError { key, value, low, high });
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn kpso(&self) -> KpsoSettings {
+        KpsoSettings {
+            size: self.swarm_size as usize,
+            iterations: self.swarm_iterations,
+            rule: self.velocity_rule,
+            inertia: self.inertia,
+            cognitive: self.cognitive,
+            social: self.social,
+            regenerate_after: self.regenerate_after,
+            cost_tolerance: self.cost_tolerance(),
+        }
+    }
+
+    /// A cost at or below this is zero to working precision.
+    pub(super) fn cost_tolerance(&self) -> f64 {
+        let steps = f64::from(self.horizon_steps);
+        steps * self.position_weight * POSITION_TOLERANCE_M * POSITION_TOLERANCE_M
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn default_settings_are_legal_and_bad_ones_say_what_is_allowed() {
+        assert_eq!(NmpcSettings::default().validate(), Ok(()));
+        let bad = NmpcSettings { swarm_size: 1000, ..NmpcSettings::default() };
+        let error = bad.validate().expect_err("too many particles");
+        assert_eq!(error.to_string(), "swarm_size = 1000 is out of range: allowed is 1 to 512");
+        let bad = NmpcSettings { inertia: f64::NAN, ..NmpcSettings::default() };
+        assert_eq!(bad.validate().expect_err("NaN").key, "inertia");
+        let bad = NmpcSettings { control_blocks: 3, ..NmpcSettings::default() };
+        assert_eq!(bad.validate().expect_err("M > N").high, 2.0);
+    }
+}

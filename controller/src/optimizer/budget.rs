@@ -1,0 +1,74 @@
+/// How much a solve may still do: a closure that says whether it is spent.
+///
+/// The solvers look at it between *quanta*, pieces of a few microseconds. The closure may read a clock
+/// (the daemon), count (a replay: [`Budget::of_quanta`]) or never end ([`Budget::unlimited`]). Once it
+/// answered "spent" it is not asked again.
+#[derive(Debug)]
+pub struct Budget<F> {
+    is_spent: F,
+    passed: u32,
+    over: bool,
+}
+
+impl Budget<fn() -> bool> {
+    /// A budget that never ends; the iteration limits bound the work.
+    pub fn unlimited() -> Self {
+        Self::new(|| false)
+    }
+}
+
+impl<F: FnMut() -> bool> Budget<F> {
+    /// A budget that is spent when `is_spent` answers true.
+    pub fn new(is_spent: F) -> Self {
+        Self {
+            is_spent,
+            passed: 0,
+            over: false,
+        }
+    }
+
+    /// Whether another quantum may begin.
+    pub fn left(&mut self) -> bool {
+        if !self.over {
+            self.over = (self.is_spent)();
+            self.passed += u32::from(!self.over);
+        }
+        !self.over
+    }
+
+    /// Quanta begun so far: the measure of the work done, the same on every machine.
+    pub fn passed(&self) -> u32 {
+        self.passed
+    }
+
+    /// Whether the budget ended the work.
+    pub fn is_over(&self) -> bool {
+        self.over
+    }
+}
+
+/// A budget of exactly `quanta` pieces of work: what a replay uses to repeat a recorded solve.
+impl Budget<()> {
+    /// See the type.
+    pub fn of_quanta(quanta: u32) -> Budget<impl FnMut() -> bool> {
+        let mut left = quanta;
+        Budget::new(move || {
+            let spent = left == 0;
+            left = left.saturating_sub(1);
+            spent
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn counts_what_it_let_pass_and_stays_spent() {
+        let mut budget = Budget::of_quanta(2);
+        assert!(budget.left() && budget.left() && !budget.left() && !budget.left());
+        assert_eq!((budget.passed(), budget.is_over()), (2, true));
+        assert!(Budget::unlimited().left());
+    }
+}

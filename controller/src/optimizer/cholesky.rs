@@ -1,0 +1,70 @@
+//! Cholesky factorisation in place, in memory of the caller.
+
+/// Solves A x = b for symmetric positive definite A (`order`², row-major, only the lower triangle is
+/// read and it is overwritten by the factor); `b` becomes x. Answers false, leaving `b` undefined,
+/// when A is not positive definite to working precision.
+pub(super) fn solve_in_place(a: &mut [f64], order: usize, b: &mut [f64]) -> bool {
+    factorise(a, order) && {
+        substitute(a, order, b);
+        true
+    }
+}
+
+fn factorise(a: &mut [f64], order: usize) -> bool {
+    for column in 0..order {
+        for row in column..order {
+            let mut sum = a[row * order + column];
+            for k in 0..column {
+                sum -= a[row * order + k] * a[column * order + k];
+            }
+            if row > column {
+                a[row * order + column] = sum / a[column * order + column];
+            } else if sum > 0.0 && sum.is_finite() {
+                a[row * order + column] = sum.sqrt();
+            } else {
+                return false;
+            }
+        }
+    }
+    true
+}
+
+fn substitute(factor: &[f64], order: usize, b: &mut [f64]) {
+    for row in 0..order {
+        let mut sum = b[row];
+        for k in 0..row {
+            sum -= factor[row * order + k] * b[k];
+        }
+        b[row] = sum / factor[row * order + row];
+    }
+    for row in (0..order).rev() {
+        let mut sum = b[row];
+        for k in row + 1..order {
+            sum -= factor[k * order + row] * b[k];
+        }
+        b[row] = sum / factor[row * order + row];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn solves_a_known_system() {
+        // A = [[4,2,0],[2,5,1],[0,1,3]], x = (1,-2,3)
+        let mut a = [4.0, 0.0, 0.0, 2.0, 5.0, 0.0, 0.0, 1.0, 3.0];
+        let mut b = [0.0, -5.0, 7.0];
+        assert!(solve_in_place(&mut a, 3, &mut b));
+        for (is, should) in b.iter().zip([1.0, -2.0, 3.0]) {
+            assert!((is - should).abs() < 1e-14, "{b:?}");
+        }
+    }
+
+    #[test]
+    fn refuses_what_is_not_positive_definite() {
+        let mut a = [1.0, 0.0, 2.0, 1.0];
+        assert!(!solve_in_place(&mut a, 2, &mut [1.0, 1.0]));
+        assert!(!solve_in_place(&mut [f64::NAN], 1, &mut [1.0]));
+    }
+}

@@ -1,0 +1,421 @@
+//! Damped Gauss-Newton steps, projected on the box.
+
+use super::{Bounds, Budget, Incumbent, Problem, cholesky};
+
+/// Residuals r and Jacobian J of a least-squares cost |r|² at one point.
+#[derive(Debug, Clone)]
+pub struct LinearModel {
+    residuals: Vec<f64>,
+    jacobian: Vec<f64>,
+    columns: usize,
+}
+
+impl LinearModel {
+    fn with_capacity(rows: usize, columns: usize) -> Self {
+        Self {
+            residuals: Vec::with_capacity(rows),
+            jacobian: Vec::with_capacity(rows * columns),
+            columns: 0,
+        }
+    }
+
+    fn clear(&mut self, columns: usize) {
+        self.residuals.clear();
+        self.jacobian.clear();
+        self.columns = columns;
+    }
+
+    /// Adds a row with all derivatives zero, and returns the derivatives for the caller to fill in.
+    pub fn push(&mut self, residual: f64) -> &mut [f64] {
+        let start = self.jacobian.len();
+        self.residuals.push(residual);
+        self.jacobian.resize(start + self.columns, 0.0);
+        &mut self.jacobian[start..]
+    }
+
+    fn row(&self, index: usize) -> &[f64] {
+        &self.jacobian[index * self.columns..][..self.columns]
+    }
+
+    /// Half the gradient of the cost, Jᵀr.
+    fn gradient(&self, into: &mut [f64]) {
+        into.fill(0.0);
+        for (index, residual) in self.residuals.iter().enumerate() {
+            for (sum, derivative) in into.iter_mut().zip(self.row(index)) {
+                *sum += derivative * residual;
+            }
+        }
+    }
+}
+
+/// What tunes [`GaussNewton`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GaussNewtonSettings {
+    /// Steps at most.
+    pub steps: u32,
+    /// Damping λ, in the scale of JᵀJ.
+    pub damping: f64,
+    /// A step whose largest component is below this counts as converged.
+    pub step_tolerance: f64,
+}
+
+/// How a refinement ended.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct GaussNewtonOutcome {
+    /// Steps that made the incumbent better.
+    pub accepted: u32,
+    /// Whether the last step was below the tolerance, or the projected gradient vanished.
+    pub converged: bool,
+    /// Norm of the projected gradient at the last point that was linearised.
+    pub gradient_norm: f64,
+}
+
+/// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there
+/// are more residuals than unknowns (Levenberg-Marquardt; Nocedal & Wright, *Numerical
+/// Optimization*, ch. 10), with an active set for the box.
+///
+/// The minimum-norm form has no weight on the unknowns, so it leaves no floor under the cost, and it
+/// spreads the motion over all sections.
+#[derive(Debug, Clone)]
+pub struct GaussNewton {
+    model: LinearModel,
+    gradient: Vec<f64>,
+    /// Unknowns that the gradient presses on a bound: they stay there.
+    pressed: Vec<bool>,
+    /// Unknowns that the linear system solves for.
+    free: Vec<usize>,
+    step: Vec<f64>,
+    trial: Vec<f64>,
+    residuals: Vec<f64>,
+    right_side: Vec<f64>,
+    matrix: Vec<f64>,
+}
+
+/// Rounds of fixing unknowns at their bounds and solving again for the others.
+const ACTIVE_SET_ROUNDS: usize = 4;
+/// Halvings of a step that made the cost worse.
+const HALVINGS: usize = 4;
+/// Factor on the damping after a step that did not help.
+const DAMPING_GROWTH: f64 = 1e3;
+
+impl GaussNewton {
+    /// Room for problems of up to `dimension` unknowns and `rows` residuals.
+    pub fn with_capacity(dimension: usize, rows: usize) -> Self {
+        let order = dimension.min(rows);
+        Self {
+            model: LinearModel::with_capacity(rows, dimension),
+            gradient: vec![0.0; dimension],
+            pressed: vec![false; dimension],
+            free: Vec::with_capacity(dimension),
+            step: vec![0.0; dimension],
+            trial: vec![0.0; dimension],
+            residuals: vec![0.0; rows],
+            right_side: vec![0.0; order],
+            matrix: vec![0.0; order * order],
+        }
+    }
+
+    /// Improves the incumbent by at most `settings.steps` steps while the budget lasts.
+    pub fn refine<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        problem: &P,
+        bounds: &Bounds,
+        settings: &GaussNewtonSettings,
+        budget: &mut Budget<F>,
+        incumbent: &mut Incumbent,
+    ) -> GaussNewtonOutcome {
+        let mut outcome = GaussNewtonOutcome::default();
+        let mut damping = settings.damping;
+        let mut model_is_current = false;
+        for _ in 0..settings.steps {
+            if !budget.left() {
+                break;
+            }
+            if !model_is_current {
+                self.linearise(problem, bounds, incumbent.z());
+                outcome.gradient_norm = self.gradient_norm(problem.dimension());
+            }
+            let solved = self.find_step(bounds, incumbent.z(), damping);
+            if solved && self.step_size(problem.dimension()) <= settings.step_tolerance {
+                outcome.converged = true;
+                break;
+            }
+            let improved = solved && self.advance(problem, incumbent);
+            outcome.accepted += u32::from(improved);
+            model_is_current = !improved;
+            damping = if improved { settings.damping } else { damping * DAMPING_GROWTH };
+        }
+        outcome
+    }
+
+    /// One damped step from `z`, not judged: the least-squares particle of the swarm's knowledge.
+    /// False, and `into` untouched, when the linear system is singular.
+    pub fn propose<P: Problem>(
+        &mut self,
+        problem: &P,
+        bounds: &Bounds,
+        damping: f64,
+        z: &[f64],
+        into: &mut [f64],
+    ) -> bool {
+        self.linearise(problem, bounds, z);
+        let solved = self.find_step(bounds, z, damping);
+        if solved {
+            for ((target, start), step) in into.iter_mut().zip(z).zip(&self.step) {
+                *target = start + step;
+            }
+        }
+        solved
+    }
+
+    /// Linearises at `z` and marks what the gradient presses on a bound.
+    fn linearise<P: Problem>(&mut self, problem: &P, bounds: &Bounds, z: &[f64]) {
+        let dimension = z.len();
+        self.model.clear(dimension);
+        problem.linearise(z, &mut self.model);
+        self.model.gradient(&mut self.gradient[..dimension]);
+        for i in 0..dimension {
+            let at_lower = z[i] <= bounds.lower()[i] && self.gradient[i] > 0.0;
+            let at_upper = z[i] >= bounds.upper()[i] && self.gradient[i] < 0.0;
+            self.pressed[i] = at_lower || at_upper;
+        }
+    }
+
+    /// Norm of the gradient 2 Jᵀr without what presses on bounds.
+    fn gradient_norm(&self, dimension: usize) -> f64 {
+        let entries = self.gradient[..dimension].iter().zip(&self.pressed);
+        let squares = entries.filter(|(_, pressed)| !**pressed).map(|(g, _)| g * g);
+        2.0 * squares.sum::<f64>().sqrt()
+    }
+
+    fn step_size(&self, dimension: usize) -> f64 {
+        let steps = self.step[..dimension].iter();
+        steps.fold(0.0, |largest, step| step.abs().max(largest))
+    }
+
+    /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
+    /// others solved again. False: the matrix was singular.
+    fn find_step(&mut self, bounds: &Bounds, z: &[f64], damping: f64) -> bool {
+        let dimension = z.len();
+        self.step[..dimension].fill(0.0);
+        self.free.clear();
+        let pressed = &self.pressed;
+        self.free.extend((0..dimension).filter(|&i| !pressed[i]));
+        for _ in 0..ACTIVE_SET_ROUNDS {
+            if !self.solve_free(dimension, damping) {
+                return false;
+            }
+            if !self.fix_leavers(bounds, z) {
+                break;
+            }
+        }
+        for i in 0..dimension {
+            let target = (z[i] + self.step[i]).clamp(bounds.lower()[i], bounds.upper()[i]);
+            self.step[i] = target - z[i];
+        }
+        true
+    }
+
+    /// Fixes every free unknown that its step takes out of the box at the border it would cross.
+    fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64]) -> bool {
+        let before = self.free.len();
+        let step = &mut self.step;
+        self.free.retain(|&i| {
+            let target = z[i] + step[i];
+            let inside = target.clamp(bounds.lower()[i], bounds.upper()[i]);
+            let leaves = inside.to_bits() != target.to_bits();
+            if leaves {
+                step[i] = inside - z[i];
+            }
+            !leaves
+        });
+        self.free.len() < before
+    }
+
+    /// Solves for the free unknowns with the fixed ones at their present step.
+    fn solve_free(&mut self, dimension: usize, damping: f64) -> bool {
+        if self.free.is_empty() {
+            return true;
+        }
+        for &i in &self.free {
+            self.step[i] = 0.0;
+        }
+        let rows = self.model.residuals.len();
+        for row in 0..rows {
+            let moved = self.model.row(row).iter().zip(&self.step[..dimension]);
+            self.residuals[row] =
+                self.model.residuals[row] + moved.map(|(j, s)| j * s).sum::<f64>();
+        }
+        if rows <= self.free.len() {
+            self.solve_in_residual_space(rows, damping)
+        } else {
+            self.solve_in_unknown_space(rows, damping)
+        }
+    }
+
+    /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
+    fn solve_in_residual_space(&mut self, rows: usize, damping: f64) -> bool {
+        for a in 0..rows {
+            for b in 0..=a {
+                let (row_a, row_b) = (self.model.row(a), self.model.row(b));
+                let product: f64 = self.free.iter().map(|&i| row_a[i] * row_b[i]).sum();
+                self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
+            }
+        }
+        self.right_side[..rows].copy_from_slice(&self.residuals[..rows]);
+        let solved = cholesky::solve_in_place(
+            &mut self.matrix[..rows * rows],
+            rows,
+            &mut self.right_side[..rows],
+        );
+        if solved {
+            for row in 0..rows {
+                let weight = self.right_side[row];
+                for &i in &self.free {
+                    self.step[i] -= self.model.row(row)[i] * weight;
+                }
+            }
+        }
+        solved
+    }
+
+    /// (JᵀJ + λI) Δ = -Jᵀ r.
+    fn solve_in_unknown_space(&mut self, rows: usize, damping: f64) -> bool {
+        let order = self.free.len();
+        self.matrix[..order * order].fill(0.0);
+        self.right_side[..order].fill(0.0);
+        for row in 0..rows {
+            let derivatives = self.model.row(row);
+            for (a, &i) in self.free.iter().enumerate() {
+                self.right_side[a] -= derivatives[i] * self.residuals[row];
+                for (b, &k) in self.free[..=a].iter().enumerate() {
+                    self.matrix[a * order + b] += derivatives[i] * derivatives[k];
+                }
+            }
+        }
+        for a in 0..order {
+            self.matrix[a * order + a] += damping;
+        }
+        let solved = cholesky::solve_in_place(
+            &mut self.matrix[..order * order],
+            order,
+            &mut self.right_side[..order],
+        );
+        if solved {
+            for (a, &i) in self.free.iter().enumerate() {
+                self.step[i] = self.right_side[a];
+            }
+        }
+        solved
+    }
+
+    /// Goes along the step, halved while it makes the cost worse. The box is convex, so every point
+    /// on the way lies in it.
+    fn advance<P: Problem>(&mut self, problem: &P, incumbent: &mut Incumbent) -> bool {
+        let dimension = problem.dimension();
+        let mut fraction = 1.0;
+        for _ in 0..=HALVINGS {
+            for i in 0..dimension {
+                self.trial[i] = incumbent.z()[i] + fraction * self.step[i];
+            }
+            let cost = problem.cost(&self.trial[..dimension]);
+            let origin = incumbent.origin();
+            if incumbent.offer(&self.trial[..dimension], cost, origin) {
+                return true;
+            }
+            fraction *= 0.5;
+        }
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
+    struct Bowl {
+        extra_unknown: bool,
+    }
+
+    impl Problem for Bowl {
+        fn dimension(&self) -> usize {
+            if self.extra_unknown { 3 } else { 2 }
+        }
+        fn rows(&self) -> usize {
+            2
+        }
+        fn cost(&self, z: &[f64]) -> f64 {
+            (z[0] * z[0] + z[1] - 1.0).powi(2) + (10.0 * (z[1] - z[0])).powi(2)
+        }
+        fn linearise(&self, z: &[f64], model: &mut LinearModel) {
+            model
+                .push(z[0] * z[0] + z[1] - 1.0)
+                .iter_mut()
+                .zip([2.0 * z[0], 1.0])
+                .for_each(|(j, value)| *j = value);
+            model
+                .push(10.0 * (z[1] - z[0]))
+                .iter_mut()
+                .zip([-10.0, 10.0])
+                .for_each(|(j, value)| *j = value);
+        }
+        fn evaluations_per_quantum(&self) -> usize {
+            1
+        }
+    }
+
+    fn refine(problem: &Bowl, half_width: f64, steps: u32) -> (Incumbent, GaussNewtonOutcome) {
+        let mut bounds = Bounds::with_capacity(3);
+        bounds.set_symmetric(std::iter::repeat_n(half_width, problem.dimension()), 1);
+        let mut incumbent = Incumbent::with_capacity(3);
+        let start = [0.0; 3];
+        incumbent.restart(&start[..problem.dimension()], problem.cost(&start));
+        let settings = GaussNewtonSettings { steps, damping: 1e-9, step_tolerance: 1e-12 };
+        let outcome = GaussNewton::with_capacity(3, 2).refine(
+            problem,
+            &bounds,
+            &settings,
+            &mut Budget::unlimited(),
+            &mut incumbent,
+        );
+        (incumbent, outcome)
+    }
+
+    #[test]
+    fn both_forms_of_the_step_find_the_root() {
+        let root = (5.0_f64.sqrt() - 1.0) / 2.0;
+        for extra_unknown in [false, true] {
+            let (incumbent, outcome) = refine(&Bowl { extra_unknown }, 5.0, 12);
+            assert!(outcome.converged, "{outcome:?}");
+            assert!((incumbent.z()[0] - root).abs() < 1e-10, "{:?}", incumbent.z());
+            assert!(incumbent.cost() < 1e-18);
+        }
+    }
+
+    #[test]
+    fn an_active_bound_is_kept_and_the_others_are_solved_for() {
+        // With both in [-0.5, 0.5], the best is the corner z₀ = z₁ = 0.5.
+        let (incumbent, _) = refine(&Bowl { extra_unknown: false }, 0.5, 20);
+        assert!((incumbent.z()[0] - 0.5).abs() < 1e-3, "{:?}", incumbent.z());
+        assert!(incumbent.z().iter().all(|z| z.abs() <= 0.5));
+    }
+
+    #[test]
+    fn a_spent_budget_leaves_the_warm_start() {
+        let problem = Bowl { extra_unknown: false };
+        let mut bounds = Bounds::with_capacity(2);
+        bounds.set_symmetric(std::iter::repeat_n(1.0, 2), 1);
+        let mut incumbent = Incumbent::with_capacity(2);
+        incumbent.restart(&[0.1, 0.2], problem.cost(&[0.1, 0.2]));
+        let settings = GaussNewtonSettings { steps: 9, damping: 1e-9, step_tolerance: 0.0 };
+        GaussNewton::with_capacity(2, 2).refine(
+            &problem,
+            &bounds,
+            &settings,
+            &mut Budget::of_quanta(0),
+            &mut incumbent,
+        );
+        assert_eq!(incumbent.z(), [0.1, 0.2]);
+    }
+}

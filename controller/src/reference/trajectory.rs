@@ -1,0 +1,315 @@
+use std::collections::VecDeque;
+
+use nalgebra::Vector3;
+
+use super::interpolation::{Knot, STENCIL, hermite, orientation, tangent};
+use super::{Interpolation, ReferencePoint, ReferenceSample, ReferenceState};
+
+/// A bounded buffer of reference points with strictly increasing times.
+///
+/// Clients fill it ahead of time, so their jitter never reaches the loop. The value at an instant
+/// depends on the nearest points only, so forgetting what is long past changes nothing.
+#[derive(Debug, Clone)]
+pub struct Trajectory {
+    points: VecDeque<ReferencePoint>,
+    capacity: usize,
+}
+
+/// Why points were not taken. The trajectory is then unchanged.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum TrajectoryError {
+    /// A time is not greater than the one before it.
+    #[error("point {index}: its time is not greater than that of the point before it")]
+    TimeNotIncreasing {
+        /// Index of the point among those offered.
+        index: usize,
+    },
+    /// There is no room.
+    #[error("{offered} points do not fit: {used} of {capacity} are used")]
+    Full {
+        /// Points offered.
+        offered: usize,
+        /// Points buffered.
+        used: usize,
+        /// Points that fit.
+        capacity: usize,
+    },
+}
+
+/// Passed points that are kept: the tangents at both ends of the present segment need them.
+const KEPT_BEHIND: usize = STENCIL - 1;
+
+impl Trajectory {
+    /// An empty trajectory for up to `capacity` points. All memory is taken here.
+    pub fn with_capacity(capacity: usize) -> Self {
+        Self {
+            points: VecDeque::with_capacity(capacity),
+            capacity,
+        }
+    }
+
+    /// Forgets everything and begins anew.
+    ///
+    /// # Errors
+    /// As [`Trajectory::append`].
+    pub fn replace(
+        &mut self,
+        points: impl Iterator<Item = ReferencePoint> + Clone,
+    ) -> Result<(), TrajectoryError> {
+        self.check(points.clone(), None, 0)?;
+        self.points.clear();
+        self.points.extend(points);
+        Ok(())
+    }
+
+    /// Continues after the last point.
+    ///
+    /// # Errors
+    /// [`TrajectoryError`], and nothing is taken, when times do not increase or there is no room.
+    pub fn append(
+        &mut self,
+        points: impl Iterator<Item = ReferencePoint> + Clone,
+    ) -> Result<(), TrajectoryError> {
+        self.check(points.clone(), self.end_ns(), self.points.len())?;
+        self.points.extend(points);
+        Ok(())
+    }
+
+    fn check(
+        &self,
+        points: impl Iterator<Item = ReferencePoint>,
+        after_ns: Option<u64>,
+        used: usize,
+    ) -> Result<(), TrajectoryError> {
+        let mut last_ns = after_ns;
+        let mut offered = 0;
+        for (index, point) in points.enumerate() {
+            if last_ns.is_some_and(|last| point.time_ns <= last) {
+                return Err(TrajectoryError::TimeNotIncreasing { index });
+            }
+            last_ns = Some(point.time_ns);
+            offered += 1;
+        }
+        if used + offered > self.capacity {
+            return Err(TrajectoryError::Full {
+                offered,
+                used,
+                capacity: self.capacity,
+            });
+        }
+        Ok(())
+    }
+
+    /// Forgets everything.
+    pub fn clear(&mut self) {
+        self.points.clear();
+    }
+
+    /// Forgets points that no sample at `now_ns` or later needs.
+    pub fn forget_before(&mut self, now_ns: u64) {
+        let passed = self.points.partition_point(|point| point.time_ns <= now_ns);
+        self.points.drain(..passed.saturating_sub(KEPT_BEHIND));
+    }
+
+    /// Points that are buffered.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there is no point.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// Time of the last point \[ns\].
+    pub fn end_ns(&self) -> Option<u64> {
+        self.points.back().map(|point| point.time_ns)
+    }
+
+    /// Points later than `now_ns`.
+    pub fn points_ahead(&self, now_ns: u64) -> usize {
+        self.points.len() - self.points.partition_point(|point| point.time_ns <= now_ns)
+    }
+
+    /// Whether a point lies later than `now_ns`: only then may a robot begin to follow.
+    pub fn is_fresh(&self, now_ns: u64) -> bool {
+        self.end_ns().is_some_and(|end| end > now_ns)
+    }
+
+    /// The reference at `time_ns`. Cost: a binary search and one cubic.
+    pub fn sample(&self, time_ns: u64) -> ReferenceSample {
+        let next = self.points.partition_point(|point| point.time_ns <= time_ns);
+        let hold = |point: &ReferencePoint, state| ReferenceSample {
+            state,
+            position_m: point.position_m,
+            orientation: point.orientation,
+        };
+        match (next.checked_sub(1).and_then(|last| self.points.get(last)), self.points.get(next)) {
+            (None, None) => ReferenceSample::default(),
+            (None, Some(first)) => hold(first, ReferenceState::Before),
+            (Some(last), None) if last.time_ns == time_ns => hold(last, ReferenceState::Inside),
+            (Some(last), None) => hold(last, ReferenceState::Ended),
+            (Some(from), Some(to)) => {
+                let part = (time_ns - from.time_ns) as f64 / (to.time_ns - from.time_ns) as f64;
+                ReferenceSample {
+                    state: ReferenceState::Inside,
+                    position_m: self.position_between(next - 1, part),
+                    orientation: orientation(from.orientation, to.orientation, part),
+                }
+            }
+        }
+    }
+
+    /// Position `part` of the way from point `from` to the next.
+    fn position_between(&self, from: usize, part: f64) -> Vector3<f64> {
+        let (start, end) = (&self.points[from], &self.points[from + 1]);
+        if end.interpolation == Interpolation::Linear {
+            return start.position_m.lerp(&end.position_m, part);
+        }
+        let origin_ns = start.time_ns;
+        hermite(
+            knot(start, origin_ns),
+            knot(end, origin_ns),
+            self.tangent_at(from, origin_ns),
+            self.tangent_at(from + 1, origin_ns),
+            part,
+        )
+    }
+
+    /// Tangent at a point, from the points around it: as many on both sides as there are.
+    fn tangent_at(&self, index: usize, origin_ns: u64) -> Vector3<f64> {
+        let count = STENCIL.min(self.points.len());
+        let first = index.saturating_sub(count / 2).min(self.points.len() - count);
+        let mut knots = [Knot::default(); STENCIL];
+        for (offset, target) in knots[..count].iter_mut().enumerate() {
+            *target = knot(&self.points[first + offset], origin_ns);
+        }
+        tangent(&knots[..count], index - first)
+    }
+}
+
+/// A point with its time relative to `origin_ns`.
+fn knot(point: &ReferencePoint, origin_ns: u64) -> Knot {
+    let since_ns = i128::from(point.time_ns) - i128::from(origin_ns);
+    Knot {
+        time_s: since_ns as f64 * 1e-9,
+        position_m: point.position_m,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::{UnitQuaternion, Vector3};
+
+    use super::*;
+    use crate::reference::Orientation;
+
+    const MS: u64 = 1_000_000;
+
+    fn point(time_ns: u64, x: f64) -> ReferencePoint {
+        ReferencePoint {
+            time_ns,
+            position_m: Vector3::new(x, 0.0, 0.0),
+            orientation: Orientation::Free,
+            interpolation: Interpolation::Cubic,
+        }
+    }
+
+    fn filled(points: &[ReferencePoint]) -> Trajectory {
+        let mut trajectory = Trajectory::with_capacity(4096);
+        trajectory.replace(points.iter().copied()).expect("legal points");
+        trajectory
+    }
+
+    fn circle(count: u64) -> Vec<ReferencePoint> {
+        (0..count)
+            .map(|k| ReferencePoint {
+                position_m: on_circle(k as f64 * 5e-3),
+                ..point(k * 5 * MS, 0.0)
+            })
+            .collect()
+    }
+
+    fn on_circle(t: f64) -> Vector3<f64> {
+        Vector3::new(0.3 * t.cos(), 0.3 * t.sin(), 0.1)
+    }
+
+    #[test]
+    fn states_before_inside_and_after() {
+        let trajectory = filled(&[point(10, 1.0), point(20, 2.0)]);
+        let at = |time| (trajectory.sample(time).state, trajectory.sample(time).position_m.x);
+        assert_eq!(at(5), (ReferenceState::Before, 1.0));
+        assert_eq!(at(10), (ReferenceState::Inside, 1.0));
+        assert_eq!(at(15), (ReferenceState::Inside, 1.5));
+        assert_eq!(at(20), (ReferenceState::Inside, 2.0));
+        assert_eq!(at(21), (ReferenceState::Ended, 2.0));
+        assert_eq!(Trajectory::with_capacity(1).sample(0).state, ReferenceState::None);
+    }
+
+    #[test]
+    fn cubic_meets_a_smooth_curve_to_a_picometre() {
+        let trajectory = filled(&circle(200));
+        for time_ns in (0..990 * MS).step_by(1_234_567) {
+            let error = (trajectory.sample(time_ns).position_m - on_circle(time_ns as f64 * 1e-9)).norm();
+            let inner = (10 * MS..980 * MS).contains(&time_ns);
+            assert!(error < if inner { 1e-12 } else { 1e-11 }, "{error} at {time_ns}");
+        }
+    }
+
+    #[test]
+    fn linear_does_not_overshoot_a_corner() {
+        let corner = [0.0, 0.0, 1.0, 1.0].iter().zip(0..).map(|(&x, k)| ReferencePoint {
+            interpolation: Interpolation::Linear,
+            ..point(k * 10, x)
+        });
+        let trajectory = filled(&corner.collect::<Vec<_>>());
+        for time in 0..=30 {
+            assert!((0.0..=1.0).contains(&trajectory.sample(time).position_m.x));
+        }
+    }
+
+    #[test]
+    fn forgetting_the_past_changes_no_later_sample() {
+        let whole = filled(&circle(200));
+        let mut trimmed = whole.clone();
+        for now_ns in (0..900 * MS).step_by(3_333_333) {
+            trimmed.forget_before(now_ns);
+            for ahead in [0, 1, 2_500_000, 5 * MS, 10 * MS] {
+                assert_eq!(whole.sample(now_ns + ahead), trimmed.sample(now_ns + ahead));
+            }
+        }
+        assert!(trimmed.len() < 27);
+    }
+
+    #[test]
+    fn refuses_whole_and_says_where() {
+        let mut trajectory = filled(&[point(10, 0.0)]);
+        let bad = [point(20, 0.0), point(20, 0.0)];
+        assert_eq!(
+            trajectory.append(bad.into_iter()),
+            Err(TrajectoryError::TimeNotIncreasing { index: 1 })
+        );
+        assert_eq!(
+            trajectory.append([point(10, 0.0)].into_iter()),
+            Err(TrajectoryError::TimeNotIncreasing { index: 0 })
+        );
+        assert_eq!(trajectory.len(), 1);
+        let mut small = Trajectory::with_capacity(1);
+        assert!(matches!(
+            small.replace([point(1, 0.0), point(2, 0.0)].into_iter()),
+            Err(TrajectoryError::Full { offered: 2, .. })
+        ));
+    }
+
+    #[test]
+    fn orientation_takes_the_short_way() {
+        let full = |angle: f64| Orientation::Full(UnitQuaternion::from_euler_angles(0.0, 0.0, angle));
+        let mut points = [point(0, 0.0), point(10, 0.0)];
+        points[0].orientation = full(0.0);
+        points[1].orientation = full(1.0);
+        let Orientation::Full(middle) = filled(&points).sample(5).orientation else {
+            panic!("kind changed");
+        };
+        assert!((middle.euler_angles().2 - 0.5).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,191 @@
+//! How long each cable is for a given shape, how fast it runs, and back (§2 of docs/model.md).
+//!
+//! Section j has three cables 120° apart, at its radius r from the backbone. Between base and their end they pass every section
+//! before j, so lengths are coupled, through the **pull** s of the first j sections:
+//! ```text
+//! β_ij = 2πi/3 + offset_j
+//! s_j  = Σ_{k≤j} r_k (u_k, v_k)                           (m)
+//! L_ij = Σ_{k≤j} l_k - s_j · (cos β_ij, sin β_ij)
+//! ```
+//! which is linear in the bend vector. Cables run parallel to the backbone, as through a continuous guide; n disks per section
+//! make them chords, shorter at the outside by 0.05 mm with 20 disks at 75°.
+
+use super::{CABLES_MAX, Configuration, Robot};
+
+impl Robot {
+    /// Length of each cable (m) for `bend_rad` = (u1, v1, …), 2n components (rad): three for each section, base section first;
+    /// 3n are used, the rest are 0. The three of one section always sum to three times the backbone up to its end.
+    pub fn cable_lengths(&self, bend_rad: &[f64]) -> [f64; CABLES_MAX] {
+        let mut lengths_m = self.cable_shortening(bend_rad);
+        let (cables, _) = lengths_m.as_chunks_mut::<3>();
+        let mut backbone_m = 0.0;
+        for (cables, section) in cables.iter_mut().zip(self.sections()) {
+            backbone_m += section.length_m;
+            *cables = cables.map(|shortening_m| backbone_m - shortening_m);
+        }
+        lengths_m
+    }
+
+    /// Speed of each cable (m/s) for `rates` = (u̇1, v̇1, …), 2n components (rad/s), in the order of
+    /// [`Self::cable_lengths`]; positive pays out. 3n are used, the rest are 0.
+    pub fn cable_speeds(&self, rates: &[f64]) -> [f64; CABLES_MAX] {
+        self.cable_shortening(rates)
+            .map(|speed_m_s| 0.0 - speed_m_s)
+    }
+
+    /// The shape whose cables have these lengths (m), 3n of them in the order of [`Self::cable_lengths`].
+    ///
+    /// Two unknowns from three cables: the least-squares solution, which ignores an error common to the three. The share of the
+    /// proximal sections is removed first. It is not limited to what the robot can bend. Further lengths are ignored.
+    pub fn bend_from_cable_lengths(&self, lengths_m: &[f64]) -> Configuration {
+        debug_assert!(
+            lengths_m.len() >= self.cable_count(),
+            "three lengths per section of this robot"
+        );
+        let mut configuration = Configuration::straight(self.section_count());
+        let (bends, _) = configuration.as_mut_slice().as_chunks_mut::<2>();
+        let (cables, _) = lengths_m.as_chunks::<3>();
+        let mut backbone_m = 0.0;
+        let mut proximal_pull_m = [0.0; 2];
+        for (((bend, cables), section), directions) in bends
+            .iter_mut()
+            .zip(cables)
+            .zip(self.sections())
+            .zip(self.cable_directions())
+        {
+            backbone_m += section.length_m;
+            // Least squares for directions 120° apart: Σ cos² = Σ sin² = 3/2, Σ cos sin = Σ cos = Σ sin = 0.
+            let pull_m = core::array::from_fn(|axis| {
+                let along = |(length_m, direction): (&f64, &[f64; 2])| {
+                    (backbone_m - length_m) * direction[axis]
+                };
+                cables.iter().zip(directions).map(along).sum::<f64>() / 1.5
+            });
+            *bend = core::array::from_fn(|axis| {
+                (pull_m[axis] - proximal_pull_m[axis]) / section.cable_radius_m
+            });
+            proximal_pull_m = pull_m;
+        }
+        configuration
+    }
+
+    /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part that lengths and speeds share.
+    fn cable_shortening(&self, bend: &[f64]) -> [f64; CABLES_MAX] {
+        self.debug_assert_coordinates(bend);
+        let mut shortening = [0.0; CABLES_MAX];
+        let (cables, _) = shortening.as_chunks_mut::<3>();
+        let (bends, _) = bend.as_chunks::<2>();
+        let mut pull = [0.0; 2];
+        for (((cables, [u, v]), section), directions) in cables
+            .iter_mut()
+            .zip(bends)
+            .zip(self.sections())
+            .zip(self.cable_directions())
+        {
+            pull = [
+                pull[0] + section.cable_radius_m * u,
+                pull[1] + section.cable_radius_m * v,
+            ];
+            *cables = directions.map(|[cos, sin]| pull[0] * cos + pull[1] * sin);
+        }
+        shortening
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::robot::{RobotParameters, SECTIONS_MAX};
+
+    /// Robots whose sections differ in everything that cables depend on, with a shape.
+    fn robots_and_shapes() -> impl Strategy<Value = (Robot, Vec<f64>)> {
+        let section = (
+            0.05..0.5_f64,
+            0.005..0.04_f64,
+            -6.0..6.0_f64,
+            [-2.2..2.2_f64, -2.2..2.2_f64],
+        );
+        prop::collection::vec(section, 1..=SECTIONS_MAX).prop_map(|sections| {
+            let mut parameters = RobotParameters::paper(sections.len());
+            let mut bend_rad = Vec::new();
+            for (target, (length_m, radius_m, offset_rad, bend)) in
+                parameters.sections.iter_mut().zip(sections)
+            {
+                target.length_m = length_m;
+                target.cable_radius_m = radius_m;
+                target.cable_offset_rad = offset_rad;
+                bend_rad.extend(bend);
+            }
+            (Robot::new(&parameters).unwrap(), bend_rad)
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn lengths_give_the_shape_back((robot, bend_rad) in robots_and_shapes()) {
+            let back = robot.bend_from_cable_lengths(&robot.cable_lengths(&bend_rad));
+            for (found, expected) in back.as_slice().iter().zip(&bend_rad) {
+                // Rounding of a 3 m length over the smallest radius, 5 mm.
+                prop_assert!((found - expected).abs() < 3e-13, "{found} for {expected}");
+            }
+        }
+
+        #[test]
+        fn the_three_cables_of_a_section_sum_to_three_backbones((robot, bend_rad) in robots_and_shapes()) {
+            let lengths_m = robot.cable_lengths(&bend_rad);
+            let mut backbone_m = 0.0;
+            for (cables, section) in lengths_m.chunks(3).zip(robot.sections()) {
+                backbone_m += section.length_m;
+                prop_assert!((cables.iter().sum::<f64>() - 3.0 * backbone_m).abs() < 5e-15);
+            }
+            for unused in &lengths_m[robot.cable_count()..] {
+                prop_assert_eq!(unused.to_bits(), 0);
+            }
+        }
+
+        #[test]
+        fn speeds_are_the_slope_of_the_lengths((robot, bend_rad) in robots_and_shapes(), rate in -2.0..2.0_f64) {
+            let rates: Vec<f64> = (0..bend_rad.len()).map(|i| rate * (1.0 + i as f64).sin()).collect();
+            let moved: Vec<f64> = bend_rad.iter().zip(&rates).map(|(bend, rate)| bend + rate).collect();
+            let (before, after) = (robot.cable_lengths(&bend_rad), robot.cable_lengths(&moved));
+            for (i, speed_m_s) in robot.cable_speeds(&rates).iter().enumerate() {
+                prop_assert!((after[i] - before[i] - speed_m_s).abs() < 1e-14);
+            }
+        }
+
+        #[test]
+        fn an_error_common_to_a_sections_cables_changes_nothing((robot, bend_rad) in robots_and_shapes(), error_m in -0.01..0.01_f64) {
+            let stretched = robot.cable_lengths(&bend_rad).map(|length_m| length_m + error_m);
+            for (found, expected) in robot.bend_from_cable_lengths(&stretched).as_slice().iter().zip(&bend_rad) {
+                prop_assert!((found - expected).abs() < 3e-13);
+            }
+        }
+
+        #[test]
+        fn the_shape_found_is_the_least_squares_one((robot, bend_rad) in robots_and_shapes(), noise_m in -0.002..0.002_f64) {
+            // One section: the residual must be orthogonal to the columns of the linear map.
+            let parameters = RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5 };
+            let robot = Robot::new(&parameters).unwrap();
+            let mut measured = robot.cable_lengths(&bend_rad[..2]);
+            measured[1] += noise_m;
+            let fitted = robot.cable_lengths(robot.bend_from_cable_lengths(&measured).as_slice());
+            for unit in [[1.0, 0.0], [0.0, 1.0]] {
+                let column = robot.cable_speeds(&unit);
+                let along: f64 = (0..3).map(|i| (measured[i] - fitted[i]) * column[i]).sum();
+                prop_assert!(along.abs() < 1e-16, "{along:e}");
+            }
+        }
+    }
+
+    #[test]
+    fn bending_towards_a_cable_shortens_it_by_radius_times_bend() {
+        let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+        let lengths_m = robot.cable_lengths(&[0.8, 0.0, 0.0, 0.0]);
+        assert!((lengths_m[0] - (0.3 - 0.0125 * 0.8)).abs() < 1e-16);
+        // The second section's first cable passes the bent one at 40°.
+        assert!((lengths_m[3] - (0.6 - 0.0125 * 0.8 * 40.0_f64.to_radians().cos())).abs() < 2e-16);
+    }
+}

@@ -1,0 +1,508 @@
+//! The numbers that describe a robot, their allowed ranges, and the checked [`Robot`] made of them.
+//!
+//! Invariant: a [`Robot`] exists only with every parameter inside [`ranges`], so no other file checks them again.
+
+use core::ops::RangeInclusive;
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::SECTIONS_MAX;
+
+/// Allowed values of every parameter, inclusive at both ends. They exclude nonsense and unit mistakes (millimetres for
+/// metres, degrees for radians), not unusual robots.
+pub mod ranges {
+    use core::ops::RangeInclusive;
+
+    use super::SECTIONS_MAX;
+
+    /// Number of sections.
+    pub const SECTION_COUNT: RangeInclusive<usize> = 1..=SECTIONS_MAX;
+    /// Length of a section (m): from a micro-catheter's to a crane's.
+    pub const LENGTH_M: RangeInclusive<f64> = 0.001..=10.0;
+    /// Distance of the cables from the backbone (m). It must also be below the section's length.
+    pub const CABLE_RADIUS_M: RangeInclusive<f64> = 1e-4..=1.0;
+    /// Angle of a section's first cable (rad): one turn either way.
+    pub const CABLE_OFFSET_RAD: RangeInclusive<f64> =
+        -core::f64::consts::TAU..=core::f64::consts::TAU;
+    /// Largest bend of a section (rad): beyond π the section's end points back at its own base.
+    pub const BEND_MAX_RAD: RangeInclusive<f64> = 0.01..=core::f64::consts::PI;
+    /// Largest rate of a section's bend vector (rad/s).
+    pub const RATE_MAX_RAD_S: RangeInclusive<f64> = 1e-3..=100.0;
+    /// Radius of the body around the backbone (m); 0 is a line.
+    pub const BODY_RADIUS_M: RangeInclusive<f64> = 0.0..=1.0;
+    /// Largest speed of a cable (m/s).
+    pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
+}
+
+/// One section as a configuration file gives it. Not yet checked: [`Robot::new`] does that.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SectionParameters {
+    /// Length of the backbone, which bends but does not stretch (m), in [`ranges::LENGTH_M`].
+    pub length_m: f64,
+    /// Distance of the three cables from the backbone (m), in [`ranges::CABLE_RADIUS_M`] and below `length_m`.
+    pub cable_radius_m: f64,
+    /// Angle of the first cable around the backbone, from x towards y (rad), in [`ranges::CABLE_OFFSET_RAD`]. The other
+    /// two follow at 120° and 240°.
+    pub cable_offset_rad: f64,
+    /// Largest bend θ (rad), in [`ranges::BEND_MAX_RAD`].
+    pub bend_max_rad: f64,
+    /// Largest rate of change of the bend vector (rad/s), in [`ranges::RATE_MAX_RAD_S`].
+    pub rate_max_rad_s: f64,
+    /// Radius of the body around the backbone, for clearance (m), in [`ranges::BODY_RADIUS_M`].
+    pub body_radius_m: f64,
+}
+
+impl SectionParameters {
+    /// Every parameter beside its key and its allowed range, in the order that the fingerprint hashes them.
+    fn checked(&self) -> [(&'static str, f64, RangeInclusive<f64>); 6] {
+        [
+            ("length_m", self.length_m, ranges::LENGTH_M),
+            (
+                "cable_radius_m",
+                self.cable_radius_m,
+                ranges::CABLE_RADIUS_M,
+            ),
+            (
+                "cable_offset_rad",
+                self.cable_offset_rad,
+                ranges::CABLE_OFFSET_RAD,
+            ),
+            ("bend_max_rad", self.bend_max_rad, ranges::BEND_MAX_RAD),
+            (
+                "rate_max_rad_s",
+                self.rate_max_rad_s,
+                ranges::RATE_MAX_RAD_S,
+            ),
+            ("body_radius_m", self.body_radius_m, ranges::BODY_RADIUS_M),
+        ]
+    }
+
+    /// Refuses the first parameter outside its range. `section` counts from 1, as people do.
+    fn check(&self, section: usize) -> Result<(), RobotError> {
+        for (key, value, allowed) in self.checked() {
+            if !allowed.contains(&value) {
+                return Err(RobotError::Section {
+                    section,
+                    key,
+                    value,
+                    allowed,
+                });
+            }
+        }
+        if self.cable_radius_m >= self.length_m {
+            return Err(RobotError::CableRadius {
+                section,
+                key: "cable_radius_m",
+                value: self.cable_radius_m,
+                allowed: *ranges::CABLE_RADIUS_M.start()..self.length_m,
+            });
+        }
+        Ok(())
+    }
+}
+
+/// A robot as a configuration file gives it, base section first. Not yet checked: [`Robot::new`] does that.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotParameters {
+    /// The sections, base first; as many as [`ranges::SECTION_COUNT`] allows.
+    pub sections: Vec<SectionParameters>,
+    /// Largest speed of any cable (m/s), in [`ranges::CABLE_SPEED_MAX_M_S`].
+    pub cable_speed_max_m_s: f64,
+}
+
+impl RobotParameters {
+    /// The paper's robot with `section_count` sections: 0.3 m each, cables at 12.5 mm, each section's first cable 40°
+    /// further round than the one before (from the paper: lengths; from §2 of docs/model.md: cables). The limits are
+    /// ours: the paper gives none. Valid for [`Robot::new`] with 1 to 6 sections.
+    pub fn paper(section_count: usize) -> Self {
+        let section = |j: usize| SectionParameters {
+            length_m: 0.3,
+            cable_radius_m: 0.0125,
+            cable_offset_rad: (40.0 * j as f64).to_radians(),
+            bend_max_rad: 2.8,
+            rate_max_rad_s: 2.0,
+            body_radius_m: 0.015,
+        };
+        Self {
+            sections: (0..section_count).map(section).collect(),
+            cable_speed_max_m_s: 0.5,
+        }
+    }
+}
+
+/// Why parameters are not a robot. Each says where, which key, the value found and the values allowed.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum RobotError {
+    /// Too few or too many sections.
+    #[error("{key}: {value} sections; a robot has {allowed:?}, so add or remove sections")]
+    SectionCount {
+        /// The list's key.
+        key: &'static str,
+        /// How many there were.
+        value: usize,
+        /// How many there may be: [`ranges::SECTION_COUNT`].
+        allowed: RangeInclusive<usize>,
+    },
+    /// A parameter of one section is out of range or not a number.
+    #[error(
+        "section {section}: {key} = {value} is outside {allowed:?} (SI units: m, rad, s); correct it"
+    )]
+    Section {
+        /// Number of the section, 1 at the base.
+        section: usize,
+        /// Key of the parameter.
+        key: &'static str,
+        /// Its value, in the unit that ends the key.
+        value: f64,
+        /// Its allowed range, one of [`ranges`].
+        allowed: RangeInclusive<f64>,
+    },
+    /// A section's cables stand further from the backbone than the section is long.
+    #[error(
+        "section {section}: {key} = {value} is outside {allowed:?}: it must stay below length_m; correct either"
+    )]
+    CableRadius {
+        /// Number of the section, 1 at the base.
+        section: usize,
+        /// Key of the parameter.
+        key: &'static str,
+        /// Its value (m).
+        value: f64,
+        /// Its allowed range (m), ending before the section's length.
+        allowed: core::ops::Range<f64>,
+    },
+    /// A parameter of the whole robot is out of range or not a number.
+    #[error("robot: {key} = {value} is outside {allowed:?} (SI units: m, rad, s); correct it")]
+    Whole {
+        /// Key of the parameter.
+        key: &'static str,
+        /// Its value, in the unit that ends the key.
+        value: f64,
+        /// Its allowed range, one of [`ranges`].
+        allowed: RangeInclusive<f64>,
+    },
+}
+
+/// A robot whose parameters are all valid. 600 bytes in fixed arrays, no heap: clone it freely.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Robot {
+    /// The first `section_count` are used, the rest repeat the last.
+    sections: [SectionParameters; SECTIONS_MAX],
+    section_count: usize,
+    cable_speed_max_m_s: f64,
+    /// (cos β, sin β) of each cable of each section: trigonometry once, not in every cycle.
+    cable_directions: [[[f64; 2]; 3]; SECTIONS_MAX],
+    fingerprint: u64,
+}
+
+impl Robot {
+    /// Checks the parameters and fixes them for the life of the robot.
+    ///
+    /// # Errors
+    /// The first parameter outside [`ranges`] (a NaN is outside every range), base section first, as a [`RobotError`].
+    pub fn new(parameters: &RobotParameters) -> Result<Self, RobotError> {
+        let section_count = parameters.sections.len();
+        let last = match parameters.sections.last() {
+            Some(last) if ranges::SECTION_COUNT.contains(&section_count) => *last,
+            _ => {
+                return Err(RobotError::SectionCount {
+                    key: "sections",
+                    value: section_count,
+                    allowed: ranges::SECTION_COUNT,
+                });
+            }
+        };
+        for (j, section) in parameters.sections.iter().enumerate() {
+            section.check(j + 1)?;
+        }
+        let cable_speed_max_m_s = parameters.cable_speed_max_m_s;
+        if !ranges::CABLE_SPEED_MAX_M_S.contains(&cable_speed_max_m_s) {
+            return Err(RobotError::Whole {
+                key: "cable_speed_max_m_s",
+                value: cable_speed_max_m_s,
+                allowed: ranges::CABLE_SPEED_MAX_M_S,
+            });
+        }
+        let sections = core::array::from_fn(|j| *parameters.sections.get(j).unwrap_or(&last));
+        Ok(Self {
+            sections,
+            section_count,
+            cable_speed_max_m_s,
+            cable_directions: sections.map(|section| cable_directions(section.cable_offset_rad)),
+            fingerprint: fingerprint(&parameters.sections, cable_speed_max_m_s),
+        })
+    }
+
+    /// The sections, base first: 1 to 6 of them.
+    pub fn sections(&self) -> &[SectionParameters] {
+        &self.sections[..self.section_count]
+    }
+
+    /// Number of sections n, 1 to 6.
+    pub fn section_count(&self) -> usize {
+        self.section_count
+    }
+
+    /// Number of coordinates 2n: the length of every `bend_rad` and `rates` slice, 2 to 12.
+    pub fn coordinate_count(&self) -> usize {
+        2 * self.section_count
+    }
+
+    /// Number of cables 3n, 3 to 18.
+    pub fn cable_count(&self) -> usize {
+        3 * self.section_count
+    }
+
+    /// Distance from the base that no point of the backbone can exceed (m): the sum of the lengths.
+    pub fn reach_m(&self) -> f64 {
+        self.sections().iter().map(|section| section.length_m).sum()
+    }
+
+    /// Largest speed of any cable (m/s), in [`ranges::CABLE_SPEED_MAX_M_S`].
+    pub fn cable_speed_max_m_s(&self) -> f64 {
+        self.cable_speed_max_m_s
+    }
+
+    /// Identifies the parameters, so that two processes, or a recording and its replay, can tell whether they speak of the
+    /// same robot: 64-bit FNV-1a over little-endian bytes of the section count (as u64), then of the bits of each section's
+    /// `length_m`, `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
+    /// of `cable_speed_max_m_s`. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
+    pub fn fingerprint(&self) -> u64 {
+        self.fingerprint
+    }
+
+    /// (cos β, sin β) of the three cables of each section, base first.
+    pub(super) fn cable_directions(&self) -> &[[[f64; 2]; 3]] {
+        &self.cable_directions[..self.section_count]
+    }
+
+    /// Debug builds check that a slice has this robot's 2n components.
+    pub(super) fn debug_assert_coordinates(&self, components: &[f64]) {
+        debug_assert_eq!(
+            components.len(),
+            self.coordinate_count(),
+            "one (u, v) per section of this robot"
+        );
+    }
+}
+
+/// Directions of three cables 120° apart, β = 2πi/3 + offset (§2 of docs/model.md).
+fn cable_directions(offset_rad: f64) -> [[f64; 2]; 3] {
+    core::array::from_fn(|i| {
+        let (sin, cos) = (core::f64::consts::TAU * i as f64 / 3.0 + offset_rad).sin_cos();
+        [cos, sin]
+    })
+}
+
+/// As [`Robot::fingerprint`] documents it.
+fn fingerprint(sections: &[SectionParameters], cable_speed_max_m_s: f64) -> u64 {
+    let mut hash = fnv_1a(FNV_OFFSET_BASIS, sections.len() as u64);
+    for section in sections {
+        for (_, value, _) in section.checked() {
+            hash = fnv_1a(hash, value.to_bits());
+        }
+    }
+    fnv_1a(hash, cable_speed_max_m_s.to_bits())
+}
+
+/// Start value of 64-bit FNV-1a (draft-eastlake-fnv).
+const FNV_OFFSET_BASIS: u64 = 0xcbf2_9ce4_8422_2325;
+/// Multiplier of 64-bit FNV-1a.
+const FNV_PRIME: u64 = 0x0000_0100_0000_01b3;
+
+/// Hashes the eight bytes of `word`, least significant first.
+fn fnv_1a(hash: u64, word: u64) -> u64 {
+    word.to_le_bytes().iter().fold(hash, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(FNV_PRIME)
+    })
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_papers_robot_is_valid_with_one_to_six_sections() {
+        for n in 1..=SECTIONS_MAX {
+            let robot = Robot::new(&RobotParameters::paper(n)).unwrap();
+            assert_eq!(
+                (
+                    robot.section_count(),
+                    robot.coordinate_count(),
+                    robot.cable_count()
+                ),
+                (n, 2 * n, 3 * n)
+            );
+            assert_eq!(robot.sections(), RobotParameters::paper(n).sections);
+            assert!((robot.reach_m() - 0.3 * n as f64).abs() < 1e-15);
+        }
+        let offset_rad = RobotParameters::paper(3).sections[2].cable_offset_rad;
+        assert!((offset_rad - 80.0_f64.to_radians()).abs() < 1e-15);
+    }
+
+    #[test]
+    fn no_section_and_seven_sections_are_refused() {
+        for n in [0, SECTIONS_MAX + 1] {
+            let error = Robot::new(&RobotParameters::paper(n)).unwrap_err();
+            assert_eq!(
+                error,
+                RobotError::SectionCount {
+                    key: "sections",
+                    value: n,
+                    allowed: 1..=6
+                }
+            );
+        }
+    }
+
+    #[test]
+    fn every_parameter_is_refused_outside_its_range_and_accepted_at_its_ends() {
+        type Set = fn(&mut SectionParameters, f64);
+        let keys: [(&str, RangeInclusive<f64>, Set); 6] = [
+            ("length_m", ranges::LENGTH_M, |s, x| s.length_m = x),
+            ("cable_radius_m", ranges::CABLE_RADIUS_M, |s, x| {
+                s.cable_radius_m = x;
+            }),
+            ("cable_offset_rad", ranges::CABLE_OFFSET_RAD, |s, x| {
+                s.cable_offset_rad = x;
+            }),
+            ("bend_max_rad", ranges::BEND_MAX_RAD, |s, x| {
+                s.bend_max_rad = x;
+            }),
+            ("rate_max_rad_s", ranges::RATE_MAX_RAD_S, |s, x| {
+                s.rate_max_rad_s = x;
+            }),
+            ("body_radius_m", ranges::BODY_RADIUS_M, |s, x| {
+                s.body_radius_m = x;
+            }),
+        ];
+        for (key, allowed, set) in keys {
+            let mut parameters = RobotParameters::paper(3);
+            // Long and thin, so that no end of one range breaks "cable radius below length".
+            parameters.sections[1].length_m = 5.0;
+            parameters.sections[1].cable_radius_m = 5e-4;
+            for end in [*allowed.start(), *allowed.end()] {
+                let mut at_end = parameters.clone();
+                set(&mut at_end.sections[1], end);
+                assert!(
+                    Robot::new(&at_end).is_ok(),
+                    "{key} = {end} is the end of its range"
+                );
+            }
+            for value in [
+                allowed.start().next_down(),
+                allowed.end().next_up(),
+                f64::NAN,
+                f64::INFINITY,
+            ] {
+                set(&mut parameters.sections[1], value);
+                match Robot::new(&parameters) {
+                    Err(RobotError::Section {
+                        section: 2,
+                        key: found,
+                        value: reported,
+                        allowed: range,
+                    }) => {
+                        assert_eq!((found, range), (key, allowed.clone()));
+                        assert_eq!(reported.to_bits(), value.to_bits());
+                    }
+                    other => panic!("{key} = {value} gave {other:?}"),
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn cable_radius_stays_below_length_and_cable_speed_in_its_range() {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.sections[1].cable_radius_m = 0.3;
+        let error = Robot::new(&parameters).unwrap_err();
+        let allowed = 1e-4..0.3;
+        assert_eq!(
+            error,
+            RobotError::CableRadius {
+                section: 2,
+                key: "cable_radius_m",
+                value: 0.3,
+                allowed
+            }
+        );
+        assert!(
+            error
+                .to_string()
+                .starts_with("section 2: cable_radius_m = 0.3 is outside 0.0001..0.3"),
+            "{error}"
+        );
+
+        let mut parameters = RobotParameters::paper(2);
+        for value in [0.0, 101.0, f64::NAN] {
+            parameters.cable_speed_max_m_s = value;
+            let error = Robot::new(&parameters).unwrap_err();
+            assert!(
+                matches!(
+                    error,
+                    RobotError::Whole {
+                        key: "cable_speed_max_m_s",
+                        ..
+                    }
+                ),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn fingerprint_is_fnv_1a_and_depends_on_every_bit_of_every_parameter() {
+        // The published test vector: FNV-1a-64 of one byte 'a' is af63dc4c8601ec8c.
+        assert_eq!(
+            (FNV_OFFSET_BASIS ^ 0x61).wrapping_mul(FNV_PRIME),
+            0xaf63_dc4c_8601_ec8c
+        );
+        let paper = RobotParameters::paper(3);
+        let of = |parameters: &RobotParameters| Robot::new(parameters).unwrap().fingerprint();
+        assert_eq!(of(&paper), of(&paper.clone()));
+        let mut seen = vec![of(&paper), of(&RobotParameters::paper(2))];
+        for j in 0..3 {
+            let fields: [fn(&mut SectionParameters) -> &mut f64; 6] = [
+                |s| &mut s.length_m,
+                |s| &mut s.cable_radius_m,
+                |s| &mut s.cable_offset_rad,
+                |s| &mut s.bend_max_rad,
+                |s| &mut s.rate_max_rad_s,
+                |s| &mut s.body_radius_m,
+            ];
+            for field in fields {
+                let mut changed = paper.clone();
+                let value = field(&mut changed.sections[j]);
+                *value = value.next_up();
+                seen.push(of(&changed));
+            }
+        }
+        let mut changed = paper.clone();
+        changed.cable_speed_max_m_s = changed.cable_speed_max_m_s.next_up();
+        seen.push(of(&changed));
+        let count = seen.len();
+        seen.sort_unstable();
+        seen.dedup();
+        assert_eq!(seen.len(), count);
+    }
+
+    #[test]
+    fn a_misspelt_key_is_refused() {
+        let text = serde_json::to_string(&RobotParameters::paper(1)).unwrap();
+        assert_eq!(
+            serde_json::from_str::<RobotParameters>(&text).unwrap(),
+            RobotParameters::paper(1)
+        );
+        for wrong in [
+            text.replace("length_m", "lenght_m"),
+            text.replace("\"sections\"", "\"extra\":1,\"sections\""),
+        ] {
+            assert!(serde_json::from_str::<RobotParameters>(&wrong).is_err());
+        }
+    }
+}

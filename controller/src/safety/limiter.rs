@@ -1,0 +1,199 @@
+//! Rates that the robot may have: finite, in the box, bends inside their limits, cables not too fast.
+
+use crate::robot::{BendRates, Configuration, Robot};
+
+/// Which limits changed a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LimitsHit {
+    /// A rate was cut.
+    pub rate: bool,
+    /// A bend was kept inside its limit.
+    pub bend: bool,
+    /// All rates were scaled down to the cable speed limit.
+    pub cable_speed: bool,
+    /// The wish was not finite and became zero.
+    pub non_finite: bool,
+}
+
+/// A command inside every limit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limited {
+    /// The rates \[rad/s\].
+    pub rates: BendRates,
+    /// What had to be changed.
+    pub hit: LimitsHit,
+}
+
+/// The nearest command inside every limit: rates in the box, each bend at most its section's limit
+/// one period later (a bend beyond it may only shrink), cables at most at their speed limit.
+pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64) -> Limited {
+    let mut rates = *wish;
+    let mut hit = LimitsHit::default();
+    if !wish.is_finite() {
+        rates = BendRates::zero(robot.section_count());
+        hit.non_finite = true;
+    }
+    hit.rate = clamp_rates(robot, &mut rates);
+    hit.bend = keep_bends(robot, at, &mut rates, period_s);
+    // Keeping a bend that is beyond its limit inside asks for a rate of its own.
+    hit.rate |= clamp_rates(robot, &mut rates);
+    hit.cable_speed = slow_cables(robot, &mut rates);
+    Limited { rates, hit }
+}
+
+fn clamp_rates(robot: &Robot, rates: &mut BendRates) -> bool {
+    let mut changed = false;
+    let pairs = rates.as_mut_slice().chunks_exact_mut(2);
+    for (pair, section) in pairs.zip(robot.sections()) {
+        for rate in pair {
+            let limited = rate.clamp(-section.rate_max_rad_s, section.rate_max_rad_s);
+            changed |= limited.to_bits() != rate.to_bits();
+            *rate = limited;
+        }
+    }
+    changed
+}
+
+fn keep_bends(robot: &Robot, at: &Configuration, rates: &mut BendRates, period_s: f64) -> bool {
+    let mut changed = false;
+    let pairs = rates.as_mut_slice().chunks_exact_mut(2);
+    let bends = at.as_slice().chunks_exact(2);
+    for ((rate, bend), section) in pairs.zip(bends).zip(robot.sections()) {
+        let target = [bend[0] + period_s * rate[0], bend[1] + period_s * rate[1]];
+        let size = target[0].hypot(target[1]);
+        if size > section.bend_max_rad {
+            let shrink = section.bend_max_rad / size;
+            rate[0] = (target[0] * shrink - bend[0]) / period_s;
+            rate[1] = (target[1] * shrink - bend[1]) / period_s;
+            changed = true;
+        }
+    }
+    changed
+}
+
+fn slow_cables(robot: &Robot, rates: &mut BendRates) -> bool {
+    let speeds = robot.cable_speeds(rates.as_slice());
+    let fastest = speeds.iter().fold(0.0_f64, |fastest, speed| fastest.max(speed.abs()));
+    let too_fast = fastest > robot.cable_speed_max_m_s();
+    if too_fast {
+        scale(rates, robot.cable_speed_max_m_s() / fastest);
+    }
+    too_fast
+}
+
+fn scale(rates: &mut BendRates, factor: f64) {
+    for rate in rates.as_mut_slice() {
+        *rate *= factor;
+    }
+}
+
+/// The next rates on the way to rest: every component shrinks by the same factor, so the direction is
+/// kept, and the fastest one loses at most `deceleration_rad_s2 · period_s`.
+pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f64) -> BendRates {
+    let mut rates = *previous;
+    let fastest = rates.as_slice().iter().fold(0.0_f64, |fastest, rate| fastest.max(rate.abs()));
+    let left = fastest - deceleration_rad_s2 * period_s;
+    // What rounding leaves of the last step is rest, too.
+    scale(&mut rates, if left > 1e-9 * fastest { left / fastest } else { 0.0 });
+    rates
+}
+
+/// Rates on the straight line to the straight robot, the fastest component at `rate_rad_s`; zero on
+/// arrival.
+pub fn homing_rates(at: &Configuration, rate_rad_s: f64, period_s: f64) -> BendRates {
+    let mut rates = BendRates::zero(at.section_count());
+    let farthest = at.as_slice().iter().fold(0.0_f64, |farthest, bend| farthest.max(bend.abs()));
+    if farthest > 0.0 {
+        let duration_s = (farthest / rate_rad_s).max(period_s);
+        for (rate, bend) in rates.as_mut_slice().iter_mut().zip(at.as_slice()) {
+            *rate = -bend / duration_s;
+        }
+    }
+    rates
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::robot::RobotParameters;
+
+    const PERIOD_S: f64 = 0.005;
+
+    fn robot() -> Robot {
+        Robot::new(&RobotParameters::paper(2)).expect("the paper's robot")
+    }
+
+    fn rates(values: [f64; 4]) -> BendRates {
+        BendRates::from_slice(&values).expect("two sections")
+    }
+
+    fn at(values: [f64; 4]) -> Configuration {
+        Configuration::from_slice(&values).expect("two sections")
+    }
+
+    #[test]
+    fn a_legal_wish_passes_unchanged() {
+        let wish = rates([0.1, -0.2, 0.3, 0.4]);
+        let limited = limit(&robot(), &at([0.1; 4]), &wish, PERIOD_S);
+        assert_eq!((limited.rates, limited.hit), (wish, LimitsHit::default()));
+    }
+
+    #[test]
+    fn rates_and_non_finite_wishes_are_cut() {
+        let limited = limit(&robot(), &at([0.0; 4]), &rates([9.0, 0.0, -9.0, 0.0]), PERIOD_S);
+        assert!(limited.hit.rate);
+        assert!(limited.rates.as_slice().iter().all(|rate| rate.abs() <= 2.0));
+        let limited = limit(&robot(), &at([0.0; 4]), &rates([f64::NAN, 0.0, 1.0, 0.0]), PERIOD_S);
+        assert!(limited.hit.non_finite);
+        assert_eq!(limited.rates, BendRates::zero(2));
+    }
+
+    #[test]
+    fn a_bend_never_leaves_its_limit_and_returns_when_it_is_beyond() {
+        let robot = robot();
+        let mut bend = at([2.79, 0.0, 0.0, -2.79]);
+        for _ in 0..20 {
+            let limited = limit(&robot, &bend, &rates([2.0, 2.0, 2.0, -2.0]), PERIOD_S);
+            bend = bend.advanced(&limited.rates, PERIOD_S);
+            assert!(bend.bend_rad(0) <= 2.8 + 1e-12 && bend.bend_rad(1) <= 2.8 + 1e-12);
+        }
+        let beyond = at([2.9, 0.0, 0.0, 0.0]);
+        let limited = limit(&robot, &beyond, &rates([2.0, 0.0, 0.0, 0.0]), PERIOD_S);
+        assert!(limited.hit.bend && limited.rates.as_slice()[0] < 0.0);
+    }
+
+    #[test]
+    fn cables_keep_their_speed_limit() {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.cable_speed_max_m_s = 0.01;
+        let robot = Robot::new(&parameters).expect("legal");
+        let limited = limit(&robot, &at([0.0; 4]), &rates([2.0, 0.0, 2.0, 0.0]), PERIOD_S);
+        let speeds = robot.cable_speeds(limited.rates.as_slice());
+        assert!(limited.hit.cable_speed);
+        assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));
+    }
+
+    #[test]
+    fn ramps_end_at_zero_and_keep_the_direction() {
+        let mut now = rates([1.0, -0.5, 0.0, 0.25]);
+        let mut cycles = 0;
+        while now.as_slice().iter().any(|rate| *rate != 0.0) {
+            now = ramp_to_zero(&now, 40.0, PERIOD_S);
+            cycles += 1;
+            let [a, b, _, d] = [0, 1, 2, 3].map(|i| now.as_slice()[i]);
+            assert!((b + 0.5 * a).abs() < 1e-12 && (d - 0.25 * a).abs() < 1e-12);
+        }
+        assert_eq!(cycles, 5);
+    }
+
+    #[test]
+    fn homing_arrives_exactly_once_near() {
+        let mut bend = at([1.0, -0.5, 0.0, 0.25]);
+        for _ in 0..1001 {
+            bend = bend.advanced(&homing_rates(&bend, 0.5, PERIOD_S), PERIOD_S);
+        }
+        assert!(bend.as_slice().iter().all(|b| b.abs() < 1e-12), "{bend:?}");
+        let end = homing_rates(&at([0.0; 4]), 0.5, PERIOD_S);
+        assert_eq!(end, BendRates::zero(2));
+    }
+}

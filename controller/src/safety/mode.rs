@@ -1,0 +1,340 @@
+//! The mode machine.
+//!
+//! ```text
+//!  Starting ──► Holding ◄─────────────► Tracking      Holding: rates ramp to zero, position kept
+//!                │  ▲  track, lease, fresh reference   Tracking: NMPC follows the reference
+//!           home │  │ arrived, hold                     Homing: straight line to the straight robot
+//!                ▼  │
+//!               Homing
+//!
+//!  any but Faulted ── stop, leaky bucket ──► Stopped   latched: rates ramp to zero, until reset
+//!  any ── measurement lost, non-finite, limit ──► Faulted(cause)   latched like Stopped
+//!  Stopped, Faulted ── reset, cause gone ──► Holding
+//! ```
+
+use crate::reference::ReferenceState;
+
+/// Why the machine is in its mode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Reason {
+    /// Nothing happened yet.
+    #[default]
+    Start,
+    /// A client asked for it.
+    Request,
+    /// The reference came to its end.
+    ReferenceEnded,
+    /// The holder of the reference lease fell silent.
+    LeaseExpired,
+    /// The straight configuration is reached.
+    HomeReached,
+    /// Too many deadlines were missed.
+    DeadlineMisses,
+    /// There is no fresh measurement.
+    MeasurementLost,
+    /// A measurement or a result was not finite.
+    NonFinite,
+    /// A measured bend is beyond what the robot can have.
+    LimitBroken,
+    /// The process ends.
+    Shutdown,
+}
+
+/// The mode, with what belongs to it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Mode {
+    /// Before the first good cycle.
+    #[default]
+    Starting,
+    /// At rest, or on the way to it.
+    Holding {
+        /// Why.
+        reason: Reason,
+    },
+    /// Following the reference.
+    Tracking {
+        /// Whether the reference has begun: before, its first point counts.
+        begun: bool,
+    },
+    /// On the way to the straight configuration.
+    Homing,
+    /// Latched at rest.
+    Stopped {
+        /// Why.
+        reason: Reason,
+    },
+    /// Latched at rest by a fault.
+    Faulted {
+        /// The cause.
+        reason: Reason,
+    },
+}
+
+impl Mode {
+    /// Why the machine is in this mode.
+    pub fn reason(&self) -> Reason {
+        match self {
+            Self::Starting => Reason::Start,
+            Self::Tracking { .. } | Self::Homing => Reason::Request,
+            Self::Holding { reason } | Self::Stopped { reason } | Self::Faulted { reason } => *reason,
+        }
+    }
+}
+
+/// What can be asked of the machine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Request {
+    /// Follow the reference.
+    Track,
+    /// Stop following.
+    Hold,
+    /// Move to the straight configuration.
+    Home,
+    /// Stop and latch.
+    Stop,
+    /// Leave a latched mode.
+    Reset,
+}
+
+/// Why a request is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Refusal {
+    /// The mode does not allow it.
+    #[error("the present mode does not allow it")]
+    WrongMode,
+    /// Nobody holds the reference lease.
+    #[error("nobody holds the reference lease")]
+    NoLease,
+    /// No reference lies ahead.
+    #[error("there is no reference ahead")]
+    NoReference,
+    /// The cause of the fault still stands.
+    #[error("the cause of the fault still stands")]
+    CauseStands,
+}
+
+/// What one cycle sees.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Observation {
+    /// Whether the configuration of the robot is known. Until it is, the machine keeps starting.
+    pub measured: bool,
+    /// Where this release lies relative to the reference.
+    pub reference: ReferenceState,
+    /// Whether a client holds the reference lease.
+    pub lease_held: bool,
+    /// Whether the robot is straight.
+    pub at_home: bool,
+    /// Whether the leaky bucket of deadline misses overflows.
+    pub misses_overflow: bool,
+    /// A fault that stands in this cycle.
+    pub fault: Option<Reason>,
+}
+
+/// The mode and every way it changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct ModeMachine {
+    mode: Mode,
+    faults: u64,
+}
+
+impl ModeMachine {
+    /// The present mode.
+    pub fn mode(&self) -> Mode {
+        self.mode
+    }
+
+    /// Faults since the start.
+    pub fn faults(&self) -> u64 {
+        self.faults
+    }
+
+    /// What the world does to the mode, once in each cycle and before requests.
+    pub fn observe(&mut self, seen: &Observation) {
+        if self.mode == Mode::Starting && !seen.measured {
+            return;
+        }
+        if let Some(cause) = seen.fault {
+            self.fault(cause);
+        } else if seen.misses_overflow && !self.is_latched() {
+            self.mode = Mode::Stopped { reason: Reason::DeadlineMisses };
+        }
+        match self.mode {
+            Mode::Starting => self.hold(Reason::Start),
+            Mode::Tracking { .. } if !seen.lease_held => self.hold(Reason::LeaseExpired),
+            Mode::Tracking { .. } => match seen.reference {
+                ReferenceState::Ended | ReferenceState::None => self.hold(Reason::ReferenceEnded),
+                ReferenceState::Inside => self.mode = Mode::Tracking { begun: true },
+                ReferenceState::Before => {}
+            },
+            Mode::Homing if seen.at_home => self.hold(Reason::HomeReached),
+            _ => {}
+        }
+    }
+
+    /// Carries a request out, or says why not. A stop is never refused.
+    ///
+    /// # Errors
+    /// [`Refusal`]; the mode is then unchanged.
+    pub fn request(&mut self, request: Request, seen: &Observation) -> Result<(), Refusal> {
+        match (request, self.mode) {
+            (Request::Stop, Mode::Faulted { .. }) | (Request::Reset, Mode::Holding { .. }) => Ok(()),
+            (Request::Stop, _) => {
+                self.mode = Mode::Stopped { reason: Reason::Request };
+                Ok(())
+            }
+            (Request::Reset, Mode::Stopped { .. } | Mode::Faulted { .. }) => self.reset(seen),
+            (Request::Hold, Mode::Holding { .. } | Mode::Tracking { .. } | Mode::Homing) => {
+                self.hold(Reason::Request);
+                Ok(())
+            }
+            (Request::Track, Mode::Tracking { .. }) => Ok(()),
+            (Request::Track, Mode::Holding { .. }) => self.track(seen),
+            (Request::Home, Mode::Holding { .. } | Mode::Homing) => {
+                self.mode = Mode::Homing;
+                Ok(())
+            }
+            _ => Err(Refusal::WrongMode),
+        }
+    }
+
+    /// A fault found after the observation of this cycle: the solver's result, the command.
+    pub fn fault(&mut self, cause: Reason) {
+        if !matches!(self.mode, Mode::Faulted { .. }) {
+            self.faults += 1;
+            self.mode = Mode::Faulted { reason: cause };
+        }
+    }
+
+    /// The process ends: come to rest. A fault keeps its cause.
+    pub fn shut_down(&mut self) {
+        if !matches!(self.mode, Mode::Faulted { .. }) {
+            self.mode = Mode::Stopped { reason: Reason::Shutdown };
+        }
+    }
+
+    fn is_latched(&self) -> bool {
+        matches!(self.mode, Mode::Stopped { .. } | Mode::Faulted { .. })
+    }
+
+    fn hold(&mut self, reason: Reason) {
+        self.mode = Mode::Holding { reason };
+    }
+
+    fn track(&mut self, seen: &Observation) -> Result<(), Refusal> {
+        match seen.reference {
+            _ if !seen.lease_held => Err(Refusal::NoLease),
+            ReferenceState::None | ReferenceState::Ended => Err(Refusal::NoReference),
+            ReferenceState::Before | ReferenceState::Inside => {
+                self.mode = Mode::Tracking { begun: false };
+                Ok(())
+            }
+        }
+    }
+
+    fn reset(&mut self, seen: &Observation) -> Result<(), Refusal> {
+        if seen.fault.is_some() || seen.misses_overflow {
+            return Err(Refusal::CauseStands);
+        }
+        self.hold(Reason::Request);
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOLDING: Mode = Mode::Holding { reason: Reason::Start };
+
+    fn good() -> Observation {
+        Observation {
+            measured: true,
+            reference: ReferenceState::Inside,
+            lease_held: true,
+            ..Observation::default()
+        }
+    }
+
+    fn machine(mode: Mode) -> ModeMachine {
+        ModeMachine { mode, faults: 0 }
+    }
+
+    fn after(mode: Mode, seen: Observation) -> Mode {
+        let mut machine = machine(mode);
+        machine.observe(&seen);
+        machine.mode()
+    }
+
+    fn asked(mode: Mode, request: Request, seen: Observation) -> Result<Mode, Refusal> {
+        let mut machine = machine(mode);
+        machine.request(request, &seen)?;
+        Ok(machine.mode())
+    }
+
+    #[test]
+    fn every_observed_transition() {
+        let tracking = Mode::Tracking { begun: true };
+        let held = |reason| Mode::Holding { reason };
+        assert_eq!(after(Mode::Starting, good()), held(Reason::Start));
+        let unknown = Observation { measured: false, fault: Some(Reason::MeasurementLost), ..good() };
+        assert_eq!(after(Mode::Starting, unknown), Mode::Starting);
+        assert_eq!(after(tracking, good()), tracking);
+        let ended = Observation { reference: ReferenceState::Ended, ..good() };
+        assert_eq!(after(tracking, ended), held(Reason::ReferenceEnded));
+        let silent = Observation { lease_held: false, ..good() };
+        assert_eq!(after(tracking, silent), held(Reason::LeaseExpired));
+        let home = Observation { at_home: true, ..good() };
+        assert_eq!(after(Mode::Homing, home), held(Reason::HomeReached));
+        assert_eq!(after(Mode::Homing, good()), Mode::Homing);
+        let late = Observation { misses_overflow: true, ..good() };
+        assert_eq!(after(tracking, late), Mode::Stopped { reason: Reason::DeadlineMisses });
+        let lost = Observation { fault: Some(Reason::MeasurementLost), ..good() };
+        for mode in [Mode::Starting, HOLDING, tracking, Mode::Homing, Mode::Stopped { reason: Reason::Request }] {
+            assert_eq!(after(mode, lost), Mode::Faulted { reason: Reason::MeasurementLost });
+        }
+    }
+
+    #[test]
+    fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
+        let stopped = Mode::Stopped { reason: Reason::Request };
+        let faulted = Mode::Faulted { reason: Reason::NonFinite };
+        for mode in [stopped, faulted] {
+            assert_eq!(after(mode, good()), mode);
+            for request in [Request::Track, Request::Hold, Request::Home] {
+                assert_eq!(asked(mode, request, good()), Err(Refusal::WrongMode));
+            }
+            let standing = Observation { fault: Some(Reason::NonFinite), ..good() };
+            assert_eq!(asked(mode, Request::Reset, standing), Err(Refusal::CauseStands));
+            let reset = asked(mode, Request::Reset, good());
+            assert_eq!(reset, Ok(Mode::Holding { reason: Reason::Request }));
+        }
+        assert_eq!(asked(faulted, Request::Stop, good()), Ok(faulted));
+    }
+
+    #[test]
+    fn tracking_needs_a_lease_and_a_reference_ahead() {
+        let begun = Ok(Mode::Tracking { begun: false });
+        assert_eq!(asked(HOLDING, Request::Track, good()), begun);
+        let before = Observation { reference: ReferenceState::Before, ..good() };
+        assert_eq!(asked(HOLDING, Request::Track, before), begun);
+        for state in [ReferenceState::None, ReferenceState::Ended] {
+            let seen = Observation { reference: state, ..good() };
+            assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoReference));
+        }
+        let seen = Observation { lease_held: false, ..good() };
+        assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoLease));
+        assert_eq!(asked(Mode::Homing, Request::Track, good()), Err(Refusal::WrongMode));
+    }
+
+    #[test]
+    fn stop_wins_everywhere_and_faults_are_counted_once() {
+        for mode in [Mode::Starting, HOLDING, Mode::Tracking { begun: true }, Mode::Homing] {
+            let stopped = asked(mode, Request::Stop, good());
+            assert_eq!(stopped, Ok(Mode::Stopped { reason: Reason::Request }));
+        }
+        let mut machine = machine(HOLDING);
+        machine.fault(Reason::NonFinite);
+        machine.fault(Reason::LimitBroken);
+        assert_eq!((machine.faults(), machine.mode().reason()), (1, Reason::NonFinite));
+    }
+}

@@ -1,0 +1,284 @@
+//! The composition root: the one place that knows every concrete type.
+//!
+//! Order at the start: build everything → lock memory → warm the solver, touch the stack → priority and
+//! core → first release. Order at the end: the robot comes to rest → threads end → ports close → files
+//! go.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{Builder, JoinHandle, Thread};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+use cdcr_controller::plant::KinematicPlant;
+use cdcr_shared_types::codes::realtime;
+use signal_hook::consts::{SIGINT, SIGTERM};
+
+use crate::config::{LinkKind, RealtimeMode, Validated, ns};
+use crate::cycle::Cycle;
+use crate::exchange::{Exchange, services};
+use crate::instance::Instance;
+use crate::link::{DriverLink, SimulatedRobot};
+use crate::ports::{Clock, RobotLink};
+use crate::rt::clock::MonotonicClock;
+use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
+use crate::rt::privileges::{ThreadPlan, choose_core, lock_memory};
+use crate::rt::schedule::Schedule;
+use crate::supervisor::Supervisor;
+
+/// How long a thread may take to get ready.
+const START_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time between the last preparation and the first release \[ns\].
+const START_DELAY_NS: u64 = 10_000_000;
+/// Cycles that a robot has to come to rest when the process ends.
+const REST_CYCLES_MAX: u64 = 2_000;
+/// Stack of a real-time thread.
+const STACK_BYTES: usize = 2 * 1024 * 1024;
+
+/// Runs the daemon until a signal ends it.
+///
+/// # Errors
+/// When it cannot start, or a thread ended by itself.
+pub fn run(validated: &Validated) -> Result<()> {
+    let signals = [SIGINT, SIGTERM].map(|signal| {
+        let flag = Arc::default();
+        signal_hook::flag::register(signal, Arc::clone(&flag)).map(|_| flag)
+    });
+    let signals = signals.into_iter().collect::<Result<Vec<_>, _>>().context("signals")?;
+    let signalled = move || {
+        use std::sync::atomic::Ordering;
+        signals.iter().any(|flag: &Arc<std::sync::atomic::AtomicBool>| flag.load(Ordering::Relaxed))
+    };
+    let _instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
+    match validated.config.link.kind {
+        LinkKind::Simulated => {
+            let plant = KinematicPlant::new(&validated.robot, validated.initial)
+                .with_extrapolate_max_s(validated.config.link.command_valid_ms * 1e-3);
+            run_with(validated, SimulatedRobot::new(plant), signalled)
+        }
+        LinkKind::Driver => run_with(validated, DriverLink, signalled),
+    }
+}
+
+fn run_with<L: RobotLink + Send + 'static>(
+    validated: &Validated,
+    link: L,
+    signalled: impl FnMut() -> bool,
+) -> Result<()> {
+    let daemon_id = random_id();
+    let shared = Arc::new(Shared::default());
+    let (cycle_ends, exchange_ends, summaries) = channels(validated.config.controller);
+    let node = services::node(&validated.location)?;
+    let mut supervisor = Supervisor::new(&node, validated, summaries, daemon_id)?;
+
+    let (exchange, exchange_start) = spawn_exchange(validated, exchange_ends, &shared, daemon_id)?;
+    let cycle = Cycle::new(validated, link).context("the solver")?;
+    let waker = exchange.thread().clone();
+    let (cycle, cycle_start) = spawn_cycle(validated, cycle, cycle_ends, &shared, waker)?;
+
+    let missing = arm(validated, [&exchange_start, &cycle_start])?;
+    let core = choose_core(&validated.config.realtime).unwrap_or(0);
+    supervisor.set_realtime(missing, core);
+
+    let clock = MonotonicClock;
+    let schedule = Schedule::new(clock.now_ns() + START_DELAY_NS, ns(validated.config.cycle.period_ms));
+    shared.set_origin_ns(schedule.release_ns(0));
+    exchange_start.go(&schedule);
+    cycle_start.go(&schedule);
+    tracing::info!(
+        robot = validated.config.robot.name,
+        prefix = validated.location.prefix(),
+        root = %validated.location.root().display(),
+        sections = validated.robot.section_count(),
+        period_ms = validated.config.cycle.period_ms,
+        "running"
+    );
+    supervisor.run(&clock, &shared, signalled, || {
+        // A thread that ends by itself takes the process with it.
+        if cycle.is_finished() || exchange.is_finished() {
+            shared.end();
+            shared.set_cycle_ended();
+        }
+        cycle.is_finished() && exchange.is_finished()
+    });
+    let results = [(cycle.join(), "cycle"), (exchange.join(), "exchange")];
+    for (result, name) in results {
+        if result.is_err() {
+            bail!("the {name} thread panicked");
+        }
+    }
+    tracing::info!("ended");
+    Ok(())
+}
+
+/// Locks memory and makes the threads real-time. Returns what is missing.
+fn arm(validated: &Validated, threads: [&Starter; 2]) -> Result<u32> {
+    for thread in threads {
+        thread.wait_ready()?;
+    }
+    let config = &validated.config.realtime;
+    let mut missing = lock_memory(config.mode);
+    for thread in threads {
+        missing |= thread.arm()?;
+    }
+    if config.mode == RealtimeMode::Require && missing != 0 {
+        let lines: Vec<_> = realtime::ALL
+            .iter()
+            .filter(|(bit, _, _)| missing & bit != 0)
+            .map(|(_, name, remedy)| format!("  {name} is missing: {remedy}"))
+            .collect();
+        bail!(
+            "realtime.mode is \"require\", but the system does not grant it:\n{}\n\
+             or set realtime.mode = \"prefer\" to run without",
+            lines.join("\n")
+        );
+    }
+    Ok(missing)
+}
+
+fn spawn_exchange(
+    validated: &Validated,
+    ends: ExchangeEnds,
+    shared: &Arc<Shared>,
+    daemon_id: u64,
+) -> Result<(JoinHandle<()>, Starter)> {
+    let plan = ThreadPlan::new(&validated.config.realtime, validated.config.realtime.exchange_priority);
+    let (starter, stage) = start_stages();
+    let (validated, shared) = (validated.clone(), Arc::clone(shared));
+    let thread = Builder::new().name("cdcr-exchange".to_owned()).stack_size(STACK_BYTES).spawn(
+        move || {
+            // iceoryx2's ports stay in the thread that made them.
+            let built = services::node(&validated.location).and_then(|node| {
+                let ports = services::Ports::create(&node, &validated.config.robot.name)?;
+                Ok((node, ports))
+            });
+            let (node, ports) = match built {
+                Ok(built) => built,
+                Err(error) => return stage.fail(error.into()),
+            };
+            let mut exchange = Exchange::new(&validated, ports, ends, daemon_id);
+            if let Some(schedule) = stage.prepare(plan, || ()) {
+                exchange.run(&schedule, &MonotonicClock, &shared);
+            }
+            drop(exchange);
+            drop(node);
+        },
+    )?;
+    Ok((thread, starter))
+}
+
+fn spawn_cycle<L: RobotLink + Send + 'static>(
+    validated: &Validated,
+    mut cycle: Cycle<L>,
+    mut ends: CycleEnds,
+    shared: &Arc<Shared>,
+    exchange: Thread,
+) -> Result<(JoinHandle<()>, Starter)> {
+    let plan = ThreadPlan::new(&validated.config.realtime, validated.config.realtime.cycle_priority);
+    let (starter, stage) = start_stages();
+    let shared = Arc::clone(shared);
+    let thread = Builder::new().name("cdcr-cycle".to_owned()).stack_size(STACK_BYTES).spawn(
+        move || {
+            if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up()) {
+                run_cycles(&mut cycle, &mut ends, &mut schedule, &MonotonicClock, &shared, &exchange);
+            }
+            shared.set_cycle_ended();
+            exchange.unpark();
+        },
+    )?;
+    Ok((thread, starter))
+}
+
+/// The life of the cycle thread: sleep to the release, run the cycle, hand the record on, wake the
+/// exchange. When the process ends, the robot is brought to rest first.
+pub fn run_cycles<L: RobotLink>(
+    cycle: &mut Cycle<L>,
+    ends: &mut CycleEnds,
+    schedule: &mut Schedule,
+    clock: &impl Clock,
+    shared: &Shared,
+    exchange: &Thread,
+) {
+    let mut cycles_to_rest = REST_CYCLES_MAX;
+    while cycles_to_rest > 0 {
+        let release = schedule.wait(clock);
+        if shared.is_ending() {
+            cycle.shut_down();
+            cycles_to_rest = if cycle.is_at_rest() { 0 } else { cycles_to_rest - 1 };
+        }
+        let inputs = ends.inputs.read();
+        let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
+        if ends.records.push(record).is_err() {
+            shared.count_dropped_record();
+        }
+        exchange.unpark();
+    }
+}
+
+/// The main thread's end of a thread that gets ready step by step.
+#[derive(Debug)]
+struct Starter {
+    ready: Receiver<Result<()>>,
+    arm: Sender<()>,
+    armed: Receiver<u32>,
+    go: Sender<Schedule>,
+}
+
+/// The thread's own end.
+#[derive(Debug)]
+struct Stage {
+    ready: Sender<Result<()>>,
+    arm: Receiver<()>,
+    armed: Sender<u32>,
+    go: Receiver<Schedule>,
+}
+
+fn start_stages() -> (Starter, Stage) {
+    let (ready_in, ready_out) = channel();
+    let (arm_in, arm_out) = channel();
+    let (armed_in, armed_out) = channel();
+    let (go_in, go_out) = channel();
+    let starter = Starter { ready: ready_out, arm: arm_in, armed: armed_out, go: go_in };
+    let stage = Stage { ready: ready_in, arm: arm_out, armed: armed_in, go: go_out };
+    (starter, stage)
+}
+
+impl Starter {
+    fn wait_ready(&self) -> Result<()> {
+        self.ready.recv_timeout(START_TIMEOUT).context("a thread did not get ready")?
+    }
+
+    /// Lets the thread become real-time; returns what is missing.
+    fn arm(&self) -> Result<u32> {
+        self.arm.send(()).context("a thread ended while starting")?;
+        self.armed.recv_timeout(START_TIMEOUT).context("a thread did not become real-time")
+    }
+
+    fn go(&self, schedule: &Schedule) {
+        // A thread that ended meanwhile is found by the supervisor.
+        let _ = self.go.send(schedule.clone());
+    }
+}
+
+impl Stage {
+    fn fail(&self, error: anyhow::Error) {
+        let _ = self.ready.send(Err(error));
+    }
+
+    /// Ready → (memory is locked) → warm up → priority and core → the schedule. None: the start was
+    /// given up.
+    fn prepare(&self, plan: ThreadPlan, warm_up: impl FnOnce()) -> Option<Schedule> {
+        self.ready.send(Ok(())).ok()?;
+        self.arm.recv().ok()?;
+        warm_up();
+        let missing = plan.apply();
+        self.armed.send(missing).ok()?;
+        self.go.recv().ok()
+    }
+}
+
+/// An identity for this run, never 0.
+fn random_id() -> u64 {
+    use std::hash::{BuildHasher, Hasher, RandomState};
+    RandomState::new().build_hasher().finish().max(1)
+}

@@ -1,0 +1,364 @@
+//! One cycle of 5 ms: the order of its steps, and nothing else.
+//!
+//! ```text
+//! measure → estimate → mode → solve → limit → command → record
+//! ```
+//!
+//! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
+//! in the record, so that the cycle can be computed again.
+
+use cdcr_controller::estimator::Estimator;
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::reference::ReferenceSample;
+use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
+use cdcr_controller::safety::{
+    Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, homing_rates, limit, ramp_to_zero,
+};
+
+use crate::config::{MotionConfig, Validated, ns};
+use crate::ports::{Clock, RobotLink, TimedMeasurement};
+use crate::rt::accounting::{Accounting, Limits, Totals, Verdict};
+use crate::rt::handoff::{CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE};
+use crate::rt::schedule::Release;
+
+/// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
+const BEND_TOLERANCE_RAD: f64 = 0.05;
+/// All bends below this count as straight \[rad\].
+const HOME_TOLERANCE_RAD: f64 = 1e-6;
+
+/// Everything of one cycle: what it used, what it did, when.
+#[derive(Debug, Clone, Copy)]
+pub struct CycleRecord {
+    /// Its release.
+    pub release: Release,
+    /// The solver began \[ns\].
+    pub solve_start_ns: u64,
+    /// The solver ended \[ns\].
+    pub solve_end_ns: u64,
+    /// The command was handed over \[ns\].
+    pub handed_over_ns: u64,
+    /// Time since the release of the previous cycle \[ns\].
+    pub elapsed_ns: u64,
+    /// Whether it was late.
+    pub verdict: Verdict,
+    /// Counts including this cycle.
+    pub totals: Totals,
+    /// Level of the leaky bucket after this cycle.
+    pub miss_bucket: u32,
+    /// Mode in which the command was made.
+    pub mode: Mode,
+    /// Faults since the start.
+    pub faults: u64,
+    /// Number of the gather whose inputs were used.
+    pub gather: u64,
+    /// Its time \[ns\].
+    pub gather_ns: u64,
+    /// The measurement used.
+    pub measurement: Option<TimedMeasurement>,
+    /// Estimated state at the release.
+    pub configuration: Configuration,
+    /// Tip at the release.
+    pub tip: Pose,
+    /// Rates of the previous command.
+    pub previous_rates: BendRates,
+    /// Reference at the release.
+    pub reference: ReferenceSample,
+    /// Settings of the solver.
+    pub settings: NmpcSettings,
+    /// What the solver did.
+    pub report: SolveReport,
+    /// Scalars used of the two plans; 0: the solver did not run.
+    pub plan_length: usize,
+    /// Warm start of the solver.
+    pub warm_plan: [f64; PLAN_MAX],
+    /// Its solution.
+    pub plan: [f64; PLAN_MAX],
+    /// The command.
+    pub rates: BendRates,
+    /// Which limits changed it.
+    pub limits_hit: LimitsHit,
+    /// Answers to requests, the first `answer_count`.
+    pub answers: [Option<CycleAnswer>; REQUESTS_PER_CYCLE],
+}
+
+/// The controller of one robot, cycle by cycle.
+#[derive(Debug)]
+pub struct Cycle<L> {
+    robot: Robot,
+    link: L,
+    estimator: Estimator,
+    modes: ModeMachine,
+    nmpc: Nmpc,
+    accounting: Accounting,
+    motion: MotionConfig,
+    period_ns: u64,
+    budget_margin_ns: u64,
+    measurement_timeout_ns: u64,
+    settings_revision: u64,
+    previous_release_ns: Option<u64>,
+    rates: BendRates,
+}
+
+impl<L: RobotLink> Cycle<L> {
+    /// A controller at rest. All memory that it will ever use is taken here.
+    ///
+    /// # Errors
+    /// When the solver's settings are out of range, which a validated configuration excludes.
+    pub fn new(
+        validated: &Validated,
+        link: L,
+    ) -> Result<Self, cdcr_controller::nmpc::SettingsError> {
+        let Validated { config, robot, initial, .. } = validated;
+        let period_ns = ns(config.cycle.period_ms);
+        let deadline_ns = match ns(config.cycle.deadline_ms) {
+            0 => period_ns,
+            deadline_ns => deadline_ns,
+        };
+        Ok(Self {
+            link,
+            estimator: Estimator::new(*initial),
+            modes: ModeMachine::default(),
+            nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, config.controller)?,
+            accounting: Accounting::new(Limits {
+                deadline_ns,
+                late_start_ns: ns(config.cycle.late_start_ms),
+                miss_limit: config.cycle.miss_limit,
+            }),
+            motion: config.motion.clone(),
+            period_ns,
+            budget_margin_ns: ns(config.cycle.budget_margin_ms),
+            measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
+            settings_revision: 0,
+            previous_release_ns: None,
+            rates: BendRates::zero(robot.section_count()),
+            robot: robot.clone(),
+        })
+    }
+
+    /// Runs code and data of the solver once, so that the first real solve finds them in memory.
+    pub fn warm_up(&mut self) {
+        let sample = ReferenceSample {
+            state: cdcr_controller::reference::ReferenceState::Inside,
+            position_m: self.robot.tip_position(self.estimator.configuration().as_slice()) * 0.99,
+            ..ReferenceSample::default()
+        };
+        for seed in 0..20 {
+            let input = SolveInput {
+                configuration: self.estimator.configuration(),
+                previous_rates: &self.rates,
+                reference: &[sample],
+                elapsed_periods: 1,
+                seed,
+            };
+            self.nmpc.solve(&input, &mut Budget::unlimited());
+        }
+        self.nmpc.forget_plan();
+    }
+
+    /// Whether the robot rests: the last command was zero rates.
+    pub fn is_at_rest(&self) -> bool {
+        self.rates.as_slice().iter().all(|rate| *rate == 0.0)
+    }
+
+    /// The process ends: bring the robot to rest.
+    pub fn shut_down(&mut self) {
+        self.modes.shut_down();
+    }
+
+    /// Runs the cycle of `release`. Takes requests from `next_request` until it has no more, at most
+    /// [`REQUESTS_PER_CYCLE`].
+    pub fn run(
+        &mut self,
+        release: Release,
+        inputs: &CycleInputs,
+        next_request: impl FnMut() -> Option<CycleRequest>,
+        clock: &impl Clock,
+    ) -> CycleRecord {
+        let elapsed_ns = self.elapsed_ns(&release);
+        self.take_settings(inputs);
+        let measurement = self.link.measure(release.release_ns, inputs);
+        self.estimate(measurement, &release, elapsed_ns);
+
+        let reference = inputs.window.at(release.cycle);
+        let seen = self.observe(measurement, &reference, inputs, &release);
+        self.modes.observe(&seen);
+        let answers = self.answer(next_request, &seen);
+
+        let previous_rates = self.rates;
+        let configuration = *self.estimator.configuration();
+        let solve_start_ns = clock.now_ns();
+        let (wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
+        let solve_end_ns = clock.now_ns();
+
+        let limited = self.limit(&wish);
+        self.rates = limited.rates;
+        self.link.command(release.release_ns, &limited.rates);
+        let handed_over_ns = clock.now_ns();
+        let verdict = self.accounting.judge(&release, handed_over_ns);
+
+        let mut record = CycleRecord {
+            release,
+            solve_start_ns,
+            solve_end_ns,
+            handed_over_ns,
+            elapsed_ns,
+            verdict,
+            totals: *self.accounting.totals(),
+            miss_bucket: self.accounting.bucket().level(),
+            mode: self.modes.mode(),
+            faults: self.modes.faults(),
+            gather: inputs.gather,
+            gather_ns: inputs.gather_ns,
+            measurement,
+            tip: self.robot.tip_pose(&configuration),
+            configuration,
+            previous_rates,
+            reference,
+            settings: *self.nmpc.settings(),
+            report,
+            plan_length: 0,
+            warm_plan: [0.0; PLAN_MAX],
+            plan: [0.0; PLAN_MAX],
+            rates: limited.rates,
+            limits_hit: limited.hit,
+            answers,
+        };
+        self.copy_plans(&mut record);
+        record
+    }
+
+    fn elapsed_ns(&mut self, release: &Release) -> u64 {
+        let previous = self.previous_release_ns.replace(release.release_ns);
+        previous.map_or(self.period_ns, |previous| release.release_ns - previous)
+    }
+
+    /// Settings change between two cycles, whole. The exchange has validated them.
+    fn take_settings(&mut self, inputs: &CycleInputs) {
+        if inputs.settings_revision != self.settings_revision {
+            self.settings_revision = inputs.settings_revision;
+            // Refused settings leave the old ones in force, and the record shows which those are.
+            let _ = self.nmpc.configure(inputs.settings);
+        }
+    }
+
+    fn estimate(&mut self, measurement: Option<TimedMeasurement>, release: &Release, elapsed_ns: u64) {
+        self.estimator.predict(&self.rates, elapsed_ns as f64 * 1e-9);
+        if let Some(TimedMeasurement { measurement, measured_ns }) = measurement {
+            let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
+            self.estimator.correct(&self.robot, &measurement, &self.rates, age_s);
+        }
+    }
+
+    fn observe(
+        &self,
+        measurement: Option<TimedMeasurement>,
+        reference: &ReferenceSample,
+        inputs: &CycleInputs,
+        release: &Release,
+    ) -> Observation {
+        let bends = self.estimator.configuration();
+        Observation {
+            measured: measurement.is_some(),
+            reference: reference.state,
+            lease_held: inputs.lease_held,
+            at_home: bends.as_slice().iter().all(|bend| bend.abs() < HOME_TOLERANCE_RAD),
+            misses_overflow: self.accounting.bucket().overflows(),
+            fault: self.fault(measurement, release),
+        }
+    }
+
+    fn fault(&self, measurement: Option<TimedMeasurement>, release: &Release) -> Option<Reason> {
+        let age_ns = |timed: TimedMeasurement| release.start_ns.saturating_sub(timed.measured_ns);
+        if measurement.is_none_or(|timed| age_ns(timed) > self.measurement_timeout_ns) {
+            return Some(Reason::MeasurementLost);
+        }
+        let estimate = self.estimator.configuration();
+        if !estimate.is_finite() {
+            return Some(Reason::NonFinite);
+        }
+        let beyond = self.robot.sections().iter().enumerate().any(|(index, section)| {
+            estimate.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD
+        });
+        beyond.then_some(Reason::LimitBroken)
+    }
+
+    fn answer(
+        &mut self,
+        mut next_request: impl FnMut() -> Option<CycleRequest>,
+        seen: &Observation,
+    ) -> [Option<CycleAnswer>; REQUESTS_PER_CYCLE] {
+        [(); REQUESTS_PER_CYCLE].map(|()| {
+            next_request().map(|CycleRequest { ticket, request }| CycleAnswer {
+                ticket,
+                outcome: self.modes.request(request, seen),
+            })
+        })
+    }
+
+    /// The rates that the mode wants.
+    fn wish(
+        &mut self,
+        release: &Release,
+        inputs: &CycleInputs,
+        elapsed_ns: u64,
+        clock: &impl Clock,
+    ) -> (BendRates, SolveReport) {
+        let period_s = self.period_ns as f64 * 1e-9;
+        let rates = match self.modes.mode() {
+            Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
+            Mode::Homing => {
+                homing_rates(self.estimator.configuration(), self.motion.home_rate_rad_s, period_s)
+            }
+            Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
+                ramp_to_zero(&self.rates, self.motion.deceleration_rad_s2, period_s)
+            }
+        };
+        self.nmpc.forget_plan();
+        (rates, SolveReport::default())
+    }
+
+    /// NMPC in the time that is left.
+    fn track(
+        &mut self,
+        release: &Release,
+        inputs: &CycleInputs,
+        elapsed_ns: u64,
+        clock: &impl Clock,
+    ) -> (BendRates, SolveReport) {
+        let settings = self.nmpc.settings();
+        let input = SolveInput {
+            configuration: self.estimator.configuration(),
+            previous_rates: &self.rates,
+            reference: inputs.window.ahead(release.cycle, settings.horizon_steps as usize),
+            elapsed_periods: elapsed_ns / self.period_ns,
+            seed: cycle_seed(settings.seed, release.cycle),
+        };
+        let deadline_ns = release.release_ns + self.accounting.limits().deadline_ns;
+        let end_ns = deadline_ns.saturating_sub(self.budget_margin_ns);
+        let mut budget = Budget::new(|| clock.now_ns() >= end_ns);
+        let (rates, report) = self.nmpc.solve(&input, &mut budget);
+        if report.status == SolveStatus::NonFinite {
+            self.modes.fault(Reason::NonFinite);
+        }
+        (rates, report)
+    }
+
+    fn limit(&mut self, wish: &BendRates) -> Limited {
+        let period_s = self.period_ns as f64 * 1e-9;
+        let limited = limit(&self.robot, self.estimator.configuration(), wish, period_s);
+        if limited.hit.non_finite {
+            self.modes.fault(Reason::NonFinite);
+        }
+        limited
+    }
+
+    fn copy_plans(&self, record: &mut CycleRecord) {
+        if record.report.status != SolveStatus::Idle {
+            let plan = self.nmpc.plan();
+            record.plan_length = plan.len();
+            record.plan[..plan.len()].copy_from_slice(plan);
+            record.warm_plan[..plan.len()].copy_from_slice(self.nmpc.warm_plan());
+        }
+    }
+}

@@ -1,0 +1,135 @@
+use std::collections::VecDeque;
+
+use cdcr_shared_types::codes::{EventKind, Outcome};
+use cdcr_shared_types::limits::EVENTS_MAX;
+use cdcr_shared_types::{Header, InputEvent, Telemetry};
+
+use super::convert::Refused;
+
+/// What was taken in and not yet reported, and the counts of all outcomes.
+#[derive(Debug)]
+pub(super) struct Events {
+    queue: VecDeque<(u64, InputEvent)>,
+    refusals_left: usize,
+    outcomes: [u64; Outcome::COUNT],
+}
+
+/// Events that wait for a record. Accepted messages are few per gather, so only a cycle thread that
+/// hangs for seconds fills it.
+const QUEUE_MAX: usize = 1024;
+/// Refusals that one gather reports one by one; all are counted. A flood of refused messages must not
+/// push out what was accepted.
+const REFUSALS_PER_GATHER: usize = 8;
+
+impl Events {
+    pub(super) fn new() -> Self {
+        Self {
+            queue: VecDeque::with_capacity(QUEUE_MAX),
+            refusals_left: REFUSALS_PER_GATHER,
+            outcomes: [0; Outcome::COUNT],
+        }
+    }
+
+    /// A new gather may report refusals again.
+    pub(super) fn begin_gather(&mut self) {
+        self.refusals_left = REFUSALS_PER_GATHER;
+    }
+
+    /// Counts a message and what became of it, and reports it.
+    pub(super) fn note(
+        &mut self,
+        gather: u64,
+        kind: EventKind,
+        header: &Header,
+        judged_ns: u64,
+        result: Result<u32, Refused>,
+    ) {
+        let (outcome, detail) = match result {
+            Ok(detail) => (Outcome::Accepted, detail),
+            Err(Refused { outcome, detail }) => (outcome, detail),
+        };
+        self.count(outcome);
+        if result.is_err() {
+            if self.refusals_left == 0 {
+                return;
+            }
+            self.refusals_left -= 1;
+        }
+        if self.queue.len() < QUEUE_MAX {
+            let event = InputEvent {
+                sender_id: header.sender_id,
+                sequence: header.sequence,
+                judged_ns,
+                kind: kind.code(),
+                outcome: outcome.code(),
+                detail,
+                gathers_ago: 0,
+            };
+            self.queue.push_back((gather, event));
+        }
+    }
+
+    /// Counts an outcome without reporting it.
+    pub(super) fn count(&mut self, outcome: Outcome) {
+        self.outcomes[outcome.code() as usize] += 1;
+    }
+
+    /// Moves the events that the record's cycle knew of into its telemetry, as many as fit.
+    pub(super) fn report(&mut self, telemetry: &mut Telemetry) {
+        let mut count = 0;
+        while count < EVENTS_MAX
+            && let Some((gather, event)) = self.queue.front()
+            && *gather <= telemetry.gather
+        {
+            let gathers_ago = (telemetry.gather - gather) as u32;
+            telemetry.events[count] = InputEvent { gathers_ago, ..*event };
+            self.queue.pop_front();
+            count += 1;
+        }
+        telemetry.event_count = count as u32;
+    }
+
+    pub(super) fn outcomes(&self) -> &[u64; Outcome::COUNT] {
+        &self.outcomes
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn note(events: &mut Events, gather: u64, sequence: u64, result: Result<u32, Refused>) {
+        let header = Header { sender_id: 1, sequence, sent_ns: 0 };
+        events.note(gather, EventKind::Reference, &header, 5, result);
+    }
+
+    #[test]
+    fn records_get_what_their_gather_knew_and_the_rest_waits() {
+        let mut events = Events::new();
+        for sequence in 0..20 {
+            note(&mut events, 1, sequence, Ok(0));
+        }
+        note(&mut events, 2, 99, Ok(0));
+        let mut telemetry = Telemetry { gather: 1, ..Telemetry::default() };
+        events.report(&mut telemetry);
+        assert_eq!(telemetry.event_count, 16);
+        let mut telemetry = Telemetry { gather: 3, ..Telemetry::default() };
+        events.report(&mut telemetry);
+        let late: Vec<_> = telemetry.events[..5].iter().map(|e| (e.sequence, e.gathers_ago)).collect();
+        assert_eq!(late, [(16, 2), (17, 2), (18, 2), (19, 2), (99, 1)]);
+    }
+
+    #[test]
+    fn a_flood_of_refusals_is_counted_but_not_reported_in_full() {
+        let mut events = Events::new();
+        for sequence in 0..1000 {
+            note(&mut events, 1, sequence, Err(Refused::whole(Outcome::NoLease)));
+        }
+        note(&mut events, 1, 7, Ok(0));
+        assert_eq!(events.outcomes()[Outcome::NoLease.code() as usize], 1000);
+        let mut telemetry = Telemetry { gather: 1, ..Telemetry::default() };
+        events.report(&mut telemetry);
+        assert_eq!(telemetry.event_count as usize, REFUSALS_PER_GATHER + 1);
+        assert_eq!(telemetry.events[REFUSALS_PER_GATHER].outcome, Outcome::Accepted.code());
+    }
+}

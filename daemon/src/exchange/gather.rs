@@ -1,0 +1,143 @@
+//! Shortly before each release: drain, check, hand over.
+
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
+use cdcr_shared_types::{Header, ReferenceChunk, Service};
+
+use super::convert::{self, Refused};
+use super::{Exchange, LastChunk};
+use crate::rt::schedule::Schedule;
+
+/// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
+const CHUNKS_PER_GATHER: usize = 4;
+/// Messages that one gather looks at on one service: all that its queues can hold.
+const fn drain_limit(service: Service) -> usize {
+    service.queues().publishers * service.queues().queue
+}
+
+impl Exchange {
+    /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
+    pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {
+        self.gather += 1;
+        self.events.begin_gather();
+        self.end_silent_lease(now_ns);
+        self.take_references(now_ns);
+        self.take_obstacles(now_ns);
+        self.take_measurements(now_ns);
+        self.take_requests(now_ns);
+        self.trajectory.forget_before(schedule.release_ns(cycle.saturating_sub(1)));
+        self.hand_over(schedule, cycle, now_ns);
+    }
+
+    fn hand_over(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {
+        let inputs = self.ends.inputs.input_buffer_mut();
+        inputs.gather = self.gather;
+        inputs.gather_ns = now_ns;
+        inputs.window.fill(
+            &self.trajectory,
+            cycle,
+            schedule.release_ns(cycle),
+            schedule.period_ns(),
+            self.settings.horizon_steps as usize,
+        );
+        inputs.lease_held = self.lease.holder(now_ns).is_some();
+        inputs.measurement = self.measurement;
+        inputs.settings = self.settings;
+        inputs.settings_revision = self.settings_revision;
+        self.ends.inputs.publish();
+    }
+
+    /// A reference belongs to its lease: when that ends, so does the reference.
+    fn end_silent_lease(&mut self, now_ns: u64) {
+        if self.last_chunk.is_some() && self.lease.holder(now_ns).is_none() {
+            self.drop_reference();
+        }
+    }
+
+    pub(super) fn drop_reference(&mut self) {
+        self.trajectory.clear();
+        self.last_chunk = None;
+    }
+
+    fn take_references(&mut self, now_ns: u64) {
+        let mut accepted = 0;
+        for _ in 0..drain_limit(Service::Reference) {
+            let Ok(Some(chunk)) = self.ports.reference.receive() else {
+                break;
+            };
+            let result = self.take_chunk(&chunk, now_ns);
+            self.events.note(self.gather, EventKind::Reference, &chunk.header, now_ns, result);
+            accepted += usize::from(result.is_ok());
+            if accepted == CHUNKS_PER_GATHER {
+                break;
+            }
+        }
+    }
+
+    /// Takes a chunk whole, or refuses it whole.
+    fn take_chunk(&mut self, chunk: &ReferenceChunk, now_ns: u64) -> Result<u32, Refused> {
+        let Header { sender_id: client, sequence, .. } = chunk.header;
+        if self.lease.holder(now_ns) != Some(client) {
+            return Err(Refused::whole(Outcome::NoLease));
+        }
+        let mode = ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
+        self.check_sequence(mode, client, sequence)?;
+        let points = convert::reference_points(chunk, &self.robot, now_ns)?;
+        let taken = match mode {
+            ChunkMode::Replace => self.trajectory.replace(points),
+            ChunkMode::Append => self.trajectory.append(points),
+        };
+        taken.map_err(|error| convert::trajectory_refusal(&error))?;
+        self.last_chunk = Some(LastChunk { client, sequence });
+        self.lease.renew(client, now_ns);
+        Ok(0)
+    }
+
+    /// An appended chunk continues the last one without a gap; a new trajectory is newer than it.
+    fn check_sequence(&self, mode: ChunkMode, client: u64, sequence: u64) -> Result<(), Refused> {
+        let last = self.last_chunk.filter(|last| last.client == client);
+        match (mode, last) {
+            (_, Some(last)) if sequence <= last.sequence => Err(Refused::whole(Outcome::Stale)),
+            (ChunkMode::Append, Some(last)) if sequence == last.sequence + 1 => Ok(()),
+            (ChunkMode::Append, _) => Err(Refused::whole(Outcome::SequenceGap)),
+            (ChunkMode::Replace, _) => Ok(()),
+        }
+    }
+
+    /// This build cannot avoid obstacles, so it does not pretend to: every update is refused.
+    fn take_obstacles(&mut self, now_ns: u64) {
+        for _ in 0..drain_limit(Service::Obstacles) {
+            let Ok(Some(update)) = self.ports.obstacles.receive() else {
+                break;
+            };
+            let refused = Err(Refused::whole(Outcome::Unsupported));
+            self.events.note(self.gather, EventKind::Obstacles, &update.header, now_ns, refused);
+        }
+    }
+
+    /// Keeps the newest measurement. Good ones are many and not reported one by one.
+    fn take_measurements(&mut self, now_ns: u64) {
+        for _ in 0..drain_limit(Service::Measurement) {
+            let Ok(Some(message)) = self.ports.measurement.receive() else {
+                break;
+            };
+            let result = if self.has_driver {
+                convert::measurement(&message, &self.robot, now_ns)
+            } else {
+                Err(Refused::whole(Outcome::Unsupported))
+            };
+            match result {
+                Ok(timed) if self.measurement.is_some_and(|last| timed.measured_ns <= last.measured_ns) => {
+                    self.events.count(Outcome::Stale);
+                }
+                Ok(timed) => {
+                    self.measurement = Some(timed);
+                    self.events.count(Outcome::Accepted);
+                }
+                Err(refused) => {
+                    let (kind, header) = (EventKind::Measurement, &message.header);
+                    self.events.note(self.gather, kind, header, now_ns, Err(refused));
+                }
+            }
+        }
+    }
+}

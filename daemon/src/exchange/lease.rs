@@ -1,0 +1,72 @@
+/// Who may feed the reference: one client at a time, for as long as it keeps renewing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Lease {
+    duration_ns: u64,
+    holder: Option<Holder>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Holder {
+    client: u64,
+    expires_ns: u64,
+}
+
+impl Lease {
+    /// A lease that nobody holds, of `duration_ns` from each renewal.
+    pub(super) fn new(duration_ns: u64) -> Self {
+        Self { duration_ns, holder: None }
+    }
+
+    /// The client that holds it at `now_ns`.
+    pub(super) fn holder(&self, now_ns: u64) -> Option<u64> {
+        self.holder.filter(|holder| holder.expires_ns > now_ns).map(|holder| holder.client)
+    }
+
+    /// How long it still runs \[ns\].
+    pub(super) fn left_ns(&self, now_ns: u64) -> u64 {
+        self.holder.map_or(0, |holder| holder.expires_ns.saturating_sub(now_ns))
+    }
+
+    /// Acquires or renews it. False when another client holds it, or `client` is 0, which is nobody.
+    pub(super) fn acquire(&mut self, client: u64, now_ns: u64) -> bool {
+        let free = self.holder(now_ns).is_none_or(|holder| holder == client) && client != 0;
+        if free {
+            let expires_ns = now_ns + self.duration_ns;
+            self.holder = Some(Holder { client, expires_ns });
+        }
+        free
+    }
+
+    /// Renews it for its holder. False when `client` does not hold it.
+    pub(super) fn renew(&mut self, client: u64, now_ns: u64) -> bool {
+        self.holder(now_ns) == Some(client) && self.acquire(client, now_ns)
+    }
+
+    /// Gives it back. False when `client` does not hold it.
+    pub(super) fn release(&mut self, client: u64, now_ns: u64) -> bool {
+        let held = self.holder(now_ns) == Some(client);
+        if held {
+            self.holder = None;
+        }
+        held
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_holder_at_a_time_until_it_falls_silent() {
+        let mut lease = Lease::new(100);
+        assert!(lease.acquire(1, 0));
+        assert!(!lease.acquire(2, 50) && !lease.renew(2, 50) && !lease.release(2, 50));
+        assert!(lease.renew(1, 50));
+        assert_eq!((lease.holder(149), lease.left_ns(149)), (Some(1), 1));
+        assert_eq!(lease.holder(150), None);
+        assert!(!lease.renew(1, 150), "an expired lease is not renewed but acquired anew");
+        assert!(lease.acquire(2, 150));
+        assert!(lease.release(2, 160) && lease.holder(160).is_none());
+        assert!(!lease.acquire(0, 200));
+    }
+}

@@ -1,0 +1,131 @@
+//! Shared memory on one side, hand-over on the other: the exchange thread.
+//!
+//! ```text
+//! loop { sleep to shortly before the next release, or until the cycle has a record
+//!        publish: command, answers, telemetry, summary       (right after the cycle)
+//!        gather:  references, obstacles, measurements, requests → inputs of the next cycle }
+//! ```
+//!
+//! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
+//! client does (connect, flood, stop reading) costs time here and not there. Everything that it drains
+//! has a limit per gather.
+
+pub mod convert;
+mod events;
+mod gather;
+mod lease;
+mod publish;
+mod requests;
+pub mod services;
+
+use std::time::Duration;
+
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::reference::Trajectory;
+use cdcr_controller::robot::Robot;
+use cdcr_shared_types::Header;
+use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
+
+use crate::config::{LinkKind, Validated, ns};
+use crate::ports::{Clock, TimedMeasurement};
+use crate::rt::handoff::{ExchangeEnds, Shared};
+use crate::rt::schedule::Schedule;
+use events::Events;
+use lease::Lease;
+use requests::Waiting;
+use services::Ports;
+
+/// The exchange of one daemon.
+#[derive(Debug)]
+pub struct Exchange {
+    ports: Ports,
+    ends: ExchangeEnds,
+    robot: Robot,
+    has_driver: bool,
+    period_ns: u64,
+    gather_lead_ns: u64,
+    command_valid_ns: u64,
+    trajectory: Trajectory,
+    lease: Lease,
+    last_chunk: Option<LastChunk>,
+    measurement: Option<TimedMeasurement>,
+    settings: NmpcSettings,
+    settings_revision: u64,
+    gather: u64,
+    events: Events,
+    waiting: Waiting,
+    daemon_id: u64,
+    commands_sent: u64,
+    telemetry_sent: u64,
+    last_cycle: u64,
+    last_mode: Mode,
+}
+
+/// The newest chunk that was accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct LastChunk {
+    client: u64,
+    sequence: u64,
+}
+
+impl Exchange {
+    /// The exchange of a validated configuration over `ports`.
+    pub fn new(validated: &Validated, ports: Ports, ends: ExchangeEnds, daemon_id: u64) -> Self {
+        let config = &validated.config;
+        Self {
+            ports,
+            ends,
+            robot: validated.robot.clone(),
+            has_driver: config.link.kind == LinkKind::Driver,
+            period_ns: ns(config.cycle.period_ms),
+            gather_lead_ns: ns(config.cycle.gather_lead_ms),
+            command_valid_ns: ns(config.link.command_valid_ms),
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
+            lease: Lease::new(ns(config.reference.lease_ms)),
+            last_chunk: None,
+            measurement: None,
+            settings: config.controller,
+            settings_revision: 0,
+            gather: 0,
+            events: Events::new(),
+            waiting: Waiting::new(),
+            daemon_id,
+            commands_sent: 0,
+            telemetry_sent: 0,
+            last_cycle: 0,
+            last_mode: Mode::Starting,
+        }
+    }
+
+    /// Runs until the cycle thread has ended and its last record is published.
+    pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
+        let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
+        loop {
+            let gather_ns = schedule.release_ns(next_cycle) - self.gather_lead_ns;
+            let left_ns = gather_ns.saturating_sub(clock.now_ns());
+            if left_ns > 0 {
+                // The cycle ends this early when it has a record.
+                std::thread::park_timeout(Duration::from_nanos(left_ns));
+            }
+            self.publish(clock, shared);
+            let now_ns = clock.now_ns();
+            if now_ns >= gather_ns {
+                self.gather(schedule, next_cycle, now_ns);
+                next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
+            }
+            if shared.has_cycle_ended() && self.ends.records.is_empty() {
+                self.publish(clock, shared);
+                break;
+            }
+        }
+    }
+
+    fn header(&self, sequence: u64, now_ns: u64) -> Header {
+        Header {
+            sender_id: self.daemon_id,
+            sequence,
+            sent_ns: now_ns,
+        }
+    }
+}

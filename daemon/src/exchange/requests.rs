@@ -1,0 +1,145 @@
+//! Requests of clients: answered at once (lease, settings) or after the cycle that carries them out.
+
+use cdcr_controller::safety::Request as ModeRequest;
+use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::{Header, Request, Response};
+use iceoryx2::active_request::ActiveRequest;
+use iceoryx2::prelude::ipc;
+
+use super::convert::{self, Refused};
+use super::{Exchange, convert::mode_request};
+use crate::cycle::CycleRecord;
+use crate::rt::handoff::{CycleAnswer, CycleRequest};
+
+/// A request whose client waits for an answer.
+type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
+
+/// Requests that one gather takes; more wait in their clients' queues.
+const REQUESTS_PER_GATHER: usize = 4;
+/// Requests that wait for their cycle.
+const WAITING_MAX: usize = 16;
+
+/// Requests that were handed to the cycle and wait for its answer.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    asked: Vec<(u64, Asked)>,
+    next_ticket: u64,
+    answers_sent: u64,
+}
+
+impl Waiting {
+    pub(super) fn new() -> Self {
+        Self {
+            asked: Vec::with_capacity(WAITING_MAX),
+            next_ticket: 1,
+            answers_sent: 0,
+        }
+    }
+}
+
+impl Exchange {
+    pub(super) fn take_requests(&mut self, now_ns: u64) {
+        for _ in 0..REQUESTS_PER_GATHER {
+            let Ok(Some(asked)) = self.ports.control.receive() else {
+                break;
+            };
+            self.take_request(asked, now_ns);
+        }
+    }
+
+    fn take_request(&mut self, asked: Asked, now_ns: u64) {
+        let Ok(kind) = RequestKind::try_from(asked.payload().kind) else {
+            return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
+        };
+        match mode_request(kind) {
+            Some(request) => self.pass_on(asked, request, now_ns),
+            None => {
+                let outcome = self.carry_out(kind, asked.payload(), now_ns);
+                self.answer_now(&asked, outcome, now_ns);
+            }
+        }
+    }
+
+    /// Requests about the mode are the cycle's to decide.
+    fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
+        let ticket = self.waiting.next_ticket;
+        let has_room = self.waiting.asked.len() < WAITING_MAX;
+        if has_room && self.ends.requests.push(CycleRequest { ticket, request }).is_ok() {
+            self.waiting.next_ticket += 1;
+            self.waiting.asked.push((ticket, asked));
+        } else {
+            self.answer_now(&asked, Outcome::Busy, now_ns);
+        }
+    }
+
+    /// Requests about the lease and the settings are decided here.
+    fn carry_out(&mut self, kind: RequestKind, request: &Request, now_ns: u64) -> Outcome {
+        let client = request.header.sender_id;
+        match kind {
+            RequestKind::AcquireLease if self.lease.acquire(client, now_ns) => Outcome::Accepted,
+            RequestKind::AcquireLease => Outcome::LeaseHeld,
+            RequestKind::ReleaseLease if self.lease.release(client, now_ns) => {
+                self.drop_reference();
+                Outcome::Accepted
+            }
+            RequestKind::ReleaseLease => Outcome::NoLease,
+            RequestKind::Settings => match convert::settings_from_wire(&request.settings) {
+                Ok(settings) => {
+                    self.settings = settings;
+                    self.settings_revision += 1;
+                    Outcome::Accepted
+                }
+                Err(outcome) => outcome,
+            },
+            _ => Outcome::UnknownCode,
+        }
+    }
+
+    fn answer_now(&mut self, asked: &Asked, outcome: Outcome, now_ns: u64) {
+        let Request { header, kind, .. } = *asked.payload();
+        self.note_request(&header, kind, outcome, self.gather, now_ns);
+        let response = self.response(&header, outcome, now_ns);
+        // A client that left does not get its answer; that is its own doing.
+        let _ = asked.send_copy(response);
+    }
+
+    /// Answers the requests that a cycle decided.
+    pub(super) fn answer_decided(&mut self, record: &CycleRecord, now_ns: u64) {
+        for CycleAnswer { ticket, outcome } in record.answers.iter().flatten() {
+            let Some(at) = self.waiting.asked.iter().position(|(waiting, _)| waiting == ticket) else {
+                continue;
+            };
+            let (_, asked) = self.waiting.asked.swap_remove(at);
+            let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
+            let Request { header, kind, .. } = *asked.payload();
+            self.note_request(&header, kind, outcome, record.gather, now_ns);
+            let response = Response {
+                cycle: record.release.cycle,
+                mode: convert::mode(record.mode).code(),
+                ..self.response(&header, outcome, now_ns)
+            };
+            let _ = asked.send_copy(response);
+        }
+    }
+
+    fn response(&mut self, asked: &Header, outcome: Outcome, now_ns: u64) -> Response {
+        self.waiting.answers_sent += 1;
+        Response {
+            header: self.header(self.waiting.answers_sent, now_ns),
+            request_sequence: asked.sequence,
+            cycle: self.last_cycle,
+            outcome: outcome.code(),
+            mode: self.last_mode.code(),
+            lease_holder: self.lease.holder(now_ns).unwrap_or(0),
+            lease_left_ns: self.lease.left_ns(now_ns),
+        }
+    }
+
+    fn note_request(&mut self, header: &Header, kind: u32, outcome: Outcome, gather: u64, now_ns: u64) {
+        let result = match outcome {
+            Outcome::Accepted => Ok(kind),
+            outcome => Err(Refused { outcome, detail: kind }),
+        };
+        self.events.note(gather, EventKind::Request, header, now_ns, result);
+    }
+}

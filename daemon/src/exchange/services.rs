@@ -1,0 +1,167 @@
+//! The iceoryx2 services of one daemon, and its ports.
+
+use std::fmt::Debug;
+
+use cdcr_shared_types::{
+    Command, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service,
+    Telemetry,
+};
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::server::Server;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+/// What went wrong with shared memory, and what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum ServiceError {
+    /// The node cannot be created.
+    #[error(
+        "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
+         check that the folder belongs to you and that /dev/shm has room"
+    )]
+    Node {
+        /// Prefix.
+        prefix: String,
+        /// Root path.
+        root: String,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+    /// A service cannot be created.
+    #[error(
+        "the service {service} cannot be created: {cause}\n\
+         a client of another version may hold it open: end the clients, or use another prefix"
+    )]
+    Service {
+        /// Its name.
+        service: String,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+}
+
+/// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
+///
+/// # Errors
+/// [`ServiceError::Node`].
+pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
+    let error = |cause: String| ServiceError::Node {
+        prefix: location.prefix().to_owned(),
+        root: location.root().display().to_string(),
+        cause,
+    };
+    let builder = location.node_builder().map_err(|cause| error(cause.to_string()))?;
+    builder.create::<ipc::Service>().map_err(|cause| error(format!("{cause:?}")))
+}
+
+/// Every port of the exchange thread.
+#[derive(Debug)]
+pub struct Ports {
+    /// Reference chunks.
+    pub reference: Subscriber<ipc::Service, ReferenceChunk, ()>,
+    /// Obstacle updates.
+    pub obstacles: Subscriber<ipc::Service, ObstacleUpdate, ()>,
+    /// Measurements.
+    pub measurement: Subscriber<ipc::Service, Measurement, ()>,
+    /// Commands.
+    pub command: Publisher<ipc::Service, Command, ()>,
+    /// Telemetry.
+    pub telemetry: Publisher<ipc::Service, Telemetry, ()>,
+    /// Requests.
+    pub control: Server<ipc::Service, Request, (), Response, ()>,
+}
+
+impl Ports {
+    /// Creates every service of `robot`, and our ends.
+    ///
+    /// # Errors
+    /// [`ServiceError::Service`] with the name of the service.
+    pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
+        Ok(Self {
+            reference: subscriber(node, Service::Reference, robot)?,
+            obstacles: subscriber(node, Service::Obstacles, robot)?,
+            measurement: subscriber(node, Service::Measurement, robot)?,
+            command: publisher(node, Service::Command, robot)?,
+            telemetry: publisher(node, Service::Telemetry, robot)?,
+            control: control(node, robot)?,
+        })
+    }
+}
+
+fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError {
+    let service = format!("cdcr/{robot}/{}", service.key());
+    move |cause| ServiceError::Service {
+        service: service.clone(),
+        cause: format!("{cause:?}"),
+    }
+}
+
+fn topic<T: ZeroCopySend + Debug + 'static>(
+    node: &Node<ipc::Service>,
+    service: Service,
+    robot: &str,
+) -> Result<PortFactory<ipc::Service, T, ()>, ServiceError> {
+    let failed = failed(service, robot);
+    let queues = service.queues();
+    let name = service.name(robot).map_err(|cause| failed(&cause))?;
+    node.service_builder(&name)
+        .publish_subscribe::<T>()
+        .max_publishers(queues.publishers)
+        .max_subscribers(queues.subscribers)
+        .subscriber_max_buffer_size(queues.queue)
+        .history_size(queues.history)
+        .max_nodes(Service::NODES)
+        .enable_safe_overflow(true)
+        .open_or_create()
+        .map_err(|cause| failed(&cause))
+}
+
+/// A publisher that never waits for a reader.
+///
+/// # Errors
+/// [`ServiceError::Service`].
+pub fn publisher<T: ZeroCopySend + Debug + 'static>(
+    node: &Node<ipc::Service>,
+    service: Service,
+    robot: &str,
+) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
+    topic::<T>(node, service, robot)?
+        .publisher_builder()
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .create()
+        .map_err(|cause| failed(service, robot)(&cause))
+}
+
+fn subscriber<T: ZeroCopySend + Debug + 'static>(
+    node: &Node<ipc::Service>,
+    service: Service,
+    robot: &str,
+) -> Result<Subscriber<ipc::Service, T, ()>, ServiceError> {
+    topic::<T>(node, service, robot)?
+        .subscriber_builder()
+        .create()
+        .map_err(|cause| failed(service, robot)(&cause))
+}
+
+fn control(
+    node: &Node<ipc::Service>,
+    robot: &str,
+) -> Result<Server<ipc::Service, Request, (), Response, ()>, ServiceError> {
+    let failed = failed(Service::Control, robot);
+    let name = Service::Control.name(robot).map_err(|cause| failed(&cause))?;
+    node.service_builder(&name)
+        .request_response::<Request, Response>()
+        .max_servers(1)
+        .max_clients(Service::CONTROL_CLIENTS)
+        .max_active_requests_per_client(Service::CONTROL_REQUESTS)
+        .enable_safe_overflow_for_requests(true)
+        .enable_safe_overflow_for_responses(true)
+        .max_nodes(Service::NODES)
+        .open_or_create()
+        .map_err(|cause| failed(&cause))?
+        .server_builder()
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .create()
+        .map_err(|cause| failed(&cause))
+}

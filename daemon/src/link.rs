@@ -1,0 +1,50 @@
+//! The two robots that a cycle can have: one simulated inside the daemon, one behind a driver.
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::plant::KinematicPlant;
+use cdcr_controller::robot::BendRates;
+
+use crate::ports::{RobotLink, TimedMeasurement};
+use crate::rt::handoff::CycleInputs;
+
+/// The ideal kinematic robot. Commands take effect at the release of their cycle, and its state is
+/// known exactly at each release.
+#[derive(Debug)]
+pub struct SimulatedRobot {
+    plant: KinematicPlant,
+    now_ns: Option<u64>,
+}
+
+impl SimulatedRobot {
+    /// A simulated robot.
+    pub fn new(plant: KinematicPlant) -> Self {
+        Self { plant, now_ns: None }
+    }
+}
+
+impl RobotLink for SimulatedRobot {
+    fn measure(&mut self, release_ns: u64, _: &CycleInputs) -> Option<TimedMeasurement> {
+        let before_ns = self.now_ns.replace(release_ns).unwrap_or(release_ns);
+        self.plant.advance((release_ns - before_ns) as f64 * 1e-9);
+        Some(TimedMeasurement {
+            measurement: Measurement::Configuration(*self.plant.configuration()),
+            measured_ns: release_ns,
+        })
+    }
+
+    fn command(&mut self, _: u64, rates: &BendRates) {
+        self.plant.command(rates);
+    }
+}
+
+/// A driver process: its measurements come with the inputs, and the exchange publishes the commands.
+#[derive(Debug, Default)]
+pub struct DriverLink;
+
+impl RobotLink for DriverLink {
+    fn measure(&mut self, _: u64, inputs: &CycleInputs) -> Option<TimedMeasurement> {
+        inputs.measurement
+    }
+
+    fn command(&mut self, _: u64, _: &BendRates) {}
+}

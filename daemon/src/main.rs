@@ -1,0 +1,152 @@
+//! The command line of the daemon.
+
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+
+use anyhow::Result;
+use cdcr_daemon::app;
+use cdcr_daemon::config::{Config, ConfigError, DEFAULT_TEXT, Validated};
+use clap::{Args, Parser, Subcommand};
+use tracing_subscriber::EnvFilter;
+
+/// Real-time control daemon for cable-driven continuum robots.
+#[derive(Debug, Parser)]
+#[command(version, about, after_help = "Example: cdcrd run --config configs/default.toml")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run the control loop until SIGINT or SIGTERM.
+    #[command(after_help = "Example: cdcrd run --config robot.toml\n\
+        Without --config, the paper's robot with three sections is simulated.\n\
+        The log goes to the standard error; RUST_LOG=debug shows more.")]
+    Run(Source),
+    /// Check a configuration and say what would run.
+    #[command(after_help = "Example: cdcrd check --config robot.toml")]
+    Check(Source),
+    /// Print configurations.
+    #[command(subcommand)]
+    Config(ConfigCommand),
+}
+
+#[derive(Debug, Subcommand)]
+enum ConfigCommand {
+    /// Print the default configuration, every key explained.
+    #[command(after_help = "Example: cdcrd config default > robot.toml")]
+    Default,
+}
+
+/// Where the configuration comes from. An option wins over its environment variable, both over the
+/// file, the file over the defaults.
+#[derive(Debug, Args)]
+struct Source {
+    /// Configuration file (TOML).
+    #[arg(long, env = "CDCR_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Name of the robot in the service names.
+    #[arg(long, env = "CDCR_ROBOT", value_name = "NAME")]
+    robot: Option<String>,
+    /// Prefix of the shared-memory files.
+    #[arg(long, env = "CDCR_PREFIX", value_name = "PREFIX")]
+    prefix: Option<String>,
+    /// Root folder of the shared-memory services.
+    #[arg(long, env = "CDCR_ROOT", value_name = "DIR")]
+    root: Option<PathBuf>,
+}
+
+impl Source {
+    fn load(&self) -> Result<Validated, ConfigError> {
+        let mut config = match &self.config {
+            Some(path) => Config::load(path)?.config,
+            None => Config::default(),
+        };
+        if let Some(robot) = &self.robot {
+            config.robot.name.clone_from(robot);
+        }
+        if let Some(prefix) = &self.prefix {
+            config.transport.prefix.clone_from(prefix);
+        }
+        if let Some(root) = &self.root {
+            config.transport.root = absolute(root).to_string_lossy().into_owned();
+        }
+        config.check()
+    }
+}
+
+fn absolute(path: &Path) -> PathBuf {
+    std::path::absolute(path).unwrap_or_else(|_| path.to_owned())
+}
+
+fn main() -> ExitCode {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let on_terminal = std::io::IsTerminal::is_terminal(&std::io::stderr());
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_writer(std::io::stderr)
+        .with_ansi(on_terminal)
+        .with_target(false)
+        .init();
+    iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Error);
+    match execute(Cli::parse().command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("cdcrd: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn execute(command: Command) -> Result<()> {
+    match command {
+        Command::Run(source) => app::run(&source.load()?),
+        Command::Check(source) => {
+            print!("{}", describe(&source.load()?));
+            Ok(())
+        }
+        Command::Config(ConfigCommand::Default) => {
+            print!("{DEFAULT_TEXT}");
+            Ok(())
+        }
+    }
+}
+
+/// What would run, in words.
+fn describe(validated: &Validated) -> String {
+    let Validated { config, robot, location, .. } = validated;
+    let mut text = format!(
+        "the configuration is good\n\
+         robot      {} ({:?}), {} sections, reach {:.3} m\n",
+        config.robot.name,
+        config.link.kind,
+        robot.section_count(),
+        robot.reach_m()
+    );
+    for (index, section) in robot.sections().iter().enumerate() {
+        text += &format!(
+            "  section {}  length {} m, bend ≤ {} rad, rate ≤ {} rad/s, cables at {} m\n",
+            index + 1,
+            section.length_m,
+            section.bend_max_rad,
+            section.rate_max_rad_s,
+            section.cable_radius_m
+        );
+    }
+    let nmpc = &config.controller;
+    text + &format!(
+        "cycle      {} ms, {:?} real time\n\
+         controller {:?}, N = {}, swarm {} x {}, {} refinement steps\n\
+         transport  prefix {} below {}\n",
+        config.cycle.period_ms,
+        config.realtime.mode,
+        nmpc.solver,
+        nmpc.horizon_steps,
+        nmpc.swarm_size,
+        nmpc.swarm_iterations,
+        nmpc.refinement_steps,
+        location.prefix(),
+        location.root().display()
+    )
+}

@@ -1,0 +1,109 @@
+//! Which cycles were late, and how many.
+
+use cdcr_controller::safety::LeakyBucket;
+
+use super::schedule::Release;
+
+/// What counts as late.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Deadline D after the release \[ns\].
+    pub deadline_ns: u64,
+    /// A start later than this after the release is a late start \[ns\].
+    pub late_start_ns: u64,
+    /// Level of the leaky bucket at which misses are no accident any more.
+    pub miss_limit: u32,
+}
+
+/// The verdict on one cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Verdict {
+    /// It started late.
+    pub late_start: bool,
+    /// Its command was handed over after the deadline.
+    pub deadline_miss: bool,
+}
+
+/// Counts since the start.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Totals {
+    /// Cycles that ran.
+    pub cycles: u64,
+    /// Late starts.
+    pub late_starts: u64,
+    /// Deadline misses.
+    pub deadline_misses: u64,
+    /// Releases without a cycle.
+    pub skipped_periods: u64,
+}
+
+/// Judges every cycle against the clock.
+#[derive(Debug, Clone)]
+pub struct Accounting {
+    limits: Limits,
+    totals: Totals,
+    bucket: LeakyBucket,
+}
+
+impl Accounting {
+    /// Nothing happened yet.
+    pub fn new(limits: Limits) -> Self {
+        Self {
+            limits,
+            totals: Totals::default(),
+            bucket: LeakyBucket::new(limits.miss_limit),
+        }
+    }
+
+    /// Judges a cycle whose command was handed over at `handed_over_ns`.
+    pub fn judge(&mut self, release: &Release, handed_over_ns: u64) -> Verdict {
+        let verdict = Verdict {
+            late_start: release.start_ns - release.release_ns > self.limits.late_start_ns,
+            deadline_miss: handed_over_ns - release.release_ns > self.limits.deadline_ns,
+        };
+        self.totals.cycles += 1;
+        self.totals.late_starts += u64::from(verdict.late_start);
+        self.totals.deadline_misses += u64::from(verdict.deadline_miss);
+        self.totals.skipped_periods += u64::from(release.skipped);
+        match u32::from(verdict.deadline_miss).saturating_add(release.skipped) {
+            0 => self.bucket.drain(),
+            trouble => self.bucket.pour(trouble),
+        }
+        verdict
+    }
+
+    /// Counts since the start.
+    pub fn totals(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// The leaky bucket of misses and skipped periods.
+    pub fn bucket(&self) -> &LeakyBucket {
+        &self.bucket
+    }
+
+    /// What counts as late.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lateness_counts_from_the_release() {
+        let limits = Limits { deadline_ns: 100, late_start_ns: 20, miss_limit: 3 };
+        let mut accounting = Accounting::new(limits);
+        let release = |start_ns, skipped| Release { cycle: 1, release_ns: 1000, start_ns, skipped };
+        assert_eq!(accounting.judge(&release(1020, 0), 1100), Verdict::default());
+        let late = accounting.judge(&release(1021, 0), 1100);
+        assert!(late.late_start && !late.deadline_miss);
+        let miss = accounting.judge(&release(1001, 2), 1101);
+        assert!(!miss.late_start && miss.deadline_miss);
+        assert!(accounting.bucket().overflows());
+        let totals = Totals { cycles: 3, late_starts: 1, deadline_misses: 1, skipped_periods: 2 };
+        assert_eq!(*accounting.totals(), totals);
+    }
+}

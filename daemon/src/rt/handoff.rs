@@ -1,0 +1,170 @@
+//! Lock-free hand-over between the threads.
+//!
+//! ```text
+//!  exchange ── CycleInputs (newest counts: triple buffer) ──► cycle
+//!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
+//!  exchange ◄── CycleRecord (every one: ring, drops counted) ── cycle
+//!  supervisor ◄── Summary (every one: ring, drops counted) ──── exchange
+//! ```
+
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::reference::ReferenceWindow;
+use cdcr_controller::safety::{Refusal, Request};
+use rtrb::{Consumer, Producer, RingBuffer};
+use triple_buffer::{Input, Output, triple_buffer};
+
+use crate::cycle::CycleRecord;
+use crate::ports::TimedMeasurement;
+use crate::supervisor::Summary;
+
+/// Everything that one gather found out, as one consistent whole.
+#[derive(Debug, Clone)]
+pub struct CycleInputs {
+    /// Number of the gather; 0: there was none yet.
+    pub gather: u64,
+    /// Its time \[ns\].
+    pub gather_ns: u64,
+    /// The reference on the grid.
+    pub window: ReferenceWindow,
+    /// Whether a client holds the reference lease.
+    pub lease_held: bool,
+    /// The driver's newest measurement.
+    pub measurement: Option<TimedMeasurement>,
+    /// The settings in force, checked.
+    pub settings: NmpcSettings,
+    /// Grows with each change of the settings.
+    pub settings_revision: u64,
+}
+
+impl CycleInputs {
+    /// Before the first gather.
+    pub fn new(settings: NmpcSettings) -> Self {
+        Self {
+            gather: 0,
+            gather_ns: 0,
+            window: ReferenceWindow::default(),
+            lease_held: false,
+            measurement: None,
+            settings,
+            settings_revision: 0,
+        }
+    }
+}
+
+/// A request on its way to the cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CycleRequest {
+    /// Its ticket: the exchange finds the waiting client by it.
+    pub ticket: u64,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CycleAnswer {
+    /// Ticket of the request.
+    pub ticket: u64,
+    /// Taken, or why not.
+    pub outcome: Result<(), Refusal>,
+}
+
+/// Requests that one cycle answers; the rest waits for the next.
+pub const REQUESTS_PER_CYCLE: usize = 4;
+/// Records between cycle and exchange: 0.64 s at 5 ms.
+const RECORDS: usize = 128;
+/// Summaries between exchange and supervisor: 5 s at 5 ms.
+const SUMMARIES: usize = 1024;
+
+/// Ends of the cycle thread.
+#[derive(Debug)]
+pub struct CycleEnds {
+    /// Newest inputs.
+    pub inputs: Output<CycleInputs>,
+    /// Requests.
+    pub requests: Consumer<CycleRequest>,
+    /// Records.
+    pub records: Producer<CycleRecord>,
+}
+
+/// Ends of the exchange thread.
+#[derive(Debug)]
+pub struct ExchangeEnds {
+    /// Newest inputs.
+    pub inputs: Input<CycleInputs>,
+    /// Requests.
+    pub requests: Producer<CycleRequest>,
+    /// Records.
+    pub records: Consumer<CycleRecord>,
+    /// Summaries.
+    pub summaries: Producer<Summary>,
+}
+
+/// The channels between cycle, exchange and supervisor.
+pub fn channels(settings: NmpcSettings) -> (CycleEnds, ExchangeEnds, Consumer<Summary>) {
+    let (input, output) = triple_buffer(&CycleInputs::new(settings));
+    let (request_in, request_out) = RingBuffer::new(4 * REQUESTS_PER_CYCLE);
+    let (record_in, record_out) = RingBuffer::new(RECORDS);
+    let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
+    let cycle = CycleEnds { inputs: output, requests: request_out, records: record_in };
+    let exchange = ExchangeEnds {
+        inputs: input,
+        requests: request_in,
+        records: record_out,
+        summaries: summary_in,
+    };
+    (cycle, exchange, summary_out)
+}
+
+/// Flags and counters that all threads see.
+#[derive(Debug, Default)]
+pub struct Shared {
+    ending: AtomicBool,
+    cycle_ended: AtomicBool,
+    dropped_records: AtomicU64,
+    origin_ns: AtomicU64,
+}
+
+impl Shared {
+    /// Asks every thread to come to an end: the cycle brings the robot to rest first.
+    pub fn end(&self) {
+        self.ending.store(true, Ordering::Release);
+    }
+
+    /// Whether the end was asked for.
+    pub fn is_ending(&self) -> bool {
+        self.ending.load(Ordering::Acquire)
+    }
+
+    /// The cycle thread has made its last record.
+    pub fn set_cycle_ended(&self) {
+        self.cycle_ended.store(true, Ordering::Release);
+    }
+
+    /// Whether the cycle thread has made its last record.
+    pub fn has_cycle_ended(&self) -> bool {
+        self.cycle_ended.load(Ordering::Acquire)
+    }
+
+    /// A record or summary was lost because a ring was full.
+    pub fn count_dropped_record(&self) {
+        self.dropped_records.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Records and summaries lost so far.
+    pub fn dropped_records(&self) -> u64 {
+        self.dropped_records.load(Ordering::Relaxed)
+    }
+
+    /// The origin of the time grid, once the cycle thread has chosen it.
+    pub fn set_origin_ns(&self, origin_ns: u64) {
+        self.origin_ns.store(origin_ns, Ordering::Release);
+    }
+
+    /// The origin of the time grid; 0 before it is chosen.
+    pub fn origin_ns(&self) -> u64 {
+        self.origin_ns.load(Ordering::Acquire)
+    }
+}

@@ -1,0 +1,11 @@
+//! What the operating system owes a real-time loop: clock, grid, hand-over, accounting, privileges.
+//!
+//! Invariant: nothing here knows the robot or a message. `sys` is the only file of the workspace with
+//! `unsafe` in it.
+
+pub mod accounting;
+pub mod clock;
+pub mod handoff;
+pub mod privileges;
+pub mod schedule;
+pub mod sys;

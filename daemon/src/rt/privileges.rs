@@ -1,0 +1,89 @@
+//! What makes threads real-time: memory that stays, a core of their own, a priority.
+
+use cdcr_shared_types::codes::realtime;
+use rustix::mm::MlockAllFlags;
+
+use super::sys;
+use crate::config::{RealtimeConfig, RealtimeMode};
+
+/// What a thread asks for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ThreadPlan {
+    /// Core, or none to stay where the system puts it.
+    pub core: Option<usize>,
+    /// `SCHED_FIFO` priority, or none for an ordinary thread.
+    pub priority: Option<i32>,
+}
+
+/// Stack that a real-time thread touches beforehand.
+const STACK_BYTES: usize = 256 * 1024;
+
+/// The core that the configuration asks for: −1 is the last one that the process may use.
+pub fn choose_core(config: &RealtimeConfig) -> Option<usize> {
+    match usize::try_from(config.core) {
+        Ok(core) => Some(core),
+        Err(_) => core_affinity::get_core_ids()?.last().map(|core| core.id),
+    }
+}
+
+impl ThreadPlan {
+    /// The plan of a thread with `priority` under the configuration.
+    pub fn new(config: &RealtimeConfig, priority: i32) -> Self {
+        if config.mode == RealtimeMode::Off {
+            return Self { core: None, priority: None };
+        }
+        Self {
+            core: choose_core(config),
+            priority: Some(priority),
+        }
+    }
+
+    /// Makes the calling thread what is planned, as far as the system grants it. Returns the
+    /// [`realtime`] bits of what is missing.
+    ///
+    /// The priority comes before the core: an ordinary thread that is moved to a core where a
+    /// real-time thread runs may starve there.
+    pub fn apply(&self) -> u32 {
+        let mut missing = 0;
+        if let Some(priority) = self.priority
+            && let Err(error) = sys::set_fifo(priority)
+        {
+            tracing::warn!(priority, %error, "no SCHED_FIFO");
+            missing |= realtime::FIFO;
+        }
+        if let Some(id) = self.core {
+            let pinned = core_affinity::set_for_current(core_affinity::CoreId { id });
+            if !pinned {
+                tracing::warn!(core = id, "cannot be pinned");
+                missing |= realtime::PINNED;
+            }
+        }
+        touch_stack();
+        missing
+    }
+}
+
+/// Locks all memory of the process, present and future. Returns what is missing.
+pub fn lock_memory(mode: RealtimeMode) -> u32 {
+    if mode == RealtimeMode::Off {
+        return realtime::OFF;
+    }
+    sys::keep_freed_memory();
+    match rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE) {
+        Ok(()) => 0,
+        Err(error) => {
+            tracing::warn!(%error, "memory is not locked");
+            realtime::LOCKED
+        }
+    }
+}
+
+/// Touches the stack that a thread will use, so that its pages are there before the first cycle.
+#[inline(never)]
+fn touch_stack() {
+    let mut stack = [0_u8; STACK_BYTES];
+    for byte in stack.iter_mut().step_by(4096) {
+        *byte = 1;
+    }
+    std::hint::black_box(&stack);
+}

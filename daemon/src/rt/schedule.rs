@@ -1,0 +1,137 @@
+//! The absolute time grid.
+
+use crate::ports::Clock;
+
+/// The absolute time grid: cycle k is released at `origin + k · period`.
+///
+/// Time is counted from releases, never from actual starts, so a late wake-up cannot hide. After an
+/// overrun whole periods are skipped; there is never a burst of cycles that catch up.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    origin_ns: u64,
+    period_ns: u64,
+    last_cycle: u64,
+}
+
+/// One release, as it happened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Release {
+    /// Number on the grid.
+    pub cycle: u64,
+    /// When it was due \[ns\].
+    pub release_ns: u64,
+    /// When the thread ran \[ns\].
+    pub start_ns: u64,
+    /// Releases that passed since the previous cycle without a cycle.
+    pub skipped: u32,
+}
+
+impl Schedule {
+    /// A grid whose first release, that of cycle 1, comes one period after `origin_ns`.
+    pub fn new(origin_ns: u64, period_ns: u64) -> Self {
+        Self {
+            origin_ns,
+            period_ns,
+            last_cycle: 0,
+        }
+    }
+
+    /// Period \[ns\].
+    pub fn period_ns(&self) -> u64 {
+        self.period_ns
+    }
+
+    /// When `cycle` is due \[ns\].
+    pub fn release_ns(&self, cycle: u64) -> u64 {
+        self.origin_ns + cycle * self.period_ns
+    }
+
+    /// The newest cycle that was due at `now_ns`.
+    pub fn cycle_at(&self, now_ns: u64) -> u64 {
+        now_ns.saturating_sub(self.origin_ns) / self.period_ns
+    }
+
+    /// Sleeps to the next release that is still to come, and says which one was met.
+    pub fn wait(&mut self, clock: &impl Clock) -> Release {
+        let earliest = self.last_cycle + 1;
+        let next = earliest.max(self.cycle_at(clock.now_ns()) + 1);
+        clock.sleep_until(self.release_ns(next));
+        let start_ns = clock.now_ns();
+        // Slept through whole periods: the newest release counts, the others are skipped.
+        let cycle = next.max(self.cycle_at(start_ns));
+        let skipped = cycle - earliest;
+        self.last_cycle = cycle;
+        Release {
+            cycle,
+            release_ns: self.release_ns(cycle),
+            start_ns,
+            skipped: u32::try_from(skipped).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    /// A clock that stands still but for sleeps, which end late by what the test says.
+    struct Slow {
+        now_ns: Cell<u64>,
+        late_ns: Cell<u64>,
+    }
+
+    impl Clock for Slow {
+        fn now_ns(&self) -> u64 {
+            self.now_ns.get()
+        }
+        fn sleep_until(&self, time_ns: u64) {
+            self.now_ns.set(self.now_ns.get().max(time_ns) + self.late_ns.get());
+        }
+    }
+
+    fn clock(now_ns: u64) -> Slow {
+        Slow { now_ns: Cell::new(now_ns), late_ns: Cell::new(0) }
+    }
+
+    #[test]
+    fn punctual_cycles_follow_each_other() {
+        let (clock, mut schedule) = (clock(1000), Schedule::new(1000, 100));
+        for cycle in 1..=5 {
+            let release = schedule.wait(&clock);
+            assert_eq!(
+                release,
+                Release { cycle, release_ns: 1000 + cycle * 100, start_ns: 1000 + cycle * 100, skipped: 0 }
+            );
+        }
+    }
+
+    #[test]
+    fn a_late_wake_up_inside_the_period_is_late_but_skips_nothing() {
+        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        clock.late_ns.set(60);
+        let release = schedule.wait(&clock);
+        assert_eq!((release.cycle, release.start_ns - release.release_ns, release.skipped), (1, 60, 0));
+    }
+
+    #[test]
+    fn a_stall_skips_whole_periods_and_keeps_the_grid() {
+        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        schedule.wait(&clock);
+        clock.late_ns.set(350);
+        let release = schedule.wait(&clock);
+        assert_eq!((release.cycle, release.release_ns, release.skipped), (5, 500, 3));
+        clock.late_ns.set(0);
+        assert_eq!(schedule.wait(&clock).cycle, 6);
+    }
+
+    #[test]
+    fn a_long_computation_skips_too() {
+        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        schedule.wait(&clock);
+        clock.now_ns.set(330);
+        let release = schedule.wait(&clock);
+        assert_eq!((release.cycle, release.skipped), (4, 2));
+    }
+}

@@ -1,0 +1,79 @@
+//! The few things that no safe crate offers. The only `unsafe` code of the workspace is here.
+//!
+//! One operation per block; each says why it is sound.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::io;
+
+/// Gives the calling thread `SCHED_FIFO` at `priority` (1 ..= 99).
+///
+/// # Errors
+/// What the kernel says; `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
+pub fn set_fifo(priority: i32) -> io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority };
+    // SAFETY: pid 0 is the calling thread; `parameters` is a valid sched_param for the whole call,
+    // and the kernel only reads it.
+    let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) };
+    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}
+
+/// Keeps freed memory in the process, so that no later allocation asks the kernel for pages.
+///
+/// Only glibc has the knob; elsewhere this does nothing.
+pub fn keep_freed_memory() {
+    #[cfg(target_env = "gnu")]
+    for (option, value) in [(libc::M_TRIM_THRESHOLD, -1), (libc::M_MMAP_MAX, 0)] {
+        // SAFETY: mallopt takes two integers and touches only the allocator's own settings.
+        unsafe { libc::mallopt(option, value) };
+    }
+}
+
+thread_local! {
+    static COUNTED: Cell<bool> = const { Cell::new(false) };
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// The system allocator, with a count of what one thread takes and gives back while it is watched.
+///
+/// A test binary installs it with `#[global_allocator]` and watches the cycle thread.
+#[derive(Debug, Default)]
+pub struct CountingAllocator;
+
+/// Heap operations (allocate, grow, free) of the calling thread while `work` runs, and its result.
+/// Zero unless [`CountingAllocator`] is the global allocator.
+pub fn count_allocations<R>(work: impl FnOnce() -> R) -> (u64, R) {
+    ALLOCATIONS.set(0);
+    COUNTED.set(true);
+    let result = work();
+    COUNTED.set(false);
+    (ALLOCATIONS.get(), result)
+}
+
+fn count() {
+    if COUNTED.get() {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+    }
+}
+
+// SAFETY: every method counts in a const-initialised thread-local without a destructor, which neither
+// allocates nor unwinds, and hands the call on to the system allocator unchanged.
+unsafe impl GlobalAlloc for CountingAllocator {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller keeps the contract of `alloc`, which is the same.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
+        count();
+        // SAFETY: `memory` came from `System` through `alloc` or `realloc` with this layout.
+        unsafe { System.dealloc(memory, layout) }
+    }
+
+    unsafe fn realloc(&self, memory: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
+        count();
+        // SAFETY: `memory` came from `System` with this layout; the caller vouches for `new_size`.
+        unsafe { System.realloc(memory, layout, new_size) }
+    }
+}
