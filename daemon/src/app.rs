@@ -5,6 +5,7 @@
 //! go.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{Builder, JoinHandle, Thread};
 use std::time::Duration;
@@ -40,30 +41,42 @@ const STACK_BYTES: usize = 2 * 1024 * 1024;
 /// # Errors
 /// When it cannot start, or a thread ended by itself.
 pub fn run(validated: &Validated) -> Result<()> {
-    let signals = [SIGINT, SIGTERM].map(|signal| {
-        let flag = Arc::default();
-        signal_hook::flag::register(signal, Arc::clone(&flag)).map(|_| flag)
-    });
-    let signals = signals.into_iter().collect::<Result<Vec<_>, _>>().context("signals")?;
-    let signalled = move || {
-        use std::sync::atomic::Ordering;
-        signals.iter().any(|flag: &Arc<std::sync::atomic::AtomicBool>| flag.load(Ordering::Relaxed))
-    };
+    let ending = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        signal_hook::flag::register(signal, Arc::clone(&ending)).context("signals")?;
+    }
+    run_until(validated, || ending.load(Ordering::Relaxed), |life| life())
+}
+
+/// What is put around the life of the cycle thread. It has to call its argument once.
+pub type CycleWatch = fn(&mut dyn FnMut());
+
+/// Runs the daemon until `should_end` says so. `watch` is put around the life of the cycle thread, for
+/// tests that observe it from inside; see [`count_allocations`](crate::rt::sys::count_allocations).
+///
+/// # Errors
+/// As [`run`].
+pub fn run_until(
+    validated: &Validated,
+    should_end: impl FnMut() -> bool,
+    watch: CycleWatch,
+) -> Result<()> {
     let _instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
     match validated.config.link.kind {
         LinkKind::Simulated => {
             let plant = KinematicPlant::new(&validated.robot, validated.initial)
                 .with_extrapolate_max_s(validated.config.link.command_valid_ms * 1e-3);
-            run_with(validated, SimulatedRobot::new(plant), signalled)
+            run_with(validated, SimulatedRobot::new(plant), should_end, watch)
         }
-        LinkKind::Driver => run_with(validated, DriverLink, signalled),
+        LinkKind::Driver => run_with(validated, DriverLink, should_end, watch),
     }
 }
 
 fn run_with<L: RobotLink + Send + 'static>(
     validated: &Validated,
     link: L,
-    signalled: impl FnMut() -> bool,
+    should_end: impl FnMut() -> bool,
+    watch: CycleWatch,
 ) -> Result<()> {
     let daemon_id = random_id();
     let shared = Arc::new(Shared::default());
@@ -71,20 +84,48 @@ fn run_with<L: RobotLink + Send + 'static>(
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, summaries, daemon_id)?;
 
-    let (exchange, exchange_start) = spawn_exchange(validated, exchange_ends, &shared, daemon_id)?;
+    let exchange = spawn_exchange(validated, exchange_ends, &shared, daemon_id)?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
-    let waker = exchange.thread().clone();
-    let (cycle, cycle_start) = spawn_cycle(validated, cycle, cycle_ends, &shared, waker)?;
+    let waker = exchange.handle.thread().clone();
+    let cycle = spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch)?;
 
-    let missing = arm(validated, [&exchange_start, &cycle_start])?;
-    let core = choose_core(&validated.config.realtime).unwrap_or(0);
-    supervisor.set_realtime(missing, core);
-
+    let missing = match arm(validated, [&exchange, &cycle]) {
+        Ok(missing) => missing,
+        Err(error) => {
+            // Both threads end when their starter goes, and clean up.
+            cycle.join()?;
+            exchange.join()?;
+            return Err(error);
+        }
+    };
+    supervisor.set_realtime(
+        missing,
+        choose_core(&validated.config.realtime).unwrap_or(0),
+    );
     let clock = MonotonicClock;
-    let schedule = Schedule::new(clock.now_ns() + START_DELAY_NS, ns(validated.config.cycle.period_ms));
+    let schedule = Schedule::new(
+        clock.now_ns() + START_DELAY_NS,
+        ns(validated.config.cycle.period_ms),
+    );
     shared.set_origin_ns(schedule.release_ns(0));
-    exchange_start.go(&schedule);
-    cycle_start.go(&schedule);
+    exchange.go(&schedule);
+    cycle.go(&schedule);
+    announce(validated);
+    supervisor.run(&clock, &shared, should_end, || {
+        // A thread that ends by itself takes the process with it.
+        if cycle.handle.is_finished() || exchange.handle.is_finished() {
+            shared.end();
+            shared.set_cycle_ended();
+        }
+        cycle.handle.is_finished() && exchange.handle.is_finished()
+    });
+    cycle.join()?;
+    exchange.join()?;
+    tracing::info!("ended");
+    Ok(())
+}
+
+fn announce(validated: &Validated) {
     tracing::info!(
         robot = validated.config.robot.name,
         prefix = validated.location.prefix(),
@@ -93,26 +134,10 @@ fn run_with<L: RobotLink + Send + 'static>(
         period_ms = validated.config.cycle.period_ms,
         "running"
     );
-    supervisor.run(&clock, &shared, signalled, || {
-        // A thread that ends by itself takes the process with it.
-        if cycle.is_finished() || exchange.is_finished() {
-            shared.end();
-            shared.set_cycle_ended();
-        }
-        cycle.is_finished() && exchange.is_finished()
-    });
-    let results = [(cycle.join(), "cycle"), (exchange.join(), "exchange")];
-    for (result, name) in results {
-        if result.is_err() {
-            bail!("the {name} thread panicked");
-        }
-    }
-    tracing::info!("ended");
-    Ok(())
 }
 
 /// Locks memory and makes the threads real-time. Returns what is missing.
-fn arm(validated: &Validated, threads: [&Starter; 2]) -> Result<u32> {
+fn arm(validated: &Validated, threads: [&Started; 2]) -> Result<u32> {
     for thread in threads {
         thread.wait_ready()?;
     }
@@ -141,12 +166,18 @@ fn spawn_exchange(
     ends: ExchangeEnds,
     shared: &Arc<Shared>,
     daemon_id: u64,
-) -> Result<(JoinHandle<()>, Starter)> {
-    let plan = ThreadPlan::new(&validated.config.realtime, validated.config.realtime.exchange_priority);
+) -> Result<Started> {
+    let plan = ThreadPlan::new(
+        &validated.config.realtime,
+        validated.config.realtime.exchange_priority,
+    );
+    let name = "cdcr-exchange";
     let (starter, stage) = start_stages();
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
-    let thread = Builder::new().name("cdcr-exchange".to_owned()).stack_size(STACK_BYTES).spawn(
-        move || {
+    let handle = Builder::new()
+        .name(name.to_owned())
+        .stack_size(STACK_BYTES)
+        .spawn(move || {
             // iceoryx2's ports stay in the thread that made them.
             let built = services::node(&validated.location).and_then(|node| {
                 let ports = services::Ports::create(&node, &validated.config.robot.name)?;
@@ -162,9 +193,12 @@ fn spawn_exchange(
             }
             drop(exchange);
             drop(node);
-        },
-    )?;
-    Ok((thread, starter))
+        })?;
+    Ok(Started {
+        handle,
+        starter,
+        name,
+    })
 }
 
 fn spawn_cycle<L: RobotLink + Send + 'static>(
@@ -173,20 +207,40 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
     mut ends: CycleEnds,
     shared: &Arc<Shared>,
     exchange: Thread,
-) -> Result<(JoinHandle<()>, Starter)> {
-    let plan = ThreadPlan::new(&validated.config.realtime, validated.config.realtime.cycle_priority);
+    watch: CycleWatch,
+) -> Result<Started> {
+    let plan = ThreadPlan::new(
+        &validated.config.realtime,
+        validated.config.realtime.cycle_priority,
+    );
+    let name = "cdcr-cycle";
     let (starter, stage) = start_stages();
     let shared = Arc::clone(shared);
-    let thread = Builder::new().name("cdcr-cycle".to_owned()).stack_size(STACK_BYTES).spawn(
-        move || {
+    let handle = Builder::new()
+        .name(name.to_owned())
+        .stack_size(STACK_BYTES)
+        .spawn(move || {
             if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up()) {
-                run_cycles(&mut cycle, &mut ends, &mut schedule, &MonotonicClock, &shared, &exchange);
+                let clock = MonotonicClock;
+                watch(&mut || {
+                    run_cycles(
+                        &mut cycle,
+                        &mut ends,
+                        &mut schedule,
+                        &clock,
+                        &shared,
+                        &exchange,
+                    );
+                });
             }
             shared.set_cycle_ended();
             exchange.unpark();
-        },
-    )?;
-    Ok((thread, starter))
+        })?;
+    Ok(Started {
+        handle,
+        starter,
+        name,
+    })
 }
 
 /// The life of the cycle thread: sleep to the release, run the cycle, hand the record on, wake the
@@ -204,7 +258,11 @@ pub fn run_cycles<L: RobotLink>(
         let release = schedule.wait(clock);
         if shared.is_ending() {
             cycle.shut_down();
-            cycles_to_rest = if cycle.is_at_rest() { 0 } else { cycles_to_rest - 1 };
+            cycles_to_rest = if cycle.is_at_rest() {
+                0
+            } else {
+                cycles_to_rest - 1
+            };
         }
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
@@ -213,6 +271,14 @@ pub fn run_cycles<L: RobotLink>(
         }
         exchange.unpark();
     }
+}
+
+/// A thread that was started.
+#[derive(Debug)]
+struct Started {
+    handle: JoinHandle<()>,
+    starter: Starter,
+    name: &'static str,
 }
 
 /// The main thread's end of a thread that gets ready step by step.
@@ -238,25 +304,47 @@ fn start_stages() -> (Starter, Stage) {
     let (arm_in, arm_out) = channel();
     let (armed_in, armed_out) = channel();
     let (go_in, go_out) = channel();
-    let starter = Starter { ready: ready_out, arm: arm_in, armed: armed_out, go: go_in };
-    let stage = Stage { ready: ready_in, arm: arm_out, armed: armed_in, go: go_out };
+    let starter = Starter {
+        ready: ready_out,
+        arm: arm_in,
+        armed: armed_out,
+        go: go_in,
+    };
+    let stage = Stage {
+        ready: ready_in,
+        arm: arm_out,
+        armed: armed_in,
+        go: go_out,
+    };
     (starter, stage)
 }
 
-impl Starter {
+impl Started {
     fn wait_ready(&self) -> Result<()> {
-        self.ready.recv_timeout(START_TIMEOUT).context("a thread did not get ready")?
+        let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
+        answer.with_context(|| format!("the thread {} did not get ready", self.name))?
     }
 
     /// Lets the thread become real-time; returns what is missing.
     fn arm(&self) -> Result<u32> {
-        self.arm.send(()).context("a thread ended while starting")?;
-        self.armed.recv_timeout(START_TIMEOUT).context("a thread did not become real-time")
+        // A thread that is gone does not answer, either.
+        let _ = self.starter.arm.send(());
+        let answer = self.starter.armed.recv_timeout(START_TIMEOUT);
+        answer.with_context(|| format!("the thread {} did not become real-time", self.name))
     }
 
     fn go(&self, schedule: &Schedule) {
         // A thread that ended meanwhile is found by the supervisor.
-        let _ = self.go.send(schedule.clone());
+        let _ = self.starter.go.send(schedule.clone());
+    }
+
+    /// Waits for its end. A thread that was not told to go gives up when its starter goes.
+    fn join(self) -> Result<()> {
+        drop(self.starter);
+        match self.handle.join() {
+            Ok(()) => Ok(()),
+            Err(_) => bail!("the thread {} panicked", self.name),
+        }
     }
 }
 

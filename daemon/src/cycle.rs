@@ -109,7 +109,12 @@ impl<L: RobotLink> Cycle<L> {
         validated: &Validated,
         link: L,
     ) -> Result<Self, cdcr_controller::nmpc::SettingsError> {
-        let Validated { config, robot, initial, .. } = validated;
+        let Validated {
+            config,
+            robot,
+            initial,
+            ..
+        } = validated;
         let period_ns = ns(config.cycle.period_ms);
         let deadline_ns = match ns(config.cycle.deadline_ms) {
             0 => period_ns,
@@ -140,7 +145,10 @@ impl<L: RobotLink> Cycle<L> {
     pub fn warm_up(&mut self) {
         let sample = ReferenceSample {
             state: cdcr_controller::reference::ReferenceState::Inside,
-            position_m: self.robot.tip_position(self.estimator.configuration().as_slice()) * 0.99,
+            position_m: self
+                .robot
+                .tip_position(self.estimator.configuration().as_slice())
+                * 0.99,
             ..ReferenceSample::default()
         };
         for seed in 0..20 {
@@ -242,11 +250,22 @@ impl<L: RobotLink> Cycle<L> {
         }
     }
 
-    fn estimate(&mut self, measurement: Option<TimedMeasurement>, release: &Release, elapsed_ns: u64) {
-        self.estimator.predict(&self.rates, elapsed_ns as f64 * 1e-9);
-        if let Some(TimedMeasurement { measurement, measured_ns }) = measurement {
+    fn estimate(
+        &mut self,
+        measurement: Option<TimedMeasurement>,
+        release: &Release,
+        elapsed_ns: u64,
+    ) {
+        self.estimator
+            .predict(&self.rates, elapsed_ns as f64 * 1e-9);
+        if let Some(TimedMeasurement {
+            measurement,
+            measured_ns,
+        }) = measurement
+        {
             let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
-            self.estimator.correct(&self.robot, &measurement, &self.rates, age_s);
+            self.estimator
+                .correct(&self.robot, &measurement, &self.rates, age_s);
         }
     }
 
@@ -262,7 +281,10 @@ impl<L: RobotLink> Cycle<L> {
             measured: measurement.is_some(),
             reference: reference.state,
             lease_held: inputs.lease_held,
-            at_home: bends.as_slice().iter().all(|bend| bend.abs() < HOME_TOLERANCE_RAD),
+            at_home: bends
+                .as_slice()
+                .iter()
+                .all(|bend| bend.abs() < HOME_TOLERANCE_RAD),
             misses_overflow: self.accounting.bucket().overflows(),
             fault: self.fault(measurement, release),
         }
@@ -277,9 +299,14 @@ impl<L: RobotLink> Cycle<L> {
         if !estimate.is_finite() {
             return Some(Reason::NonFinite);
         }
-        let beyond = self.robot.sections().iter().enumerate().any(|(index, section)| {
-            estimate.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD
-        });
+        let beyond = self
+            .robot
+            .sections()
+            .iter()
+            .enumerate()
+            .any(|(index, section)| {
+                estimate.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD
+            });
         beyond.then_some(Reason::LimitBroken)
     }
 
@@ -307,9 +334,11 @@ impl<L: RobotLink> Cycle<L> {
         let period_s = self.period_ns as f64 * 1e-9;
         let rates = match self.modes.mode() {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
-            Mode::Homing => {
-                homing_rates(self.estimator.configuration(), self.motion.home_rate_rad_s, period_s)
-            }
+            Mode::Homing => homing_rates(
+                self.estimator.configuration(),
+                self.motion.home_rate_rad_s,
+                period_s,
+            ),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
                 ramp_to_zero(&self.rates, self.motion.deceleration_rad_s2, period_s)
             }
@@ -330,7 +359,9 @@ impl<L: RobotLink> Cycle<L> {
         let input = SolveInput {
             configuration: self.estimator.configuration(),
             previous_rates: &self.rates,
-            reference: inputs.window.ahead(release.cycle, settings.horizon_steps as usize),
+            reference: inputs
+                .window
+                .ahead(release.cycle, settings.horizon_steps as usize),
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };

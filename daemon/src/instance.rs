@@ -63,7 +63,11 @@ impl Instance {
     /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(location: &Location, robot: &str) -> Result<Self, InstanceError> {
         let root = location.root();
-        DirBuilder::new().recursive(true).mode(0o750).create(root).map_err(|cause| file_error(root, cause))?;
+        DirBuilder::new()
+            .recursive(true)
+            .mode(0o750)
+            .create(root)
+            .map_err(|cause| file_error(root, cause))?;
         check_owner(root)?;
         let path = root.join(format!("{}{robot}.lock", location.prefix()));
         let mut file = OpenOptions::new()
@@ -87,7 +91,11 @@ impl Instance {
             Err(TryLockError::Error(cause)) => return Err(file_error(&path, cause)),
         }
         write_process_id(&mut file).map_err(|cause| file_error(&path, cause))?;
-        Ok(Self { path, location: location.clone(), _locked: file })
+        Ok(Self {
+            path,
+            location: location.clone(),
+            _locked: file,
+        })
     }
 }
 
@@ -100,16 +108,25 @@ impl Drop for Instance {
 }
 
 fn check_owner(root: &Path) -> Result<(), InstanceError> {
-    let owner = std::fs::metadata(root).map_err(|cause| file_error(root, cause))?.uid();
+    let owner = std::fs::metadata(root)
+        .map_err(|cause| file_error(root, cause))?
+        .uid();
     let user = rustix::process::geteuid().as_raw();
     if owner == user {
         return Ok(());
     }
-    Err(InstanceError::ForeignRoot { root: root.display().to_string(), owner, user })
+    Err(InstanceError::ForeignRoot {
+        root: root.display().to_string(),
+        owner,
+        user,
+    })
 }
 
 fn file_error(path: &Path, cause: std::io::Error) -> InstanceError {
-    InstanceError::File { path: path.display().to_string(), cause }
+    InstanceError::File {
+        path: path.display().to_string(),
+        cause,
+    }
 }
 
 fn owner_of(file: &mut File) -> String {

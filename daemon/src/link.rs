@@ -18,7 +18,10 @@ pub struct SimulatedRobot {
 impl SimulatedRobot {
     /// A simulated robot.
     pub fn new(plant: KinematicPlant) -> Self {
-        Self { plant, now_ns: None }
+        Self {
+            plant,
+            now_ns: None,
+        }
     }
 }
 

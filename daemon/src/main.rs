@@ -11,7 +11,11 @@ use tracing_subscriber::EnvFilter;
 
 /// Real-time control daemon for cable-driven continuum robots.
 #[derive(Debug, Parser)]
-#[command(version, about, after_help = "Example: cdcrd run --config configs/default.toml")]
+#[command(
+    version,
+    about,
+    after_help = "Example: cdcrd run --config configs/default.toml"
+)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
@@ -103,7 +107,7 @@ fn execute(command: Command) -> Result<()> {
     match command {
         Command::Run(source) => app::run(&source.load()?),
         Command::Check(source) => {
-            print!("{}", describe(&source.load()?));
+            describe(&source.load()?);
             Ok(())
         }
         Command::Config(ConfigCommand::Default) => {
@@ -113,20 +117,25 @@ fn execute(command: Command) -> Result<()> {
     }
 }
 
-/// What would run, in words.
-fn describe(validated: &Validated) -> String {
-    let Validated { config, robot, location, .. } = validated;
-    let mut text = format!(
-        "the configuration is good\n\
-         robot      {} ({:?}), {} sections, reach {:.3} m\n",
+/// Says what would run, in words.
+fn describe(validated: &Validated) {
+    let Validated {
+        config,
+        robot,
+        location,
+        ..
+    } = validated;
+    println!("the configuration is good");
+    println!(
+        "robot      {} ({:?}), {} sections, reach {:.3} m",
         config.robot.name,
         config.link.kind,
         robot.section_count(),
         robot.reach_m()
     );
     for (index, section) in robot.sections().iter().enumerate() {
-        text += &format!(
-            "  section {}  length {} m, bend ≤ {} rad, rate ≤ {} rad/s, cables at {} m\n",
+        println!(
+            "  section {}  length {} m, bend ≤ {} rad, rate ≤ {} rad/s, cables at {} m",
             index + 1,
             section.length_m,
             section.bend_max_rad,
@@ -135,18 +144,21 @@ fn describe(validated: &Validated) -> String {
         );
     }
     let nmpc = &config.controller;
-    text + &format!(
-        "cycle      {} ms, {:?} real time\n\
-         controller {:?}, N = {}, swarm {} x {}, {} refinement steps\n\
-         transport  prefix {} below {}\n",
-        config.cycle.period_ms,
-        config.realtime.mode,
+    println!(
+        "cycle      {} ms, {:?} real time",
+        config.cycle.period_ms, config.realtime.mode
+    );
+    println!(
+        "controller {:?}, N = {}, swarm {} x {}, {} refinement steps",
         nmpc.solver,
         nmpc.horizon_steps,
         nmpc.swarm_size,
         nmpc.swarm_iterations,
-        nmpc.refinement_steps,
+        nmpc.refinement_steps
+    );
+    println!(
+        "transport  prefix {} below {}",
         location.prefix(),
         location.root().display()
-    )
+    );
 }

@@ -135,7 +135,10 @@ impl Supervisor {
         if missing == 0 {
             tracing::info!(core, "real time: SCHED_FIFO, pinned, memory locked");
         }
-        for (_, name, remedy) in realtime::ALL.iter().filter(|(bit, _, _)| missing & bit != 0) {
+        for (_, name, remedy) in realtime::ALL
+            .iter()
+            .filter(|(bit, _, _)| missing & bit != 0)
+        {
             tracing::warn!("not real time: {name} is missing; {remedy}");
         }
     }
@@ -241,7 +244,10 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
     let config = &validated.config;
     let period_ns = ns(config.cycle.period_ms);
     wire::Status {
-        header: wire::Header { sender_id: daemon_id, ..wire::Header::default() },
+        header: wire::Header {
+            sender_id: daemon_id,
+            ..wire::Header::default()
+        },
         robot_name: convert::text(&config.robot.name),
         build: convert::text(env!("CARGO_PKG_VERSION")),
         process_id: std::process::id(),

@@ -1,1 +1,276 @@
-//! x
+//! What the tests of the whole system share: a real daemon as a real process, on a prefix of its own.
+//!
+//! Binaries are found beside the test executable, where cargo puts them. Whatever a test leaves
+//! behind, a panic included, is removed when its [`Daemon`] is dropped.
+
+#![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, TelemetryStream};
+use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::{Location, Status, Telemetry};
+use rustix::process::{Pid, Signal, kill_process};
+
+/// Robot name of every test.
+pub const ROBOT: &str = "cdcr";
+/// How long anything may take before a test gives up. Generous: machines stall.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Path of one of our binaries.
+pub fn binary(name: &str) -> PathBuf {
+    let test = std::env::current_exe().expect("the test has a path");
+    let folder = test
+        .ancestors()
+        .nth(2)
+        .expect("target/<profile>/deps/<test>");
+    let path = folder.join(name);
+    assert!(
+        path.exists(),
+        "{} is not built; run `cargo test --workspace`",
+        path.display()
+    );
+    path
+}
+
+/// A place in shared memory that no other test uses. Removed when dropped.
+#[derive(Debug)]
+pub struct Place {
+    location: Location,
+    folder: tempfile::TempDir,
+}
+
+impl Place {
+    /// A fresh place.
+    pub fn new() -> Self {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let prefix = format!("cdcrtest_{}_{count}_", std::process::id());
+        let folder = tempfile::Builder::new()
+            .prefix("cdcrtest")
+            .tempdir()
+            .expect("a folder");
+        let location = Location::new(&prefix, &folder.path().join("root")).expect("a legal place");
+        Self { location, folder }
+    }
+
+    /// Where daemon and clients meet.
+    pub fn location(&self) -> &Location {
+        &self.location
+    }
+
+    /// A file in the place's folder.
+    pub fn write(&self, name: &str, text: &str) -> PathBuf {
+        let path = self.folder.path().join(name);
+        std::fs::write(&path, text).expect("the folder is writable");
+        path
+    }
+
+    /// The place's folder.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Files of this place that are in shared memory.
+    pub fn shared_memory_files(&self) -> Vec<String> {
+        let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm");
+        let names = entries
+            .flatten()
+            .map(|entry| entry.file_name().to_string_lossy().into_owned());
+        names
+            .filter(|name| name.starts_with(self.location.prefix()))
+            .collect()
+    }
+
+    /// A command of ours that looks at this place.
+    pub fn command(&self, name: &str) -> Command {
+        let mut command = Command::new(binary(name));
+        command
+            .env_remove("CDCR_CONFIG")
+            .env("CDCR_ROBOT", ROBOT)
+            .env("CDCR_PREFIX", self.location.prefix())
+            .env("CDCR_ROOT", self.location.root())
+            .stdin(Stdio::null());
+        command
+    }
+
+    /// Runs `cdcrctl` with `arguments` to its end.
+    pub fn cdcrctl(&self, arguments: &[&str]) -> Output {
+        self.command("cdcrctl")
+            .args(arguments)
+            .output()
+            .expect("cdcrctl runs")
+    }
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        for name in self.shared_memory_files() {
+            let _ = std::fs::remove_file(Path::new("/dev/shm").join(name));
+        }
+    }
+}
+
+/// A running `cdcrd`.
+#[derive(Debug)]
+pub struct Daemon {
+    place: Place,
+    child: Child,
+    log: PathBuf,
+    configuration: String,
+}
+
+impl Daemon {
+    /// Starts a daemon with `configuration` (TOML) at a fresh place, and waits until it is up.
+    pub fn start(configuration: &str) -> Self {
+        let place = Place::new();
+        let log = place.folder().join("cdcrd.log");
+        let child = spawn(&place, configuration, &log);
+        let daemon = Self {
+            place,
+            child,
+            log,
+            configuration: configuration.to_owned(),
+        };
+        daemon.wait_until_up();
+        daemon
+    }
+
+    /// Starts it again after its end, at the same place.
+    pub fn restart(&mut self) {
+        self.child = spawn(&self.place, &self.configuration, &self.log);
+        self.wait_until_up();
+    }
+
+    /// Where it is.
+    pub fn place(&self) -> &Place {
+        &self.place
+    }
+
+    /// A new connection to it.
+    pub fn connect(&self) -> Connection {
+        Connection::open(self.place.location(), ROBOT)
+            .unwrap_or_else(|error| panic!("{error}\n{}", self.log()))
+    }
+
+    /// What it logged so far.
+    pub fn log(&self) -> String {
+        std::fs::read_to_string(&self.log).unwrap_or_default()
+    }
+
+    fn wait_until_up(&self) {
+        let begin = Instant::now();
+        while Connection::open(self.place.location(), ROBOT).is_err() {
+            assert!(
+                begin.elapsed() < PATIENCE,
+                "the daemon did not come up:\n{}",
+                self.log()
+            );
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, signal: Signal) {
+        let id = Pid::from_child(&self.child);
+        kill_process(id, signal).expect("the daemon runs");
+    }
+
+    /// Asks it to end, and waits for it.
+    pub fn stop(&mut self) -> ExitStatus {
+        self.signal(Signal::TERM);
+        self.wait()
+    }
+
+    /// Waits for its end after a signal was sent.
+    pub fn stop_after_signal(&mut self) -> ExitStatus {
+        self.wait()
+    }
+
+    /// Kills it outright. The child is reaped: before that, it is not dead for iceoryx2.
+    pub fn kill(&mut self) {
+        self.signal(Signal::KILL);
+        self.wait();
+    }
+
+    fn wait(&mut self) -> ExitStatus {
+        let begin = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("it is our child") {
+                return status;
+            }
+            assert!(
+                begin.elapsed() < PATIENCE,
+                "the daemon does not end:\n{}",
+                self.log()
+            );
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
+        }
+    }
+}
+
+fn spawn(place: &Place, configuration: &str, log: &Path) -> Child {
+    let path = place.write("robot.toml", configuration);
+    let log = std::fs::File::create(log).expect("the folder is writable");
+    place
+        .command("cdcrd")
+        .args(["run", "--config"])
+        .arg(path)
+        .stdout(Stdio::null())
+        .stderr(log)
+        .spawn()
+        .expect("cdcrd starts")
+}
+
+/// Waits for a record that satisfies `is_it`.
+pub fn wait_record(
+    stream: &mut TelemetryStream,
+    mut is_it: impl FnMut(&Telemetry) -> bool,
+) -> Telemetry {
+    let begin = Instant::now();
+    loop {
+        if let Some(record) = stream.try_next().expect("the daemon lives")
+            && is_it(&record)
+        {
+            return record;
+        }
+        assert!(begin.elapsed() < PATIENCE, "no such record");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Waits for a record in `mode`.
+pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
+    wait_record(stream, |record| record.mode == mode.code())
+}
+
+/// Waits for a status that satisfies `is_it`.
+pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> Status {
+    let begin = Instant::now();
+    loop {
+        let status = connection.status(PATIENCE).expect("a status");
+        if is_it(&status) {
+            return status;
+        }
+        assert!(begin.elapsed() < PATIENCE, "no such status: {status:?}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}

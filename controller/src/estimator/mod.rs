@@ -60,9 +60,9 @@ impl Estimator {
     ) -> &Configuration {
         self.estimate = match measurement {
             Measurement::Configuration(measured) => measured.advanced(rates, age_s),
-            Measurement::CableLengths(lengths) => {
-                robot.bend_from_cable_lengths(lengths).advanced(rates, age_s)
-            }
+            Measurement::CableLengths(lengths) => robot
+                .bend_from_cable_lengths(lengths)
+                .advanced(rates, age_s),
             Measurement::TipPosition(position_m) => {
                 let then = self.estimate.advanced(rates, -age_s);
                 nearest_with_tip(robot, then, *position_m).advanced(rates, age_s)
@@ -73,7 +73,11 @@ impl Estimator {
 }
 
 /// The configuration nearest to `start` whose tip is at `position_m`, by damped least squares.
-fn nearest_with_tip(robot: &Robot, start: Configuration, position_m: Vector3<f64>) -> Configuration {
+fn nearest_with_tip(
+    robot: &Robot,
+    start: Configuration,
+    position_m: Vector3<f64>,
+) -> Configuration {
     let mut estimate = start;
     let mut jacobian = Jacobian::default();
     for _ in 0..TIP_STEPS {
@@ -110,7 +114,8 @@ mod tests {
         let rates = BendRates::from_slice(&[1.0, -2.0]).expect("one section");
         let measured = Configuration::from_slice(&[0.1, 0.2]).expect("one section");
         let mut estimator = Estimator::new(Configuration::straight(1));
-        let estimate = estimator.correct(&robot, &Measurement::Configuration(measured), &rates, 0.01);
+        let estimate =
+            estimator.correct(&robot, &Measurement::Configuration(measured), &rates, 0.01);
         assert!((estimate.as_slice()[0] - 0.11).abs() < 1e-15);
         let lengths = robot.cable_lengths(measured.as_slice());
         let estimate = estimator.correct(&robot, &Measurement::CableLengths(lengths), &rates, 0.0);

@@ -59,7 +59,11 @@ impl Horizon {
         let elapsed = elapsed.min(HORIZON_STEPS_MAX as u64) as usize;
         for (block, target) in into.chunks_exact_mut(width).enumerate() {
             let step = usize::from(self.first_step[block]) + elapsed;
-            let source = if step < self.steps { self.block_of(step) } else { self.blocks - 1 };
+            let source = if step < self.steps {
+                self.block_of(step)
+            } else {
+                self.blocks - 1
+            };
             target.copy_from_slice(&plan[source * width..][..width]);
         }
     }
@@ -82,10 +86,15 @@ mod tests {
         for steps in 1..=50 {
             for blocks in 0..=steps {
                 let horizon = horizon(steps, blocks);
-                let of: Vec<_> = (0..horizon.steps()).map(|step| horizon.block_of(step)).collect();
+                let of: Vec<_> = (0..horizon.steps())
+                    .map(|step| horizon.block_of(step))
+                    .collect();
                 assert_eq!(of[0], 0);
                 assert_eq!(of[of.len() - 1], horizon.blocks() - 1);
-                assert!(of.windows(2).all(|pair| pair[1] == pair[0] || pair[1] == pair[0] + 1));
+                assert!(
+                    of.windows(2)
+                        .all(|pair| pair[1] == pair[0] || pair[1] == pair[0] + 1)
+                );
             }
         }
     }

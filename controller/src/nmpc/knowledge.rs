@@ -36,7 +36,8 @@ impl Knowledge {
 
         let held = input.previous_rates.as_slice();
         self.scratch.clear();
-        self.scratch.extend((0..dimension).map(|i| held[i % held.len()]));
+        self.scratch
+            .extend((0..dimension).map(|i| held[i % held.len()]));
         bounds.project(&mut self.scratch);
         self.judge(problem, Candidate::Previous, budget, incumbent);
 

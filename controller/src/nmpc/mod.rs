@@ -107,8 +107,13 @@ impl Nmpc {
     fn apply(&mut self, settings: NmpcSettings) {
         self.settings = settings;
         self.horizon = Horizon::new(&settings);
-        let rate_limits = self.robot.sections().iter().flat_map(|s| [s.rate_max_rad_s; 2]);
-        self.bounds.set_symmetric(rate_limits, self.horizon.blocks());
+        let rate_limits = self
+            .robot
+            .sections()
+            .iter()
+            .flat_map(|s| [s.rate_max_rad_s; 2]);
+        self.bounds
+            .set_symmetric(&rate_limits, self.horizon.blocks());
         self.plan.resize(self.unknowns(), 0.0);
         self.warm_plan.resize(self.unknowns(), 0.0);
     }
@@ -169,7 +174,8 @@ impl Nmpc {
             &self.horizon,
             input,
         );
-        self.horizon.shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
+        self.horizon
+            .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
         self.bounds.project(&mut self.warm_plan);
         let warm_cost = problem.cost(&self.warm_plan);
         self.incumbent.restart(&self.warm_plan, warm_cost);

@@ -40,7 +40,9 @@ impl<'a> TrackingProblem<'a> {
 
     /// Whether there is a reference to follow.
     pub(super) fn is_posed(&self) -> bool {
-        self.reference.iter().any(|sample| sample.state != ReferenceState::None)
+        self.reference
+            .iter()
+            .any(|sample| sample.state != ReferenceState::None)
     }
 
     fn width(&self) -> usize {
@@ -56,7 +58,12 @@ impl<'a> TrackingProblem<'a> {
     /// Weight of the position error after step `step`: with ω on the last.
     fn position_weight(&self, step: usize) -> f64 {
         let last = step + 1 == self.horizon.steps();
-        self.settings.position_weight * if last { self.settings.terminal_weight } else { 1.0 }
+        self.settings.position_weight
+            * if last {
+                self.settings.terminal_weight
+            } else {
+                1.0
+            }
     }
 
     /// Eq. 4: one period with the rates of the step's block.
@@ -75,14 +82,21 @@ impl<'a> TrackingProblem<'a> {
 
     /// Weights on the rates and on their change from block to block.
     fn regularisation(&self, z: &[f64]) -> f64 {
-        let NmpcSettings { rate_weight, rate_change_weight, .. } = *self.settings;
+        let NmpcSettings {
+            rate_weight,
+            rate_change_weight,
+            ..
+        } = *self.settings;
         let mut cost = 0.0;
         if rate_weight > 0.0 {
             cost += rate_weight * z.iter().map(|rate| rate * rate).sum::<f64>();
         }
         if rate_change_weight > 0.0 {
             let before = self.previous_rates.iter().chain(z);
-            let changes = z.iter().zip(before).map(|(rate, before)| (rate - before).powi(2));
+            let changes = z
+                .iter()
+                .zip(before)
+                .map(|(rate, before)| (rate - before).powi(2));
             cost += rate_change_weight * changes.sum::<f64>();
         }
         cost
@@ -102,7 +116,10 @@ impl<'a> TrackingProblem<'a> {
             let row = model.push(scale * error[axis]);
             for (block, &periods) in block_periods.iter().enumerate() {
                 let factor = scale * self.period_s * periods;
-                for (i, derivative) in row[block * self.width()..][..self.width()].iter_mut().enumerate() {
+                for (i, derivative) in row[block * self.width()..][..self.width()]
+                    .iter_mut()
+                    .enumerate()
+                {
                     *derivative = factor * jacobian.column(i)[axis];
                 }
             }
@@ -110,7 +127,11 @@ impl<'a> TrackingProblem<'a> {
     }
 
     fn push_regularisation_rows(&self, z: &[f64], model: &mut LinearModel) {
-        let NmpcSettings { rate_weight, rate_change_weight, .. } = *self.settings;
+        let NmpcSettings {
+            rate_weight,
+            rate_change_weight,
+            ..
+        } = *self.settings;
         if rate_weight > 0.0 {
             let scale = rate_weight.sqrt();
             for (i, rate) in z.iter().enumerate() {

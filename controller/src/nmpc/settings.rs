@@ -146,30 +146,63 @@ impl NmpcSettings {
     /// [`SettingsError`] for the first that is outside, NaN included.
     pub fn validate(&self) -> Result<(), SettingsError> {
         let checks = [
-            ("horizon_steps", f64::from(self.horizon_steps), ranges::HORIZON_STEPS),
-            ("control_blocks", f64::from(self.control_blocks), ranges::CONTROL_BLOCKS),
+            (
+                "horizon_steps",
+                f64::from(self.horizon_steps),
+                ranges::HORIZON_STEPS,
+            ),
+            (
+                "control_blocks",
+                f64::from(self.control_blocks),
+                ranges::CONTROL_BLOCKS,
+            ),
             (
                 "control_blocks",
                 f64::from(self.control_blocks),
                 0.0..=f64::from(self.horizon_steps),
             ),
             ("swarm_size", f64::from(self.swarm_size), ranges::SWARM_SIZE),
-            ("swarm_iterations", f64::from(self.swarm_iterations), ranges::ITERATIONS),
-            ("regenerate_after", f64::from(self.regenerate_after), ranges::ITERATIONS),
+            (
+                "swarm_iterations",
+                f64::from(self.swarm_iterations),
+                ranges::ITERATIONS,
+            ),
+            (
+                "regenerate_after",
+                f64::from(self.regenerate_after),
+                ranges::ITERATIONS,
+            ),
             ("inertia", self.inertia, ranges::INERTIA),
             ("cognitive", self.cognitive, ranges::COEFFICIENT),
             ("social", self.social, ranges::COEFFICIENT),
-            ("refinement_steps", f64::from(self.refinement_steps), ranges::REFINEMENT_STEPS),
+            (
+                "refinement_steps",
+                f64::from(self.refinement_steps),
+                ranges::REFINEMENT_STEPS,
+            ),
             ("damping", self.damping, ranges::DAMPING),
-            ("position_weight", self.position_weight, ranges::POSITION_WEIGHT),
+            (
+                "position_weight",
+                self.position_weight,
+                ranges::POSITION_WEIGHT,
+            ),
             ("rate_weight", self.rate_weight, ranges::WEIGHT),
-            ("rate_change_weight", self.rate_change_weight, ranges::WEIGHT),
+            (
+                "rate_change_weight",
+                self.rate_change_weight,
+                ranges::WEIGHT,
+            ),
             ("terminal_weight", self.terminal_weight, ranges::WEIGHT),
         ];
         for (key, value, range) in checks {
             if !range.contains(&value) {
                 let (low, high) = range.into_inner();
-                return Err(SettingsError { key, value, low, high });
+                return Err(SettingsError {
+                    key,
+                    value,
+                    low,
+                    high,
+                });
             }
         }
         Ok(())
@@ -202,12 +235,24 @@ mod tests {
     #[test]
     fn default_settings_are_legal_and_bad_ones_say_what_is_allowed() {
         assert_eq!(NmpcSettings::default().validate(), Ok(()));
-        let bad = NmpcSettings { swarm_size: 1000, ..NmpcSettings::default() };
+        let bad = NmpcSettings {
+            swarm_size: 1000,
+            ..NmpcSettings::default()
+        };
         let error = bad.validate().expect_err("too many particles");
-        assert_eq!(error.to_string(), "swarm_size = 1000 is out of range: allowed is 1 to 512");
-        let bad = NmpcSettings { inertia: f64::NAN, ..NmpcSettings::default() };
+        assert_eq!(
+            error.to_string(),
+            "swarm_size = 1000 is out of range: allowed is 1 to 512"
+        );
+        let bad = NmpcSettings {
+            inertia: f64::NAN,
+            ..NmpcSettings::default()
+        };
         assert_eq!(bad.validate().expect_err("NaN").key, "inertia");
-        let bad = NmpcSettings { control_blocks: 3, ..NmpcSettings::default() };
+        let bad = NmpcSettings {
+            control_blocks: 3,
+            ..NmpcSettings::default()
+        };
         assert_eq!(bad.validate().expect_err("M > N").high, 2.0);
     }
 }

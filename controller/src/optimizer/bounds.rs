@@ -16,7 +16,11 @@ impl Bounds {
 
     /// Sets the box to `±half_width[i]`, repeated `repetitions` times. Does not allocate within the
     /// capacity.
-    pub fn set_symmetric(&mut self, half_width: impl Iterator<Item = f64> + Clone, repetitions: usize) {
+    pub fn set_symmetric(
+        &mut self,
+        half_width: &(impl Iterator<Item = f64> + Clone),
+        repetitions: usize,
+    ) {
         self.lower.clear();
         self.upper.clear();
         for _ in 0..repetitions {

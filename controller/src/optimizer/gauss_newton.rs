@@ -143,7 +143,11 @@ impl GaussNewton {
             let improved = solved && self.advance(problem, incumbent);
             outcome.accepted += u32::from(improved);
             model_is_current = !improved;
-            damping = if improved { settings.damping } else { damping * DAMPING_GROWTH };
+            damping = if improved {
+                settings.damping
+            } else {
+                damping * DAMPING_GROWTH
+            };
         }
         outcome
     }
@@ -184,7 +188,9 @@ impl GaussNewton {
     /// Norm of the gradient 2 Jᵀr without what presses on bounds.
     fn gradient_norm(&self, dimension: usize) -> f64 {
         let entries = self.gradient[..dimension].iter().zip(&self.pressed);
-        let squares = entries.filter(|(_, pressed)| !**pressed).map(|(g, _)| g * g);
+        let squares = entries
+            .filter(|(_, pressed)| !**pressed)
+            .map(|(g, _)| g * g);
         2.0 * squares.sum::<f64>().sqrt()
     }
 
@@ -367,11 +373,15 @@ mod tests {
 
     fn refine(problem: &Bowl, half_width: f64, steps: u32) -> (Incumbent, GaussNewtonOutcome) {
         let mut bounds = Bounds::with_capacity(3);
-        bounds.set_symmetric(std::iter::repeat_n(half_width, problem.dimension()), 1);
+        bounds.set_symmetric(&std::iter::repeat_n(half_width, problem.dimension()), 1);
         let mut incumbent = Incumbent::with_capacity(3);
         let start = [0.0; 3];
         incumbent.restart(&start[..problem.dimension()], problem.cost(&start));
-        let settings = GaussNewtonSettings { steps, damping: 1e-9, step_tolerance: 1e-12 };
+        let settings = GaussNewtonSettings {
+            steps,
+            damping: 1e-9,
+            step_tolerance: 1e-12,
+        };
         let outcome = GaussNewton::with_capacity(3, 2).refine(
             problem,
             &bounds,
@@ -388,7 +398,11 @@ mod tests {
         for extra_unknown in [false, true] {
             let (incumbent, outcome) = refine(&Bowl { extra_unknown }, 5.0, 12);
             assert!(outcome.converged, "{outcome:?}");
-            assert!((incumbent.z()[0] - root).abs() < 1e-10, "{:?}", incumbent.z());
+            assert!(
+                (incumbent.z()[0] - root).abs() < 1e-10,
+                "{:?}",
+                incumbent.z()
+            );
             assert!(incumbent.cost() < 1e-18);
         }
     }
@@ -396,19 +410,31 @@ mod tests {
     #[test]
     fn an_active_bound_is_kept_and_the_others_are_solved_for() {
         // With both in [-0.5, 0.5], the best is the corner z₀ = z₁ = 0.5.
-        let (incumbent, _) = refine(&Bowl { extra_unknown: false }, 0.5, 20);
+        let (incumbent, _) = refine(
+            &Bowl {
+                extra_unknown: false,
+            },
+            0.5,
+            20,
+        );
         assert!((incumbent.z()[0] - 0.5).abs() < 1e-3, "{:?}", incumbent.z());
         assert!(incumbent.z().iter().all(|z| z.abs() <= 0.5));
     }
 
     #[test]
     fn a_spent_budget_leaves_the_warm_start() {
-        let problem = Bowl { extra_unknown: false };
+        let problem = Bowl {
+            extra_unknown: false,
+        };
         let mut bounds = Bounds::with_capacity(2);
-        bounds.set_symmetric(std::iter::repeat_n(1.0, 2), 1);
+        bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
         incumbent.restart(&[0.1, 0.2], problem.cost(&[0.1, 0.2]));
-        let settings = GaussNewtonSettings { steps: 9, damping: 1e-9, step_tolerance: 0.0 };
+        let settings = GaussNewtonSettings {
+            steps: 9,
+            damping: 1e-9,
+            step_tolerance: 0.0,
+        };
         GaussNewton::with_capacity(2, 2).refine(
             &problem,
             &bounds,

@@ -75,7 +75,10 @@ impl Kpso {
     ///
     /// `knowledge` holds the candidates that the caller has judged already, `dimension` values each;
     /// they become the first particles.
-    #[expect(clippy::too_many_arguments, reason = "the parts of Fig. 1, each of another owner")]
+    #[expect(
+        clippy::too_many_arguments,
+        reason = "the parts of Fig. 1, each of another owner"
+    )]
     pub fn search<P: Problem, F: FnMut() -> bool>(
         &mut self,
         problem: &P,
@@ -90,7 +93,12 @@ impl Kpso {
         self.dimension = problem.dimension();
         self.count = settings.size.min(self.best_costs.len());
         self.settle(knowledge, incumbent);
-        self.scatter(knowledge.len() / self.dimension, bounds, incumbent, &mut rng);
+        self.scatter(
+            knowledge.len() / self.dimension,
+            bounds,
+            incumbent,
+            &mut rng,
+        );
         let mut iterations = 0;
         let mut stagnant = 0;
         while iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance {
@@ -273,7 +281,7 @@ mod tests {
     fn search(settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
         let problem = Rastrigin { centre: 1.7 };
         let mut bounds = Bounds::with_capacity(2);
-        bounds.set_symmetric(std::iter::repeat_n(5.0, 2), 1);
+        bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
         incumbent.restart(&[-4.0, 4.0], problem.cost(&[-4.0, 4.0]));
         let mut budget = Budget::of_quanta(quanta);
@@ -301,7 +309,13 @@ mod tests {
     #[test]
     fn the_same_seed_gives_the_same_bits_and_another_does_not() {
         let kpso = settings(VelocityRule::Constriction);
-        let bits = |seed| search(&kpso, seed, 60).z().iter().map(|z| z.to_bits()).collect::<Vec<_>>();
+        let bits = |seed| {
+            search(&kpso, seed, 60)
+                .z()
+                .iter()
+                .map(|z| z.to_bits())
+                .collect::<Vec<_>>()
+        };
         assert_eq!(bits(7), bits(7));
         assert_ne!(bits(7), bits(8));
     }
@@ -318,13 +332,19 @@ mod tests {
 
     #[test]
     fn constriction_is_clerc_and_kennedys() {
-        let (chi, _) = KpsoSettings { cognitive: 2.05, social: 2.05, ..settings(VelocityRule::Constriction) }.factors();
+        let (chi, _) = KpsoSettings {
+            cognitive: 2.05,
+            social: 2.05,
+            ..settings(VelocityRule::Constriction)
+        }
+        .factors();
         assert!((chi - 0.7298).abs() < 1e-4, "{chi}");
     }
 
     #[test]
     fn cycle_seeds_differ() {
-        let seeds: std::collections::BTreeSet<_> = (0..1000).map(|cycle| cycle_seed(1, cycle)).collect();
+        let seeds: std::collections::BTreeSet<_> =
+            (0..1000).map(|cycle| cycle_seed(1, cycle)).collect();
         assert_eq!(seeds.len(), 1000);
     }
 }

@@ -138,13 +138,18 @@ impl Trajectory {
 
     /// The reference at `time_ns`. Cost: a binary search and one cubic.
     pub fn sample(&self, time_ns: u64) -> ReferenceSample {
-        let next = self.points.partition_point(|point| point.time_ns <= time_ns);
+        let next = self
+            .points
+            .partition_point(|point| point.time_ns <= time_ns);
         let hold = |point: &ReferencePoint, state| ReferenceSample {
             state,
             position_m: point.position_m,
             orientation: point.orientation,
         };
-        match (next.checked_sub(1).and_then(|last| self.points.get(last)), self.points.get(next)) {
+        match (
+            next.checked_sub(1).and_then(|last| self.points.get(last)),
+            self.points.get(next),
+        ) {
             (None, None) => ReferenceSample::default(),
             (None, Some(first)) => hold(first, ReferenceState::Before),
             (Some(last), None) if last.time_ns == time_ns => hold(last, ReferenceState::Inside),
@@ -179,7 +184,9 @@ impl Trajectory {
     /// Tangent at a point, from the points around it: as many on both sides as there are.
     fn tangent_at(&self, index: usize, origin_ns: u64) -> Vector3<f64> {
         let count = STENCIL.min(self.points.len());
-        let first = index.saturating_sub(count / 2).min(self.points.len() - count);
+        let first = index
+            .saturating_sub(count / 2)
+            .min(self.points.len() - count);
         let mut knots = [Knot::default(); STENCIL];
         for (offset, target) in knots[..count].iter_mut().enumerate() {
             *target = knot(&self.points[first + offset], origin_ns);
@@ -217,7 +224,9 @@ mod tests {
 
     fn filled(points: &[ReferencePoint]) -> Trajectory {
         let mut trajectory = Trajectory::with_capacity(4096);
-        trajectory.replace(points.iter().copied()).expect("legal points");
+        trajectory
+            .replace(points.iter().copied())
+            .expect("legal points");
         trajectory
     }
 
@@ -237,31 +246,46 @@ mod tests {
     #[test]
     fn states_before_inside_and_after() {
         let trajectory = filled(&[point(10, 1.0), point(20, 2.0)]);
-        let at = |time| (trajectory.sample(time).state, trajectory.sample(time).position_m.x);
+        let at = |time| {
+            (
+                trajectory.sample(time).state,
+                trajectory.sample(time).position_m.x,
+            )
+        };
         assert_eq!(at(5), (ReferenceState::Before, 1.0));
         assert_eq!(at(10), (ReferenceState::Inside, 1.0));
         assert_eq!(at(15), (ReferenceState::Inside, 1.5));
         assert_eq!(at(20), (ReferenceState::Inside, 2.0));
         assert_eq!(at(21), (ReferenceState::Ended, 2.0));
-        assert_eq!(Trajectory::with_capacity(1).sample(0).state, ReferenceState::None);
+        assert_eq!(
+            Trajectory::with_capacity(1).sample(0).state,
+            ReferenceState::None
+        );
     }
 
     #[test]
     fn cubic_meets_a_smooth_curve_to_a_picometre() {
         let trajectory = filled(&circle(200));
         for time_ns in (0..990 * MS).step_by(1_234_567) {
-            let error = (trajectory.sample(time_ns).position_m - on_circle(time_ns as f64 * 1e-9)).norm();
+            let error =
+                (trajectory.sample(time_ns).position_m - on_circle(time_ns as f64 * 1e-9)).norm();
             let inner = (10 * MS..980 * MS).contains(&time_ns);
-            assert!(error < if inner { 1e-12 } else { 1e-11 }, "{error} at {time_ns}");
+            assert!(
+                error < if inner { 1e-12 } else { 1e-11 },
+                "{error} at {time_ns}"
+            );
         }
     }
 
     #[test]
     fn linear_does_not_overshoot_a_corner() {
-        let corner = [0.0, 0.0, 1.0, 1.0].iter().zip(0..).map(|(&x, k)| ReferencePoint {
-            interpolation: Interpolation::Linear,
-            ..point(k * 10, x)
-        });
+        let corner = [0.0, 0.0, 1.0, 1.0]
+            .iter()
+            .zip(0..)
+            .map(|(&x, k)| ReferencePoint {
+                interpolation: Interpolation::Linear,
+                ..point(k * 10, x)
+            });
         let trajectory = filled(&corner.collect::<Vec<_>>());
         for time in 0..=30 {
             assert!((0.0..=1.0).contains(&trajectory.sample(time).position_m.x));
@@ -303,7 +327,8 @@ mod tests {
 
     #[test]
     fn orientation_takes_the_short_way() {
-        let full = |angle: f64| Orientation::Full(UnitQuaternion::from_euler_angles(0.0, 0.0, angle));
+        let full =
+            |angle: f64| Orientation::Full(UnitQuaternion::from_euler_angles(0.0, 0.0, angle));
         let mut points = [point(0, 0.0), point(10, 0.0)];
         points[0].orientation = full(0.0);
         points[1].orientation = full(1.0);

@@ -56,12 +56,14 @@ impl ReferenceWindow {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;
         match self.samples[..self.count].get(offset) {
             Some(sample) => *sample,
-            None => self.samples[..self.count]
-                .last()
-                .map_or_else(ReferenceSample::default, |last| ReferenceSample {
-                    state: ReferenceState::Ended,
-                    ..*last
-                }),
+            None => {
+                self.samples[..self.count]
+                    .last()
+                    .map_or_else(ReferenceSample::default, |last| ReferenceSample {
+                        state: ReferenceState::Ended,
+                        ..*last
+                    })
+            }
         }
     }
 

@@ -73,7 +73,9 @@ fn keep_bends(robot: &Robot, at: &Configuration, rates: &mut BendRates, period_s
 
 fn slow_cables(robot: &Robot, rates: &mut BendRates) -> bool {
     let speeds = robot.cable_speeds(rates.as_slice());
-    let fastest = speeds.iter().fold(0.0_f64, |fastest, speed| fastest.max(speed.abs()));
+    let fastest = speeds
+        .iter()
+        .fold(0.0_f64, |fastest, speed| fastest.max(speed.abs()));
     let too_fast = fastest > robot.cable_speed_max_m_s();
     if too_fast {
         scale(rates, robot.cable_speed_max_m_s() / fastest);
@@ -91,10 +93,20 @@ fn scale(rates: &mut BendRates, factor: f64) {
 /// kept, and the fastest one loses at most `deceleration_rad_s2 · period_s`.
 pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f64) -> BendRates {
     let mut rates = *previous;
-    let fastest = rates.as_slice().iter().fold(0.0_f64, |fastest, rate| fastest.max(rate.abs()));
+    let fastest = rates
+        .as_slice()
+        .iter()
+        .fold(0.0_f64, |fastest, rate| fastest.max(rate.abs()));
     let left = fastest - deceleration_rad_s2 * period_s;
     // What rounding leaves of the last step is rest, too.
-    scale(&mut rates, if left > 1e-9 * fastest { left / fastest } else { 0.0 });
+    scale(
+        &mut rates,
+        if left > 1e-9 * fastest {
+            left / fastest
+        } else {
+            0.0
+        },
+    );
     rates
 }
 
@@ -102,7 +114,10 @@ pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f6
 /// arrival.
 pub fn homing_rates(at: &Configuration, rate_rad_s: f64, period_s: f64) -> BendRates {
     let mut rates = BendRates::zero(at.section_count());
-    let farthest = at.as_slice().iter().fold(0.0_f64, |farthest, bend| farthest.max(bend.abs()));
+    let farthest = at
+        .as_slice()
+        .iter()
+        .fold(0.0_f64, |farthest, bend| farthest.max(bend.abs()));
     if farthest > 0.0 {
         let duration_s = (farthest / rate_rad_s).max(period_s);
         for (rate, bend) in rates.as_mut_slice().iter_mut().zip(at.as_slice()) {
@@ -140,10 +155,26 @@ mod tests {
 
     #[test]
     fn rates_and_non_finite_wishes_are_cut() {
-        let limited = limit(&robot(), &at([0.0; 4]), &rates([9.0, 0.0, -9.0, 0.0]), PERIOD_S);
+        let limited = limit(
+            &robot(),
+            &at([0.0; 4]),
+            &rates([9.0, 0.0, -9.0, 0.0]),
+            PERIOD_S,
+        );
         assert!(limited.hit.rate);
-        assert!(limited.rates.as_slice().iter().all(|rate| rate.abs() <= 2.0));
-        let limited = limit(&robot(), &at([0.0; 4]), &rates([f64::NAN, 0.0, 1.0, 0.0]), PERIOD_S);
+        assert!(
+            limited
+                .rates
+                .as_slice()
+                .iter()
+                .all(|rate| rate.abs() <= 2.0)
+        );
+        let limited = limit(
+            &robot(),
+            &at([0.0; 4]),
+            &rates([f64::NAN, 0.0, 1.0, 0.0]),
+            PERIOD_S,
+        );
         assert!(limited.hit.non_finite);
         assert_eq!(limited.rates, BendRates::zero(2));
     }
@@ -167,7 +198,12 @@ mod tests {
         let mut parameters = RobotParameters::paper(2);
         parameters.cable_speed_max_m_s = 0.01;
         let robot = Robot::new(&parameters).expect("legal");
-        let limited = limit(&robot, &at([0.0; 4]), &rates([2.0, 0.0, 2.0, 0.0]), PERIOD_S);
+        let limited = limit(
+            &robot,
+            &at([0.0; 4]),
+            &rates([2.0, 0.0, 2.0, 0.0]),
+            PERIOD_S,
+        );
         let speeds = robot.cable_speeds(limited.rates.as_slice());
         assert!(limited.hit.cable_speed);
         assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));

@@ -76,7 +76,9 @@ impl Mode {
         match self {
             Self::Starting => Reason::Start,
             Self::Tracking { .. } | Self::Homing => Reason::Request,
-            Self::Holding { reason } | Self::Stopped { reason } | Self::Faulted { reason } => *reason,
+            Self::Holding { reason } | Self::Stopped { reason } | Self::Faulted { reason } => {
+                *reason
+            }
         }
     }
 }
@@ -156,7 +158,9 @@ impl ModeMachine {
         if let Some(cause) = seen.fault {
             self.fault(cause);
         } else if seen.misses_overflow && !self.is_latched() {
-            self.mode = Mode::Stopped { reason: Reason::DeadlineMisses };
+            self.mode = Mode::Stopped {
+                reason: Reason::DeadlineMisses,
+            };
         }
         match self.mode {
             Mode::Starting => self.hold(Reason::Start),
@@ -177,9 +181,13 @@ impl ModeMachine {
     /// [`Refusal`]; the mode is then unchanged.
     pub fn request(&mut self, request: Request, seen: &Observation) -> Result<(), Refusal> {
         match (request, self.mode) {
-            (Request::Stop, Mode::Faulted { .. }) | (Request::Reset, Mode::Holding { .. }) => Ok(()),
+            (Request::Stop, Mode::Faulted { .. }) | (Request::Reset, Mode::Holding { .. }) => {
+                Ok(())
+            }
             (Request::Stop, _) => {
-                self.mode = Mode::Stopped { reason: Reason::Request };
+                self.mode = Mode::Stopped {
+                    reason: Reason::Request,
+                };
                 Ok(())
             }
             (Request::Reset, Mode::Stopped { .. } | Mode::Faulted { .. }) => self.reset(seen),
@@ -208,7 +216,9 @@ impl ModeMachine {
     /// The process ends: come to rest. A fault keeps its cause.
     pub fn shut_down(&mut self) {
         if !matches!(self.mode, Mode::Faulted { .. }) {
-            self.mode = Mode::Stopped { reason: Reason::Shutdown };
+            self.mode = Mode::Stopped {
+                reason: Reason::Shutdown,
+            };
         }
     }
 
@@ -244,7 +254,9 @@ impl ModeMachine {
 mod tests {
     use super::*;
 
-    const HOLDING: Mode = Mode::Holding { reason: Reason::Start };
+    const HOLDING: Mode = Mode::Holding {
+        reason: Reason::Start,
+    };
 
     fn good() -> Observation {
         Observation {
@@ -276,37 +288,89 @@ mod tests {
         let tracking = Mode::Tracking { begun: true };
         let held = |reason| Mode::Holding { reason };
         assert_eq!(after(Mode::Starting, good()), held(Reason::Start));
-        let unknown = Observation { measured: false, fault: Some(Reason::MeasurementLost), ..good() };
+        let unknown = Observation {
+            measured: false,
+            fault: Some(Reason::MeasurementLost),
+            ..good()
+        };
         assert_eq!(after(Mode::Starting, unknown), Mode::Starting);
         assert_eq!(after(tracking, good()), tracking);
-        let ended = Observation { reference: ReferenceState::Ended, ..good() };
+        let ended = Observation {
+            reference: ReferenceState::Ended,
+            ..good()
+        };
         assert_eq!(after(tracking, ended), held(Reason::ReferenceEnded));
-        let silent = Observation { lease_held: false, ..good() };
+        let silent = Observation {
+            lease_held: false,
+            ..good()
+        };
         assert_eq!(after(tracking, silent), held(Reason::LeaseExpired));
-        let home = Observation { at_home: true, ..good() };
+        let home = Observation {
+            at_home: true,
+            ..good()
+        };
         assert_eq!(after(Mode::Homing, home), held(Reason::HomeReached));
         assert_eq!(after(Mode::Homing, good()), Mode::Homing);
-        let late = Observation { misses_overflow: true, ..good() };
-        assert_eq!(after(tracking, late), Mode::Stopped { reason: Reason::DeadlineMisses });
-        let lost = Observation { fault: Some(Reason::MeasurementLost), ..good() };
-        for mode in [Mode::Starting, HOLDING, tracking, Mode::Homing, Mode::Stopped { reason: Reason::Request }] {
-            assert_eq!(after(mode, lost), Mode::Faulted { reason: Reason::MeasurementLost });
+        let late = Observation {
+            misses_overflow: true,
+            ..good()
+        };
+        assert_eq!(
+            after(tracking, late),
+            Mode::Stopped {
+                reason: Reason::DeadlineMisses
+            }
+        );
+        let lost = Observation {
+            fault: Some(Reason::MeasurementLost),
+            ..good()
+        };
+        for mode in [
+            Mode::Starting,
+            HOLDING,
+            tracking,
+            Mode::Homing,
+            Mode::Stopped {
+                reason: Reason::Request,
+            },
+        ] {
+            assert_eq!(
+                after(mode, lost),
+                Mode::Faulted {
+                    reason: Reason::MeasurementLost
+                }
+            );
         }
     }
 
     #[test]
     fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
-        let stopped = Mode::Stopped { reason: Reason::Request };
-        let faulted = Mode::Faulted { reason: Reason::NonFinite };
+        let stopped = Mode::Stopped {
+            reason: Reason::Request,
+        };
+        let faulted = Mode::Faulted {
+            reason: Reason::NonFinite,
+        };
         for mode in [stopped, faulted] {
             assert_eq!(after(mode, good()), mode);
             for request in [Request::Track, Request::Hold, Request::Home] {
                 assert_eq!(asked(mode, request, good()), Err(Refusal::WrongMode));
             }
-            let standing = Observation { fault: Some(Reason::NonFinite), ..good() };
-            assert_eq!(asked(mode, Request::Reset, standing), Err(Refusal::CauseStands));
+            let standing = Observation {
+                fault: Some(Reason::NonFinite),
+                ..good()
+            };
+            assert_eq!(
+                asked(mode, Request::Reset, standing),
+                Err(Refusal::CauseStands)
+            );
             let reset = asked(mode, Request::Reset, good());
-            assert_eq!(reset, Ok(Mode::Holding { reason: Reason::Request }));
+            assert_eq!(
+                reset,
+                Ok(Mode::Holding {
+                    reason: Reason::Request
+                })
+            );
         }
         assert_eq!(asked(faulted, Request::Stop, good()), Ok(faulted));
     }
@@ -315,26 +379,54 @@ mod tests {
     fn tracking_needs_a_lease_and_a_reference_ahead() {
         let begun = Ok(Mode::Tracking { begun: false });
         assert_eq!(asked(HOLDING, Request::Track, good()), begun);
-        let before = Observation { reference: ReferenceState::Before, ..good() };
+        let before = Observation {
+            reference: ReferenceState::Before,
+            ..good()
+        };
         assert_eq!(asked(HOLDING, Request::Track, before), begun);
         for state in [ReferenceState::None, ReferenceState::Ended] {
-            let seen = Observation { reference: state, ..good() };
-            assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoReference));
+            let seen = Observation {
+                reference: state,
+                ..good()
+            };
+            assert_eq!(
+                asked(HOLDING, Request::Track, seen),
+                Err(Refusal::NoReference)
+            );
         }
-        let seen = Observation { lease_held: false, ..good() };
+        let seen = Observation {
+            lease_held: false,
+            ..good()
+        };
         assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoLease));
-        assert_eq!(asked(Mode::Homing, Request::Track, good()), Err(Refusal::WrongMode));
+        assert_eq!(
+            asked(Mode::Homing, Request::Track, good()),
+            Err(Refusal::WrongMode)
+        );
     }
 
     #[test]
     fn stop_wins_everywhere_and_faults_are_counted_once() {
-        for mode in [Mode::Starting, HOLDING, Mode::Tracking { begun: true }, Mode::Homing] {
+        for mode in [
+            Mode::Starting,
+            HOLDING,
+            Mode::Tracking { begun: true },
+            Mode::Homing,
+        ] {
             let stopped = asked(mode, Request::Stop, good());
-            assert_eq!(stopped, Ok(Mode::Stopped { reason: Reason::Request }));
+            assert_eq!(
+                stopped,
+                Ok(Mode::Stopped {
+                    reason: Reason::Request
+                })
+            );
         }
         let mut machine = machine(HOLDING);
         machine.fault(Reason::NonFinite);
         machine.fault(Reason::LimitBroken);
-        assert_eq!((machine.faults(), machine.mode().reason()), (1, Reason::NonFinite));
+        assert_eq!(
+            (machine.faults(), machine.mode().reason()),
+            (1, Reason::NonFinite)
+        );
     }
 }

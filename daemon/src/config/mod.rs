@@ -9,7 +9,9 @@ use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::robot::{Configuration, Robot, RobotError, RobotParameters, SectionParameters};
+use cdcr_controller::robot::{
+    Configuration, Robot, RobotError, RobotParameters, SectionParameters,
+};
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, Service};
 use serde::{Deserialize, Serialize};
 
@@ -55,7 +57,10 @@ pub struct RobotConfig {
 
 impl Default for RobotConfig {
     fn default() -> Self {
-        let RobotParameters { sections, cable_speed_max_m_s } = RobotParameters::paper(3);
+        let RobotParameters {
+            sections,
+            cable_speed_max_m_s,
+        } = RobotParameters::paper(3);
         Self {
             name: "cdcr".to_owned(),
             cable_speed_max_m_s,
@@ -280,23 +285,59 @@ impl Config {
         let robot = self.robot(place)?;
         let initial = self.initial(&robot, place)?;
         let location = self.location(place)?;
-        Ok(Validated { config: self, robot, initial, location })
+        Ok(Validated {
+            config: self,
+            robot,
+            initial,
+            location,
+        })
     }
 
     fn check_ranges(&self, place: &Place) -> Result<(), ConfigError> {
-        let Self { link, cycle, motion, reference, realtime, .. } = self;
+        let Self {
+            link,
+            cycle,
+            motion,
+            reference,
+            realtime,
+            ..
+        } = self;
         let period_ms = cycle.period_ms;
         let checks: [(&str, f64, RangeInclusive<f64>); 12] = [
-            ("link.measurement_timeout_ms", link.measurement_timeout_ms, 1.0..=10_000.0),
-            ("link.command_valid_ms", link.command_valid_ms, 1.0..=10_000.0),
+            (
+                "link.measurement_timeout_ms",
+                link.measurement_timeout_ms,
+                1.0..=10_000.0,
+            ),
+            (
+                "link.command_valid_ms",
+                link.command_valid_ms,
+                1.0..=10_000.0,
+            ),
             ("cycle.period_ms", period_ms, 0.5..=100.0),
             ("cycle.deadline_ms", cycle.deadline_ms, 0.0..=period_ms),
             ("cycle.late_start_ms", cycle.late_start_ms, 0.001..=100.0),
-            ("cycle.budget_margin_ms", cycle.budget_margin_ms, 0.0..=0.5 * period_ms),
-            ("cycle.gather_lead_ms", cycle.gather_lead_ms, 0.02..=0.5 * period_ms),
+            (
+                "cycle.budget_margin_ms",
+                cycle.budget_margin_ms,
+                0.0..=0.5 * period_ms,
+            ),
+            (
+                "cycle.gather_lead_ms",
+                cycle.gather_lead_ms,
+                0.02..=0.5 * period_ms,
+            ),
             ("cycle.miss_limit", f64::from(cycle.miss_limit), 1.0..=1e6),
-            ("motion.deceleration_rad_s2", motion.deceleration_rad_s2, 0.01..=1e6),
-            ("motion.home_rate_rad_s", motion.home_rate_rad_s, 1e-3..=100.0),
+            (
+                "motion.deceleration_rad_s2",
+                motion.deceleration_rad_s2,
+                0.01..=1e6,
+            ),
+            (
+                "motion.home_rate_rad_s",
+                motion.home_rate_rad_s,
+                1e-3..=100.0,
+            ),
             ("reference.lease_ms", reference.lease_ms, 20.0..=60_000.0),
             ("realtime.core", realtime.core as f64, -1.0..=1023.0),
         ];
@@ -305,7 +346,11 @@ impl Config {
         }
         let priorities = [
             ("realtime.cycle_priority", realtime.cycle_priority, 2..=99),
-            ("realtime.exchange_priority", realtime.exchange_priority, 1..=98),
+            (
+                "realtime.exchange_priority",
+                realtime.exchange_priority,
+                1..=98,
+            ),
         ];
         for (key, value, range) in priorities {
             let (low, high) = range.into_inner();
@@ -318,7 +363,11 @@ impl Config {
 
     /// Rules between keys.
     fn check_cross_rules(&self, place: &Place) -> Result<(), ConfigError> {
-        let RealtimeConfig { cycle_priority, exchange_priority, .. } = self.realtime;
+        let RealtimeConfig {
+            cycle_priority,
+            exchange_priority,
+            ..
+        } = self.realtime;
         if exchange_priority >= cycle_priority {
             return Err(place.error(
                 "realtime.exchange_priority",
@@ -354,7 +403,7 @@ impl Config {
         }
         for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {
             let bend_rad = pair[0].hypot(pair[1]);
-            if !(bend_rad <= section.bend_max_rad) {
+            if !(0.0..=section.bend_max_rad).contains(&bend_rad) {
                 let message = format!(
                     "section {}: a bend of {bend_rad} rad is out of range: allowed is 0 to {}",
                     index + 1,
@@ -369,7 +418,11 @@ impl Config {
 
     fn location(&self, place: &Place) -> Result<Location, ConfigError> {
         let TransportConfig { prefix, root } = &self.transport;
-        let root = if root.is_empty() { Location::default_root() } else { PathBuf::from(root) };
+        let root = if root.is_empty() {
+            Location::default_root()
+        } else {
+            PathBuf::from(root)
+        };
         Location::new(prefix, &root).map_err(|error| place.error("transport", &error.to_string()))
     }
 }
@@ -390,7 +443,9 @@ mod tests {
     use super::*;
 
     fn error_of(text: &str) -> String {
-        Config::parse(text, Path::new("robot.toml")).expect_err("it is wrong").to_string()
+        Config::parse(text, Path::new("robot.toml"))
+            .expect_err("it is wrong")
+            .to_string()
     }
 
     #[test]
@@ -401,7 +456,10 @@ mod tests {
         let written: toml::Table = toml::from_str(DEFAULT_TEXT).expect("the default file is TOML");
         for (table, keys) in &default {
             for key in keys.as_table().expect("a table").keys() {
-                assert!(written[table].get(key).is_some(), "{table}.{key} is not in default.toml");
+                assert!(
+                    written[table].get(key).is_some(),
+                    "{table}.{key} is not in default.toml"
+                );
             }
         }
     }
@@ -417,11 +475,20 @@ mod tests {
     fn unknown_keys_and_bad_values_are_named_with_file_and_line() {
         let message = error_of("[cycle]\nperiodms = 5\n");
         assert!(message.contains("robot.toml"), "{message}");
-        assert!(message.contains("line 2") && message.contains("periodms"), "{message}");
+        assert!(
+            message.contains("line 2") && message.contains("periodms"),
+            "{message}"
+        );
         assert!(message.contains("period_ms"), "{message}");
 
         let message = error_of("# comment\n[cycle]\nperiod_ms = 0.1\n");
-        for part in ["robot.toml", "line 3", "cycle.period_ms", "0.1", "0.5 to 100"] {
+        for part in [
+            "robot.toml",
+            "line 3",
+            "cycle.period_ms",
+            "0.1",
+            "0.5 to 100",
+        ] {
             assert!(message.contains(part), "{part}: {message}");
         }
         let message = error_of("[controller]\nseed = 1\nswarm_size = 9999\n");
@@ -429,7 +496,10 @@ mod tests {
             assert!(message.contains(part), "{part}: {message}");
         }
         let message = error_of("[motion]\nhome_rate_rad_s = nan\n");
-        assert!(message.contains("line 2") && message.contains("home_rate_rad_s"), "{message}");
+        assert!(
+            message.contains("line 2") && message.contains("home_rate_rad_s"),
+            "{message}"
+        );
     }
 
     #[test]
@@ -450,11 +520,17 @@ mod tests {
         let message = error_of("[realtime]\nexchange_priority = 80\n");
         assert!(message.contains("below cycle_priority"), "{message}");
         let message = error_of("[link]\ninitial_bend_rad = [[0.1, 0.0]]\n");
-        assert!(message.contains("1 pairs are given, but the robot has 3"), "{message}");
+        assert!(
+            message.contains("1 pairs are given, but the robot has 3"),
+            "{message}"
+        );
         let message = error_of("[link]\ninitial_bend_rad = [[0.1, 0.0], [9.0, 0.0], [0.0, 0.0]]\n");
         assert!(message.contains("section 2"), "{message}");
         let message = error_of("[transport]\nprefix = \"a b\"\n");
-        assert!(message.contains("line 2") || message.contains("transport"), "{message}");
+        assert!(
+            message.contains("line 2") || message.contains("transport"),
+            "{message}"
+        );
         assert!(error_of("[robot]\nname = \"a/b\"\n").contains("robot.name"));
     }
 }

@@ -71,7 +71,10 @@ impl<'a> Place<'a> {
             return Ok(());
         }
         let (low, high) = range.into_inner();
-        Err(self.error(key, &format!("{value} is out of range: allowed is {low} to {high}")))
+        Err(self.error(
+            key,
+            &format!("{value} is out of range: allowed is {low} to {high}"),
+        ))
     }
 
     fn line_of(&self, key: &str) -> Option<usize> {

@@ -33,7 +33,10 @@ impl Refused {
     }
 
     fn at(outcome: Outcome, index: usize) -> Self {
-        Self { outcome, detail: index as u32 }
+        Self {
+            outcome,
+            detail: index as u32,
+        }
     }
 }
 
@@ -83,7 +86,11 @@ fn reference_point(
     now_ns: u64,
 ) -> Result<ReferencePoint, Outcome> {
     let position_m = Vector3::from(point.position_m);
-    if !position_m.iter().chain(&point.orientation).all(|value| value.is_finite()) {
+    if !position_m
+        .iter()
+        .chain(&point.orientation)
+        .all(|value| value.is_finite())
+    {
         return Err(Outcome::NotFinite);
     }
     if point.time_ns <= now_ns {
@@ -113,7 +120,8 @@ fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
         Ok(codes::OrientationKind::Full) => {
             let rotation = Quaternion::new(w, x, y, z);
             let is_unit = (rotation.norm() - 1.0).abs() <= UNIT_TOLERANCE;
-            let full = is_unit.then(|| Orientation::Full(UnitQuaternion::from_quaternion(rotation)));
+            let full =
+                is_unit.then(|| Orientation::Full(UnitQuaternion::from_quaternion(rotation)));
             full.ok_or(Outcome::NotUnit)
         }
         Err(_) => Err(Outcome::UnknownCode),
@@ -154,7 +162,9 @@ pub fn measurement(
             let bends = &message.bend_rad[..robot.coordinate_count()];
             finite(bends)?;
             let configuration = Configuration::from_slice(bends);
-            configuration.map(Measurement::Configuration).ok_or(Refused::whole(Outcome::WrongRobot))?
+            configuration
+                .map(Measurement::Configuration)
+                .ok_or(Refused::whole(Outcome::WrongRobot))?
         }
         Ok(codes::MeasurementKind::CableLengths) => {
             finite(&message.cable_length_m[..robot.cable_count()])?;
@@ -171,7 +181,10 @@ pub fn measurement(
             return Err(Refused::whole(Outcome::UnknownCode));
         }
     };
-    Ok(TimedMeasurement { measurement, measured_ns: message.measured_ns })
+    Ok(TimedMeasurement {
+        measurement,
+        measured_ns: message.measured_ns,
+    })
 }
 
 /// The request of a client that concerns the mode; none for those about lease and settings.
@@ -292,7 +305,9 @@ pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings
         swarm_size: message.swarm_size,
         swarm_iterations: message.swarm_iterations,
         regenerate_after: message.regenerate_after,
-        velocity_rule: match codes::VelocityRule::try_from(message.velocity_rule).map_err(unknown)? {
+        velocity_rule: match codes::VelocityRule::try_from(message.velocity_rule)
+            .map_err(unknown)?
+        {
             codes::VelocityRule::Inertia => VelocityRule::Inertia,
             codes::VelocityRule::Constriction => VelocityRule::Constriction,
             codes::VelocityRule::Verbatim => VelocityRule::Verbatim,
@@ -334,8 +349,15 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
 }
 
 /// The command of a cycle.
-pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64, valid_for_ns: u64) -> wire::Command {
-    let target = record.configuration.advanced(&record.rates, period_ns as f64 * 1e-9);
+pub fn command(
+    record: &CycleRecord,
+    robot: &Robot,
+    period_ns: u64,
+    valid_for_ns: u64,
+) -> wire::Command {
+    let target = record
+        .configuration
+        .advanced(&record.rates, period_ns as f64 * 1e-9);
     let mut command = wire::Command {
         cycle: record.release.cycle,
         release_ns: record.release.release_ns,
@@ -388,7 +410,10 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         ..wire::Telemetry::default()
     };
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
-    copy(record.previous_rates.as_slice(), &mut telemetry.previous_rate_rad_s);
+    copy(
+        record.previous_rates.as_slice(),
+        &mut telemetry.previous_rate_rad_s,
+    );
     telemetry
 }
 
@@ -397,8 +422,16 @@ fn copy(from: &[f64], to: &mut [f64]) {
 }
 
 fn timing_flags(record: &CycleRecord) -> u32 {
-    let late = if record.verdict.late_start { codes::timing::LATE_START } else { 0 };
-    let miss = if record.verdict.deadline_miss { codes::timing::DEADLINE_MISS } else { 0 };
+    let late = if record.verdict.late_start {
+        codes::timing::LATE_START
+    } else {
+        0
+    };
+    let miss = if record.verdict.deadline_miss {
+        codes::timing::DEADLINE_MISS
+    } else {
+        0
+    };
     late | miss
 }
 
@@ -409,7 +442,9 @@ fn guard_flags(hit: LimitsHit) -> u32 {
         (hit.cable_speed, codes::guard::CABLE_SPEED),
         (hit.non_finite, codes::guard::NON_FINITE),
     ];
-    bits.iter().filter(|(set, _)| *set).fold(0, |flags, (_, bit)| flags | bit)
+    bits.iter()
+        .filter(|(set, _)| *set)
+        .fold(0, |flags, (_, bit)| flags | bit)
 }
 
 fn report(report: &SolveReport) -> wire::SolverReport {
@@ -464,7 +499,9 @@ fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
 /// Text in a fixed field, cut at a character's border.
 pub fn text(text: &str) -> [u8; wire::limits::TEXT_BYTES] {
     let mut bytes = [0; wire::limits::TEXT_BYTES];
-    let end = (0..=text.len().min(bytes.len())).rev().find(|&end| text.is_char_boundary(end));
+    let end = (0..=text.len().min(bytes.len()))
+        .rev()
+        .find(|&end| text.is_char_boundary(end));
     let end = end.unwrap_or(0);
     bytes[..end].copy_from_slice(&text.as_bytes()[..end]);
     bytes
@@ -481,33 +518,62 @@ mod tests {
     }
 
     fn chunk(points: &[wire::ReferencePoint]) -> wire::ReferenceChunk {
-        let mut chunk = wire::ReferenceChunk { count: points.len() as u32, ..Default::default() };
+        let mut chunk = wire::ReferenceChunk {
+            count: points.len() as u32,
+            ..Default::default()
+        };
         chunk.points[..points.len()].copy_from_slice(points);
         chunk
     }
 
     fn point(time_ns: u64, position_m: [f64; 3]) -> wire::ReferencePoint {
-        wire::ReferencePoint { time_ns, position_m, ..Default::default() }
+        wire::ReferencePoint {
+            time_ns,
+            position_m,
+            ..Default::default()
+        }
     }
 
     fn refusal_of(chunk: &wire::ReferenceChunk) -> (Outcome, u32) {
-        let refused = reference_points(chunk, &trunk(), 100).err().expect("it is wrong");
+        let refused = reference_points(chunk, &trunk(), 100)
+            .err()
+            .expect("it is wrong");
         (refused.outcome, refused.detail)
     }
 
     #[test]
     fn every_kind_of_bad_point_is_refused_with_its_place() {
         let good = point(200, [0.0, 0.0, 0.3]);
-        assert_eq!(reference_points(&chunk(&[good]), &trunk(), 100).ok().map(Iterator::count), Some(1));
+        assert_eq!(
+            reference_points(&chunk(&[good]), &trunk(), 100)
+                .ok()
+                .map(Iterator::count),
+            Some(1)
+        );
         let nan = point(300, [f64::NAN, 0.0, 0.0]);
         assert_eq!(refusal_of(&chunk(&[good, nan])), (Outcome::NotFinite, 1));
-        assert_eq!(refusal_of(&chunk(&[point(100, [0.0; 3])])), (Outcome::InThePast, 0));
-        assert_eq!(refusal_of(&chunk(&[good, point(300, [0.0, 0.2, 0.3])])), (Outcome::OutOfReach, 1));
-        assert_eq!(refusal_of(&chunk(&[good, good])), (Outcome::TimeNotIncreasing, 1));
+        assert_eq!(
+            refusal_of(&chunk(&[point(100, [0.0; 3])])),
+            (Outcome::InThePast, 0)
+        );
+        assert_eq!(
+            refusal_of(&chunk(&[good, point(300, [0.0, 0.2, 0.3])])),
+            (Outcome::OutOfReach, 1)
+        );
+        assert_eq!(
+            refusal_of(&chunk(&[good, good])),
+            (Outcome::TimeNotIncreasing, 1)
+        );
         assert_eq!(refusal_of(&chunk(&[])), (Outcome::CountOutOfRange, 0));
-        let many = wire::ReferenceChunk { count: 129, ..Default::default() };
+        let many = wire::ReferenceChunk {
+            count: 129,
+            ..Default::default()
+        };
         assert_eq!(refusal_of(&many), (Outcome::CountOutOfRange, 0));
-        let odd = wire::ReferenceChunk { interpolation: 9, ..chunk(&[good]) };
+        let odd = wire::ReferenceChunk {
+            interpolation: 9,
+            ..chunk(&[good])
+        };
         assert_eq!(refusal_of(&odd), (Outcome::UnknownCode, 0));
         let axis = wire::ReferencePoint {
             orientation_kind: codes::OrientationKind::Axis.code(),
@@ -515,21 +581,37 @@ mod tests {
             ..good
         };
         assert_eq!(refusal_of(&chunk(&[axis])), (Outcome::NotUnit, 0));
-        let unknown = wire::ReferencePoint { orientation_kind: 7, ..good };
+        let unknown = wire::ReferencePoint {
+            orientation_kind: 7,
+            ..good
+        };
         assert_eq!(refusal_of(&chunk(&[unknown])), (Outcome::UnknownCode, 0));
     }
 
     #[test]
     fn settings_round_trip_and_unsupported_ones_are_refused() {
-        let settings = NmpcSettings { solver: SolverKind::Kpso, seed: 99, ..Default::default() };
-        assert_eq!(settings_from_wire(&settings_to_wire(&settings, 0)), Ok(settings));
+        let settings = NmpcSettings {
+            solver: SolverKind::Kpso,
+            seed: 99,
+            ..Default::default()
+        };
+        assert_eq!(
+            settings_from_wire(&settings_to_wire(&settings, 0)),
+            Ok(settings)
+        );
         let with = |change: fn(&mut wire::SolverSettings)| {
             let mut message = settings_to_wire(&NmpcSettings::default(), 0);
             change(&mut message);
             settings_from_wire(&message)
         };
-        assert_eq!(with(|m| m.orientation_weight = 1.0), Err(Outcome::Unsupported));
-        assert_eq!(with(|m| m.safe_distance_m = f64::NAN), Err(Outcome::Unsupported));
+        assert_eq!(
+            with(|m| m.orientation_weight = 1.0),
+            Err(Outcome::Unsupported)
+        );
+        assert_eq!(
+            with(|m| m.safe_distance_m = f64::NAN),
+            Err(Outcome::Unsupported)
+        );
         assert_eq!(with(|m| m.solver = 77), Err(Outcome::UnknownCode));
         assert_eq!(with(|m| m.swarm_size = 0), Err(Outcome::OutOfRange));
         assert_eq!(with(|m| m.inertia = f64::NAN), Err(Outcome::OutOfRange));
@@ -543,15 +625,28 @@ mod tests {
             measured_ns: 90,
             ..Default::default()
         };
-        let outcome = |message| measurement(&message, &trunk(), 100).map_err(|refused| refused.outcome);
+        let outcome =
+            |message| measurement(&message, &trunk(), 100).map_err(|refused| refused.outcome);
         assert!(outcome(good).is_ok());
-        assert_eq!(outcome(wire::Measurement { sections: 2, ..good }), Err(Outcome::WrongRobot));
-        let future = wire::Measurement { measured_ns: 10_000_000, ..good };
+        assert_eq!(
+            outcome(wire::Measurement {
+                sections: 2,
+                ..good
+            }),
+            Err(Outcome::WrongRobot)
+        );
+        let future = wire::Measurement {
+            measured_ns: 10_000_000,
+            ..good
+        };
         assert_eq!(outcome(future), Err(Outcome::OutOfRange));
         let mut nan = good;
         nan.bend_rad[1] = f64::INFINITY;
         assert_eq!(outcome(nan), Err(Outcome::NotFinite));
-        assert_eq!(outcome(wire::Measurement { kind: 0, ..good }), Err(Outcome::UnknownCode));
+        assert_eq!(
+            outcome(wire::Measurement { kind: 0, ..good }),
+            Err(Outcome::UnknownCode)
+        );
     }
 
     #[test]

@@ -82,7 +82,10 @@ impl Events {
             && *gather <= telemetry.gather
         {
             let gathers_ago = (telemetry.gather - gather) as u32;
-            telemetry.events[count] = InputEvent { gathers_ago, ..*event };
+            telemetry.events[count] = InputEvent {
+                gathers_ago,
+                ..*event
+            };
             self.queue.pop_front();
             count += 1;
         }
@@ -99,7 +102,11 @@ mod tests {
     use super::*;
 
     fn note(events: &mut Events, gather: u64, sequence: u64, result: Result<u32, Refused>) {
-        let header = Header { sender_id: 1, sequence, sent_ns: 0 };
+        let header = Header {
+            sender_id: 1,
+            sequence,
+            sent_ns: 0,
+        };
         events.note(gather, EventKind::Reference, &header, 5, result);
     }
 
@@ -110,12 +117,21 @@ mod tests {
             note(&mut events, 1, sequence, Ok(0));
         }
         note(&mut events, 2, 99, Ok(0));
-        let mut telemetry = Telemetry { gather: 1, ..Telemetry::default() };
+        let mut telemetry = Telemetry {
+            gather: 1,
+            ..Telemetry::default()
+        };
         events.report(&mut telemetry);
         assert_eq!(telemetry.event_count, 16);
-        let mut telemetry = Telemetry { gather: 3, ..Telemetry::default() };
+        let mut telemetry = Telemetry {
+            gather: 3,
+            ..Telemetry::default()
+        };
         events.report(&mut telemetry);
-        let late: Vec<_> = telemetry.events[..5].iter().map(|e| (e.sequence, e.gathers_ago)).collect();
+        let late: Vec<_> = telemetry.events[..5]
+            .iter()
+            .map(|e| (e.sequence, e.gathers_ago))
+            .collect();
         assert_eq!(late, [(16, 2), (17, 2), (18, 2), (19, 2), (99, 1)]);
     }
 
@@ -123,13 +139,24 @@ mod tests {
     fn a_flood_of_refusals_is_counted_but_not_reported_in_full() {
         let mut events = Events::new();
         for sequence in 0..1000 {
-            note(&mut events, 1, sequence, Err(Refused::whole(Outcome::NoLease)));
+            note(
+                &mut events,
+                1,
+                sequence,
+                Err(Refused::whole(Outcome::NoLease)),
+            );
         }
         note(&mut events, 1, 7, Ok(0));
         assert_eq!(events.outcomes()[Outcome::NoLease.code() as usize], 1000);
-        let mut telemetry = Telemetry { gather: 1, ..Telemetry::default() };
+        let mut telemetry = Telemetry {
+            gather: 1,
+            ..Telemetry::default()
+        };
         events.report(&mut telemetry);
         assert_eq!(telemetry.event_count as usize, REFUSALS_PER_GATHER + 1);
-        assert_eq!(telemetry.events[REFUSALS_PER_GATHER].outcome, Outcome::Accepted.code());
+        assert_eq!(
+            telemetry.events[REFUSALS_PER_GATHER].outcome,
+            Outcome::Accepted.code()
+        );
     }
 }

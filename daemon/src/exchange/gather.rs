@@ -24,7 +24,8 @@ impl Exchange {
         self.take_obstacles(now_ns);
         self.take_measurements(now_ns);
         self.take_requests(now_ns);
-        self.trajectory.forget_before(schedule.release_ns(cycle.saturating_sub(1)));
+        self.trajectory
+            .forget_before(schedule.release_ns(cycle.saturating_sub(1)));
         self.hand_over(schedule, cycle, now_ns);
     }
 
@@ -65,7 +66,13 @@ impl Exchange {
                 break;
             };
             let result = self.take_chunk(&chunk, now_ns);
-            self.events.note(self.gather, EventKind::Reference, &chunk.header, now_ns, result);
+            self.events.note(
+                self.gather,
+                EventKind::Reference,
+                &chunk.header,
+                now_ns,
+                result,
+            );
             accepted += usize::from(result.is_ok());
             if accepted == CHUNKS_PER_GATHER {
                 break;
@@ -75,11 +82,16 @@ impl Exchange {
 
     /// Takes a chunk whole, or refuses it whole.
     fn take_chunk(&mut self, chunk: &ReferenceChunk, now_ns: u64) -> Result<u32, Refused> {
-        let Header { sender_id: client, sequence, .. } = chunk.header;
+        let Header {
+            sender_id: client,
+            sequence,
+            ..
+        } = chunk.header;
         if self.lease.holder(now_ns) != Some(client) {
             return Err(Refused::whole(Outcome::NoLease));
         }
-        let mode = ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
+        let mode =
+            ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
         self.check_sequence(mode, client, sequence)?;
         let points = convert::reference_points(chunk, &self.robot, now_ns)?;
         let taken = match mode {
@@ -110,7 +122,13 @@ impl Exchange {
                 break;
             };
             let refused = Err(Refused::whole(Outcome::Unsupported));
-            self.events.note(self.gather, EventKind::Obstacles, &update.header, now_ns, refused);
+            self.events.note(
+                self.gather,
+                EventKind::Obstacles,
+                &update.header,
+                now_ns,
+                refused,
+            );
         }
     }
 
@@ -126,7 +144,11 @@ impl Exchange {
                 Err(Refused::whole(Outcome::Unsupported))
             };
             match result {
-                Ok(timed) if self.measurement.is_some_and(|last| timed.measured_ns <= last.measured_ns) => {
+                Ok(timed)
+                    if self
+                        .measurement
+                        .is_some_and(|last| timed.measured_ns <= last.measured_ns) =>
+                {
                     self.events.count(Outcome::Stale);
                 }
                 Ok(timed) => {
@@ -135,7 +157,8 @@ impl Exchange {
                 }
                 Err(refused) => {
                     let (kind, header) = (EventKind::Measurement, &message.header);
-                    self.events.note(self.gather, kind, header, now_ns, Err(refused));
+                    self.events
+                        .note(self.gather, kind, header, now_ns, Err(refused));
                 }
             }
         }

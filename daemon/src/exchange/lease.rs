@@ -14,17 +14,23 @@ struct Holder {
 impl Lease {
     /// A lease that nobody holds, of `duration_ns` from each renewal.
     pub(super) fn new(duration_ns: u64) -> Self {
-        Self { duration_ns, holder: None }
+        Self {
+            duration_ns,
+            holder: None,
+        }
     }
 
     /// The client that holds it at `now_ns`.
     pub(super) fn holder(&self, now_ns: u64) -> Option<u64> {
-        self.holder.filter(|holder| holder.expires_ns > now_ns).map(|holder| holder.client)
+        self.holder
+            .filter(|holder| holder.expires_ns > now_ns)
+            .map(|holder| holder.client)
     }
 
     /// How long it still runs \[ns\].
     pub(super) fn left_ns(&self, now_ns: u64) -> u64 {
-        self.holder.map_or(0, |holder| holder.expires_ns.saturating_sub(now_ns))
+        self.holder
+            .map_or(0, |holder| holder.expires_ns.saturating_sub(now_ns))
     }
 
     /// Acquires or renews it. False when another client holds it, or `client` is 0, which is nobody.
@@ -64,7 +70,10 @@ mod tests {
         assert!(lease.renew(1, 50));
         assert_eq!((lease.holder(149), lease.left_ns(149)), (Some(1), 1));
         assert_eq!(lease.holder(150), None);
-        assert!(!lease.renew(1, 150), "an expired lease is not renewed but acquired anew");
+        assert!(
+            !lease.renew(1, 150),
+            "an expired lease is not renewed but acquired anew"
+        );
         assert!(lease.acquire(2, 150));
         assert!(lease.release(2, 160) && lease.holder(160).is_none());
         assert!(!lease.acquire(0, 200));

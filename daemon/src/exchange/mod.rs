@@ -112,7 +112,8 @@ impl Exchange {
             let now_ns = clock.now_ns();
             if now_ns >= gather_ns {
                 self.gather(schedule, next_cycle, now_ns);
-                next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
+                next_cycle =
+                    (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
             }
             if shared.has_cycle_ended() && self.ends.records.is_empty() {
                 self.publish(clock, shared);

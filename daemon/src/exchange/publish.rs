@@ -19,7 +19,7 @@ impl Exchange {
             self.last_cycle = record.release.cycle;
             self.last_mode = convert::mode(record.mode);
             self.answer_decided(&record, clock.now_ns());
-            self.publish_telemetry(&record, command, clock.now_ns());
+            self.publish_telemetry(&record, &command, clock.now_ns());
             self.sum_up(&record, clock.now_ns(), shared);
         }
     }
@@ -34,11 +34,11 @@ impl Exchange {
         command
     }
 
-    fn publish_telemetry(&mut self, record: &CycleRecord, command: wire::Command, now_ns: u64) {
+    fn publish_telemetry(&mut self, record: &CycleRecord, command: &wire::Command, now_ns: u64) {
         self.telemetry_sent += 1;
         let mut telemetry = wire::Telemetry {
             header: self.header(self.telemetry_sent, now_ns),
-            command,
+            command: *command,
             ..convert::telemetry(record, &self.robot, self.period_ns)
         };
         self.events.report(&mut telemetry);

@@ -51,12 +51,11 @@ impl Exchange {
         let Ok(kind) = RequestKind::try_from(asked.payload().kind) else {
             return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
         };
-        match mode_request(kind) {
-            Some(request) => self.pass_on(asked, request, now_ns),
-            None => {
-                let outcome = self.carry_out(kind, asked.payload(), now_ns);
-                self.answer_now(&asked, outcome, now_ns);
-            }
+        if let Some(request) = mode_request(kind) {
+            self.pass_on(asked, request, now_ns);
+        } else {
+            let outcome = self.carry_out(kind, asked.payload(), now_ns);
+            self.answer_now(&asked, outcome, now_ns);
         }
     }
 
@@ -64,7 +63,13 @@ impl Exchange {
     fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
         let ticket = self.waiting.next_ticket;
         let has_room = self.waiting.asked.len() < WAITING_MAX;
-        if has_room && self.ends.requests.push(CycleRequest { ticket, request }).is_ok() {
+        if has_room
+            && self
+                .ends
+                .requests
+                .push(CycleRequest { ticket, request })
+                .is_ok()
+        {
             self.waiting.next_ticket += 1;
             self.waiting.asked.push((ticket, asked));
         } else {
@@ -106,7 +111,12 @@ impl Exchange {
     /// Answers the requests that a cycle decided.
     pub(super) fn answer_decided(&mut self, record: &CycleRecord, now_ns: u64) {
         for CycleAnswer { ticket, outcome } in record.answers.iter().flatten() {
-            let Some(at) = self.waiting.asked.iter().position(|(waiting, _)| waiting == ticket) else {
+            let Some(at) = self
+                .waiting
+                .asked
+                .iter()
+                .position(|(waiting, _)| waiting == ticket)
+            else {
                 continue;
             };
             let (_, asked) = self.waiting.asked.swap_remove(at);
@@ -135,11 +145,22 @@ impl Exchange {
         }
     }
 
-    fn note_request(&mut self, header: &Header, kind: u32, outcome: Outcome, gather: u64, now_ns: u64) {
+    fn note_request(
+        &mut self,
+        header: &Header,
+        kind: u32,
+        outcome: Outcome,
+        gather: u64,
+        now_ns: u64,
+    ) {
         let result = match outcome {
             Outcome::Accepted => Ok(kind),
-            outcome => Err(Refused { outcome, detail: kind }),
+            outcome => Err(Refused {
+                outcome,
+                detail: kind,
+            }),
         };
-        self.events.note(gather, EventKind::Request, header, now_ns, result);
+        self.events
+            .note(gather, EventKind::Request, header, now_ns, result);
     }
 }

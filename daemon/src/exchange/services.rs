@@ -51,8 +51,12 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         root: location.root().display().to_string(),
         cause,
     };
-    let builder = location.node_builder().map_err(|cause| error(cause.to_string()))?;
-    builder.create::<ipc::Service>().map_err(|cause| error(format!("{cause:?}")))
+    let builder = location
+        .node_builder()
+        .map_err(|cause| error(cause.to_string()))?;
+    builder
+        .create::<ipc::Service>()
+        .map_err(|cause| error(format!("{cause:?}")))
 }
 
 /// Every port of the exchange thread.
@@ -149,7 +153,9 @@ fn control(
     robot: &str,
 ) -> Result<Server<ipc::Service, Request, (), Response, ()>, ServiceError> {
     let failed = failed(Service::Control, robot);
-    let name = Service::Control.name(robot).map_err(|cause| failed(&cause))?;
+    let name = Service::Control
+        .name(robot)
+        .map_err(|cause| failed(&cause))?;
     node.service_builder(&name)
         .request_response::<Request, Response>()
         .max_servers(1)

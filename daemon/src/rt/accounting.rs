@@ -94,16 +94,33 @@ mod tests {
 
     #[test]
     fn lateness_counts_from_the_release() {
-        let limits = Limits { deadline_ns: 100, late_start_ns: 20, miss_limit: 3 };
+        let limits = Limits {
+            deadline_ns: 100,
+            late_start_ns: 20,
+            miss_limit: 3,
+        };
         let mut accounting = Accounting::new(limits);
-        let release = |start_ns, skipped| Release { cycle: 1, release_ns: 1000, start_ns, skipped };
-        assert_eq!(accounting.judge(&release(1020, 0), 1100), Verdict::default());
+        let release = |start_ns, skipped| Release {
+            cycle: 1,
+            release_ns: 1000,
+            start_ns,
+            skipped,
+        };
+        assert_eq!(
+            accounting.judge(&release(1020, 0), 1100),
+            Verdict::default()
+        );
         let late = accounting.judge(&release(1021, 0), 1100);
         assert!(late.late_start && !late.deadline_miss);
         let miss = accounting.judge(&release(1001, 2), 1101);
         assert!(!miss.late_start && miss.deadline_miss);
         assert!(accounting.bucket().overflows());
-        let totals = Totals { cycles: 3, late_starts: 1, deadline_misses: 1, skipped_periods: 2 };
+        let totals = Totals {
+            cycles: 3,
+            late_starts: 1,
+            deadline_misses: 1,
+            skipped_periods: 2,
+        };
         assert_eq!(*accounting.totals(), totals);
     }
 }

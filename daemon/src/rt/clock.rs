@@ -16,12 +16,11 @@ impl Clock for MonotonicClock {
 
     fn sleep_until(&self, time_ns: u64) {
         let until = Timespec {
-            tv_sec: (time_ns / 1_000_000_000) as i64,
-            tv_nsec: (time_ns % 1_000_000_000) as i64,
+            tv_sec: (time_ns / 1_000_000_000).cast_signed(),
+            tv_nsec: (time_ns % 1_000_000_000).cast_signed(),
         };
         // A signal may end the sleep early; then the rest of it is slept.
-        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until)
-            .is_err()
+        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until).is_err()
             && self.now_ns() < time_ns
         {}
     }

@@ -108,7 +108,11 @@ pub fn channels(settings: NmpcSettings) -> (CycleEnds, ExchangeEnds, Consumer<Su
     let (request_in, request_out) = RingBuffer::new(4 * REQUESTS_PER_CYCLE);
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
-    let cycle = CycleEnds { inputs: output, requests: request_out, records: record_in };
+    let cycle = CycleEnds {
+        inputs: output,
+        requests: request_out,
+        records: record_in,
+    };
     let exchange = ExchangeEnds {
         inputs: input,
         requests: request_in,

@@ -30,7 +30,10 @@ impl ThreadPlan {
     /// The plan of a thread with `priority` under the configuration.
     pub fn new(config: &RealtimeConfig, priority: i32) -> Self {
         if config.mode == RealtimeMode::Off {
-            return Self { core: None, priority: None };
+            return Self {
+                core: None,
+                priority: None,
+            };
         }
         Self {
             core: choose_core(config),
@@ -80,6 +83,10 @@ pub fn lock_memory(mode: RealtimeMode) -> u32 {
 
 /// Touches the stack that a thread will use, so that its pages are there before the first cycle.
 #[inline(never)]
+#[allow(
+    clippy::large_stack_arrays,
+    reason = "a large array on the stack is the point"
+)]
 fn touch_stack() {
     let mut stack = [0_u8; STACK_BYTES];
     for byte in stack.iter_mut().step_by(4096) {

@@ -87,12 +87,16 @@ mod tests {
             self.now_ns.get()
         }
         fn sleep_until(&self, time_ns: u64) {
-            self.now_ns.set(self.now_ns.get().max(time_ns) + self.late_ns.get());
+            self.now_ns
+                .set(self.now_ns.get().max(time_ns) + self.late_ns.get());
         }
     }
 
     fn clock(now_ns: u64) -> Slow {
-        Slow { now_ns: Cell::new(now_ns), late_ns: Cell::new(0) }
+        Slow {
+            now_ns: Cell::new(now_ns),
+            late_ns: Cell::new(0),
+        }
     }
 
     #[test]
@@ -102,7 +106,12 @@ mod tests {
             let release = schedule.wait(&clock);
             assert_eq!(
                 release,
-                Release { cycle, release_ns: 1000 + cycle * 100, start_ns: 1000 + cycle * 100, skipped: 0 }
+                Release {
+                    cycle,
+                    release_ns: 1000 + cycle * 100,
+                    start_ns: 1000 + cycle * 100,
+                    skipped: 0
+                }
             );
         }
     }
@@ -112,7 +121,14 @@ mod tests {
         let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
         clock.late_ns.set(60);
         let release = schedule.wait(&clock);
-        assert_eq!((release.cycle, release.start_ns - release.release_ns, release.skipped), (1, 60, 0));
+        assert_eq!(
+            (
+                release.cycle,
+                release.start_ns - release.release_ns,
+                release.skipped
+            ),
+            (1, 60, 0)
+        );
     }
 
     #[test]
@@ -121,7 +137,10 @@ mod tests {
         schedule.wait(&clock);
         clock.late_ns.set(350);
         let release = schedule.wait(&clock);
-        assert_eq!((release.cycle, release.release_ns, release.skipped), (5, 500, 3));
+        assert_eq!(
+            (release.cycle, release.release_ns, release.skipped),
+            (5, 500, 3)
+        );
         clock.late_ns.set(0);
         assert_eq!(schedule.wait(&clock).cycle, 6);
     }

@@ -11,11 +11,17 @@ use std::io;
 /// # Errors
 /// What the kernel says; `EPERM` without `CAP_SYS_NICE` or a large enough `RLIMIT_RTPRIO`.
 pub fn set_fifo(priority: i32) -> io::Result<()> {
-    let parameters = libc::sched_param { sched_priority: priority };
+    let parameters = libc::sched_param {
+        sched_priority: priority,
+    };
     // SAFETY: pid 0 is the calling thread; `parameters` is a valid sched_param for the whole call,
     // and the kernel only reads it.
     let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) };
-    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+    if result == 0 {
+        Ok(())
+    } else {
+        Err(io::Error::last_os_error())
+    }
 }
 
 /// Keeps freed memory in the process, so that no later allocation asks the kernel for pages.

@@ -1,0 +1,47 @@
+use std::time::Duration;
+
+use cdcr_client::FeedProgress;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+
+/// A progress bar on the terminal's standard error; nothing at all when that is no terminal.
+pub(crate) struct Bar {
+    bar: ProgressBar,
+}
+
+impl Bar {
+    pub(crate) fn new(what: &str) -> Self {
+        let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr_with_hz(10));
+        let style = ProgressStyle::with_template("{prefix} [{bar:30}] {msg}");
+        bar.set_style(
+            style
+                .unwrap_or_else(|_| ProgressStyle::default_bar())
+                .progress_chars("=> "),
+        );
+        bar.set_prefix(what.to_owned());
+        Self { bar }
+    }
+
+    pub(crate) fn show(&self, progress: &FeedProgress) {
+        self.bar.set_length(ms(progress.duration_s));
+        self.bar.set_position(ms(progress.played_s));
+        let tracked = if progress.tracking {
+            "tracking"
+        } else {
+            "not tracking"
+        };
+        self.bar.set_message(format!(
+            "{:.1} of {:.1} s, {tracked}",
+            progress.played_s, progress.duration_s
+        ));
+    }
+}
+
+impl Drop for Bar {
+    fn drop(&mut self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+fn ms(time_s: f64) -> u64 {
+    Duration::from_secs_f64(time_s.max(0.0)).as_millis() as u64
+}

@@ -1,0 +1,205 @@
+use std::path::Path;
+
+use anyhow::Context;
+use cdcr_client::{Spiral, Trajectory};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Mode, ReferenceState, SolverStatus, Winner, timing};
+use cdcr_shared_types::limits::COORDINATES_MAX;
+
+/// One cycle in which the daemon tracked, as the report, the table and the pictures need it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Cycle {
+    pub(super) number: u64,
+    pub(super) release_ns: u64,
+    /// Time of the release since the start of the curve \[s\]; negative before it.
+    pub(super) time_s: f64,
+    /// Whether the release lies inside the reference, so that its error counts.
+    pub(super) inside: bool,
+    pub(super) tip_m: [f64; 3],
+    /// Where the curve exactly is at the release \[m\].
+    pub(super) exact_m: [f64; 3],
+    pub(super) error_m: f64,
+    pub(super) wake_us: f64,
+    pub(super) solve_us: f64,
+    pub(super) response_us: f64,
+    pub(super) deadline_miss: bool,
+    pub(super) skipped_periods: u32,
+    bend_rad: [f64; COORDINATES_MAX],
+    bend_rate_rad_s: [f64; COORDINATES_MAX],
+    solver_status: u32,
+    winner: u32,
+    evaluations: u32,
+    cost: f64,
+}
+
+impl Cycle {
+    /// The cycle of a record, or `None` when the daemon did not track in it.
+    pub(super) fn of(record: &Telemetry, spiral: &Spiral, start_ns: u64) -> Option<Self> {
+        if record.mode != Mode::Tracking.code() {
+            return None;
+        }
+        // Both are times of one clock, far below 2⁶³ ns.
+        let time_s = record
+            .release_ns
+            .cast_signed()
+            .wrapping_sub(start_ns.cast_signed()) as f64
+            * 1e-9;
+        let exact_m = spiral.position_m(time_s);
+        Some(Self {
+            number: record.cycle,
+            release_ns: record.release_ns,
+            time_s,
+            inside: record.reference.state == ReferenceState::Inside.code(),
+            tip_m: record.tip_position_m,
+            exact_m,
+            error_m: distance(record.tip_position_m, exact_m),
+            wake_us: between_us(record.release_ns, record.start_ns),
+            solve_us: between_us(record.solve_start_ns, record.solve_end_ns),
+            response_us: between_us(record.release_ns, record.handed_over_ns),
+            deadline_miss: record.timing_flags & timing::DEADLINE_MISS != 0,
+            skipped_periods: record.skipped_periods,
+            bend_rad: record.bend_rad,
+            bend_rate_rad_s: record.command.bend_rate_rad_s,
+            solver_status: record.report.status,
+            winner: record.report.winner,
+            evaluations: record.report.evaluations,
+            cost: record.report.cost,
+        })
+    }
+
+    fn cells(&self, sections: usize) -> Vec<String> {
+        let numbers = |values: &[f64]| values.iter().map(|x| format!("{x:e}")).collect::<Vec<_>>();
+        let mut cells = vec![
+            self.number.to_string(),
+            self.release_ns.to_string(),
+            format!("{:.9}", self.time_s),
+            u8::from(self.inside).to_string(),
+        ];
+        cells.extend(numbers(&self.tip_m));
+        cells.extend(numbers(&self.exact_m));
+        cells.extend(numbers(&[self.error_m]));
+        for value_us in [self.wake_us, self.solve_us, self.response_us] {
+            cells.push(format!("{value_us:.3}"));
+        }
+        cells.push(u8::from(self.deadline_miss).to_string());
+        cells.push(self.skipped_periods.to_string());
+        cells.push(SolverStatus::text_of(self.solver_status).to_owned());
+        cells.push(Winner::text_of(self.winner).to_owned());
+        cells.push(self.evaluations.to_string());
+        cells.extend(numbers(&[self.cost]));
+        cells.extend(numbers(&self.bend_rad[..2 * sections]));
+        cells.extend(numbers(&self.bend_rate_rad_s[..2 * sections]));
+        cells
+    }
+}
+
+/// Names and units of the columns, in the order of [`Cycle::cells`].
+fn header(sections: usize) -> Vec<String> {
+    let fixed = "cycle,release_ns,time_s,inside_reference,tip_x_m,tip_y_m,tip_z_m,\
+        reference_x_m,reference_y_m,reference_z_m,error_m,wake_us,solve_us,response_us,\
+        deadline_miss,skipped_periods,solver_status,winner,evaluations,cost";
+    let mut names: Vec<String> = fixed.split(',').map(str::to_owned).collect();
+    for (quantity, unit) in [("bend", "rad"), ("bend_rate", "rad_s")] {
+        for section in 1..=sections {
+            names.extend(["u", "v"].map(|axis| format!("{quantity}_{axis}{section}_{unit}")));
+        }
+    }
+    names
+}
+
+/// Writes one row for each cycle.
+pub(super) fn write_csv(path: &Path, cycles: &[Cycle], sections: usize) -> anyhow::Result<()> {
+    let context = || format!("cannot write {}", path.display());
+    let mut writer = csv::Writer::from_path(path).with_context(context)?;
+    writer
+        .write_record(header(sections))
+        .with_context(context)?;
+    for cycle in cycles {
+        writer
+            .write_record(cycle.cells(sections))
+            .with_context(context)?;
+    }
+    writer.flush().with_context(context)
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let squares = a.iter().zip(b).map(|(a, b)| (a - b) * (a - b));
+    squares.sum::<f64>().sqrt()
+}
+
+fn between_us(from_ns: u64, to_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-3
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// A record of a daemon that tracks `offset_m` beside the spiral.
+    fn record(spiral: &Spiral, start_ns: u64, time_ns: u64, offset_m: f64) -> Telemetry {
+        let release_ns = start_ns + time_ns;
+        let [x, y, z] = spiral.position_m(time_ns as f64 * 1e-9);
+        let mut record = Telemetry {
+            mode: Mode::Tracking.code(),
+            release_ns,
+            start_ns: release_ns + 20_000,
+            solve_start_ns: release_ns + 22_000,
+            solve_end_ns: release_ns + 52_000,
+            handed_over_ns: release_ns + 55_000,
+            tip_position_m: [x, y, z + offset_m],
+            ..Telemetry::default()
+        };
+        record.reference.state = ReferenceState::Inside.code();
+        record
+    }
+
+    /// A run that never was, for arithmetic and pictures.
+    pub(in crate::demo) fn synthetic(count: u64) -> (Vec<Cycle>, Spiral) {
+        let spiral = Spiral::for_sections(&[0.3; 3]);
+        let cycle = |k: u64| {
+            let noise = (k * 7919 % 101) as f64 / 101.0;
+            let record = record(
+                &spiral,
+                1_000_000_000,
+                5_000_000 * k + 1_234_567,
+                1e-10 * (1.0 + noise),
+            );
+            let mut cycle = Cycle::of(&record, &spiral, 1_000_000_000)?;
+            cycle.number = k;
+            cycle.wake_us += 60.0 * noise.powi(4) + if k % 331 == 330 { 6000.0 } else { 0.0 };
+            cycle.solve_us += 25.0 * noise * noise;
+            cycle.response_us = cycle.wake_us + cycle.solve_us + 5.0;
+            cycle.deadline_miss = cycle.response_us > 5000.0;
+            Some(cycle)
+        };
+        ((0..count).filter_map(cycle).collect(), spiral)
+    }
+
+    #[test]
+    fn the_error_is_against_the_exact_curve_at_the_release() {
+        let spiral = Spiral::for_sections(&[0.3]);
+        let record = record(&spiral, 7_000_000_000, 2_501_000, 3e-6);
+        let cycle = Cycle::of(&record, &spiral, 7_000_000_000).expect("tracking");
+        assert!((cycle.error_m - 3e-6).abs() < 1e-15);
+        assert!((cycle.time_s - 0.002_501).abs() < 1e-15);
+        assert!((cycle.wake_us - 20.0).abs() < 1e-12);
+        assert!((cycle.solve_us - 30.0).abs() < 1e-12);
+        assert!((cycle.response_us - 55.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn cycles_that_did_not_track_do_not_count() {
+        let spiral = Spiral::for_sections(&[0.3]);
+        let mut record = record(&spiral, 0, 0, 0.0);
+        record.mode = Mode::Holding.code();
+        assert_eq!(Cycle::of(&record, &spiral, 0), None);
+    }
+
+    #[test]
+    fn every_row_has_a_cell_for_every_column() {
+        let (cycles, _) = synthetic(3);
+        for sections in 1..=3 {
+            assert_eq!(cycles[0].cells(sections).len(), header(sections).len());
+        }
+    }
+}

@@ -1,0 +1,83 @@
+//! Pictures of one run, as SVG.
+
+mod error;
+mod path;
+mod timing;
+
+pub(super) use error::error;
+pub(super) use path::path;
+pub(super) use timing::timing;
+
+use plotters::style::RGBColor;
+
+// A palette that colour-blind people can tell apart (Okabe and Ito).
+const BLUE: RGBColor = RGBColor(0, 114, 178);
+const ORANGE: RGBColor = RGBColor(213, 94, 0);
+const GREEN: RGBColor = RGBColor(0, 158, 115);
+const GREY: RGBColor = RGBColor(170, 170, 170);
+/// Grid lines.
+const PALE: RGBColor = RGBColor(225, 225, 225);
+
+const TITLE: (&str, i32) = ("sans-serif", 22);
+const LABEL: (&str, i32) = ("sans-serif", 16);
+const TICK: (&str, i32) = ("sans-serif", 14);
+
+fn section_words(sections: u32) -> String {
+    let plural = if sections == 1 { "" } else { "s" };
+    format!("{sections} section{plural}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::cycle::tests::synthetic;
+    use super::super::report::tests::report;
+    use super::*;
+    use cdcr_shared_types::Status;
+
+    #[test]
+    fn pictures_have_titles_axes_and_units() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // Keep the pictures to look at them.
+        let folder = std::env::var_os("CDCR_KEEP_PICTURES")
+            .map_or_else(|| folder.path().to_owned(), Into::into);
+        let (cycles, spiral) = synthetic(994);
+        let report = report(&cycles, &Status::default());
+        path(&folder.join("path.svg"), &cycles, &spiral, &report).expect("drawn");
+        error(&folder.join("error.svg"), &cycles, &report).expect("drawn");
+        timing(&folder.join("timing.svg"), &cycles, &report).expect("drawn");
+        let has = |file: &str, words: &[&str]| {
+            let svg = std::fs::read_to_string(folder.join(file)).expect("written");
+            for word in words {
+                assert!(svg.contains(word), "{word} in {file}");
+            }
+        };
+        has(
+            "path.svg",
+            &[
+                "x [mm]",
+                "y [mm]",
+                "z [mm]",
+                "3 sections",
+                "tip",
+                "reference",
+            ],
+        );
+        has("error.svg", &["time [s]", "error [mm]", "mean", "paper"]);
+        has(
+            "timing.svg",
+            &["wake-up", "solve", "response", "µs", "cycles"],
+        );
+    }
+
+    #[test]
+    fn a_perfect_run_can_be_drawn() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (mut cycles, spiral) = synthetic(1);
+        cycles[0].error_m = 0.0;
+        cycles[0].wake_us = 0.0;
+        let report = report(&cycles, &Status::default());
+        path(&folder.path().join("path.svg"), &cycles, &spiral, &report).expect("drawn");
+        error(&folder.path().join("error.svg"), &cycles, &report).expect("drawn");
+        timing(&folder.path().join("timing.svg"), &cycles, &report).expect("drawn");
+    }
+}

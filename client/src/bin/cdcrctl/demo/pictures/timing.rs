@@ -1,0 +1,151 @@
+use std::ops::Range;
+use std::path::Path;
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE, section_words};
+use crate::demo::cycle::Cycle;
+use crate::demo::report::{Report, Spread};
+
+/// Bars in each factor of ten.
+const BARS_PER_DECADE: f64 = 10.0;
+/// Times below this are counted here: a logarithm knows no zero \[µs\].
+const FLOOR_US: f64 = 0.1;
+
+/// One histogram.
+struct Panel<'a> {
+    name: &'static str,
+    values_us: Vec<f64>,
+    spread: &'a Spread,
+    colour: RGBColor,
+}
+
+/// Draws how often each latency came, in one scale of time for all three.
+pub(in crate::demo) fn timing(
+    file: &Path,
+    cycles: &[Cycle],
+    report: &Report,
+) -> anyhow::Result<()> {
+    let values = |value: fn(&Cycle) -> f64| cycles.iter().map(value).collect::<Vec<_>>();
+    let panels = [
+        Panel {
+            name: "wake-up: release to start",
+            values_us: values(|cycle| cycle.wake_us),
+            spread: &report.wake_us,
+            colour: BLUE,
+        },
+        Panel {
+            name: "solve",
+            values_us: values(|cycle| cycle.solve_us),
+            spread: &report.solve_us,
+            colour: GREEN,
+        },
+        Panel {
+            name: "response: release to command",
+            values_us: values(|cycle| cycle.response_us),
+            spread: &report.response_us,
+            colour: ORANGE,
+        },
+    ];
+    let root = SVGBackend::new(file, (1000, 900)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let title = format!(
+        "Timing of {} cycles, {}",
+        report.cycles,
+        section_words(report.sections)
+    );
+    let areas = root.titled(&title, TITLE)?.split_evenly((3, 1));
+    let range_us = decades(panels.iter().flat_map(|panel| &panel.values_us));
+    for (area, panel) in areas.iter().zip(&panels) {
+        histogram(area, panel, range_us.clone())?;
+    }
+    root.present()?;
+    Ok(())
+}
+
+fn histogram(
+    area: &DrawingArea<SVGBackend<'_>, Shift>,
+    panel: &Panel<'_>,
+    range_us: Range<f64>,
+) -> anyhow::Result<()> {
+    let bars = bars(&panel.values_us, range_us.start);
+    let most = bars.iter().map(|bar| bar.1).fold(1.0, f64::max);
+    let mut chart = ChartBuilder::on(area)
+        .margin(12)
+        .margin_right(35)
+        .x_label_area_size(48)
+        .y_label_area_size(70)
+        .build_cartesian_2d(range_us.log_scale(), (0.7..10.0 * most).log_scale())?;
+    chart
+        .configure_mesh()
+        .x_desc(format!("{} [µs]", panel.name))
+        .y_desc("cycles")
+        .axis_desc_style(LABEL)
+        .label_style(TICK)
+        .x_label_formatter(&|us| format!("{us}"))
+        .y_label_formatter(&|count| format!("{count:.0}"))
+        .y_labels(5)
+        .bold_line_style(PALE)
+        .light_line_style(TRANSPARENT)
+        .draw()?;
+    let colour = panel.colour;
+    let rectangles = bars.iter().map(|(range, count)| {
+        Rectangle::new([(range.start, 0.7), (range.end, *count)], colour.filled())
+    });
+    let Spread { p50, p99, max } = panel.spread;
+    chart
+        .draw_series(rectangles)?
+        .label(format!("p50 {p50:.1} µs, p99 {p99:.1} µs, max {max:.1} µs"))
+        .legend(move |(x, y)| Rectangle::new([(x, y - 5), (x + 20, y + 5)], colour.filled()));
+    chart
+        .configure_series_labels()
+        .position(SeriesLabelPosition::UpperRight)
+        .label_font(TICK)
+        .background_style(WHITE.mix(0.9))
+        .border_style(GREY)
+        .draw()?;
+    Ok(())
+}
+
+/// Bars of equal width on the logarithmic axis that are not empty, with their counts.
+fn bars(values_us: &[f64], start_us: f64) -> Vec<(Range<f64>, f64)> {
+    let edge = |index: usize| start_us * 10_f64.powf(index as f64 / BARS_PER_DECADE);
+    let mut counts: Vec<f64> = Vec::new();
+    for value_us in values_us {
+        let place = BARS_PER_DECADE * (value_us.max(start_us) / start_us).log10();
+        let index = place as usize;
+        if counts.len() <= index {
+            counts.resize(index + 1, 0.0);
+        }
+        counts[index] += 1.0;
+    }
+    let bars = counts.into_iter().enumerate();
+    let bars = bars.map(|(index, count)| (edge(index)..edge(index + 1), count));
+    bars.filter(|(_, count)| *count > 0.0).collect()
+}
+
+/// Whole decades around all values.
+fn decades<'a>(values_us: impl Iterator<Item = &'a f64>) -> Range<f64> {
+    let start = (f64::INFINITY, FLOOR_US);
+    let (least, most) = values_us.fold(start, |(least, most), &x| {
+        (least.min(x.max(FLOOR_US)), most.max(x))
+    });
+    // Powers of whole exponents, so that the labels are exact.
+    10_f64.powi(least.log10().floor() as i32)..10_f64.powi(most.log10().floor() as i32 + 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_value_is_in_one_bar() {
+        let values = [0.0, 1.0, 9.999, 10.0, 5000.0];
+        let bars = bars(&values, 0.1);
+        assert!((bars.iter().map(|bar| bar.1).sum::<f64>() - 5.0).abs() < 1e-12);
+        assert!(bars.iter().any(|(range, _)| range.contains(&5000.0)));
+        let range = decades(values.iter());
+        assert!((range.start - 0.1).abs() < 1e-12 && (range.end - 1e4).abs() < 1e-6);
+    }
+}

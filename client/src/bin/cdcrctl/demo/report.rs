@@ -1,0 +1,190 @@
+use anyhow::bail;
+use cdcr_client::realtime_missing;
+use cdcr_shared_types::Status;
+use serde::Serialize;
+
+use super::cycle::Cycle;
+use crate::args::DemoOptions;
+
+/// Mean errors that the paper claims for 1, 2 and 3 sections \[mm\].
+const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
+
+/// What the demo found.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Report {
+    pub(super) sections: u32,
+    /// Cycles that tracked: those that the times are counted over.
+    pub(super) cycles: usize,
+    pub(super) mean_error_mm: f64,
+    pub(super) max_error_mm: f64,
+    pub(super) deadline_misses: usize,
+    pub(super) skipped_periods: u64,
+    pub(super) realtime: bool,
+    pub(super) realtime_missing: Vec<&'static str>,
+    pub(super) wake_us: Spread,
+    pub(super) solve_us: Spread,
+    pub(super) response_us: Spread,
+    pub(super) paper_mean_error_mm: f64,
+    /// Cycles whose release lay inside the reference: those that the error is counted over.
+    pub(super) reference_cycles: usize,
+    pub(super) lost_records: u64,
+    pub(super) duration_s: f64,
+    pub(super) out: Option<String>,
+}
+
+/// How a time is spread, exact from all its values.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct Spread {
+    pub(super) p50: f64,
+    pub(super) p99: f64,
+    pub(super) max: f64,
+}
+
+impl Report {
+    pub(super) fn new(
+        options: &DemoOptions,
+        cycles: &[Cycle],
+        status: &Status,
+        lost_records: u64,
+    ) -> anyhow::Result<Self> {
+        let errors_mm: Vec<f64> = cycles
+            .iter()
+            .filter(|cycle| cycle.inside)
+            .map(|cycle| 1e3 * cycle.error_m)
+            .collect();
+        if errors_mm.is_empty() {
+            bail!("the daemon tracked, but no record of it arrived ({lost_records} were lost)");
+        }
+        let missing = realtime_missing(status.realtime_missing);
+        Ok(Self {
+            sections: options.sections,
+            cycles: cycles.len(),
+            mean_error_mm: errors_mm.iter().sum::<f64>() / errors_mm.len() as f64,
+            max_error_mm: errors_mm.iter().copied().fold(0.0, f64::max),
+            deadline_misses: cycles.iter().filter(|cycle| cycle.deadline_miss).count(),
+            skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
+            realtime: missing.is_empty(),
+            realtime_missing: missing.iter().map(|&(name, _)| name).collect(),
+            wake_us: Spread::of(cycles.iter().map(|cycle| cycle.wake_us)),
+            solve_us: Spread::of(cycles.iter().map(|cycle| cycle.solve_us)),
+            response_us: Spread::of(cycles.iter().map(|cycle| cycle.response_us)),
+            paper_mean_error_mm: PAPER_MEAN_ERROR_MM[options.sections as usize - 1],
+            reference_cycles: errors_mm.len(),
+            lost_records,
+            duration_s: options.duration.as_secs_f64(),
+            out: options.out.as_ref().map(|out| out.display().to_string()),
+        })
+    }
+}
+
+impl Spread {
+    fn of(values: impl Iterator<Item = f64>) -> Self {
+        let mut sorted: Vec<f64> = values.collect();
+        sorted.sort_by(f64::total_cmp);
+        Self {
+            p50: nearest_rank(&sorted, 0.5),
+            p99: nearest_rank(&sorted, 0.99),
+            max: sorted.last().copied().unwrap_or(0.0),
+        }
+    }
+}
+
+/// The smallest value that at least this share of all values does not exceed.
+fn nearest_rank(sorted: &[f64], share: f64) -> f64 {
+    let rank = (share * sorted.len() as f64).ceil() as usize;
+    sorted.get(rank.saturating_sub(1)).copied().unwrap_or(0.0)
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::super::cycle::tests::synthetic;
+    use super::*;
+    use crate::args::Format;
+    use cdcr_shared_types::codes::realtime;
+    use std::time::Duration;
+
+    pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> Report {
+        let options = DemoOptions {
+            sections: 3,
+            duration: Duration::from_millis(4970),
+            format: Format::Text,
+            out: None,
+        };
+        Report::new(&options, cycles, status, 0).expect("cycles were tracked")
+    }
+
+    #[test]
+    fn percentiles_are_exact() {
+        let spread = Spread::of((1..=200).rev().map(f64::from));
+        assert_eq!(
+            spread,
+            Spread {
+                p50: 100.0,
+                p99: 198.0,
+                max: 200.0
+            }
+        );
+        let one = Spread {
+            p50: 7.0,
+            p99: 7.0,
+            max: 7.0,
+        };
+        assert_eq!(Spread::of([7.0].into_iter()), one);
+    }
+
+    #[test]
+    fn errors_count_inside_the_reference_and_times_always() {
+        let (mut cycles, _) = synthetic(4);
+        for (cycle, error_m) in cycles.iter_mut().zip([1.0, 2e-9, 4e-9, 1.0]) {
+            cycle.error_m = error_m;
+        }
+        cycles[0].inside = false;
+        cycles[3].inside = false;
+        cycles[1].skipped_periods = 2;
+        cycles[3].deadline_miss = true;
+        let report = report(&cycles, &Status::default());
+        assert!((report.mean_error_mm - 3e-6).abs() < 1e-18);
+        assert!((report.max_error_mm - 4e-6).abs() < 1e-18);
+        assert_eq!((report.cycles, report.reference_cycles), (4, 2));
+        assert_eq!((report.deadline_misses, report.skipped_periods), (1, 2));
+        assert!(report.realtime);
+    }
+
+    #[test]
+    fn the_json_has_the_promised_fields() {
+        let (cycles, _) = synthetic(10);
+        let status = Status {
+            realtime_missing: realtime::FIFO | realtime::PINNED,
+            ..Status::default()
+        };
+        let json = serde_json::to_value(report(&cycles, &status)).expect("JSON");
+        for field in [
+            "sections",
+            "cycles",
+            "mean_error_mm",
+            "max_error_mm",
+            "deadline_misses",
+            "skipped_periods",
+        ] {
+            assert!(json[field].is_number(), "{field}");
+        }
+        assert_eq!(json["realtime"], false);
+        assert_eq!(json["realtime_missing"][1], "core pinning");
+        for time in ["wake_us", "solve_us", "response_us"] {
+            for value in ["p50", "p99", "max"] {
+                assert!(json[time][value].is_number(), "{time}.{value}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_run_without_tracking_is_an_error() {
+        let options = DemoOptions {
+            sections: 1,
+            duration: Duration::from_secs(1),
+            format: Format::Json,
+            out: None,
+        };
+        assert!(Report::new(&options, &[], &Status::default(), 5).is_err());
+    }
+}

@@ -1,0 +1,315 @@
+//! Every message as JSON: codes in words, SI units in the names, only what is used of each array.
+
+use cdcr_client::{events, realtime_missing, text};
+use cdcr_shared_types::codes::{
+    ChunkMode, Coordinates, EventKind, Interpolation, MeasurementKind, Mode, ObstacleAction,
+    ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState, RobotLink, SolverKind,
+    SolverStatus, VelocityRule, Winner,
+};
+use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, PLAN_MAX, SECTIONS_MAX};
+use cdcr_shared_types::{
+    Command, Header, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
+    ReferenceChunk, ReferencePoint, RobotDescription, SolverReport, SolverSettings, Status,
+    Telemetry,
+};
+use serde_json::{Map, Value, json};
+
+fn header(header: &Header) -> Value {
+    json!({
+        "sender_id": header.sender_id,
+        "sequence": header.sequence,
+        "sent_ns": header.sent_ns,
+    })
+}
+
+fn used_sections(sections: u32) -> usize {
+    (sections as usize).min(SECTIONS_MAX)
+}
+
+pub(crate) fn telemetry(record: &Telemetry) -> Value {
+    let coordinates = 2 * used_sections(record.command.sections);
+    let plan_length = (record.plan_length as usize).min(PLAN_MAX);
+    json!({
+        "header": header(&record.header),
+        "cycle": record.cycle,
+        "release_ns": record.release_ns,
+        "start_ns": record.start_ns,
+        "solve_start_ns": record.solve_start_ns,
+        "solve_end_ns": record.solve_end_ns,
+        "handed_over_ns": record.handed_over_ns,
+        "period_ns": record.period_ns,
+        "elapsed_ns": record.elapsed_ns,
+        "skipped_periods": record.skipped_periods,
+        "timing_flags": record.timing_flags,
+        "deadline_misses_total": record.deadline_misses_total,
+        "skipped_periods_total": record.skipped_periods_total,
+        "mode": Mode::text_of(record.mode),
+        "reason": Reason::text_of(record.reason),
+        "miss_bucket": record.miss_bucket,
+        "gather": record.gather,
+        "gather_ns": record.gather_ns,
+        "events": events(record).iter().map(event).collect::<Vec<_>>(),
+        "measurement": measurement(&record.measurement),
+        "bend_rad": &record.bend_rad[..coordinates],
+        "previous_rate_rad_s": &record.previous_rate_rad_s[..coordinates],
+        "settings": settings(&record.settings),
+        "robot_fingerprint": record.robot_fingerprint,
+        "obstacle_count": record.obstacle_count,
+        "warm_plan": &record.warm_plan[..plan_length],
+        "plan": &record.plan[..plan_length],
+        "report": report(&record.report),
+        "reference": {
+            "state": ReferenceState::text_of(record.reference.state),
+            "position_m": record.reference.position_m,
+            "orientation_kind": OrientationKind::text_of(record.reference.orientation_kind),
+            "orientation": record.reference.orientation,
+        },
+        "tip_position_m": record.tip_position_m,
+        "tip_orientation": record.tip_orientation,
+        "position_error_m": record.position_error_m,
+        "guard_flags": record.guard_flags,
+        "command": command(&record.command),
+    })
+}
+
+fn event(event: &InputEvent) -> Value {
+    json!({
+        "sender_id": event.sender_id,
+        "sequence": event.sequence,
+        "judged_ns": event.judged_ns,
+        "kind": EventKind::text_of(event.kind),
+        "outcome": Outcome::text_of(event.outcome),
+        "detail": event.detail,
+    })
+}
+
+fn measurement(measurement: &Measurement) -> Value {
+    let sections = used_sections(measurement.sections);
+    let kind = MeasurementKind::try_from(measurement.kind);
+    let mut object = Map::new();
+    let text = MeasurementKind::text_of(measurement.kind);
+    object.insert("kind".to_owned(), json!(text));
+    object.insert("measured_ns".to_owned(), json!(measurement.measured_ns));
+    let values = match kind {
+        Ok(MeasurementKind::Configuration) => {
+            json!({ "bend_rad": &measurement.bend_rad[..2 * sections] })
+        }
+        Ok(MeasurementKind::TipPose) => json!({
+            "tip_position_m": measurement.tip_position_m,
+            "tip_orientation": measurement.tip_orientation,
+        }),
+        Ok(MeasurementKind::CableLengths) => {
+            json!({ "cable_length_m": &measurement.cable_length_m[..3 * sections] })
+        }
+        Ok(MeasurementKind::None) | Err(_) => json!({}),
+    };
+    if let Value::Object(values) = values {
+        object.extend(values);
+    }
+    Value::Object(object)
+}
+
+fn report(report: &SolverReport) -> Value {
+    json!({
+        "status": SolverStatus::text_of(report.status),
+        "winner": Winner::text_of(report.winner),
+        "cost": report.cost,
+        "warm_cost": report.warm_cost,
+        "gradient_norm": report.gradient_norm,
+        "seed": report.seed,
+        "evaluations": report.evaluations,
+        "quanta": report.quanta,
+        "iterations": report.iterations,
+        "refinements": report.refinements,
+    })
+}
+
+pub(crate) fn command(command: &Command) -> Value {
+    let sections = used_sections(command.sections);
+    json!({
+        "header": header(&command.header),
+        "cycle": command.cycle,
+        "release_ns": command.release_ns,
+        "valid_for_ns": command.valid_for_ns,
+        "mode": Mode::text_of(command.mode),
+        "sections": command.sections,
+        "bend_rate_rad_s": &command.bend_rate_rad_s[..2 * sections],
+        "bend_target_rad": &command.bend_target_rad[..2 * sections],
+        "cable_length_m": &command.cable_length_m[..3 * sections],
+        "cable_speed_m_s": &command.cable_speed_m_s[..3 * sections],
+    })
+}
+
+pub(crate) fn status(status: &Status) -> Value {
+    let missing = realtime_missing(status.realtime_missing);
+    json!({
+        "header": header(&status.header),
+        "robot_name": text(&status.robot_name),
+        "build": text(&status.build),
+        "process_id": status.process_id,
+        "mode": Mode::text_of(status.mode),
+        "reason": Reason::text_of(status.reason),
+        "realtime": missing.is_empty(),
+        "realtime_missing": missing.iter().map(|(name, _)| name).collect::<Vec<_>>(),
+        "link": RobotLink::text_of(status.link),
+        "core": status.core,
+        "origin_ns": status.origin_ns,
+        "period_ns": status.period_ns,
+        "deadline_ns": status.deadline_ns,
+        "cycles": status.cycles,
+        "late_starts": status.late_starts,
+        "deadline_misses": status.deadline_misses,
+        "skipped_periods": status.skipped_periods,
+        "budget_hits": status.budget_hits,
+        "dropped_records": status.dropped_records,
+        "faults": status.faults,
+        "outcomes": outcomes(status),
+        "wake": latency(&status.wake),
+        "solve": latency(&status.solve),
+        "response": latency(&status.response),
+        "lease_holder": status.lease_holder,
+        "reference_end_ns": status.reference_end_ns,
+        "reference_points": status.reference_points,
+        "obstacle_count": status.obstacle_count,
+        "robot": robot(&status.robot),
+        "settings": settings(&status.settings),
+    })
+}
+
+fn outcomes(status: &Status) -> Value {
+    let counted = Outcome::ALL.iter().zip(status.outcomes);
+    let named = counted.map(|(outcome, count)| (outcome.text().to_owned(), json!(count)));
+    Value::Object(named.collect())
+}
+
+fn latency(latency: &LatencySummary) -> Value {
+    json!({
+        "count": latency.count,
+        "min_ns": latency.min_ns,
+        "p50_ns": latency.p50_ns,
+        "p99_ns": latency.p99_ns,
+        "p999_ns": latency.p999_ns,
+        "max_ns": latency.max_ns,
+    })
+}
+
+fn robot(robot: &RobotDescription) -> Value {
+    let used = &robot.section[..used_sections(robot.sections)];
+    let sections = used.iter().map(|section| {
+        json!({
+            "length_m": section.length_m,
+            "cable_radius_m": section.cable_radius_m,
+            "cable_offset_rad": section.cable_offset_rad,
+            "bend_max_rad": section.bend_max_rad,
+            "rate_max_rad_s": section.rate_max_rad_s,
+            "body_radius_m": section.body_radius_m,
+        })
+    });
+    json!({
+        "fingerprint": robot.fingerprint,
+        "cable_speed_max_m_s": robot.cable_speed_max_m_s,
+        "sections": sections.collect::<Vec<_>>(),
+    })
+}
+
+fn settings(settings: &SolverSettings) -> Value {
+    json!({
+        "solver": SolverKind::text_of(settings.solver),
+        "coordinates": Coordinates::text_of(settings.coordinates),
+        "horizon_steps": settings.horizon_steps,
+        "control_blocks": settings.control_blocks,
+        "swarm_size": settings.swarm_size,
+        "swarm_iterations": settings.swarm_iterations,
+        "regenerate_after": settings.regenerate_after,
+        "velocity_rule": VelocityRule::text_of(settings.velocity_rule),
+        "refinement_steps": settings.refinement_steps,
+        "inertia": settings.inertia,
+        "cognitive": settings.cognitive,
+        "social": settings.social,
+        "damping": settings.damping,
+        "position_weight": settings.position_weight,
+        "orientation_weight": settings.orientation_weight,
+        "orientation_tolerance_rad": settings.orientation_tolerance_rad,
+        "rate_weight": settings.rate_weight,
+        "rate_change_weight": settings.rate_change_weight,
+        "terminal_weight": settings.terminal_weight,
+        "safe_distance_m": settings.safe_distance_m,
+        "obstacle_step_penalty": settings.obstacle_step_penalty,
+        "obstacle_slope_penalty": settings.obstacle_slope_penalty,
+        "budget_ns": settings.budget_ns,
+        "seed": settings.seed,
+    })
+}
+
+pub(crate) fn reference(chunk: &ReferenceChunk) -> Value {
+    let points = &chunk.points[..(chunk.count as usize).min(CHUNK_POINTS_MAX)];
+    json!({
+        "header": header(&chunk.header),
+        "mode": ChunkMode::text_of(chunk.mode),
+        "interpolation": Interpolation::text_of(chunk.interpolation),
+        "points": points.iter().map(point).collect::<Vec<_>>(),
+    })
+}
+
+fn point(point: &ReferencePoint) -> Value {
+    json!({
+        "time_ns": point.time_ns,
+        "position_m": point.position_m,
+        "orientation_kind": OrientationKind::text_of(point.orientation_kind),
+        "orientation": point.orientation,
+    })
+}
+
+pub(crate) fn obstacles(update: &ObstacleUpdate) -> Value {
+    let used = &update.obstacles[..(update.count as usize).min(OBSTACLES_MAX)];
+    json!({
+        "header": header(&update.header),
+        "action": ObstacleAction::text_of(update.action),
+        "obstacles": used.iter().map(obstacle).collect::<Vec<_>>(),
+    })
+}
+
+fn obstacle(obstacle: &Obstacle) -> Value {
+    json!({
+        "id": obstacle.id,
+        "shape": ObstacleShape::text_of(obstacle.shape),
+        "start_m": obstacle.start_m,
+        "end_m": obstacle.end_m,
+        "radius_m": obstacle.radius_m,
+        "velocity_m_s": obstacle.velocity_m_s,
+        "measured_ns": obstacle.measured_ns,
+        "lifetime_ns": obstacle.lifetime_ns,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn arrays_are_cut_to_what_is_used_and_nan_is_null() {
+        let mut record = Telemetry {
+            plan_length: 4,
+            position_error_m: f64::NAN,
+            ..Telemetry::default()
+        };
+        record.command.sections = 2;
+        let value = telemetry(&record);
+        assert_eq!(value["bend_rad"].as_array().map(Vec::len), Some(4));
+        assert_eq!(value["plan"].as_array().map(Vec::len), Some(4));
+        assert!(value["position_error_m"].is_null());
+        assert_eq!(
+            value["command"]["cable_length_m"].as_array().map(Vec::len),
+            Some(6)
+        );
+    }
+
+    #[test]
+    fn counters_have_the_names_of_their_outcomes() {
+        let mut status_record = Status::default();
+        status_record.outcomes[Outcome::NotFinite.code() as usize] = 5;
+        let value = status(&status_record);
+        assert_eq!(value["outcomes"]["a value is not a finite number"], 5);
+        assert_eq!(value["realtime"], true);
+    }
+}

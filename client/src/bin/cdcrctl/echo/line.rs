@@ -1,0 +1,142 @@
+//! One line of text for each message.
+
+use cdcr_client::events;
+use cdcr_shared_types::codes::{
+    ChunkMode, Interpolation, Mode, ObstacleAction, ObstacleShape, Outcome, Reason, ReferenceState,
+};
+use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
+use cdcr_shared_types::{Command, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+
+pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm   \
+    y mm      z mm      error mm   wake µs  solve µs  response µs  events";
+pub(super) const COMMAND_HEADING: &str =
+    "     cycle  mode        bend rates rad/s (u, v of each section) | cable lengths mm";
+pub(super) const STATUS_HEADING: &str =
+    "    cycles  mode        misses  skipped  response p99 µs  points ahead  reason";
+pub(super) const REFERENCE_HEADING: &str =
+    "sender            chunk  mode     between  points   first s ahead   last s ahead";
+pub(super) const OBSTACLES_HEADING: &str =
+    "sender           update  action  obstacles (id shape at m, radius m)";
+
+pub(super) fn telemetry(record: &Telemetry) -> String {
+    let [x, y, z] = record.tip_position_m.map(|x| 1e3 * x);
+    let us = |to: u64, from: u64| to.saturating_sub(from) as f64 * 1e-3;
+    format!(
+        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10.1}{:>13.1}  {}",
+        record.cycle,
+        Mode::text_of(record.mode),
+        ReferenceState::text_of(record.reference.state),
+        error_text(record.position_error_m),
+        us(record.start_ns, record.release_ns),
+        us(record.solve_end_ns, record.solve_start_ns),
+        us(record.handed_over_ns, record.release_ns),
+        event_texts(record),
+    )
+}
+
+/// In mm; a dash when there is no reference to be off.
+fn error_text(error_m: f64) -> String {
+    if error_m.is_finite() {
+        format!("{:.3e}", 1e3 * error_m)
+    } else {
+        "-".to_owned()
+    }
+}
+
+fn event_texts(record: &Telemetry) -> String {
+    let refused = events(record)
+        .iter()
+        .filter(|event| event.outcome != Outcome::Accepted.code())
+        .map(|event| format!("refused: {}", Outcome::text_of(event.outcome)));
+    refused.collect::<Vec<_>>().join("; ")
+}
+
+pub(super) fn command(command: &Command) -> String {
+    let sections = (command.sections as usize).min(SECTIONS_MAX);
+    let rates = join(&command.bend_rate_rad_s[..2 * sections], 1.0, 4);
+    let lengths = join(&command.cable_length_m[..3 * sections], 1e3, 2);
+    format!(
+        "{:>10}  {:<10}  {rates} | {lengths}",
+        command.cycle,
+        Mode::text_of(command.mode)
+    )
+}
+
+fn join(values: &[f64], scale: f64, decimals: usize) -> String {
+    let texts = values.iter().map(|x| format!("{:.decimals$}", scale * x));
+    texts.collect::<Vec<_>>().join(" ")
+}
+
+pub(super) fn status(status: &Status) -> String {
+    format!(
+        "{:>10}  {:<10}{:>8}{:>9}{:>17.1}{:>14}  {}",
+        status.cycles,
+        Mode::text_of(status.mode),
+        status.deadline_misses,
+        status.skipped_periods,
+        status.response.p99_ns as f64 * 1e-3,
+        status.reference_points,
+        Reason::text_of(status.reason)
+    )
+}
+
+pub(super) fn reference(chunk: &ReferenceChunk) -> String {
+    let points = &chunk.points[..(chunk.count as usize).min(CHUNK_POINTS_MAX)];
+    let sent_ns = chunk.header.sent_ns as f64;
+    let ahead_s = |time_ns: Option<u64>| time_ns.map_or(0.0, |t| (t as f64 - sent_ns) * 1e-9);
+    format!(
+        "{:016x}{:>7}  {:<8} {:<8}{:>7}{:>16.3}{:>15.3}",
+        chunk.header.sender_id,
+        chunk.header.sequence,
+        ChunkMode::text_of(chunk.mode),
+        Interpolation::text_of(chunk.interpolation),
+        chunk.count,
+        ahead_s(points.first().map(|p| p.time_ns)),
+        ahead_s(points.last().map(|p| p.time_ns)),
+    )
+}
+
+pub(super) fn obstacles(update: &ObstacleUpdate) -> String {
+    let used = &update.obstacles[..(update.count as usize).min(OBSTACLES_MAX)];
+    let texts = used.iter().map(|o| {
+        let shape = ObstacleShape::text_of(o.shape);
+        let [x, y, z] = o.start_m;
+        format!("{} {shape} at {x},{y},{z} radius {}", o.id, o.radius_m)
+    });
+    format!(
+        "{:016x}{:>8}  {:<7} {}",
+        update.header.sender_id,
+        update.header.sequence,
+        ObstacleAction::text_of(update.action),
+        texts.collect::<Vec<_>>().join("; ")
+    )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_record_from_anywhere_never_panics() {
+        let mut record = Telemetry {
+            event_count: 99,
+            mode: 77,
+            release_ns: 10,
+            start_ns: 5,
+            ..Telemetry::default()
+        };
+        record.events[0].outcome = Outcome::OutOfReach.code();
+        let text = telemetry(&record);
+        assert!(text.contains("outside the reachable ball"), "{text}");
+        let wild = Command {
+            sections: 99,
+            ..Command::default()
+        };
+        assert!(!command(&wild).is_empty());
+        let chunk = ReferenceChunk {
+            count: 9999,
+            ..ReferenceChunk::default()
+        };
+        assert!(!reference(&chunk).is_empty());
+    }
+}

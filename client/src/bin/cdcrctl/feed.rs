@@ -1,0 +1,151 @@
+use std::io::Write;
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use anyhow::Context;
+use cdcr_client::{
+    Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
+    PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
+};
+use cdcr_shared_types::codes::{Interpolation, RequestKind};
+
+use crate::Done;
+use crate::args::{
+    Between, CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions,
+    SpiralOptions, Target,
+};
+use crate::bar::Bar;
+use crate::interrupt::Interrupt;
+
+/// `cdcrctl ref …`
+pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
+    let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
+    let interrupt = Interrupt::catch()?;
+    let bar = Bar::new(trajectory.name());
+    let report = connection
+        .feed(&*trajectory, feed_options(arguments))?
+        .run(|event| {
+            if let FeedEvent::Progress(progress) = event {
+                bar.show(&progress);
+            }
+            if interrupt.is_raised() {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            }
+        })?;
+    drop(bar);
+    finish(&connection, trajectory.name(), &report)
+}
+
+/// Checks everything that needs no daemon first, so that a bad file is told even without one.
+fn prepare<'a>(
+    target: &Target,
+    curve: &'a Curve,
+) -> anyhow::Result<(&'a FeedArguments, Box<dyn Trajectory>, Connection)> {
+    if let Curve::File(options) = curve {
+        let trajectory = FileTrajectory::read(&options.path)?;
+        return Ok((&options.feed, Box::new(trajectory), target.connect()?));
+    }
+    let connection = target.connect()?;
+    let lengths = |curve: &CurveArguments| lengths_m(&connection, curve.sections);
+    let (arguments, trajectory): (_, Box<dyn Trajectory>) = match curve {
+        Curve::Spiral(options) => {
+            let spiral = spiral(options, &lengths(&options.curve)?);
+            (&options.feed, Box::new(spiral))
+        }
+        Curve::Line(options) => {
+            let line = line(options, &lengths(&options.curve)?);
+            (&options.feed, Box::new(line))
+        }
+        Curve::Circle(options) => {
+            let circle = circle(options, &lengths(&options.curve)?);
+            (&options.feed, Box::new(circle))
+        }
+        Curve::File(options) => {
+            let file = FileTrajectory::read(&options.path)?;
+            (&options.feed, Box::new(file))
+        }
+    };
+    Ok((arguments, trajectory, connection))
+}
+
+/// Lengths of the daemon's sections; with `--sections`, that many of them, and the paper's beyond.
+fn lengths_m(connection: &Connection, sections: Option<u32>) -> anyhow::Result<Vec<f64>> {
+    let status = connection
+        .status(Duration::from_secs(1))
+        .context("cannot read the robot's sections")?;
+    let mut lengths = section_lengths_m(&status.robot);
+    if let Some(sections) = sections {
+        lengths.resize(sections as usize, PAPER_SECTION_M);
+    }
+    Ok(lengths)
+}
+
+fn spiral(options: &SpiralOptions, lengths_m: &[f64]) -> Spiral {
+    let paper = Spiral::for_sections(lengths_m);
+    Spiral {
+        start_rad: options.start.map_or(paper.start_rad, f64::to_radians),
+        duration_s: duration_s(&options.curve, paper.duration_s),
+        ..paper
+    }
+}
+
+fn line(options: &LineOptions, lengths_m: &[f64]) -> Line {
+    let paper = Line::for_sections(lengths_m);
+    Line {
+        start_m: options.start.unwrap_or(paper.start_m),
+        velocity_m_s: options.velocity,
+        duration_s: duration_s(&options.curve, paper.duration_s),
+        tip_axis: options.axis,
+    }
+}
+
+fn circle(options: &CircleOptions, lengths_m: &[f64]) -> Circle {
+    let paper = Circle::for_sections(lengths_m);
+    Circle {
+        radius_m: options.radius.unwrap_or(paper.radius_m),
+        height_m: options.height.unwrap_or(paper.height_m),
+        rate_rad_s: options.rate,
+        duration_s: duration_s(&options.curve, paper.duration_s),
+    }
+}
+
+fn duration_s(curve: &CurveArguments, paper_s: f64) -> f64 {
+    curve.duration.map_or(paper_s, |d| d.as_secs_f64())
+}
+
+fn feed_options(arguments: &FeedArguments) -> FeedOptions {
+    FeedOptions {
+        step: arguments.step,
+        lead: arguments.lead,
+        interpolation: match arguments.interpolation {
+            Between::Linear => Interpolation::Linear,
+            Between::Cubic => Interpolation::Cubic,
+        },
+        track: arguments.track,
+        ..FeedOptions::default()
+    }
+}
+
+/// The lease is back already; an interrupted feed also asks for hold.
+fn finish(connection: &Connection, name: &str, report: &FeedReport) -> anyhow::Result<Done> {
+    if report.end == FeedEnd::Interrupted {
+        connection.request(RequestKind::Hold)?;
+        eprintln!("interrupted: the lease is released, the daemon holds");
+        return Ok(Done::Interrupted);
+    }
+    let seconds = (report.end_ns - report.start_ns) as f64 * 1e-9;
+    let tracked = if report.tracked {
+        "and tracked to its end"
+    } else {
+        "but not tracked (--track, or cdcrctl track while it is fed)"
+    };
+    writeln!(
+        std::io::stdout(),
+        "{name}: {} points in {} chunks, {seconds:.2} s, fed {tracked}",
+        report.points,
+        report.chunks
+    )?;
+    Ok(Done::Good)
+}

@@ -1,0 +1,72 @@
+//! `cdcrctl`: feeds references to `cdcrd`, asks it for things and shows what it does.
+//!
+//! A thin user of the library `cdcr_client`: here are only command lines, texts, tables and pictures.
+
+mod args;
+mod bar;
+mod demo;
+mod echo;
+mod feed;
+mod interrupt;
+mod obstacle;
+mod request;
+mod show_status;
+mod value;
+
+use std::io;
+use std::process::ExitCode;
+
+use cdcr_shared_types::codes::RequestKind;
+use clap::Parser;
+use iceoryx2::prelude::{LogLevel, set_log_level};
+
+use args::{Arguments, Task};
+
+/// What a shell expects of a program that SIGINT ended: 128 + 2.
+const EXIT_INTERRUPTED: u8 = 130;
+
+/// How a task ended without an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Done {
+    Good,
+    Interrupted,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    // Errors are told in our own words; iceoryx2's log would say them twice.
+    set_log_level(LogLevel::Fatal);
+    match run(&arguments) {
+        Ok(Done::Good) => ExitCode::SUCCESS,
+        Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
+        // The reader of our output (head, less) has seen enough.
+        Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<Done> {
+    let target = &arguments.target;
+    match &arguments.task {
+        Task::Demo(options) => demo::run(options),
+        Task::Ref(options) => feed::run(target, options),
+        Task::Track => request::run(target, RequestKind::Track),
+        Task::Hold => request::run(target, RequestKind::Hold),
+        Task::Home => request::run(target, RequestKind::Home),
+        Task::Stop => request::run(target, RequestKind::Stop),
+        Task::Reset => request::run(target, RequestKind::Reset),
+        Task::Status(options) => show_status::run(target, options.format),
+        Task::Echo(options) => echo::run(target, options),
+        Task::Obstacle(options) => obstacle::run(target, options),
+    }
+}
+
+fn is_broken_pipe(error: &anyhow::Error) -> bool {
+    error
+        .chain()
+        .filter_map(|cause| cause.downcast_ref::<io::Error>())
+        .any(|cause| cause.kind() == io::ErrorKind::BrokenPipe)
+}

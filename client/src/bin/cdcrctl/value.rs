@@ -1,0 +1,118 @@
+//! Values as people type them on the command line, each checked with its range.
+
+use std::ops::RangeInclusive;
+use std::time::Duration;
+
+/// Three numbers `x,y,z`.
+pub(crate) type Vector = [f64; 3];
+
+/// `x,y,z`: three finite numbers.
+pub(crate) fn vector(text: &str) -> Result<Vector, String> {
+    let numbers: Vec<f64> = text.split(',').map(number).collect::<Result<_, _>>()?;
+    let count = numbers.len();
+    numbers
+        .try_into()
+        .map_err(|_| format!("expected three numbers x,y,z, found {count}"))
+}
+
+/// A direction `x,y,z` of any length but zero, made a unit vector.
+pub(crate) fn direction(text: &str) -> Result<Vector, String> {
+    let v = vector(text)?;
+    let norm = v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if norm < 1e-9 {
+        return Err("a direction must not be zero".to_owned());
+    }
+    Ok(v.map(|x| x / norm))
+}
+
+/// A finite number.
+pub(crate) fn number(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(format!("{text:?} is not a finite number")),
+    }
+}
+
+/// A finite number above zero.
+pub(crate) fn positive(text: &str) -> Result<f64, String> {
+    match number(text)? {
+        value if value > 0.0 => Ok(value),
+        value => Err(format!("{value} is not above zero")),
+    }
+}
+
+/// A finite number that is not negative.
+pub(crate) fn not_negative(text: &str) -> Result<f64, String> {
+    match number(text)? {
+        value if value >= 0.0 => Ok(value),
+        value => Err(format!("{value} is below zero")),
+    }
+}
+
+/// How long a demo may take.
+pub(crate) fn demo_duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.1..=20.0)
+}
+
+/// How long a fed curve may take.
+pub(crate) fn curve_duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.01..=86_400.0)
+}
+
+/// A time between points, or before the start; the library checks the range.
+pub(crate) fn duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.0..=86_400.0)
+}
+
+fn duration_in(text: &str, range_s: RangeInclusive<f64>) -> Result<Duration, String> {
+    let duration = parse_duration(text)?;
+    if range_s.contains(&duration.as_secs_f64()) {
+        Ok(duration)
+    } else {
+        let (least, most) = (range_s.start(), range_s.end());
+        Err(format!("must be {least} s to {most} s"))
+    }
+}
+
+/// `5s`, `4.97s`, `250ms`, `1m 10s`.
+fn parse_duration(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().strip_suffix('s').map(str::trim_end);
+    if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
+        // humantime knows no decimals.
+        return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
+    }
+    humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_with_decimals_and_units() {
+        assert_eq!(parse_duration("4.97s"), Ok(Duration::from_millis(4970)));
+        assert_eq!(parse_duration("5 s"), Ok(Duration::from_secs(5)));
+        assert_eq!(parse_duration("250ms"), Ok(Duration::from_millis(250)));
+        assert_eq!(parse_duration("1m 10s"), Ok(Duration::from_secs(70)));
+        assert!(parse_duration("-1s").is_err());
+        assert!(parse_duration("5").is_err());
+        assert!(parse_duration("nans").is_err());
+    }
+
+    #[test]
+    fn the_demo_has_a_range() {
+        assert!(demo_duration("99ms").is_err());
+        assert!(demo_duration("100ms").is_ok());
+        assert!(demo_duration("20s").is_ok());
+        assert!(demo_duration("21s").is_err());
+    }
+
+    #[test]
+    fn vectors_have_three_finite_numbers() {
+        assert_eq!(vector("0.1, 0,-0.3"), Ok([0.1, 0.0, -0.3]));
+        assert!(vector("0.1,0").is_err());
+        assert!(vector("0.1,nan,0").is_err());
+        assert_eq!(direction("0,0,2"), Ok([0.0, 0.0, 1.0]));
+        assert!(direction("0,0,0").is_err());
+    }
+}

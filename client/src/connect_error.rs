@@ -1,0 +1,149 @@
+use std::path::PathBuf;
+
+use cdcr_shared_types::{LocationError, ServiceNameError};
+use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
+use iceoryx2::service::builder::request_response::RequestResponseOpenError;
+
+/// Where a daemon was looked for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Place {
+    /// Prefix of the shared-memory files.
+    pub prefix: String,
+    /// Root path.
+    pub root: PathBuf,
+    /// Name of the robot.
+    pub robot: String,
+}
+
+impl core::fmt::Display for Place {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        write!(
+            f,
+            "robot {:?}, prefix {:?}, root {}",
+            self.robot,
+            self.prefix,
+            self.root.display()
+        )
+    }
+}
+
+/// Why no connection to a daemon could be made.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConnectError {
+    /// Nobody answers there.
+    #[error(
+        "no daemon is running for {place}: {found}\n\
+         start one with: cdcrd run --robot {robot} --prefix {prefix} --root {root}",
+        robot = place.robot, prefix = place.prefix, root = place.root.display()
+    )]
+    DaemonNotRunning {
+        /// Where it was looked for.
+        place: Place,
+        /// What was found instead.
+        found: &'static str,
+    },
+    /// The daemon speaks another version of the messages.
+    #[error(
+        "the daemon for {place} speaks another version of the {service} service than this program \
+         ({version}): install daemon and clients of one version and start the daemon again"
+    )]
+    VersionMismatch {
+        /// Where it was looked for.
+        place: Place,
+        /// Last part of the service's name.
+        service: &'static str,
+        /// Version of this library.
+        version: &'static str,
+    },
+    /// The files belong to another user.
+    #[error(
+        "{} belongs to user {owner_id}, this program runs as user {user_id}: only the daemon's own \
+         user can reach it. Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
+         a daemon of your own with another --root",
+        place.root.display()
+    )]
+    OtherUser {
+        /// Where it was looked for.
+        place: Place,
+        /// User id of the owner of the root path.
+        owner_id: u32,
+        /// User id of this process.
+        user_id: u32,
+    },
+    /// As many processes as the service allows are connected already.
+    #[error(
+        "the {service} service of the daemon for {place} has as many clients as it allows: close one"
+    )]
+    Full {
+        /// Where it was looked for.
+        place: Place,
+        /// Last part of the service's name.
+        service: &'static str,
+    },
+    /// The robot's name is not legal.
+    #[error(transparent)]
+    Robot(#[from] ServiceNameError),
+    /// The prefix or root path is not legal.
+    #[error(transparent)]
+    Location(#[from] LocationError),
+    /// Shared memory cannot be used at all.
+    #[error("cannot use the shared memory for {place}: {cause}")]
+    Memory {
+        /// Where it was looked for.
+        place: Place,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+}
+
+impl ConnectError {
+    /// Whether a daemon that is just starting may make this error go away.
+    pub(crate) fn may_pass(&self) -> bool {
+        matches!(self, Self::DaemonNotRunning { .. } | Self::Memory { .. })
+    }
+}
+
+/// What a failure of iceoryx2 to open a service means to us.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(crate) enum OpenTrouble {
+    Missing,
+    Mismatch,
+    Full,
+    Other(String),
+}
+
+impl From<PublishSubscribeOpenError> for OpenTrouble {
+    fn from(error: PublishSubscribeOpenError) -> Self {
+        use PublishSubscribeOpenError as E;
+        match error {
+            E::DoesNotExist
+            | E::IsMarkedForDestruction
+            | E::HangsInCreation
+            | E::ServiceInCorruptedState => Self::Missing,
+            E::IncompatibleTypes
+            | E::IncompatibleMessagingPattern
+            | E::IncompatibleAttributes
+            | E::VersionMismatch => Self::Mismatch,
+            E::ExceedsMaxNumberOfNodes => Self::Full,
+            other => Self::Other(format!("{other:?}")),
+        }
+    }
+}
+
+impl From<RequestResponseOpenError> for OpenTrouble {
+    fn from(error: RequestResponseOpenError) -> Self {
+        use RequestResponseOpenError as E;
+        match error {
+            E::DoesNotExist
+            | E::IsMarkedForDestruction
+            | E::HangsInCreation
+            | E::ServiceInCorruptedState => Self::Missing,
+            E::IncompatibleRequestOrResponseType
+            | E::IncompatibleMessagingPattern
+            | E::IncompatibleAttributes
+            | E::VersionMismatch => Self::Mismatch,
+            E::ExceedsMaxNumberOfNodes => Self::Full,
+            other => Self::Other(format!("{other:?}")),
+        }
+    }
+}

@@ -1,0 +1,308 @@
+use std::cell::RefCell;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::{
+    Location, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service, SolverSettings,
+    Status,
+};
+
+use crate::connect_error::Place;
+use crate::request::Control;
+use crate::sender::Sender;
+use crate::services::Services;
+use crate::{
+    CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
+    ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
+};
+
+/// How long a request waits for its answer; a daemon answers within a few cycles of 5 ms.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// A daemon publishes its status ten times a second: one that is silent for this long is dead.
+const STATUS_FRESH: Duration = Duration::from_secs(1);
+
+/// An open connection to one daemon.
+///
+/// It opens what the daemon created and creates nothing itself. Ports made from it (streams, feeds)
+/// stay usable on their own. A connection stays on the thread that opened it; a second thread opens a
+/// second connection.
+#[derive(Debug)]
+pub struct Connection {
+    place: Place,
+    services: Services,
+    sender: Sender,
+    control: Control,
+    status: RefCell<StatusReader>,
+}
+
+impl Connection {
+    /// Connects to the daemon that controls `robot` at `location`.
+    ///
+    /// # Errors
+    /// [`ConnectError::DaemonNotRunning`] when there is none, also when one was killed and left its
+    /// services behind; the other variants say what else stands in the way.
+    pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
+        let place = Place {
+            prefix: location.prefix().to_owned(),
+            root: location.root().to_owned(),
+            robot: robot.to_owned(),
+        };
+        Service::Control.name(robot)?;
+        let services = Services::open(location, &place)?;
+        let memory = |cause: String| ConnectError::Memory {
+            place: place.clone(),
+            cause,
+        };
+        let sender = Sender::new();
+        let control = Control::open(&services.control, sender.clone()).map_err(memory)?;
+        let stream = Stream::open(&services.status).map_err(|cause| memory(cause.to_string()))?;
+        let connection = Self {
+            status: RefCell::new(StatusReader {
+                stream,
+                newest: None,
+            }),
+            place,
+            services,
+            sender,
+            control,
+        };
+        match connection.status(STATUS_FRESH) {
+            Ok(_) => Ok(connection),
+            Err(_) => Err(ConnectError::DaemonNotRunning {
+                place: connection.place,
+                found: "its services are there, but it has sent no status for 1 s (was it killed?)",
+            }),
+        }
+    }
+
+    /// Connects to a daemon that may still be starting: tries again until `timeout`.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open), with the last reason.
+    pub fn open_within(
+        location: &Location,
+        robot: &str,
+        timeout: Duration,
+    ) -> Result<Self, ConnectError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            match Self::open(location, robot) {
+                Err(error) if error.may_pass() && Instant::now() < deadline => {
+                    thread::sleep(Duration::from_millis(20));
+                }
+                result => return result,
+            }
+        }
+    }
+
+    /// Where the daemon was found.
+    pub fn place(&self) -> &Place {
+        &self.place
+    }
+
+    /// The identity of this connection in the headers of its messages, never 0.
+    pub fn sender_id(&self) -> u64 {
+        self.sender.id()
+    }
+
+    /// The newest snapshot of the daemon; waits at most `timeout` for one that is fresh.
+    ///
+    /// # Errors
+    /// [`LinkError::Silent`] when none came.
+    pub fn status(&self, timeout: Duration) -> Result<Status, LinkError> {
+        self.status.borrow_mut().fresh_within(timeout)
+    }
+
+    /// Asks the daemon for something and waits for the answer, at most 1 s.
+    ///
+    /// # Errors
+    /// A refusal is an error, with the reason and a remedy; so is silence.
+    pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
+        self.request_within(kind, REQUEST_TIMEOUT)
+    }
+
+    /// As [`request`](Self::request), waiting at most `timeout`.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn request_within(
+        &self,
+        kind: RequestKind,
+        timeout: Duration,
+    ) -> Result<Response, RequestError> {
+        self.control.ask(kind, SolverSettings::default(), timeout)
+    }
+
+    /// Changes the settings of the solver. Start from those of [`status`](Self::status).
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn change_settings(&self, settings: SolverSettings) -> Result<Response, RequestError> {
+        self.control
+            .ask(RequestKind::Settings, settings, REQUEST_TIMEOUT)
+    }
+
+    /// Acquires the right to send references, until the lease is dropped.
+    ///
+    /// # Errors
+    /// When another client holds it.
+    pub fn acquire_lease(&self) -> Result<Lease<'_>, RequestError> {
+        Lease::acquire(self)
+    }
+
+    /// Prepares to stream `trajectory` to the daemon ahead of time; see [`Feeder::run`].
+    ///
+    /// # Errors
+    /// When the options are out of range, or the lease or a port cannot be had.
+    pub fn feed<'c>(
+        &'c self,
+        trajectory: &'c dyn Trajectory,
+        options: FeedOptions,
+    ) -> Result<Feeder<'c>, FeedError> {
+        Feeder::open(self, trajectory, options)
+    }
+
+    /// A port that sends reference chunks one by one. [`feed`](Self::feed) is the easy way.
+    ///
+    /// # Errors
+    /// When the service has as many writers as it allows.
+    pub fn reference_feed(&self) -> Result<ReferenceFeed, LinkError> {
+        ReferenceFeed::open(&self.services.reference, self.sender.clone())
+    }
+
+    /// A port that sends obstacles.
+    ///
+    /// # Errors
+    /// When the service has as many writers as it allows.
+    pub fn obstacle_sender(&self) -> Result<ObstacleSender, LinkError> {
+        ObstacleSender::open(&self.services.obstacles, self.sender.clone())
+    }
+
+    /// The ports of a driver: measurements out, commands in.
+    ///
+    /// # Errors
+    /// When the services have as many writers or readers as they allow.
+    pub fn driver(&self) -> Result<Driver, LinkError> {
+        Driver::open(&self.services, self.sender.clone())
+    }
+
+    /// One record of every cycle from now on.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn telemetry(&self) -> Result<TelemetryStream, LinkError> {
+        Stream::open(&self.services.telemetry)
+    }
+
+    /// Every command from now on.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn commands(&self) -> Result<CommandStream, LinkError> {
+        Stream::open(&self.services.command)
+    }
+
+    /// Every snapshot from now on, and the newest one.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn statuses(&self) -> Result<Stream<Status>, LinkError> {
+        Stream::open(&self.services.status)
+    }
+
+    /// What all clients send as reference from now on.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn references(&self) -> Result<Stream<ReferenceChunk>, LinkError> {
+        Stream::open(&self.services.reference)
+    }
+
+    /// What all clients send about obstacles from now on.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn obstacle_updates(&self) -> Result<Stream<ObstacleUpdate>, LinkError> {
+        Stream::open(&self.services.obstacles)
+    }
+
+    /// What the driver measures from now on.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn measurements(&self) -> Result<Stream<Measurement>, LinkError> {
+        Stream::open(&self.services.measurement)
+    }
+}
+
+/// Remembers the newest status, so that asking often does not mean waiting often.
+#[derive(Debug)]
+struct StatusReader {
+    stream: Stream<Status>,
+    newest: Option<Status>,
+}
+
+impl StatusReader {
+    fn fresh_within(&mut self, timeout: Duration) -> Result<Status, LinkError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            if let Some(status) = self.stream.newest()? {
+                self.newest = Some(status);
+            }
+            let now_ns = monotonic_ns();
+            match &self.newest {
+                Some(status) if is_fresh(status, now_ns) => return Ok(*status),
+                _ if Instant::now() >= deadline => {
+                    return Err(LinkError::silent(Service::Status, timeout));
+                }
+                _ => thread::sleep(Duration::from_millis(2)),
+            }
+        }
+    }
+}
+
+fn is_fresh(status: &Status, now_ns: u64) -> bool {
+    now_ns.saturating_sub(status.header.sent_ns) < STATUS_FRESH.as_nanos() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn a_missing_root_is_a_missing_daemon_and_nothing_is_created() {
+        let root = Path::new("/tmp/cdcr-client-test-no-such-root");
+        let location = Location::new("cdcr_client_test_", root).expect("legal");
+        let error = Connection::open(&location, "trunk").expect_err("there is no daemon");
+        let text = error.to_string();
+        assert!(matches!(error, ConnectError::DaemonNotRunning { .. }));
+        assert!(
+            text.contains(
+                "cdcrd run --robot trunk --prefix cdcr_client_test_ \
+                 --root /tmp/cdcr-client-test-no-such-root"
+            ),
+            "{text}"
+        );
+        assert!(!root.exists());
+    }
+
+    #[test]
+    fn a_bad_robot_name_is_refused_before_anything_is_opened() {
+        let location = Location::new("cdcr_client_test_", Path::new("/tmp/x")).expect("legal");
+        assert!(matches!(
+            Connection::open(&location, "a/b"),
+            Err(ConnectError::Robot(_))
+        ));
+    }
+
+    #[test]
+    fn a_status_older_than_a_second_is_of_a_dead_daemon() {
+        let mut status = Status::default();
+        status.header.sent_ns = 5_000_000_000;
+        assert!(is_fresh(&status, 5_900_000_000));
+        assert!(!is_fresh(&status, 6_000_000_000));
+    }
+}

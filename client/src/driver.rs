@@ -1,0 +1,51 @@
+use std::time::Duration;
+
+use cdcr_shared_types::{Command, Header, Measurement};
+
+use crate::outlet::Outlet;
+use crate::sender::Sender;
+use crate::services::Services;
+use crate::stream::Stream;
+use crate::{CommandStream, LinkError};
+
+/// The ports of a driver process: it sends what the robot measures and obeys what the daemon commands.
+///
+/// A driver must hold the robot still when a command is older than its `valid_for_ns`.
+#[derive(Debug)]
+pub struct Driver {
+    measurements: Outlet<Measurement>,
+    commands: CommandStream,
+}
+
+impl Driver {
+    pub(crate) fn open(services: &Services, sender: Sender) -> Result<Self, LinkError> {
+        Ok(Self {
+            measurements: Outlet::open(&services.measurement, sender)?,
+            commands: Stream::open(&services.command)?,
+        })
+    }
+
+    /// Sends what was measured.
+    ///
+    /// # Errors
+    /// When iceoryx2 fails.
+    pub fn send(&self, measurement: Measurement) -> Result<Header, LinkError> {
+        self.measurements.send(measurement)
+    }
+
+    /// The newest command that waits, or `None`; older ones are out of date and thrown away.
+    ///
+    /// # Errors
+    /// When iceoryx2 fails.
+    pub fn newest_command(&mut self) -> Result<Option<Command>, LinkError> {
+        self.commands.newest()
+    }
+
+    /// The next command, or `None` when none came within `timeout`.
+    ///
+    /// # Errors
+    /// When iceoryx2 fails.
+    pub fn next_command(&mut self, timeout: Duration) -> Result<Option<Command>, LinkError> {
+        self.commands.next_within(timeout)
+    }
+}

@@ -1,0 +1,64 @@
+use cdcr_shared_types::codes::Outcome;
+
+use crate::remedy::remedy;
+use crate::{LinkError, RequestError};
+
+/// Why a trajectory was not fed to its end.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FeedError {
+    /// An option is out of range.
+    #[error("{name} is {value_s} s; it must be {least_s} to {most_s} s")]
+    Option {
+        /// Which.
+        name: &'static str,
+        /// What it is \[s\].
+        value_s: f64,
+        /// Least allowed \[s\].
+        least_s: f64,
+        /// Most allowed \[s\].
+        most_s: f64,
+    },
+    /// The trajectory has a duration that is negative, not finite, or longer than a day.
+    #[error("the trajectory lasts {duration_s} s; it must be 0 to 86400 s")]
+    Duration {
+        /// What it says \[s\].
+        duration_s: f64,
+    },
+    /// A request (lease, track) was refused or not answered.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// A port failed, or the daemon fell silent.
+    #[error(transparent)]
+    Link(#[from] LinkError),
+    /// The daemon refused a chunk of the reference.
+    #[error(
+        "the daemon refused the reference: {outcome}, at point {point} ({time_s:.3} s). {}",
+        remedy(*outcome)
+    )]
+    Refused {
+        /// Why.
+        outcome: Outcome,
+        /// Index of the point in the whole trajectory.
+        point: u64,
+        /// Its time \[s\] since the start of the trajectory.
+        time_s: f64,
+    },
+    /// The daemon never said what became of the first chunk.
+    #[error("the daemon took no notice of the reference within 1 s; see cdcrctl status")]
+    Ignored,
+    /// The daemon does not follow the reference any more.
+    #[error(
+        "the daemon left tracking after {played_s:.2} s of the reference: it is {mode} because {reason}. \
+         {remedy}"
+    )]
+    LeftTracking {
+        /// How much of the trajectory was played \[s\].
+        played_s: f64,
+        /// Mode of the daemon, in words.
+        mode: &'static str,
+        /// Its reason, in words.
+        reason: &'static str,
+        /// What to do.
+        remedy: &'static str,
+    },
+}

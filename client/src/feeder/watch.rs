@@ -1,0 +1,226 @@
+use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason};
+use cdcr_shared_types::{InputEvent, Telemetry};
+
+use super::{FeedError, schedule::Schedule};
+use crate::events;
+
+/// A reference that ended this much before its last point did not reach its end \[ns\].
+const EARLY_END_NS: u64 = 50_000_000;
+
+/// Reads the telemetry for what concerns one feed: verdicts on its chunks, and the mode.
+#[derive(Debug)]
+pub(super) struct Watch {
+    sender_id: u64,
+    /// Sequence number and first point of every chunk that was sent.
+    chunks: Vec<(u64, u64)>,
+    accepted: bool,
+    tracking: bool,
+    ended: bool,
+}
+
+impl Watch {
+    pub(super) fn new(sender_id: u64) -> Self {
+        Self {
+            sender_id,
+            chunks: Vec::new(),
+            accepted: false,
+            tracking: false,
+            ended: false,
+        }
+    }
+
+    /// Notes that a chunk went out.
+    pub(super) fn sent(&mut self, sequence: u64, first_point: u64) {
+        self.chunks.push((sequence, first_point));
+    }
+
+    pub(super) fn chunks(&self) -> u64 {
+        self.chunks.len() as u64
+    }
+
+    /// Whether the daemon has accepted the first chunk.
+    pub(super) fn is_accepted(&self) -> bool {
+        self.accepted
+    }
+
+    /// Whether the daemon has been tracking.
+    pub(super) fn is_tracking(&self) -> bool {
+        self.tracking
+    }
+
+    /// Whether the daemon has tracked the reference to its end.
+    pub(super) fn is_ended(&self) -> bool {
+        self.ended
+    }
+
+    /// Judges one record.
+    pub(super) fn look(
+        &mut self,
+        record: &Telemetry,
+        schedule: &Schedule,
+    ) -> Result<(), FeedError> {
+        for event in events(record) {
+            self.judge_chunk(event, schedule)?;
+        }
+        match Mode::try_from(record.mode) {
+            Ok(Mode::Tracking) if self.accepted => self.tracking = true,
+            _ if self.tracking && !self.ended => self.judge_end(record, schedule)?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn judge_chunk(&mut self, event: &InputEvent, schedule: &Schedule) -> Result<(), FeedError> {
+        let is_ours =
+            event.kind == EventKind::Reference.code() && event.sender_id == self.sender_id;
+        let chunk = self.chunks.iter().find(|chunk| chunk.0 == event.sequence);
+        let Some(&(_, first_point)) = chunk.filter(|_| is_ours) else {
+            return Ok(());
+        };
+        match Outcome::try_from(event.outcome) {
+            Ok(Outcome::Accepted) => {
+                self.accepted = true;
+                Ok(())
+            }
+            outcome => {
+                let point = first_point + u64::from(event.detail);
+                Err(FeedError::Refused {
+                    outcome: outcome.unwrap_or(Outcome::UnknownCode),
+                    point,
+                    time_s: schedule.time_s(point),
+                })
+            }
+        }
+    }
+
+    fn judge_end(&mut self, record: &Telemetry, schedule: &Schedule) -> Result<(), FeedError> {
+        let at_end = record.release_ns + EARLY_END_NS >= schedule.end_ns();
+        let reason = Reason::try_from(record.reason);
+        if reason == Ok(Reason::ReferenceEnded) && at_end {
+            self.ended = true;
+            return Ok(());
+        }
+        Err(FeedError::LeftTracking {
+            played_s: schedule.played_s(record.release_ns),
+            mode: Mode::text_of(record.mode),
+            reason: Reason::text_of(record.reason),
+            remedy: reason.map_or("", reason_remedy),
+        })
+    }
+}
+
+/// What to do when the daemon left tracking for this reason.
+fn reason_remedy(reason: Reason) -> &'static str {
+    match reason {
+        Reason::Start => "The daemon was started again: feed the reference anew.",
+        Reason::Request => "Another client asked for it.",
+        Reason::ReferenceEnded => {
+            "The chunks came too late: give this program more time, or send further ahead."
+        }
+        Reason::LeaseExpired | Reason::LeaseReleased => {
+            "This program was held up for too long, or another client released its lease."
+        }
+        Reason::HomeReached => "Another client sent it home.",
+        Reason::DeadlineMisses => {
+            "The machine is too busy: see the latencies in cdcrctl status, then cdcrctl reset."
+        }
+        Reason::MeasurementLost => "See whether the driver runs, then cdcrctl reset.",
+        Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
+        Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
+        Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",
+        Reason::Shutdown => "Start it again with cdcrd run.",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{FeedOptions, Spiral};
+
+    const ME: u64 = 7;
+
+    fn record(mode: Mode, reason: Reason, release_ns: u64) -> Telemetry {
+        Telemetry {
+            mode: mode.code(),
+            reason: reason.code(),
+            release_ns,
+            ..Telemetry::default()
+        }
+    }
+
+    fn with_event(sender_id: u64, sequence: u64, outcome: Outcome) -> Telemetry {
+        let mut record = record(Mode::Holding, Reason::Start, 0);
+        record.event_count = 1;
+        record.events[0] = InputEvent {
+            sender_id,
+            sequence,
+            outcome: outcome.code(),
+            detail: 3,
+            ..InputEvent::default()
+        };
+        record
+    }
+
+    fn check(test: impl FnOnce(&mut Watch, &Schedule)) {
+        let spiral = Spiral::for_sections(&[0.3]);
+        let schedule = Schedule::new(&spiral, &FeedOptions::default(), 0).expect("valid");
+        let mut watch = Watch::new(ME);
+        watch.sent(1, 0);
+        watch.sent(2, 128);
+        test(&mut watch, &schedule);
+    }
+
+    #[test]
+    fn only_verdicts_on_our_chunks_count() {
+        check(|watch, schedule| {
+            let look = |watch: &mut Watch, record| watch.look(&record, schedule);
+            assert!(look(watch, with_event(8, 1, Outcome::NoLease)).is_ok());
+            assert!(look(watch, with_event(ME, 9, Outcome::NoLease)).is_ok());
+            assert!(!watch.is_accepted());
+            assert!(look(watch, with_event(ME, 1, Outcome::Accepted)).is_ok());
+            assert!(watch.is_accepted());
+            let error = look(watch, with_event(ME, 2, Outcome::OutOfReach)).expect_err("refused");
+            assert_eq!(
+                error,
+                FeedError::Refused {
+                    outcome: Outcome::OutOfReach,
+                    point: 131,
+                    time_s: 0.655
+                }
+            );
+        });
+    }
+
+    #[test]
+    fn the_end_of_the_reference_is_no_error_but_a_fault_is() {
+        check(|watch, schedule| {
+            let end_ns = schedule.end_ns();
+            watch.accepted = true;
+            let tracking = record(Mode::Tracking, Reason::Request, 0);
+            watch.look(&tracking, schedule).expect("tracking");
+            assert!(watch.is_tracking());
+            let faulted = record(Mode::Faulted, Reason::MeasurementLost, end_ns / 2);
+            let text = watch
+                .look(&faulted, schedule)
+                .expect_err("fault")
+                .to_string();
+            assert!(
+                text.contains("faulted because the measurement is lost"),
+                "{text}"
+            );
+            let early = record(Mode::Holding, Reason::ReferenceEnded, end_ns / 2);
+            assert!(watch.look(&early, schedule).is_err());
+            let ended = record(Mode::Holding, Reason::ReferenceEnded, end_ns);
+            watch.look(&ended, schedule).expect("the natural end");
+            assert!(watch.is_ended());
+        });
+    }
+
+    #[test]
+    fn holding_before_tracking_is_waited_for() {
+        check(|watch, schedule| {
+            let holding = record(Mode::Holding, Reason::Start, 0);
+            assert!(watch.look(&holding, schedule).is_ok());
+        });
+    }
+}

@@ -1,0 +1,98 @@
+use core::fmt::{Debug, Display};
+use std::time::Duration;
+
+use cdcr_shared_types::Service;
+use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX};
+
+/// Why a port of an open connection could not be made, or did not carry a message.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum LinkError {
+    /// A publisher or subscriber could not be made.
+    #[error(
+        "cannot open a port on the {service} service: {cause}. \
+         At most {writers} writers and {readers} readers may use it at one time; close one of them"
+    )]
+    Port {
+        /// Last part of the service's name.
+        service: &'static str,
+        /// What iceoryx2 says.
+        cause: String,
+        /// Writers that the service allows.
+        writers: usize,
+        /// Readers that the service allows.
+        readers: usize,
+    },
+    /// A message could not be sent.
+    #[error("cannot send on the {service} service: {cause}")]
+    Send {
+        /// Last part of the service's name.
+        service: &'static str,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+    /// Messages could not be received.
+    #[error("cannot receive from the {service} service: {cause}")]
+    Receive {
+        /// Last part of the service's name.
+        service: &'static str,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+    /// The daemon sends nothing any more.
+    #[error(
+        "the daemon has sent nothing on the {service} service for {} ms; \
+         it has ended or is stopped (start one with `cdcrd run`)",
+        waited.as_millis()
+    )]
+    Silent {
+        /// Last part of the service's name.
+        service: &'static str,
+        /// How long it was waited for.
+        waited: Duration,
+    },
+    /// A reference chunk with no point or too many.
+    #[error("a reference chunk holds 1 to {CHUNK_POINTS_MAX} points, not {count}")]
+    ChunkPoints {
+        /// Points given.
+        count: usize,
+    },
+    /// An obstacle message with too many obstacles.
+    #[error("an obstacle message holds at most {OBSTACLES_MAX} obstacles, not {count}")]
+    Obstacles {
+        /// Obstacles given.
+        count: usize,
+    },
+}
+
+impl LinkError {
+    pub(crate) fn port(service: Service, cause: impl Display) -> Self {
+        let queues = service.queues();
+        Self::Port {
+            service: service.key(),
+            cause: cause.to_string(),
+            writers: queues.publishers,
+            readers: queues.subscribers,
+        }
+    }
+
+    pub(crate) fn send(service: Service, cause: impl Debug) -> Self {
+        Self::Send {
+            service: service.key(),
+            cause: format!("{cause:?}"),
+        }
+    }
+
+    pub(crate) fn receive(service: Service, cause: impl Debug) -> Self {
+        Self::Receive {
+            service: service.key(),
+            cause: format!("{cause:?}"),
+        }
+    }
+
+    pub(crate) fn silent(service: Service, waited: Duration) -> Self {
+        Self::Silent {
+            service: service.key(),
+            waited,
+        }
+    }
+}

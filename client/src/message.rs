@@ -1,0 +1,49 @@
+use core::fmt::Debug;
+
+use cdcr_shared_types::{
+    Command, Header, Measurement, ObstacleUpdate, ReferenceChunk, Service, Status, Telemetry,
+};
+use iceoryx2::prelude::ZeroCopySend;
+
+mod sealed {
+    pub trait Sealed {}
+}
+
+/// A payload of one of the publish-subscribe services. The set is closed: it is the wire contract.
+pub trait Message: sealed::Sealed + Copy + Debug + Default + ZeroCopySend + 'static {
+    /// The service it travels on.
+    const SERVICE: Service;
+
+    /// Who sent it, its number and when.
+    fn header(&self) -> &Header;
+
+    /// Replaces the header; ports do it when they send.
+    fn set_header(&mut self, header: Header);
+}
+
+macro_rules! messages {
+    ($($payload:ident => $service:ident,)+) => { $(
+        impl sealed::Sealed for $payload {}
+
+        impl Message for $payload {
+            const SERVICE: Service = Service::$service;
+
+            fn header(&self) -> &Header {
+                &self.header
+            }
+
+            fn set_header(&mut self, header: Header) {
+                self.header = header;
+            }
+        }
+    )+ };
+}
+
+messages! {
+    ReferenceChunk => Reference,
+    ObstacleUpdate => Obstacles,
+    Measurement => Measurement,
+    Command => Command,
+    Telemetry => Telemetry,
+    Status => Status,
+}

@@ -1,0 +1,40 @@
+use cdcr_shared_types::Header;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::prelude::{BackpressureStrategy, ipc};
+use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use crate::sender::Sender;
+use crate::{LinkError, Message};
+
+/// The writing end of one service: stamps the header and sends.
+///
+/// A reader that does not keep up loses messages; it never stops the writer.
+#[derive(Debug)]
+pub(crate) struct Outlet<T: Message> {
+    publisher: Publisher<ipc::Service, T, ()>,
+    sender: Sender,
+}
+
+impl<T: Message> Outlet<T> {
+    pub(crate) fn open(
+        service: &PortFactory<ipc::Service, T, ()>,
+        sender: Sender,
+    ) -> Result<Self, LinkError> {
+        let publisher = service
+            .publisher_builder()
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|cause| LinkError::port(T::SERVICE, cause))?;
+        Ok(Self { publisher, sender })
+    }
+
+    /// Stamps `message` and sends it.
+    pub(crate) fn send(&self, mut message: T) -> Result<Header, LinkError> {
+        let header = self.sender.next_header(T::SERVICE);
+        message.set_header(header);
+        self.publisher
+            .send_copy(message)
+            .map_err(|cause| LinkError::send(T::SERVICE, cause))?;
+        Ok(header)
+    }
+}

@@ -1,0 +1,53 @@
+use cdcr_shared_types::codes::{ChunkMode, Interpolation};
+use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
+use cdcr_shared_types::{Header, ReferenceChunk, ReferencePoint};
+
+use crate::LinkError;
+use crate::outlet::Outlet;
+use crate::sender::Sender;
+use crate::services::Channel;
+
+/// Sends reference chunks. Whoever uses it must hold the [`Lease`](crate::Lease), or the daemon
+/// refuses them.
+///
+/// The daemon's verdict on each chunk is an event in the telemetry, by the header that
+/// [`send`](Self::send) returns.
+#[derive(Debug)]
+pub struct ReferenceFeed {
+    outlet: Outlet<ReferenceChunk>,
+}
+
+impl ReferenceFeed {
+    pub(crate) fn open(
+        channel: &Channel<ReferenceChunk>,
+        sender: Sender,
+    ) -> Result<Self, LinkError> {
+        let outlet = Outlet::open(channel, sender)?;
+        Ok(Self { outlet })
+    }
+
+    /// Sends one chunk. Append chunks of one connection follow each other without a gap in their
+    /// numbers, as the daemon demands.
+    ///
+    /// # Errors
+    /// When there are no points or more than [`CHUNK_POINTS_MAX`], or iceoryx2 fails.
+    pub fn send(
+        &self,
+        mode: ChunkMode,
+        interpolation: Interpolation,
+        points: &[ReferencePoint],
+    ) -> Result<Header, LinkError> {
+        let count = points.len();
+        if !(1..=CHUNK_POINTS_MAX).contains(&count) {
+            return Err(LinkError::ChunkPoints { count });
+        }
+        let mut chunk = ReferenceChunk {
+            mode: mode.code(),
+            interpolation: interpolation.code(),
+            count: count as u32,
+            ..ReferenceChunk::default()
+        };
+        chunk.points[..count].copy_from_slice(points);
+        self.outlet.send(chunk)
+    }
+}

@@ -1,0 +1,51 @@
+use cdcr_shared_types::codes::Outcome;
+
+/// What a person can do about a refused message or request: one sentence.
+pub fn remedy(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Accepted => "Nothing to do.",
+        Outcome::NotFinite => "Look for NaN or infinite numbers in what was sent.",
+        Outcome::InThePast => {
+            "The sender fell behind: let it start later (--lead) or send further ahead."
+        }
+        Outcome::OutOfReach => {
+            "Scale or move the reference into the ball whose radius is the robot's length."
+        }
+        Outcome::TimeNotIncreasing => "Give every point a later time than the one before it.",
+        Outcome::NoLease => {
+            "Start a reference first (cdcrctl ref …), or acquire the reference lease."
+        }
+        Outcome::SequenceGap => "Begin again with a chunk in mode replace.",
+        Outcome::BufferFull => "Send less far ahead, or wait until points have been played.",
+        Outcome::CountOutOfRange | Outcome::OutOfRange => {
+            "See the ranges in the documentation of the message."
+        }
+        Outcome::UnknownCode => "Use client and daemon of one version.",
+        Outcome::NotUnit => "Normalise the axis or quaternion.",
+        Outcome::Unsupported => "Leave that feature out, or install a daemon that has it.",
+        Outcome::LeaseHeld => {
+            "Stop the other client, or wait: cdcrctl status shows who holds the lease."
+        }
+        Outcome::NoReference => "Send a reference first: cdcrctl ref spiral --track.",
+        Outcome::WrongMode => "Leave stopped or faulted with: cdcrctl reset.",
+        Outcome::CauseStands => {
+            "Mend the cause first (cdcrctl status names it), then cdcrctl reset again."
+        }
+        Outcome::Busy => "Wait a moment and try again.",
+        Outcome::Stale => "Use one connection for each sender, and count its messages up.",
+        Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_remedy_is_a_sentence() {
+        for &outcome in Outcome::ALL {
+            let text = remedy(outcome);
+            assert!(text.ends_with('.') && text.len() > 10, "{outcome:?}");
+        }
+    }
+}

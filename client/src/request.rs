@@ -1,0 +1,160 @@
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
+use cdcr_shared_types::{Request, Response, Service, SolverSettings};
+use iceoryx2::port::client::Client;
+use iceoryx2::prelude::{BackpressureStrategy, ipc};
+
+use crate::remedy::remedy;
+use crate::sender::Sender;
+use crate::services::ControlChannel;
+
+/// How often a waiting client looks for the answer.
+const LOOK_AGAIN: Duration = Duration::from_millis(1);
+
+/// Why a request had no effect.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RequestError {
+    /// The daemon refused it.
+    #[error("cannot {kind}: {outcome} (the daemon is {mode}). {}", remedy(*outcome))]
+    Refused {
+        /// What was asked for.
+        kind: RequestKind,
+        /// Why not.
+        outcome: Outcome,
+        /// Mode of the daemon after the request, in words.
+        mode: &'static str,
+    },
+    /// No answer came.
+    #[error(
+        "cannot {kind}: the daemon did not answer within {} ms; it has ended or is stopped",
+        waited.as_millis()
+    )]
+    Timeout {
+        /// What was asked for.
+        kind: RequestKind,
+        /// How long it was waited for.
+        waited: Duration,
+    },
+    /// The request or its answer could not be carried.
+    #[error("cannot {kind}: {cause}")]
+    Link {
+        /// What was asked for.
+        kind: RequestKind,
+        /// What iceoryx2 says.
+        cause: String,
+    },
+    /// The answer holds a code that this version does not know.
+    #[error("cannot tell whether the daemon did {kind}: its answer has {code}")]
+    Answer {
+        /// What was asked for.
+        kind: RequestKind,
+        /// The code.
+        code: UnknownCode,
+    },
+}
+
+/// The asking end of the control service.
+#[derive(Debug)]
+pub(crate) struct Control {
+    client: Client<ipc::Service, Request, (), Response, ()>,
+    sender: Sender,
+}
+
+impl Control {
+    pub(crate) fn open(service: &ControlChannel, sender: Sender) -> Result<Self, String> {
+        let client = service
+            .client_builder()
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|cause| format!("{cause:?}"))?;
+        Ok(Self { client, sender })
+    }
+
+    /// Asks, waits for the answer, and returns it when it says accepted.
+    pub(crate) fn ask(
+        &self,
+        kind: RequestKind,
+        settings: SolverSettings,
+        timeout: Duration,
+    ) -> Result<Response, RequestError> {
+        let header = self.sender.next_header(Service::Control);
+        let request = Request {
+            header,
+            kind: kind.code(),
+            reserved: 0,
+            settings,
+        };
+        let link = |cause: String| RequestError::Link { kind, cause };
+        let pending = self
+            .client
+            .send_copy(request)
+            .map_err(|cause| link(format!("{cause:?}")))?;
+        let deadline = Instant::now() + timeout;
+        loop {
+            let answer = pending
+                .receive()
+                .map_err(|cause| link(format!("{cause:?}")))?;
+            match answer {
+                Some(answer) if answer.payload().request_sequence == header.sequence => {
+                    return judge(kind, *answer.payload());
+                }
+                Some(_) => {}
+                None if Instant::now() >= deadline => {
+                    let waited = timeout;
+                    return Err(RequestError::Timeout { kind, waited });
+                }
+                None => thread::sleep(LOOK_AGAIN),
+            }
+        }
+    }
+}
+
+fn judge(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
+    match Outcome::try_from(response.outcome) {
+        Ok(Outcome::Accepted) => Ok(response),
+        Ok(outcome) => Err(RequestError::Refused {
+            kind,
+            outcome,
+            mode: Mode::text_of(response.mode),
+        }),
+        Err(code) => Err(RequestError::Answer { kind, code }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_says_what_why_and_what_to_do() {
+        let response = Response {
+            outcome: Outcome::LeaseHeld.code(),
+            mode: Mode::Tracking.code(),
+            ..Response::default()
+        };
+        let text = judge(RequestKind::AcquireLease, response)
+            .expect_err("refused")
+            .to_string();
+        assert!(text.contains("acquire the lease"), "{text}");
+        assert!(
+            text.contains("another client holds the reference lease"),
+            "{text}"
+        );
+        assert!(text.contains("tracking"), "{text}");
+        assert!(text.contains("cdcrctl status"), "{text}");
+    }
+
+    #[test]
+    fn an_unknown_outcome_is_no_success() {
+        let response = Response {
+            outcome: 999,
+            ..Response::default()
+        };
+        assert!(matches!(
+            judge(RequestKind::Hold, response),
+            Err(RequestError::Answer { .. })
+        ));
+    }
+}

@@ -1,0 +1,416 @@
+use std::path::{Path, PathBuf};
+
+use super::{Orientation, Trajectory};
+
+/// Columns that every file has, in any order.
+const POSE_COLUMNS: [&str; 4] = ["t_s", "x_m", "y_m", "z_m"];
+/// Columns of the orientation: all of them or none.
+const QUATERNION_COLUMNS: [&str; 4] = ["qx", "qy", "qz", "qw"];
+/// How far from 1 the length of a quaternion may be: written with three decimals it still passes.
+const UNIT_TOLERANCE: f64 = 2e-3;
+
+/// A reference read from a CSV file with the header `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`.
+///
+/// Its rows are sent as they are; the daemon interpolates between them. The curve begins at its first
+/// row, whatever the time there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FileTrajectory {
+    name: String,
+    times_s: Vec<f64>,
+    positions_m: Vec<[f64; 3]>,
+    quaternions: Option<Vec<[f64; 4]>>,
+}
+
+/// What is wrong with a reference file, and where.
+#[derive(Debug, thiserror::Error)]
+pub enum TrajectoryFileError {
+    /// It cannot be read.
+    #[error("cannot read {}: {cause}", path.display())]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        cause: std::io::Error,
+    },
+    /// It is not CSV.
+    #[error("{}:{line}: {cause}", path.display())]
+    Csv {
+        /// The file.
+        path: PathBuf,
+        /// Number of the line, from 1.
+        line: u64,
+        /// Why.
+        cause: String,
+    },
+    /// The header lacks a column.
+    #[error(
+        "{}:1: column {column} is missing; the header is t_s,x_m,y_m,z_m or \
+         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
+        path.display()
+    )]
+    MissingColumn {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: &'static str,
+    },
+    /// A cell is not a finite number.
+    #[error("{}:{line}: {column} is {text:?}; it must be a finite number", path.display())]
+    NotANumber {
+        /// The file.
+        path: PathBuf,
+        /// Number of the line, from 1.
+        line: u64,
+        /// The column.
+        column: &'static str,
+        /// What stands there.
+        text: String,
+    },
+    /// Time does not go forward.
+    #[error(
+        "{}:{line}: t_s = {time_s} does not come after {previous_s} of the row before; \
+         times must increase by at least 1 µs",
+        path.display()
+    )]
+    TimeNotIncreasing {
+        /// The file.
+        path: PathBuf,
+        /// Number of the line, from 1.
+        line: u64,
+        /// Time in that row \[s\].
+        time_s: f64,
+        /// Time in the row before \[s\].
+        previous_s: f64,
+    },
+    /// A quaternion is not of length 1.
+    #[error("{}:{line}: the quaternion has length {norm:.4}; it must be 1", path.display())]
+    NotUnit {
+        /// The file.
+        path: PathBuf,
+        /// Number of the line, from 1.
+        line: u64,
+        /// Its length.
+        norm: f64,
+    },
+    /// There is nothing to follow.
+    #[error(
+        "{} has {rows} rows of data; a reference needs at least 2 below the header \
+         t_s,x_m,y_m,z_m",
+        path.display()
+    )]
+    TooShort {
+        /// The file.
+        path: PathBuf,
+        /// Rows found.
+        rows: usize,
+    },
+}
+
+/// One row of the file, checked by itself.
+struct Row {
+    time_s: f64,
+    position_m: [f64; 3],
+    quaternion: Option<[f64; 4]>,
+}
+
+impl FileTrajectory {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// With the file, the line and what would be right.
+    pub fn read(path: &Path) -> Result<Self, TrajectoryFileError> {
+        let text = std::fs::read_to_string(path).map_err(|cause| TrajectoryFileError::Read {
+            path: path.to_owned(),
+            cause,
+        })?;
+        Self::parse(path, &text)
+    }
+
+    /// Checks the text of a file; `path` is for the messages.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read).
+    pub fn parse(path: &Path, text: &str) -> Result<Self, TrajectoryFileError> {
+        let mut reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            .from_reader(text.as_bytes());
+        let columns = Columns::find(
+            path,
+            reader.headers().map_err(|e| csv_error(path, text, &e))?,
+        )?;
+        let mut trajectory = Self {
+            name: path.display().to_string(),
+            times_s: Vec::new(),
+            positions_m: Vec::new(),
+            quaternions: columns.quaternion.map(|_| Vec::new()),
+        };
+        for record in reader.records() {
+            let record = record.map_err(|e| csv_error(path, text, &e))?;
+            let line = line_of(record.position(), text);
+            let row = columns.row(path, line, &record)?;
+            trajectory.push(path, line, &row)?;
+        }
+        trajectory.finish(path)
+    }
+
+    fn push(&mut self, path: &Path, line: u64, row: &Row) -> Result<(), TrajectoryFileError> {
+        if let Some(&previous_s) = self.times_s.last()
+            && row.time_s - previous_s < 1e-6
+        {
+            return Err(TrajectoryFileError::TimeNotIncreasing {
+                path: path.to_owned(),
+                line,
+                time_s: row.time_s,
+                previous_s,
+            });
+        }
+        self.times_s.push(row.time_s);
+        self.positions_m.push(row.position_m);
+        if let (Some(all), Some(quaternion)) = (&mut self.quaternions, row.quaternion) {
+            all.push(quaternion);
+        }
+        Ok(())
+    }
+
+    fn finish(mut self, path: &Path) -> Result<Self, TrajectoryFileError> {
+        let rows = self.times_s.len();
+        if rows < 2 {
+            let path = path.to_owned();
+            return Err(TrajectoryFileError::TooShort { path, rows });
+        }
+        let start_s = self.times_s[0];
+        for time_s in &mut self.times_s {
+            *time_s -= start_s;
+        }
+        Ok(self)
+    }
+
+    /// Index of the row at or before `time_s`, and how far it is to the next, 0 ..= 1.
+    fn locate(&self, time_s: f64) -> (usize, f64) {
+        let after = self.times_s.partition_point(|&t| t <= time_s);
+        let before = after.saturating_sub(1).min(self.times_s.len() - 2);
+        let span_s = self.times_s[before + 1] - self.times_s[before];
+        let share = (time_s - self.times_s[before]) / span_s;
+        (before, share.clamp(0.0, 1.0))
+    }
+}
+
+impl Trajectory for FileTrajectory {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.times_s.last().copied().unwrap_or(0.0)
+    }
+
+    /// On the straight line between two rows.
+    fn position_m(&self, time_s: f64) -> [f64; 3] {
+        let (before, share) = self.locate(time_s);
+        let (a, b) = (self.positions_m[before], self.positions_m[before + 1]);
+        core::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
+    }
+
+    /// That of the nearer row.
+    fn orientation(&self, time_s: f64) -> Orientation {
+        let (before, share) = self.locate(time_s);
+        let nearer = before + usize::from(share >= 0.5);
+        match &self.quaternions {
+            Some(all) => Orientation::Full(all[nearer]),
+            None => Orientation::Free,
+        }
+    }
+
+    fn knots_s(&self) -> Option<&[f64]> {
+        Some(&self.times_s)
+    }
+}
+
+/// Where in a row each value stands.
+struct Columns {
+    pose: [usize; 4],
+    quaternion: Option<[usize; 4]>,
+}
+
+impl Columns {
+    fn find(path: &Path, header: &csv::StringRecord) -> Result<Self, TrajectoryFileError> {
+        let place = |column: &'static str| {
+            // A spreadsheet may put a byte-order mark before the first name.
+            let is_it = |name: &str| name.trim_start_matches('\u{feff}') == column;
+            header.iter().position(is_it)
+        };
+        let find = |columns: [&'static str; 4]| -> Result<[usize; 4], TrajectoryFileError> {
+            let mut found = [0; 4];
+            for (slot, column) in found.iter_mut().zip(columns) {
+                *slot = place(column).ok_or_else(|| TrajectoryFileError::MissingColumn {
+                    path: path.to_owned(),
+                    column,
+                })?;
+            }
+            Ok(found)
+        };
+        let has_quaternion = QUATERNION_COLUMNS.iter().any(|c| place(c).is_some());
+        Ok(Self {
+            pose: find(POSE_COLUMNS)?,
+            quaternion: has_quaternion
+                .then(|| find(QUATERNION_COLUMNS))
+                .transpose()?,
+        })
+    }
+
+    fn row(
+        &self,
+        path: &Path,
+        line: u64,
+        record: &csv::StringRecord,
+    ) -> Result<Row, TrajectoryFileError> {
+        let number = |index: usize, column: &'static str| {
+            let text = record.get(index).unwrap_or("");
+            match text.parse::<f64>() {
+                Ok(value) if value.is_finite() => Ok(value),
+                _ => Err(TrajectoryFileError::NotANumber {
+                    path: path.to_owned(),
+                    line,
+                    column,
+                    text: text.to_owned(),
+                }),
+            }
+        };
+        let four = |places: [usize; 4], columns: [&'static str; 4]| {
+            let mut values = [0.0; 4];
+            for ((value, index), column) in values.iter_mut().zip(places).zip(columns) {
+                *value = number(index, column)?;
+            }
+            Ok(values)
+        };
+        let [time_s, x, y, z] = four(self.pose, POSE_COLUMNS)?;
+        let quaternion = match self.quaternion {
+            Some(places) => Some(unit(path, line, four(places, QUATERNION_COLUMNS)?)?),
+            None => None,
+        };
+        Ok(Row {
+            time_s,
+            position_m: [x, y, z],
+            quaternion,
+        })
+    }
+}
+
+/// The quaternion with rounding removed, when its length is 1 but for rounding.
+fn unit(path: &Path, line: u64, q: [f64; 4]) -> Result<[f64; 4], TrajectoryFileError> {
+    let norm = q.iter().map(|x| x * x).sum::<f64>().sqrt();
+    if (norm - 1.0).abs() > UNIT_TOLERANCE {
+        let path = path.to_owned();
+        return Err(TrajectoryFileError::NotUnit { path, line, norm });
+    }
+    Ok(q.map(|x| x / norm))
+}
+
+/// Number of the line in which a row stands. The reader's own number is that of the blank lines and
+/// comments before it.
+fn line_of(position: Option<&csv::Position>, text: &str) -> u64 {
+    let Some(position) = position else { return 1 };
+    let rest = text.get(position.byte() as usize..).unwrap_or("");
+    let skipped = rest
+        .lines()
+        .take_while(|line| line.is_empty() || line.starts_with('#'));
+    position.line() + skipped.count() as u64
+}
+
+fn csv_error(path: &Path, text: &str, error: &csv::Error) -> TrajectoryFileError {
+    let line = line_of(error.position(), text);
+    let cause = match error.kind() {
+        csv::ErrorKind::UnequalLengths {
+            expected_len, len, ..
+        } => format!("the row has {len} cells, the header {expected_len}"),
+        _ => error.to_string(),
+    };
+    TrajectoryFileError::Csv {
+        path: path.to_owned(),
+        line,
+        cause,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::assert_near;
+    use super::*;
+
+    fn parse(text: &str) -> Result<FileTrajectory, TrajectoryFileError> {
+        FileTrajectory::parse(Path::new("ref.csv"), text)
+    }
+
+    fn message(text: &str) -> String {
+        parse(text).expect_err("the file is wrong").to_string()
+    }
+
+    #[test]
+    fn a_good_file_is_followed_row_by_row() {
+        let file =
+            parse("t_s,x_m,y_m,z_m\n1.0,0,0,0.3\n1.5,0.1,0,0.3\n2,0.1,0.2,0.3\n").expect("good");
+        assert_eq!(file.knots_s(), Some(&[0.0, 0.5, 1.0][..]));
+        assert_near(file.position_m(0.25), [0.05, 0.0, 0.3]);
+        assert_near(file.position_m(9.0), [0.1, 0.2, 0.3]);
+        assert_near(file.position_m(-1.0), [0.0, 0.0, 0.3]);
+        assert_eq!(file.orientation(0.0), Orientation::Free);
+    }
+
+    #[test]
+    fn orientations_are_read_in_any_column_order() {
+        let file = parse("qw,qx,qy,qz,t_s,z_m,y_m,x_m\n1,0,0,0,0,0.3,0,0\n0,1,0,0,1,0.3,0.2,0.1\n")
+            .expect("good");
+        assert_near(file.position_m(1.0), [0.1, 0.2, 0.3]);
+        assert_eq!(
+            file.orientation(1.0),
+            Orientation::Full([1.0, 0.0, 0.0, 0.0])
+        );
+    }
+
+    #[test]
+    fn a_missing_column_is_named() {
+        let text = message("t_s,x_m,z_m\n0,0,0\n");
+        assert!(
+            text.starts_with("ref.csv:1: column y_m is missing"),
+            "{text}"
+        );
+        let text = message("t_s,x_m,y_m,z_m,qx\n0,0,0,0,0\n");
+        assert!(text.contains("column qy is missing"), "{text}");
+    }
+
+    #[test]
+    fn bad_numbers_are_shown_with_their_line() {
+        let header = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n";
+        for bad in ["NaN", "inf", "abc", ""] {
+            let text = message(&format!("{header}\n# remark\n0.1,0,{bad},0.3\n"));
+            assert!(text.starts_with("ref.csv:5: y_m is"), "{text}");
+            let windows = format!("{header}0.1,0,{bad},0.3\n").replace('\n', "\r\n");
+            let text = message(&windows);
+            assert!(text.starts_with("ref.csv:3: y_m is"), "{text}");
+        }
+    }
+
+    #[test]
+    fn time_must_go_forward() {
+        let text = message("t_s,x_m,y_m,z_m\n0,0,0,0.3\n0.1,0,0,0.3\n0.1,0,0,0.3\n");
+        assert!(text.starts_with("ref.csv:4: t_s = 0.1"), "{text}");
+    }
+
+    #[test]
+    fn quaternions_must_be_of_unit_length() {
+        let text = message("t_s,x_m,y_m,z_m,qx,qy,qz,qw\n0,0,0,0.3,1,1,0,0\n");
+        assert!(
+            text.starts_with("ref.csv:2: the quaternion has length 1.4142"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn empty_and_ragged_files_are_refused() {
+        assert!(message("").contains("column t_s is missing"));
+        assert!(message("t_s,x_m,y_m,z_m\n").contains("0 rows"));
+        let text = message("t_s,x_m,y_m,z_m\n0,0,0\n");
+        assert!(text.starts_with("ref.csv:2: the row has 3 cells"), "{text}");
+    }
+}

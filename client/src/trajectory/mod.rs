@@ -1,0 +1,90 @@
+//! Curves that the tip shall follow, each as an exact function of time.
+//!
+//! Invariant: nothing here knows a clock or a daemon. Time counts from the start of the curve.
+
+mod circle;
+mod file;
+mod line;
+mod spiral;
+
+pub use circle::Circle;
+pub use file::{FileTrajectory, TrajectoryFileError};
+pub use line::Line;
+pub use spiral::Spiral;
+
+use cdcr_shared_types::ReferencePoint;
+use cdcr_shared_types::codes::OrientationKind;
+
+/// Length of the paper's sections \[m\].
+pub const PAPER_SECTION_M: f64 = 0.3;
+
+/// How the tip shall be turned.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum Orientation {
+    /// In any way.
+    #[default]
+    Free,
+    /// With its axis in this direction, a unit vector (x, y, z) in the base frame.
+    Axis([f64; 3]),
+    /// Exactly so: unit quaternion (x, y, z, w) base → tip.
+    Full([f64; 4]),
+}
+
+/// A curve in time. Implement it for curves of your own and feed them like the paper's.
+pub trait Trajectory {
+    /// A word for people.
+    fn name(&self) -> &str;
+
+    /// How long it lasts \[s\], ≥ 0.
+    fn duration_s(&self) -> f64;
+
+    /// Exact position of the tip at `time_s` \[m, base frame\], for 0 ≤ `time_s` ≤ duration.
+    /// Outside that range it is the position at the nearer end.
+    fn position_m(&self, time_s: f64) -> [f64; 3];
+
+    /// Orientation of the tip at `time_s`; free unless the curve says otherwise.
+    fn orientation(&self, _time_s: f64) -> Orientation {
+        Orientation::Free
+    }
+
+    /// The times \[s\] that must be sent exactly: increasing, the first 0, the last the duration.
+    /// `None`: the curve is sampled at equal steps.
+    fn knots_s(&self) -> Option<&[f64]> {
+        None
+    }
+
+    /// The point of the reference at `time_s`, stamped with `time_ns` on the daemon's clock.
+    fn point(&self, time_s: f64, time_ns: u64) -> ReferencePoint {
+        let (kind, orientation) = match self.orientation(time_s) {
+            Orientation::Free => (OrientationKind::None, [0.0; 4]),
+            Orientation::Axis([x, y, z]) => (OrientationKind::Axis, [x, y, z, 0.0]),
+            Orientation::Full(quaternion) => (OrientationKind::Full, quaternion),
+        };
+        ReferencePoint {
+            time_ns,
+            position_m: self.position_m(time_s),
+            orientation,
+            orientation_kind: kind.code(),
+            reserved: 0,
+        }
+    }
+}
+
+/// Splits the lengths of a robot into the height of the straight sections below the last, and the
+/// length of the last one. An empty robot counts as one section of the paper.
+fn base_and_last_m(section_lengths_m: &[f64]) -> (f64, f64) {
+    match section_lengths_m.split_last() {
+        Some((&last_m, below)) => (below.iter().sum(), last_m),
+        None => (0.0, PAPER_SECTION_M),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    /// Asserts that two vectors are equal but for rounding.
+    pub(super) fn assert_near<const N: usize>(values: [f64; N], expected: [f64; N]) {
+        for (value, wanted) in values.iter().zip(expected) {
+            assert!((value - wanted).abs() < 1e-15, "{values:?} {expected:?}");
+        }
+    }
+}

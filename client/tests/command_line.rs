@@ -1,0 +1,161 @@
+//! `cdcrctl` as a user meets it when things are wrong: every error says what, where and what next.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+
+/// Runs `cdcrctl` where no daemon can be.
+fn cdcrctl(root: &Path, arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_cdcrctl"))
+        .args(arguments)
+        .env("CDCR_PREFIX", "cdcr_cli_test_")
+        .env("CDCR_ROOT", root)
+        .env("CDCR_ROBOT", "trunk")
+        .output()
+        .expect("cdcrctl runs")
+}
+
+fn stderr(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn without_a_daemon_every_command_says_where_it_looked_and_how_to_start_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let root = folder.path().join("none");
+    for arguments in [
+        &["status"][..],
+        &["track"],
+        &["echo"],
+        &["ref", "spiral", "--track"],
+        &["obstacle", "clear"],
+    ] {
+        let output = cdcrctl(&root, arguments);
+        let text = stderr(&output);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}: {text}");
+        for part in [
+            "no daemon is running",
+            "\"trunk\"",
+            "\"cdcr_cli_test_\"",
+            &format!(
+                "cdcrd run --robot trunk --prefix cdcr_cli_test_ --root {}",
+                root.display()
+            ),
+        ] {
+            assert!(text.contains(part), "{arguments:?}: {part} in {text}");
+        }
+        assert!(!root.exists(), "a client leaves nothing behind");
+    }
+}
+
+#[test]
+fn an_empty_root_is_no_daemon_either() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = cdcrctl(folder.path(), &["status"]);
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(
+        text.contains("there are no services of that name"),
+        "{text}"
+    );
+    let left = fs::read_dir("/dev/shm").expect("Linux");
+    for entry in left.flatten() {
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if name.starts_with("cdcr_cli_test_") {
+            assert!(name.ends_with(".global_mgmt"), "{name} was left");
+            fs::remove_file(entry.path()).expect("ours");
+        }
+    }
+}
+
+#[test]
+fn options_beat_the_environment() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let root = folder.path().join("none");
+    let output = cdcrctl(&root, &["status", "--robot", "arm", "--prefix", "other_"]);
+    let text = stderr(&output);
+    assert!(text.contains("--robot arm --prefix other_"), "{text}");
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    let root = Path::new("/nonexistent");
+    for arguments in [
+        &["demo", "--sections", "4"][..],
+        &["demo", "--duration", "50ms"],
+        &["demo", "--duration", "21s"],
+        &["demo", "--duration", "5"],
+        &["ref", "circle", "--radius", "-1"],
+        &["ref", "line", "--axis", "0,0,0"],
+        &[
+            "obstacle", "add", "--id", "1", "--at", "0,0", "--radius", "1",
+        ],
+        &["echo", "nonsense"],
+        &["fly"],
+        &[],
+    ] {
+        let output = cdcrctl(root, arguments);
+        assert_eq!(output.status.code(), Some(2), "{arguments:?}");
+    }
+}
+
+#[test]
+fn illegal_names_are_told_with_what_is_legal() {
+    let output = cdcrctl(Path::new("/tmp"), &["status", "--robot", "a/b"]);
+    assert!(stderr(&output).contains("1 to 40 letters"));
+    let output = cdcrctl(Path::new("/tmp"), &["status", "--prefix", "a b"]);
+    assert!(stderr(&output).contains("1 to 40 letters"));
+    let output = cdcrctl(Path::new("relative"), &["status"]);
+    assert!(stderr(&output).contains("absolute path"));
+}
+
+#[test]
+fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("bad.csv");
+    fs::write(&file, "t_s,x_m,y_m,z_m\n0,0,0,0.3\n0.1,0,NaN,0.3\n").expect("written");
+    let path = file.to_str().expect("UTF-8");
+    let output = cdcrctl(folder.path(), &["ref", "file", path]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(stderr(&output).contains("bad.csv:3: y_m is \"NaN\""));
+    let output = cdcrctl(folder.path(), &["ref", "file", "/no/such.csv"]);
+    assert!(stderr(&output).contains("cannot read /no/such.csv"));
+}
+
+#[test]
+fn the_demo_says_when_its_daemon_is_not_built() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let alone = folder.path().join("cdcrctl");
+    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    let output = Command::new(&alone)
+        .args(["demo", "--duration", "1s"])
+        .output()
+        .expect("cdcrctl runs");
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("cdcrd does not exist"), "{text}");
+    assert!(text.contains("cargo build --release"), "{text}");
+}
+
+#[test]
+fn a_daemon_that_fails_is_quoted_and_nothing_is_left() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let temporary = folder.path().join("tmp");
+    fs::create_dir(&temporary).expect("made");
+    let alone = folder.path().join("cdcrctl");
+    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    let daemon = folder.path().join("cdcrd");
+    fs::write(&daemon, "#!/bin/sh\necho the core is on fire >&2\nexit 3\n").expect("written");
+    let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
+    fs::set_permissions(&daemon, mode).expect("executable");
+    let output = Command::new(&alone)
+        .arg("demo")
+        .env("TMPDIR", &temporary)
+        .output()
+        .expect("cdcrctl runs");
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("the core is on fire"), "{text}");
+    let left = fs::read_dir(&temporary).expect("there").count();
+    assert_eq!(left, 0, "the demo's folder is gone");
+}

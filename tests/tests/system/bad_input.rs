@@ -1,0 +1,201 @@
+//! What bad input gets: a clear refusal, and the loop goes on.
+
+use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
+use cdcr_shared_types::{Obstacle, ReferencePoint};
+use cdcr_tests::{Daemon, PATIENCE, Place, wait_record, wait_status};
+
+fn point(offset_ms: i64, position_m: [f64; 3]) -> ReferencePoint {
+    ReferencePoint {
+        time_ns: monotonic_ns().saturating_add_signed(offset_ms * 1_000_000),
+        position_m,
+        ..ReferencePoint::default()
+    }
+}
+
+struct Client<'c> {
+    connection: &'c Connection,
+    feed: ReferenceFeed,
+    telemetry: TelemetryStream,
+}
+
+impl Client<'_> {
+    fn verdict(&mut self, mode: ChunkMode, points: &[ReferencePoint]) -> Outcome {
+        // The lease runs out while a slow machine waits for a verdict; a client renews it.
+        let lease = self.connection.acquire_lease().unwrap();
+        let header = self.feed.send(mode, Interpolation::Cubic, points).unwrap();
+        let verdict = self
+            .telemetry
+            .verdict_on(EventKind::Reference, &header, PATIENCE);
+        std::mem::forget(lease);
+        verdict.unwrap()
+    }
+}
+
+#[test]
+fn bad_points_are_refused_with_the_reason_and_counted() {
+    let daemon = Daemon::start("[reference]\nlease_ms = 20000.0\n");
+    let connection = daemon.connect();
+    let mut client = Client {
+        connection: &connection,
+        feed: connection.reference_feed().unwrap(),
+        telemetry: connection.telemetry().unwrap(),
+    };
+    let good = [0.0, 0.0, 0.9];
+    let replace = ChunkMode::Replace;
+    let far = 10_000;
+    assert_eq!(
+        client.verdict(replace, &[point(far, [f64::NAN, 0.0, 0.0])]),
+        Outcome::NotFinite
+    );
+    assert_eq!(
+        client.verdict(replace, &[point(-100, good)]),
+        Outcome::InThePast
+    );
+    assert_eq!(
+        client.verdict(replace, &[point(far, [0.0, 0.7, 0.7])]),
+        Outcome::OutOfReach
+    );
+    let same = point(far, good);
+    assert_eq!(
+        client.verdict(replace, &[same, same]),
+        Outcome::TimeNotIncreasing
+    );
+    // Nothing was accepted yet, so there is nothing to append to.
+    assert_eq!(
+        client.verdict(ChunkMode::Append, &[point(far, good)]),
+        Outcome::SequenceGap
+    );
+    assert_eq!(
+        client.verdict(replace, &[point(far, good)]),
+        Outcome::Accepted
+    );
+    assert_eq!(
+        client.verdict(ChunkMode::Append, &[point(2 * far, good)]),
+        Outcome::Accepted
+    );
+
+    let status = wait_status(&connection, |status| {
+        status.outcomes[Outcome::SequenceGap.code() as usize] == 1
+    });
+    for outcome in [Outcome::NotFinite, Outcome::InThePast, Outcome::OutOfReach] {
+        assert_eq!(status.outcomes[outcome.code() as usize], 1, "{outcome}");
+    }
+    let before = status.cycles;
+    wait_status(&connection, |status| status.cycles > before + 20);
+}
+
+#[test]
+fn obstacles_are_refused_until_they_can_be_avoided() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let sender = connection.obstacle_sender().unwrap();
+    let obstacle = Obstacle {
+        id: 1,
+        radius_m: 0.01,
+        ..Obstacle::default()
+    };
+    let header = sender.upsert(&[obstacle]).unwrap();
+    let verdict = telemetry
+        .verdict_on(EventKind::Obstacles, &header, PATIENCE)
+        .unwrap();
+    assert_eq!(verdict, Outcome::Unsupported);
+    let later = wait_record(&mut telemetry, |_| true).cycle;
+    wait_record(&mut telemetry, |record| record.cycle > later + 5);
+}
+
+#[test]
+fn a_bad_configuration_is_named_by_file_line_key_and_range() {
+    let place = Place::new();
+    let cases = [
+        (
+            "[cycle]\nperiod_ms = 0.01\n",
+            ["line 2", "cycle.period_ms", "0.5 to 100"],
+        ),
+        ("[cycle]\n\nperiod = 5\n", ["line 3", "period", "period_ms"]),
+        (
+            "[controller]\nsolver = \"magic\"\n",
+            ["line 2", "magic", "kpso-refined"],
+        ),
+        ("[robot]\nname = 7\n", ["line 2", "7", "string"]),
+    ];
+    for (text, expected) in cases {
+        let path = place.write("bad.toml", text);
+        for command in ["check", "run"] {
+            let output = place
+                .command("cdcrd")
+                .arg(command)
+                .arg("--config")
+                .arg(&path)
+                .output()
+                .unwrap();
+            let message = String::from_utf8_lossy(&output.stderr);
+            assert!(!output.status.success());
+            assert!(message.contains("bad.toml"), "{message}");
+            for part in expected {
+                assert!(message.contains(part), "{part} is not in: {message}");
+            }
+        }
+    }
+    let missing = place
+        .command("cdcrd")
+        .args(["check", "--config", "/no/such.toml"])
+        .output()
+        .unwrap();
+    let message = String::from_utf8_lossy(&missing.stderr).into_owned();
+    assert!(
+        message.contains("/no/such.toml") && message.contains("config default"),
+        "{message}"
+    );
+}
+
+#[test]
+fn the_default_configuration_checks() {
+    let place = Place::new();
+    let text = place
+        .command("cdcrd")
+        .args(["config", "default"])
+        .output()
+        .unwrap()
+        .stdout;
+    let path = place.write("default.toml", &String::from_utf8(text).unwrap());
+    let output = place
+        .command("cdcrd")
+        .arg("check")
+        .arg("--config")
+        .arg(path)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(String::from_utf8_lossy(&output.stdout).contains("3 sections"));
+}
+
+#[test]
+fn a_bad_reference_file_is_named_by_line() {
+    let daemon = Daemon::start("");
+    let cases = [
+        ("t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,nan,0,0.9\n", "3"),
+        (
+            "t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,0,0,0.9\n0.1,0,0,0.9\n",
+            "4",
+        ),
+        ("t_s,x_m,y_m\n0,0,0\n", "z_m"),
+    ];
+    for (text, part) in cases {
+        let path = daemon.place().write("path.csv", text);
+        let output = daemon
+            .place()
+            .cdcrctl(&["ref", "file", path.to_str().unwrap()]);
+        let message = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success());
+        assert!(
+            message.contains("path.csv") && message.contains(part),
+            "{part}: {message}"
+        );
+    }
+}

@@ -1,0 +1,133 @@
+//! A driver process on the measurement and command services, played by the test.
+
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, Driver, FeedOptions, Line, monotonic_ns};
+use cdcr_shared_types::Measurement;
+use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
+
+const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 400.0\n";
+
+/// A robot that goes to every commanded target at once.
+struct Robot {
+    driver: Driver,
+    bend_rad: [f64; 12],
+}
+
+impl Robot {
+    fn new(connection: &Connection) -> Self {
+        Self {
+            driver: connection.driver().unwrap(),
+            bend_rad: [0.0; 12],
+        }
+    }
+
+    fn turn(&mut self) {
+        if let Some(command) = self.driver.newest_command().unwrap() {
+            self.bend_rad = command.bend_target_rad;
+        }
+        self.measure(self.bend_rad);
+        std::thread::sleep(Duration::from_millis(2));
+    }
+
+    fn measure(&self, bend_rad: [f64; 12]) {
+        let measurement = Measurement {
+            measured_ns: monotonic_ns(),
+            kind: MeasurementKind::Configuration.code(),
+            sections: 3,
+            bend_rad,
+            ..Measurement::default()
+        };
+        self.driver.send(measurement).unwrap();
+    }
+
+    fn run_until(&mut self, mut done: impl FnMut() -> bool) {
+        let begin = Instant::now();
+        while !done() {
+            assert!(begin.elapsed() < PATIENCE, "it did not happen");
+            self.turn();
+        }
+    }
+}
+
+#[test]
+fn a_lost_measurement_faults_until_it_is_back_and_reset() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    assert_eq!(
+        wait_record(&mut telemetry, |_| true).mode,
+        Mode::Starting.code()
+    );
+
+    let mut robot = Robot::new(&connection);
+    let mut newest = Mode::Starting.code();
+    robot.run_until(|| {
+        while let Some(record) = telemetry.try_next().unwrap() {
+            newest = record.mode;
+        }
+        newest == Mode::Holding.code()
+    });
+    // From here on, no measurement.
+    let fault = wait_mode(&mut telemetry, Mode::Faulted);
+    assert_eq!(fault.reason, Reason::MeasurementLost.code());
+    assert!(
+        connection.request(RequestKind::Reset).is_err(),
+        "the cause still stands"
+    );
+    robot.run_until(|| connection.request(RequestKind::Reset).is_ok());
+    let status = wait_status(&connection, |status| status.faults == 1);
+    assert_eq!(status.faults, 1);
+}
+
+#[test]
+fn a_driver_is_commanded_along_the_reference() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let feeding = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut robot = Robot::new(&connection);
+    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+
+    let line = Line {
+        duration_s: 0.5,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut moved = 0.0_f64;
+    let report = feeding.feed(&line, options).unwrap().run(|_| {
+        robot.turn();
+        moved = robot
+            .bend_rad
+            .iter()
+            .fold(moved, |most, bend| bend.abs().max(most));
+        ControlFlow::Continue(())
+    });
+    assert!(report.unwrap().tracked);
+    assert!(moved > 0.01, "the robot was moved by {moved} rad");
+}
+
+#[test]
+fn a_bad_measurement_is_refused_and_counted() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let robot = Robot::new(&connection);
+    let mut bad = [0.0; 12];
+    bad[3] = f64::NAN;
+    let code = Outcome::NotFinite.code() as usize;
+    let begin = Instant::now();
+    while connection.status(PATIENCE).unwrap().outcomes[code] == 0 {
+        assert!(begin.elapsed() < PATIENCE);
+        robot.measure(bad);
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(
+        connection.status(PATIENCE).unwrap().mode,
+        Mode::Starting.code()
+    );
+}

@@ -1,0 +1,91 @@
+//! One client at a time feeds the reference.
+
+use std::time::Duration;
+
+use cdcr_client::{RequestError, monotonic_ns};
+use cdcr_shared_types::ReferencePoint;
+use cdcr_shared_types::codes::{
+    ChunkMode, EventKind, Interpolation, Mode, Outcome, Reason, RequestKind,
+};
+use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_status};
+
+/// Points in a straight line upwards, from `lead_ms` after now, 10 ms apart.
+fn points(lead_ms: u64, count: u64) -> Vec<ReferencePoint> {
+    let begin_ns = monotonic_ns() + lead_ms * 1_000_000;
+    (0..count)
+        .map(|k| ReferencePoint {
+            time_ns: begin_ns + k * 10_000_000,
+            position_m: [0.02, 0.0, 0.89],
+            ..ReferencePoint::default()
+        })
+        .collect()
+}
+
+#[test]
+fn two_clients_one_lease() {
+    let daemon = Daemon::start("");
+    let (first, second) = (daemon.connect(), daemon.connect());
+    let lease = first.acquire_lease().unwrap();
+    match second.acquire_lease() {
+        Err(RequestError::Refused {
+            outcome: Outcome::LeaseHeld,
+            ..
+        }) => {}
+        other => panic!("{other:?}"),
+    }
+
+    let mut telemetry = second.telemetry().unwrap();
+    let send = |connection: &cdcr_client::Connection| {
+        let feed = connection.reference_feed().unwrap();
+        // The daemon finds a new writer at its next look; what it sent meanwhile waits for it.
+        std::thread::sleep(Duration::from_millis(50));
+        let points = points(500, 20);
+        let header = feed
+            .send(ChunkMode::Replace, Interpolation::Cubic, &points)
+            .unwrap();
+        (feed, header)
+    };
+    let (_feed, header) = send(&second);
+    let verdict = telemetry
+        .verdict_on(EventKind::Reference, &header, PATIENCE)
+        .unwrap();
+    assert_eq!(verdict, Outcome::NoLease);
+    let code = Outcome::NoLease.code() as usize;
+    wait_status(&first, |status| status.outcomes[code] == 1);
+
+    lease.renew().unwrap();
+    let (_feed, header) = send(&first);
+    let verdict = telemetry
+        .verdict_on(EventKind::Reference, &header, PATIENCE)
+        .unwrap();
+    assert_eq!(verdict, Outcome::Accepted);
+
+    lease.release().unwrap();
+    let lease = second.acquire_lease().unwrap();
+    let status = wait_status(&first, |status| status.lease_holder == second.sender_id());
+    assert_eq!(
+        status.reference_points, 0,
+        "the reference went with its lease"
+    );
+    drop(lease);
+}
+
+#[test]
+fn a_silent_holder_loses_the_lease_and_the_robot_holds() {
+    let daemon = Daemon::start("[reference]\nlease_ms = 300.0\n");
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let lease = connection.acquire_lease().unwrap();
+    let feed = connection.reference_feed().unwrap();
+    feed.send(ChunkMode::Replace, Interpolation::Cubic, &points(100, 100))
+        .unwrap();
+    // Accepted as soon as the daemon has looked; until then there is nothing to track.
+    while connection.request(RequestKind::Track).is_err() {
+        lease.renew().unwrap();
+    }
+    wait_mode(&mut telemetry, Mode::Tracking);
+    // From here on, silence.
+    let held = wait_mode(&mut telemetry, Mode::Holding);
+    assert_eq!(held.reason, Reason::LeaseExpired.code());
+    std::mem::forget(lease);
+}

@@ -1,0 +1,144 @@
+//! Start, end, death and return of the daemon.
+
+use cdcr_client::{ConnectError, Connection};
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{Daemon, PATIENCE, Place, ROBOT, wait_mode, wait_status};
+use rustix::process::Signal;
+
+#[test]
+fn a_late_joiner_sees_the_status_at_once() {
+    let daemon = Daemon::start("[robot]\ncable_speed_max_m_s = 0.25\n");
+    let early = daemon.connect();
+    wait_status(&early, |status| status.cycles > 20);
+    let late = daemon.connect();
+    let status = late.status(PATIENCE).unwrap();
+    assert!(status.cycles > 20);
+    assert_eq!(status.mode, Mode::Holding.code());
+    assert_eq!(
+        (status.robot.sections, status.robot.cable_speed_max_m_s),
+        (3, 0.25)
+    );
+    assert_eq!(status.period_ns, 5_000_000);
+    assert_eq!(status.response.count, status.cycles);
+    assert!(status.wake.p50_ns <= status.wake.p99_ns && status.wake.p99_ns <= status.wake.max_ns);
+}
+
+#[test]
+fn a_clean_end_leaves_nothing_behind() {
+    for signal in [Signal::TERM, Signal::INT] {
+        let mut daemon = Daemon::start("");
+        let connection = daemon.connect();
+        wait_status(&connection, |status| status.cycles > 5);
+        assert!(!daemon.place().shared_memory_files().is_empty());
+        drop(connection);
+        daemon.signal(signal);
+        let status = daemon.stop_after_signal();
+        assert!(status.success(), "{status}: {}", daemon.log());
+        assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+        let root = daemon.place().location().root();
+        let left: Vec<_> = walk(root)
+            .into_iter()
+            .filter(|path| path.is_file())
+            .collect();
+        assert!(left.is_empty(), "{left:?}");
+    }
+}
+
+fn walk(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries
+        .flat_map(|entry| {
+            let path = entry.path();
+            let mut below = if path.is_dir() {
+                walk(&path)
+            } else {
+                Vec::new()
+            };
+            below.push(path);
+            below
+        })
+        .collect()
+}
+
+#[test]
+fn killed_and_started_again_it_works_at_once() {
+    let mut daemon = Daemon::start("");
+    let before = daemon.connect();
+    wait_status(&before, |status| status.cycles > 5);
+    for _ in 0..3 {
+        daemon.kill();
+        daemon.restart();
+        let after = daemon.connect();
+        let mut telemetry = after.telemetry().unwrap();
+        wait_mode(&mut telemetry, Mode::Holding);
+    }
+    drop(before);
+    let status = daemon.stop();
+    assert!(status.success(), "{}", daemon.log());
+}
+
+#[test]
+fn a_second_daemon_of_the_same_name_refuses_to_start() {
+    let daemon = Daemon::start("");
+    let output = daemon.place().command("cdcrd").arg("run").output().unwrap();
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    for part in [
+        "runs already",
+        ROBOT,
+        daemon.place().location().prefix(),
+        "--prefix",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let connection = daemon.connect();
+    let before = connection.status(PATIENCE).unwrap().cycles;
+    wait_status(&connection, |status| status.cycles > before);
+}
+
+#[test]
+fn without_a_daemon_the_client_says_where_it_looked_and_how_to_start_one() {
+    let place = Place::new();
+    let error = Connection::open(place.location(), ROBOT).expect_err("nothing runs");
+    assert!(
+        matches!(error, ConnectError::DaemonNotRunning { .. }),
+        "{error:?}"
+    );
+    let output = place.cdcrctl(&["status"]);
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    for part in [place.location().prefix(), ROBOT, "cdcrd run"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+}
+
+#[test]
+fn a_dead_daemon_counts_as_none() {
+    let mut daemon = Daemon::start("");
+    daemon.kill();
+    let error = Connection::open(daemon.place().location(), ROBOT).expect_err("it is dead");
+    assert!(
+        matches!(error, ConnectError::DaemonNotRunning { .. }),
+        "{error:?}"
+    );
+}
+
+#[test]
+fn real_time_that_is_required_and_not_granted_is_refused_or_granted_in_full() {
+    let place = Place::new();
+    // No machine of ours has a core 1000.
+    let text = "[realtime]\nmode = \"require\"\ncore = 1000\n";
+    let path = place.write("robot.toml", text);
+    let output = place
+        .command("cdcrd")
+        .args(["run", "--config"])
+        .arg(path)
+        .output()
+        .unwrap();
+    let message = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success());
+    for part in ["require", "core pinning", "prefer"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    assert_eq!(place.shared_memory_files(), Vec::<String>::new());
+}

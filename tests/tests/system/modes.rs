@@ -1,0 +1,207 @@
+//! Feed, track, hold, stop, reset, home: what the daemon does when it is asked.
+
+use std::ops::ControlFlow;
+
+use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, Line, RequestError, Spiral};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind, SolverStatus};
+use cdcr_shared_types::{SolverSettings, Telemetry};
+use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
+
+fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
+    match connection.request(kind) {
+        Err(RequestError::Refused { outcome, .. }) => outcome,
+        other => panic!("{kind} was not refused: {other:?}"),
+    }
+}
+
+fn is_at_rest(record: &Telemetry) -> bool {
+    record
+        .command
+        .bend_rate_rad_s
+        .iter()
+        .all(|rate| *rate == 0.0)
+}
+
+fn largest_rate(record: &Telemetry) -> f64 {
+    record
+        .command
+        .bend_rate_rad_s
+        .iter()
+        .fold(0.0, |most, rate| rate.abs().max(most))
+}
+
+#[test]
+fn feed_track_hold_stop_reset() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    assert_eq!(refused(&connection, RequestKind::Track), Outcome::NoLease);
+
+    let spiral = Spiral::for_sections(&[0.3; 3]);
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut tracked = 0;
+    let report = connection
+        .feed(&spiral, options)
+        .unwrap()
+        .run(|event| {
+            if let FeedEvent::Record(record) = event {
+                let inside = record.reference.state == ReferenceState::Inside.code();
+                tracked += u32::from(inside && record.mode == Mode::Tracking.code());
+            }
+            if tracked < 50 {
+                ControlFlow::Continue(())
+            } else {
+                ControlFlow::Break(())
+            }
+        })
+        .unwrap();
+    assert_eq!(report.end, FeedEnd::Interrupted);
+    // The feeder gave its lease back: the robot holds.
+    wait_mode(&mut telemetry, Mode::Tracking);
+    let record = wait_record(&mut telemetry, |r| {
+        r.mode == Mode::Holding.code() && is_at_rest(r)
+    });
+
+    connection.request(RequestKind::Stop).unwrap();
+    assert_eq!(
+        wait_mode(&mut telemetry, Mode::Stopped).reason,
+        Reason::Request.code()
+    );
+    for kind in [RequestKind::Track, RequestKind::Hold, RequestKind::Home] {
+        assert_eq!(refused(&connection, kind), Outcome::WrongMode);
+    }
+    connection.request(RequestKind::Reset).unwrap();
+    let after = wait_record(&mut telemetry, |r| {
+        r.cycle > record.cycle && r.mode == Mode::Holding.code()
+    });
+    assert_eq!(
+        after.bend_rad, record.bend_rad,
+        "a robot at rest does not move"
+    );
+}
+
+#[test]
+fn tracking_follows_and_ends_with_the_reference() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let line = Line {
+        duration_s: 0.5,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let (mut reasons, mut solved, mut last_error_m) = (Vec::new(), 0, f64::NAN);
+    let report = connection
+        .feed(&line, options)
+        .unwrap()
+        .run(|event| {
+            if let FeedEvent::Record(record) = event {
+                if record.mode == Mode::Tracking.code() {
+                    assert_ne!(record.report.status, SolverStatus::Idle.code());
+                    assert!(record.report.cost <= record.report.warm_cost);
+                    solved += 1;
+                    last_error_m = record.position_error_m;
+                } else {
+                    reasons.push(record.reason);
+                }
+            }
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+    assert_eq!(report.end, FeedEnd::Played);
+    assert!(report.tracked && solved > 10, "{solved} cycles were solved");
+    assert!(
+        last_error_m < 1e-3,
+        "the tip is {last_error_m} m from the end of the line"
+    );
+    let status = wait_status(&connection, |status| status.mode == Mode::Holding.code());
+    assert_eq!(status.reason, Reason::ReferenceEnded.code());
+}
+
+#[test]
+fn a_stop_ramps_within_the_limits_and_wins() {
+    let daemon = Daemon::start("[motion]\ndeceleration_rad_s2 = 20.0\n");
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let spiral = Spiral::for_sections(&[0.3; 3]);
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let result = connection.feed(&spiral, options).unwrap().run(|event| {
+        if let FeedEvent::Record(record) = event
+            && largest_rate(record) > 0.05
+        {
+            connection.request(RequestKind::Stop).unwrap();
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(
+        result.is_err(),
+        "the feeder says that the daemon left tracking"
+    );
+    let mut last = None;
+    let record = wait_record(&mut telemetry, |record| {
+        if let Some(last) = last {
+            let step = largest_rate(record) - last;
+            let stopped = record.mode == Mode::Stopped.code();
+            // One record may be lost, or a period skipped: never faster than the ramp, cycle by cycle.
+            assert!(
+                !stopped || step >= -20.0 * 0.005 * 1.001,
+                "{step} rad/s in one cycle"
+            );
+        }
+        last = Some(largest_rate(record));
+        record.mode == Mode::Stopped.code() && is_at_rest(record)
+    });
+    assert_eq!(record.reason, Reason::Request.code());
+}
+
+#[test]
+fn home_moves_to_the_straight_robot() {
+    let daemon = Daemon::start(
+        "[link]\ninitial_bend_rad = [[0.1, 0.0], [0.0, -0.05], [0.02, 0.02]]\n[motion]\nhome_rate_rad_s = 1.0\n",
+    );
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    connection.request(RequestKind::Home).unwrap();
+    let record = wait_record(&mut telemetry, |r| r.reason == Reason::HomeReached.code());
+    assert!(
+        record.bend_rad.iter().all(|bend| bend.abs() < 1e-6),
+        "{:?}",
+        record.bend_rad
+    );
+}
+
+#[test]
+fn settings_change_between_two_cycles_and_bad_ones_are_refused() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    let before = connection.status(PATIENCE).unwrap().settings;
+    let wanted = SolverSettings {
+        swarm_size: 12,
+        horizon_steps: 5,
+        seed: 42,
+        ..before
+    };
+    connection.change_settings(wanted).unwrap();
+    let status = wait_status(&connection, |status| status.settings == wanted);
+    assert_eq!(status.settings.control_blocks, before.control_blocks);
+    let bad = SolverSettings {
+        swarm_size: 100_000,
+        ..before
+    };
+    match connection.change_settings(bad) {
+        Err(RequestError::Refused {
+            outcome: Outcome::OutOfRange,
+            ..
+        }) => {}
+        other => panic!("{other:?}"),
+    }
+    assert_eq!(connection.status(PATIENCE).unwrap().settings, wanted);
+}
