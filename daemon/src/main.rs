@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
-use anyhow::Result;
+use anyhow::{Context, Result, ensure};
 use cdcr_daemon::app;
 use cdcr_daemon::config::{Config, ConfigError, DEFAULT_TEXT, Validated};
 use clap::{Args, Parser, Subcommand};
@@ -27,7 +27,13 @@ enum Command {
     #[command(after_help = "Example: cdcrd run --config robot.toml\n\
         Without --config, the paper's robot with three sections is simulated.\n\
         The log goes to the standard error; RUST_LOG=debug shows more.")]
-    Run(Source),
+    Run {
+        #[command(flatten)]
+        source: Source,
+        /// End when the process that started this one ends, however it ends.
+        #[arg(long)]
+        end_with_parent: bool,
+    },
     /// Check a configuration and say what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml")]
     Check(Source),
@@ -105,7 +111,15 @@ fn main() -> ExitCode {
 
 fn execute(command: Command) -> Result<()> {
     match command {
-        Command::Run(source) => app::run(&source.load()?),
+        Command::Run {
+            source,
+            end_with_parent,
+        } => {
+            if end_with_parent {
+                end_with_parent_process()?;
+            }
+            app::run(&source.load()?)
+        }
         Command::Check(source) => {
             describe(&source.load()?);
             Ok(())
@@ -115,6 +129,18 @@ fn execute(command: Command) -> Result<()> {
             Ok(())
         }
     }
+}
+
+/// Asks the kernel for SIGTERM when the parent ends. A parent that has ended meanwhile ends us now.
+fn end_with_parent_process() -> Result<()> {
+    let parent = rustix::process::getppid();
+    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))
+        .context("the end of the parent process cannot be watched")?;
+    ensure!(
+        rustix::process::getppid() == parent,
+        "the parent process has ended"
+    );
+    Ok(())
 }
 
 /// Says what would run, in words.

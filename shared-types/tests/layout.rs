@@ -37,6 +37,7 @@ fn sizes_are_pinned() {
 }
 
 #[test]
+#[allow(clippy::too_many_lines, reason = "a table")]
 fn offsets_are_pinned() {
     let offsets = [
         (

@@ -1,5 +1,10 @@
 //! The cycle thread of a whole daemon makes 10 000 cycles without one heap operation.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 

@@ -1,5 +1,10 @@
 //! The whole system: real processes over real shared memory, each test on a prefix of its own.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
 mod bad_input;
 mod demo;
 mod driver;
