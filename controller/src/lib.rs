@@ -1,4 +1,101 @@
-//! Real-time control of cable-driven continuum robots.
+//! Real-time control of cable-driven continuum robots: the mathematics, and nothing else.
+//!
+//! A continuum robot of this class is a chain of 1 to 6 bending sections. Each bends into a circular
+//! arc (constant curvature) under three cables. This crate models it, and finds in each period the
+//! rates that make its tip follow a reference: nonlinear model predictive control (NMPC) solved by
+//! knowledge-based particle swarm optimisation (KPSO) and by damped Gauss-Newton steps. It follows the
+//! paper *Nonlinear Model Predictive Control for Trajectory Tracking of a Class of Continuum Robots*,
+//! whose equation numbers stand in the documentation.
+//!
+//! # Layers
+//!
+//! Each module sees only those above it.
+//!
+//! | module | is | must not know |
+//! |---|---|---|
+//! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
+//! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton | robots |
+//! | [`reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
+//! | [`estimator`] | configuration from measurements | commands to come |
+//! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
+//! | [`safety`] | mode machine and limits: the last word before the cables | optimisation |
+//! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
+//!
+//! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
+//! periods and as the closure of a [`Budget`](optimizer::Budget).
+//!
+//! # Symbols
+//!
+//! | symbol | here | unit |
+//! |---|---|---|
+//! | n | sections | |
+//! | ℓ | length of a section, `length_m` | m |
+//! | θ, φ | bend and direction of a section | rad |
+//! | u, v | bend vector θ (cos φ, sin φ), smooth through the straight section | rad |
+//! | q | [`Configuration`](robot::Configuration): (u₁, v₁, u₂, v₂, …) | rad |
+//! | q̇ | [`BendRates`](robot::BendRates): what is controlled | rad/s |
+//! | x | tip pose in the base frame, [`Pose`](robot::Pose); base z along the straight robot | m |
+//! | T | period | s |
+//! | N, M | steps of the horizon, blocks in which the rates are held | |
+//! | z | the plan: rates of all blocks, 2 n M unknowns | rad/s |
+//! | ω | `terminal_weight`, factor on the error of the last step | |
+//! | λ | `damping` of the Gauss-Newton step | |
+//! | w, c₁, c₂ | inertia and coefficients of the swarm | |
+//!
+//! # What a solve promises
+//!
+//! Bounded work; an end when the budget says so, with the best solution so far; never worse than the
+//! warm start; no allocation; a status that says what happened; the same bits again for the same
+//! inputs, plan, seed and work done.
+//!
+//! # Example: a closed loop
+//!
+//! A robot with two sections draws a circle; the error stays far below a micrometre.
+//!
+//! ```
+//! use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+//! use cdcr_controller::optimizer::{Budget, cycle_seed};
+//! use cdcr_controller::plant::KinematicPlant;
+//! use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+//! use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+//! use nalgebra::Vector3;
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! const PERIOD_S: f64 = 0.005;
+//! let robot = Robot::new(&RobotParameters::paper(2))?;
+//! let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, NmpcSettings::default())?;
+//! let start = Configuration::from_bend_angles(&[[0.0, 0.0], [0.5, 0.0]]);
+//! let mut plant = KinematicPlant::new(&robot, start);
+//! let tip = robot.tip_position(start.as_slice());
+//! let circle = |cycle: u64| {
+//!     let (sin, cos) = (cycle as f64 * PERIOD_S).sin_cos();
+//!     ReferenceSample {
+//!         state: ReferenceState::Inside,
+//!         position_m: Vector3::new(tip.x * cos, tip.x * sin, tip.z),
+//!         ..ReferenceSample::default()
+//!     }
+//! };
+//! let mut rates = BendRates::zero(2);
+//! for cycle in 0..400 {
+//!     let input = SolveInput {
+//!         configuration: plant.configuration(),
+//!         previous_rates: &rates,
+//!         reference: &[circle(cycle + 1), circle(cycle + 2)],
+//!         elapsed_periods: 1,
+//!         seed: cycle_seed(1, cycle),
+//!     };
+//!     (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+//!     plant.command(&rates);
+//!     plant.advance(PERIOD_S);
+//!     let reached = robot.tip_position(plant.configuration().as_slice());
+//!     assert!((reached - circle(cycle + 1).position_m).norm() < 1e-9);
+//! }
+//! # Ok(())
+//! # }
+//! ```
+
+#![forbid(unsafe_code)]
+
 pub mod estimator;
 pub mod nmpc;
 pub mod optimizer;

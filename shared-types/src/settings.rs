@@ -3,7 +3,7 @@ use iceoryx2::prelude::ZeroCopySend;
 /// Everything that tunes the optimal control problem and its solver.
 ///
 /// It travels in a settings request, in the status, and in every telemetry record, so that a record
-/// is complete. Ranges are those of `docs/configuration.md`; a request outside them is refused.
+/// is complete. Ranges are those of `configs/default.toml`; a request outside them is refused.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
 #[type_name("cdcr.SolverSettings.v1")]

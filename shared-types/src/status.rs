@@ -82,7 +82,7 @@ pub struct Status {
     pub link: u32,
     /// Core of the real-time threads.
     pub core: u32,
-    /// When the first cycle was released \[ns, `CLOCK_MONOTONIC`\].
+    /// Origin of the time grid \[ns, `CLOCK_MONOTONIC`\]: cycle k is released at origin + k · period.
     pub origin_ns: u64,
     /// Period T \[ns\].
     pub period_ns: u64,

@@ -465,6 +465,23 @@ mod tests {
     }
 
     #[test]
+    fn every_configuration_that_we_ship_is_good() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
+        let mut count = 0;
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            if entry
+                .path()
+                .extension()
+                .is_some_and(|extension| extension == "toml")
+            {
+                Config::load(&entry.path()).unwrap_or_else(|error| panic!("{error}"));
+                count += 1;
+            }
+        }
+        assert!(count >= 4, "{count} configurations");
+    }
+
+    #[test]
     fn an_empty_file_is_the_papers_robot() {
         let validated = Config::parse("", Path::new("x")).expect("empty is legal");
         assert_eq!(validated.robot.section_count(), 3);

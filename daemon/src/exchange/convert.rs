@@ -187,6 +187,31 @@ pub fn measurement(
     })
 }
 
+/// A measurement as a cycle used it. Who sent it is not known any more, so the header is zero.
+fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wire::Measurement {
+    let mut message = wire::Measurement {
+        measured_ns: timed.measured_ns,
+        sections: robot.section_count() as u32,
+        ..wire::Measurement::default()
+    };
+    let kind = match &timed.measurement {
+        Measurement::Configuration(configuration) => {
+            copy(configuration.as_slice(), &mut message.bend_rad);
+            codes::MeasurementKind::Configuration
+        }
+        Measurement::CableLengths(lengths) => {
+            message.cable_length_m = *lengths;
+            codes::MeasurementKind::CableLengths
+        }
+        Measurement::TipPosition(position_m) => {
+            message.tip_position_m = (*position_m).into();
+            codes::MeasurementKind::TipPose
+        }
+    };
+    message.kind = kind.code();
+    message
+}
+
 /// The request of a client that concerns the mode; none for those about lease and settings.
 pub fn mode_request(kind: codes::RequestKind) -> Option<Request> {
     match kind {
@@ -373,8 +398,7 @@ pub fn command(
     command
 }
 
-/// The telemetry of a cycle, all but what the exchange adds: header, events, command and raw
-/// measurement.
+/// The telemetry of a cycle, all but what the exchange adds: header, events and command.
 pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Telemetry {
     let reference_known = record.reference.state != ReferenceState::None;
     let error_m = (record.tip.position_m - record.reference.position_m).norm();
@@ -409,6 +433,9 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         guard_flags: guard_flags(record.limits_hit),
         ..wire::Telemetry::default()
     };
+    if let Some(timed) = &record.measurement {
+        telemetry.measurement = measurement_to_wire(timed, robot);
+    }
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
     copy(
         record.previous_rates.as_slice(),
@@ -647,6 +674,24 @@ mod tests {
             outcome(wire::Measurement { kind: 0, ..good }),
             Err(Outcome::UnknownCode)
         );
+    }
+
+    #[test]
+    fn measurements_round_trip() {
+        let configuration = Configuration::from_slice(&[0.1, -0.2]).unwrap();
+        let lengths = trunk().cable_lengths(configuration.as_slice());
+        for measurement_in in [
+            Measurement::Configuration(configuration),
+            Measurement::CableLengths(lengths),
+            Measurement::TipPosition(Vector3::new(0.1, 0.2, 0.3)),
+        ] {
+            let timed = TimedMeasurement {
+                measurement: measurement_in,
+                measured_ns: 90,
+            };
+            let message = measurement_to_wire(&timed, &trunk());
+            assert_eq!(measurement(&message, &trunk(), 100), Ok(timed));
+        }
     }
 
     #[test]

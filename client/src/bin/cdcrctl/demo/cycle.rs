@@ -6,15 +6,14 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, ReferenceState, SolverStatus, Winner, timing};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 
-/// One cycle in which the daemon tracked, as the report, the table and the pictures need it.
+/// One cycle in which the daemon tracked the reference, as the report, the table and the pictures need
+/// it.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Cycle {
     pub(super) number: u64,
     pub(super) release_ns: u64,
-    /// Time of the release since the start of the curve \[s\]; negative before it.
+    /// Time of the release since the start of the curve \[s\].
     pub(super) time_s: f64,
-    /// Whether the release lies inside the reference, so that its error counts.
-    pub(super) inside: bool,
     pub(super) tip_m: [f64; 3],
     /// Where the curve exactly is at the release \[m\].
     pub(super) exact_m: [f64; 3],
@@ -33,9 +32,11 @@ pub(super) struct Cycle {
 }
 
 impl Cycle {
-    /// The cycle of a record, or `None` when the daemon did not track in it.
+    /// The cycle of a record, or `None` when the daemon did not track in it, or its release lies outside
+    /// the reference: the solves while it waits for the start are trivial.
     pub(super) fn of(record: &Telemetry, spiral: &Spiral, start_ns: u64) -> Option<Self> {
-        if record.mode != Mode::Tracking.code() {
+        let inside = record.reference.state == ReferenceState::Inside.code();
+        if record.mode != Mode::Tracking.code() || !inside {
             return None;
         }
         // Both are times of one clock, far below 2⁶³ ns.
@@ -49,7 +50,6 @@ impl Cycle {
             number: record.cycle,
             release_ns: record.release_ns,
             time_s,
-            inside: record.reference.state == ReferenceState::Inside.code(),
             tip_m: record.tip_position_m,
             exact_m,
             error_m: distance(record.tip_position_m, exact_m),
@@ -73,7 +73,6 @@ impl Cycle {
             self.number.to_string(),
             self.release_ns.to_string(),
             format!("{:.9}", self.time_s),
-            u8::from(self.inside).to_string(),
         ];
         cells.extend(numbers(&self.tip_m));
         cells.extend(numbers(&self.exact_m));
@@ -95,7 +94,7 @@ impl Cycle {
 
 /// Names and units of the columns, in the order of [`Cycle::cells`].
 fn header(sections: usize) -> Vec<String> {
-    let fixed = "cycle,release_ns,time_s,inside_reference,tip_x_m,tip_y_m,tip_z_m,\
+    let fixed = "cycle,release_ns,time_s,tip_x_m,tip_y_m,tip_z_m,\
         reference_x_m,reference_y_m,reference_z_m,error_m,wake_us,solve_us,response_us,\
         deadline_miss,skipped_periods,solver_status,winner,evaluations,cost";
     let mut names: Vec<String> = fixed.split(',').map(str::to_owned).collect();
@@ -188,11 +187,22 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn cycles_that_did_not_track_do_not_count() {
+    fn cycles_that_did_not_track_or_lie_outside_the_reference_do_not_count() {
         let spiral = Spiral::for_sections(&[0.3]);
-        let mut record = record(&spiral, 0, 0, 0.0);
-        record.mode = Mode::Holding.code();
-        assert_eq!(Cycle::of(&record, &spiral, 0), None);
+        let inside = record(&spiral, 0, 0, 0.0);
+        assert!(Cycle::of(&inside, &spiral, 0).is_some());
+        let mut holding = inside;
+        holding.mode = Mode::Holding.code();
+        assert_eq!(Cycle::of(&holding, &spiral, 0), None);
+        for state in [
+            ReferenceState::None,
+            ReferenceState::Before,
+            ReferenceState::After,
+        ] {
+            let mut outside = inside;
+            outside.reference.state = state.code();
+            assert_eq!(Cycle::of(&outside, &spiral, 0), None, "{state:?}");
+        }
     }
 
     #[test]

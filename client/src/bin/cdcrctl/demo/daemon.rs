@@ -39,8 +39,8 @@ impl DemoDaemon {
         fs::write(place.config(), config).context("cannot write the demo's configuration")?;
         let log = File::create(place.log()).context("cannot write the daemon's log")?;
         let child = Command::new(&program)
-            .arg("run")
-            .arg("--config")
+            // Whatever ends us, SIGKILL too, ends the daemon.
+            .args(["run", "--end-with-parent", "--config"])
             .arg(place.config())
             .args(["--robot", ROBOT, "--prefix", place.location.prefix()])
             .arg("--root")

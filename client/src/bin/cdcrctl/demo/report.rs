@@ -13,7 +13,7 @@ const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Report {
     pub(super) sections: u32,
-    /// Cycles that tracked: those that the times are counted over.
+    /// Cycles that tracked and whose release lay inside the reference: all below is counted over them.
     pub(super) cycles: usize,
     pub(super) mean_error_mm: f64,
     pub(super) max_error_mm: f64,
@@ -25,8 +25,6 @@ pub(super) struct Report {
     pub(super) solve_us: Spread,
     pub(super) response_us: Spread,
     pub(super) paper_mean_error_mm: f64,
-    /// Cycles whose release lay inside the reference: those that the error is counted over.
-    pub(super) reference_cycles: usize,
     pub(super) lost_records: u64,
     pub(super) duration_s: f64,
     pub(super) out: Option<String>,
@@ -47,20 +45,16 @@ impl Report {
         status: &Status,
         lost_records: u64,
     ) -> anyhow::Result<Self> {
-        let errors_mm: Vec<f64> = cycles
-            .iter()
-            .filter(|cycle| cycle.inside)
-            .map(|cycle| 1e3 * cycle.error_m)
-            .collect();
-        if errors_mm.is_empty() {
+        if cycles.is_empty() {
             bail!("the daemon tracked, but no record of it arrived ({lost_records} were lost)");
         }
+        let errors_mm = || cycles.iter().map(|cycle| 1e3 * cycle.error_m);
         let missing = realtime_missing(status.realtime_missing);
         Ok(Self {
             sections: options.sections,
             cycles: cycles.len(),
-            mean_error_mm: errors_mm.iter().sum::<f64>() / errors_mm.len() as f64,
-            max_error_mm: errors_mm.iter().copied().fold(0.0, f64::max),
+            mean_error_mm: errors_mm().sum::<f64>() / cycles.len() as f64,
+            max_error_mm: errors_mm().fold(0.0, f64::max),
             deadline_misses: cycles.iter().filter(|cycle| cycle.deadline_miss).count(),
             skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
             realtime: missing.is_empty(),
@@ -69,7 +63,6 @@ impl Report {
             solve_us: Spread::of(cycles.iter().map(|cycle| cycle.solve_us)),
             response_us: Spread::of(cycles.iter().map(|cycle| cycle.response_us)),
             paper_mean_error_mm: PAPER_MEAN_ERROR_MM[options.sections as usize - 1],
-            reference_cycles: errors_mm.len(),
             lost_records,
             duration_s: options.duration.as_secs_f64(),
             out: options.out.as_ref().map(|out| out.display().to_string()),
@@ -133,19 +126,17 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn errors_count_inside_the_reference_and_times_always() {
+    fn errors_and_times_count_over_the_same_cycles() {
         let (mut cycles, _) = synthetic(4);
-        for (cycle, error_m) in cycles.iter_mut().zip([1.0, 2e-9, 4e-9, 1.0]) {
+        for (cycle, error_m) in cycles.iter_mut().zip([1e-9, 2e-9, 4e-9, 5e-9]) {
             cycle.error_m = error_m;
         }
-        cycles[0].inside = false;
-        cycles[3].inside = false;
         cycles[1].skipped_periods = 2;
         cycles[3].deadline_miss = true;
         let report = report(&cycles, &Status::default());
         assert!((report.mean_error_mm - 3e-6).abs() < 1e-18);
-        assert!((report.max_error_mm - 4e-6).abs() < 1e-18);
-        assert_eq!((report.cycles, report.reference_cycles), (4, 2));
+        assert!((report.max_error_mm - 5e-6).abs() < 1e-18);
+        assert_eq!(report.cycles, 4);
         assert_eq!((report.deadline_misses, report.skipped_periods), (1, 2));
         assert!(report.realtime);
     }
@@ -158,6 +149,7 @@ pub(super) mod tests {
             ..Status::default()
         };
         let json = serde_json::to_value(report(&cycles, &status)).expect("JSON");
+        assert!(json.get("reference_cycles").is_none());
         for field in [
             "sections",
             "cycles",

@@ -13,7 +13,6 @@ const FLOOR_MM: f64 = 1e-13;
 pub(in crate::demo) fn error(file: &Path, cycles: &[Cycle], report: &Report) -> anyhow::Result<()> {
     let errors: Vec<(f64, f64)> = cycles
         .iter()
-        .filter(|cycle| cycle.inside)
         .map(|cycle| (cycle.time_s, (1e3 * cycle.error_m).max(FLOOR_MM)))
         .collect();
     let mean = report.mean_error_mm.max(FLOOR_MM);
