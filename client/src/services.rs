@@ -1,3 +1,4 @@
+use std::io;
 use std::os::unix::fs::MetadataExt;
 
 use cdcr_shared_types::{
@@ -98,12 +99,15 @@ impl Opener<'_> {
 /// Looks at the root path before iceoryx2 does. A node would create one that is missing, and would
 /// leave a file of ours in the way of a daemon that runs as another user.
 fn check_root(place: &Place) -> Result<(), ConnectError> {
-    let Ok(root) = std::fs::metadata(&place.root) else {
-        return Err(ConnectError::DaemonNotRunning {
-            place: place.clone(),
-            found: "the root path does not exist",
-        });
+    let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
+        place: place.clone(),
+        found: if cause.kind() == io::ErrorKind::PermissionDenied {
+            "this user cannot look into the root path (permission denied)"
+        } else {
+            "the root path does not exist"
+        },
     };
+    let root = std::fs::metadata(&place.root).map_err(missing)?;
     // The files are private to their owner (0600), and to the superuser.
     let user_id = rustix::process::geteuid();
     if user_id.is_root() || root.uid() == user_id.as_raw() {

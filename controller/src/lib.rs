@@ -13,6 +13,7 @@
 //!
 //! | module | is | must not know |
 //! |---|---|---|
+//! | [`wide`] | numbers side by side, for the swarm | processors |
 //! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
 //! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton | robots |
 //! | [`reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
@@ -103,3 +104,4 @@ pub mod plant;
 pub mod reference;
 pub mod robot;
 pub mod safety;
+pub mod wide;

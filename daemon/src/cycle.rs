@@ -96,6 +96,7 @@ pub struct Cycle<L> {
     budget_margin_ns: u64,
     measurement_timeout_ns: u64,
     settings_revision: u64,
+    last_measured_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
 }
@@ -135,6 +136,7 @@ impl<L: RobotLink> Cycle<L> {
             budget_margin_ns: ns(config.cycle.budget_margin_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
             settings_revision: 0,
+            last_measured_ns: 0,
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
             robot: robot.clone(),
@@ -262,10 +264,11 @@ impl<L: RobotLink> Cycle<L> {
             measurement,
             measured_ns,
         }) = measurement
+            && measured_ns > self.last_measured_ns
         {
+            self.last_measured_ns = measured_ns;
             let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
-            self.estimator
-                .correct(&self.robot, &measurement, &self.rates, age_s);
+            self.estimator.correct(&self.robot, &measurement, age_s);
         }
     }
 
@@ -280,7 +283,7 @@ impl<L: RobotLink> Cycle<L> {
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
-            lease_held: inputs.lease_held,
+            lease: inputs.lease,
             at_home: bends
                 .as_slice()
                 .iter()

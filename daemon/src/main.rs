@@ -7,6 +7,7 @@ use anyhow::{Context, Result, ensure};
 use cdcr_daemon::app;
 use cdcr_daemon::config::{Config, ConfigError, DEFAULT_TEXT, Validated};
 use clap::{Args, Parser, Subcommand};
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use tracing_subscriber::EnvFilter;
 
 /// Real-time control daemon for cable-driven continuum robots.
@@ -30,9 +31,9 @@ enum Command {
     Run {
         #[command(flatten)]
         source: Source,
-        /// End when the process that started this one ends, however it ends.
-        #[arg(long)]
-        end_with_parent: bool,
+        /// End when the parent process, which has this id, ends, however it ends.
+        #[arg(long, value_name = "PID", hide = true)]
+        end_with_parent: Option<i32>,
     },
     /// Check a configuration and say what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml")]
@@ -115,8 +116,8 @@ fn execute(command: Command) -> Result<()> {
             source,
             end_with_parent,
         } => {
-            if end_with_parent {
-                end_with_parent_process()?;
+            if let Some(parent) = end_with_parent {
+                end_with_process(parent)?;
             }
             app::run(&source.load()?)
         }
@@ -131,15 +132,12 @@ fn execute(command: Command) -> Result<()> {
     }
 }
 
-/// Asks the kernel for SIGTERM when the parent ends. A parent that has ended meanwhile ends us now.
-fn end_with_parent_process() -> Result<()> {
-    let parent = rustix::process::getppid();
-    rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::TERM))
+/// Asks the kernel for SIGTERM when our parent ends; a parent that has ended meanwhile ends us now.
+fn end_with_process(parent: i32) -> Result<()> {
+    set_parent_process_death_signal(Some(Signal::TERM))
         .context("the end of the parent process cannot be watched")?;
-    ensure!(
-        rustix::process::getppid() == parent,
-        "the parent process has ended"
-    );
+    let is_ours = getppid().is_some_and(|id| id.as_raw_pid() == parent);
+    ensure!(is_ours, "process {parent} is not our parent (any more)");
     Ok(())
 }
 

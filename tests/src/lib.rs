@@ -5,6 +5,7 @@
 
 #![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -19,6 +20,9 @@ use rustix::process::{Pid, Signal, kill_process};
 pub const ROBOT: &str = "cdcr";
 /// How long anything may take before a test gives up. Generous: machines stall.
 pub const PATIENCE: Duration = Duration::from_secs(20);
+/// Configuration where timing is not the subject: on a machine that stalls no lease expires, and no
+/// missed deadline stops the robot.
+pub const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
 /// Path of one of our binaries.
 pub fn binary(name: &str) -> PathBuf {
@@ -76,13 +80,7 @@ impl Place {
 
     /// Files of this place that are in shared memory.
     pub fn shared_memory_files(&self) -> Vec<String> {
-        let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm");
-        let names = entries
-            .flatten()
-            .map(|entry| entry.file_name().to_string_lossy().into_owned());
-        names
-            .filter(|name| name.starts_with(self.location.prefix()))
-            .collect()
+        shared_memory_files(self.location.prefix())
     }
 
     /// A command of ours that looks at this place.
@@ -104,6 +102,21 @@ impl Place {
             .output()
             .expect("cdcrctl runs")
     }
+}
+
+/// Files in shared memory whose names begin with `prefix`.
+pub fn shared_memory_files(prefix: &str) -> Vec<String> {
+    let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm");
+    let names = entries
+        .flatten()
+        .map(|entry| entry.file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.starts_with(prefix)).collect()
+}
+
+/// Everything that a program printed.
+pub fn text(output: &Output) -> String {
+    let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
+    format!("{out}{err}")
 }
 
 impl Default for Place {
@@ -227,6 +240,67 @@ impl Drop for Daemon {
     }
 }
 
+/// A program that runs beside the test. Killed when dropped.
+#[derive(Debug)]
+pub struct Program {
+    child: Child,
+}
+
+impl Program {
+    /// Starts it; what it prints is kept.
+    pub fn start(command: &mut Command) -> Self {
+        let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        Self {
+            child: command.spawn().expect("the program starts"),
+        }
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.child), signal).expect("it is our child");
+    }
+
+    /// Whether it is still running.
+    pub fn runs(&mut self) -> bool {
+        let status = self.child.try_wait().expect("it is our child");
+        status.is_none()
+    }
+
+    /// Waits for its end. What it prints must fit into a pipe.
+    pub fn output(&mut self) -> Output {
+        let begin = Instant::now();
+        while self.runs() {
+            assert!(begin.elapsed() < PATIENCE, "the program does not end");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let status = self.child.wait().expect("it is our child");
+        let (mut stdout, mut stderr) = (Vec::new(), Vec::new());
+        if let Some(mut pipe) = self.child.stdout.take() {
+            pipe.read_to_end(&mut stdout).expect("a pipe");
+        }
+        if let Some(mut pipe) = self.child.stderr.take() {
+            pipe.read_to_end(&mut stderr).expect("a pipe");
+        }
+        Output {
+            status,
+            stdout,
+            stderr,
+        }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 fn spawn(place: &Place, configuration: &str, log: &Path) -> Child {
     let path = place.write("robot.toml", configuration);
     let log = std::fs::File::create(log).expect("the folder is writable");
@@ -238,6 +312,15 @@ fn spawn(place: &Place, configuration: &str, log: &Path) -> Child {
         .stderr(log)
         .spawn()
         .expect("cdcrd starts")
+}
+
+/// Waits until something is so.
+pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !is_it() {
+        assert!(begin.elapsed() < PATIENCE, "it never came: {what}");
+        std::thread::sleep(Duration::from_millis(10));
+    }
 }
 
 /// Waits for a record that satisfies `is_it`.

@@ -19,11 +19,24 @@ pub enum Measurement {
     TipPosition(Vector3<f64>),
 }
 
-/// Keeps the estimate of the configuration.
+/// Keeps the estimate of the configuration, and what was commanded lately.
 #[derive(Debug, Clone)]
 pub struct Estimator {
     estimate: Configuration,
+    /// The last moves, newest at `newest`: what makes up for the age of a measurement.
+    moves: [Move; MOVES_MAX],
+    newest: usize,
 }
+
+/// Rates that were commanded for a time.
+#[derive(Debug, Clone, Copy)]
+struct Move {
+    rates: BendRates,
+    duration_s: f64,
+}
+
+/// Moves that are remembered: 0.64 s at 5 ms. Of an older measurement only so much is made up for.
+const MOVES_MAX: usize = 128;
 
 /// Steps of the correction from a tip position: each gains about three digits.
 const TIP_STEPS: usize = 4;
@@ -33,8 +46,14 @@ const TIP_DAMPING_M2: f64 = 1e-9;
 impl Estimator {
     /// Begins with a configuration that is known or assumed.
     pub fn new(configuration: Configuration) -> Self {
+        let rest = Move {
+            rates: BendRates::zero(configuration.section_count()),
+            duration_s: 0.0,
+        };
         Self {
             estimate: configuration,
+            moves: [rest; MOVES_MAX],
+            newest: 0,
         }
     }
 
@@ -43,32 +62,52 @@ impl Estimator {
         &self.estimate
     }
 
-    /// No measurement: the last estimate moved on with the rates commanded since.
+    /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
+        self.newest = (self.newest + 1) % MOVES_MAX;
+        self.moves[self.newest] = Move {
+            rates: *rates,
+            duration_s: elapsed_s,
+        };
         &self.estimate
     }
 
-    /// Takes a measurement that is `age_s` old at the release, during which `rates` were commanded.
-    /// A tip position corrects the prediction, so [`Estimator::predict`] comes first.
+    /// Takes a measurement that was made `age_s` before the instant of the last prediction. The rates
+    /// commanded since make up for its age, so take each measurement **once**.
     pub fn correct(
         &mut self,
         robot: &Robot,
         measurement: &Measurement,
-        rates: &BendRates,
         age_s: f64,
     ) -> &Configuration {
         self.estimate = match measurement {
-            Measurement::Configuration(measured) => measured.advanced(rates, age_s),
-            Measurement::CableLengths(lengths) => robot
-                .bend_from_cable_lengths(lengths)
-                .advanced(rates, age_s),
+            Measurement::Configuration(measured) => self.since(*measured, age_s, 1.0),
+            Measurement::CableLengths(lengths) => {
+                self.since(robot.bend_from_cable_lengths(lengths), age_s, 1.0)
+            }
             Measurement::TipPosition(position_m) => {
-                let then = self.estimate.advanced(rates, -age_s);
-                nearest_with_tip(robot, then, *position_m).advanced(rates, age_s)
+                let then = self.since(self.estimate, age_s, -1.0);
+                self.since(nearest_with_tip(robot, then, *position_m), age_s, 1.0)
             }
         };
         &self.estimate
+    }
+
+    /// `configuration` moved along the commands of the last `age_s`, or back along them.
+    fn since(&self, configuration: Configuration, age_s: f64, direction: f64) -> Configuration {
+        let (mut moved, mut left_s) = (configuration, age_s);
+        for back in 0..MOVES_MAX {
+            let Move { rates, duration_s } =
+                self.moves[(self.newest + MOVES_MAX - back) % MOVES_MAX];
+            let part_s = duration_s.min(left_s);
+            if part_s <= 0.0 {
+                break;
+            }
+            moved = moved.advanced(&rates, direction * part_s);
+            left_s -= part_s;
+        }
+        moved
     }
 }
 
@@ -109,17 +148,27 @@ mod tests {
     }
 
     #[test]
-    fn age_is_made_up_with_the_commanded_rates() {
+    fn age_is_made_up_by_what_was_commanded_since_not_by_the_present_rates() {
         let robot = robot(1);
-        let rates = BendRates::from_slice(&[1.0, -2.0]).expect("one section");
-        let measured = Configuration::from_slice(&[0.1, 0.2]).expect("one section");
+        let rates = |u: f64| BendRates::from_slice(&[u, 0.0]).unwrap();
         let mut estimator = Estimator::new(Configuration::straight(1));
-        let estimate =
-            estimator.correct(&robot, &Measurement::Configuration(measured), &rates, 0.01);
-        assert!((estimate.as_slice()[0] - 0.11).abs() < 1e-15);
+        for u in [1.0, 2.0, -3.0] {
+            estimator.predict(&rates(u), 0.005);
+        }
+        // Measured 12.5 ms ago: after half of the first move.
+        let measured = Configuration::from_slice(&[0.1, 0.0]).unwrap();
         let lengths = robot.cable_lengths(measured.as_slice());
-        let estimate = estimator.correct(&robot, &Measurement::CableLengths(lengths), &rates, 0.0);
-        assert!((estimate.as_slice()[1] - 0.2).abs() < 1e-13);
+        let expected = 0.1 + 0.0025 * 1.0 + 0.005 * 2.0 - 0.005 * 3.0;
+        for measurement in [
+            Measurement::Configuration(measured),
+            Measurement::CableLengths(lengths),
+        ] {
+            let estimate = *estimator.correct(&robot, &measurement, 0.0125);
+            assert!(
+                (estimate.as_slice()[0] - expected).abs() < 1e-13,
+                "{estimate:?}"
+            );
+        }
     }
 
     #[test]
@@ -127,13 +176,19 @@ mod tests {
         for sections in 1..=3 {
             let robot = robot(sections);
             let values: Vec<f64> = (0..2 * sections).map(|i| 0.4 - 0.1 * i as f64).collect();
-            let truth = Configuration::from_slice(&values).expect("even");
+            let truth = Configuration::from_slice(&values).unwrap();
             let off: Vec<f64> = values.iter().map(|value| value + 0.02).collect();
-            let mut estimator = Estimator::new(Configuration::from_slice(&off).expect("even"));
+            let mut estimator = Estimator::new(Configuration::from_slice(&off).unwrap());
+            let rates = BendRates::from_slice(&vec![1.0; 2 * sections]).unwrap();
+            estimator.predict(&rates, 0.005);
+            // Measured before that move.
             let tip = robot.tip_position(truth.as_slice());
-            let still = BendRates::zero(sections);
-            let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), &still, 0.0);
-            assert!((robot.tip_position(estimate.as_slice()) - tip).norm() < 1e-9);
+            let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), 0.005);
+            let now = truth.advanced(&rates, 0.005);
+            let error = (robot.tip_position(estimate.as_slice())
+                - robot.tip_position(now.as_slice()))
+            .norm();
+            assert!(error < if sections == 1 { 1e-9 } else { 1e-3 }, "{error}");
         }
     }
 }

@@ -74,7 +74,8 @@ impl Knowledge {
         incumbent: &mut Incumbent,
     ) {
         if budget.left() {
-            incumbent.offer(&self.scratch, problem.cost(&self.scratch), origin);
+            let scratch = &self.scratch;
+            incumbent.offer(|i| scratch[i], problem.cost_at(scratch), origin);
             self.candidates.extend_from_slice(&self.scratch);
         }
     }

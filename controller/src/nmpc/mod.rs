@@ -20,7 +20,8 @@ pub use report::{SolveReport, SolveStatus};
 pub use settings::{NmpcSettings, SettingsError, SolverKind, ranges};
 
 use crate::optimizer::{
-    Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso, Problem,
+    Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso, Path,
+    Problem, Task,
 };
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
@@ -74,6 +75,20 @@ impl Nmpc {
     /// # Errors
     /// [`SettingsError`] when a setting is out of its range.
     pub fn new(robot: Robot, period_s: f64, settings: NmpcSettings) -> Result<Self, SettingsError> {
+        Self::on_path(Path::best(), robot, period_s, settings)
+    }
+
+    /// A controller whose swarm is computed on `path`. All paths give the same bits; this is for
+    /// comparing their speed.
+    ///
+    /// # Errors
+    /// As [`Nmpc::new`].
+    pub fn on_path(
+        path: Path,
+        robot: Robot,
+        period_s: f64,
+        settings: NmpcSettings,
+    ) -> Result<Self, SettingsError> {
         settings.validate()?;
         let unknowns = robot.coordinate_count() * CONTROL_BLOCKS_MAX;
         let rows = 3 * HORIZON_STEPS_MAX + 2 * unknowns;
@@ -86,7 +101,7 @@ impl Nmpc {
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
             knowledge: Knowledge::with_capacity(unknowns),
-            swarm: Kpso::with_capacity(SWARM_MAX, unknowns),
+            swarm: Kpso::with_capacity(path, SWARM_MAX, unknowns),
             gauss_newton: GaussNewton::with_capacity(unknowns, rows),
             incumbent: Incumbent::with_capacity(unknowns),
         };
@@ -177,7 +192,7 @@ impl Nmpc {
         self.horizon
             .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
         self.bounds.project(&mut self.warm_plan);
-        let warm_cost = problem.cost(&self.warm_plan);
+        let warm_cost = problem.cost_at(&self.warm_plan);
         self.incumbent.restart(&self.warm_plan, warm_cost);
 
         let mut outcome = GaussNewtonOutcome::default();
@@ -194,15 +209,16 @@ impl Nmpc {
                     budget,
                     &mut self.incumbent,
                 );
-                iterations = self.swarm.search(
-                    &problem,
-                    &self.bounds,
-                    &self.settings.kpso(),
-                    knowledge.candidates(),
-                    input.seed,
-                    budget,
-                    &mut self.incumbent,
-                );
+                let task = Task {
+                    problem: &problem,
+                    bounds: &self.bounds,
+                    settings: self.settings.kpso(),
+                    seed: input.seed,
+                };
+                let candidates = knowledge.candidates();
+                iterations = self
+                    .swarm
+                    .search(&task, candidates, budget, &mut self.incumbent);
             }
             if solver.refines() {
                 outcome = self.gauss_newton.refine(

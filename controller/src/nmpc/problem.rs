@@ -4,6 +4,7 @@ use super::{Horizon, NmpcSettings, SolveInput};
 use crate::optimizer::{LinearModel, Problem};
 use crate::reference::{ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
+use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the rates of every block.
 pub(super) struct TrackingProblem<'a> {
@@ -66,6 +67,21 @@ impl<'a> TrackingProblem<'a> {
             }
     }
 
+    /// Eq. 4 for W plans side by side.
+    #[inline(always)]
+    fn advance_wide<const W: usize>(
+        &self,
+        bend_rad: &mut [Wide<W>; COORDINATES_MAX],
+        z: &impl Fn(usize) -> Wide<W>,
+        step: usize,
+    ) {
+        let width = self.width();
+        let first = self.horizon.block_of(step) * width;
+        for (i, bend) in bend_rad[..width].iter_mut().enumerate() {
+            *bend = *bend + z(first + i) * self.period_s;
+        }
+    }
+
     /// Eq. 4: one period with the rates of the step's block.
     fn advance(&self, bend_rad: &mut [f64], z: &[f64], step: usize) {
         let rates = &z[self.horizon.block_of(step) * self.width()..][..self.width()];
@@ -81,23 +97,26 @@ impl<'a> TrackingProblem<'a> {
     }
 
     /// Weights on the rates and on their change from block to block.
-    fn regularisation(&self, z: &[f64]) -> f64 {
+    #[inline(always)]
+    fn regularisation<const W: usize>(&self, z: &impl Fn(usize) -> Wide<W>) -> Wide<W> {
         let NmpcSettings {
             rate_weight,
             rate_change_weight,
             ..
         } = *self.settings;
-        let mut cost = 0.0;
+        let mut cost = Wide::splat(0.0);
         if rate_weight > 0.0 {
-            cost += rate_weight * z.iter().map(|rate| rate * rate).sum::<f64>();
+            for i in 0..self.dimension() {
+                cost = cost + z(i) * z(i) * rate_weight;
+            }
         }
         if rate_change_weight > 0.0 {
-            let before = self.previous_rates.iter().chain(z);
-            let changes = z
-                .iter()
-                .zip(before)
-                .map(|(rate, before)| (rate - before).powi(2));
-            cost += rate_change_weight * changes.sum::<f64>();
+            for i in 0..self.dimension() {
+                let earlier = i.checked_sub(self.width());
+                let before = earlier.map_or_else(|| Wide::splat(self.previous_rates[i]), z);
+                let change = z(i) - before;
+                cost = cost + change * change * rate_change_weight;
+            }
         }
         cost
     }
@@ -162,15 +181,20 @@ impl Problem for TrackingProblem<'_> {
         3 * self.horizon.steps() + 2 * self.dimension()
     }
 
-    fn cost(&self, z: &[f64]) -> f64 {
-        let mut state = self.start();
-        let bend_rad = &mut state[..self.width()];
-        let mut cost = self.regularisation(z);
+    #[inline(always)]
+    fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
+        let mut bend_rad = [Wide::splat(0.0); COORDINATES_MAX];
+        for (wide, &bend) in bend_rad.iter_mut().zip(self.configuration.as_slice()) {
+            *wide = Wide::splat(bend);
+        }
+        let mut cost = self.regularisation(&z);
         for step in 0..self.horizon.steps() {
-            self.advance(bend_rad, z, step);
+            self.advance_wide(&mut bend_rad, &z, step);
             if let Some(target) = self.target(step) {
-                let error = self.robot.tip_position(bend_rad) - target;
-                cost += self.position_weight(step) * error.norm_squared();
+                let tip = self.robot.tip_position_wide(|i| bend_rad[i]);
+                let [ex, ey, ez] = [0, 1, 2].map(|axis| tip[axis] + -target[axis]);
+                let squared = ex * ex + ey * ey + ez * ez;
+                cost = cost + squared * self.position_weight(step);
             }
         }
         cost

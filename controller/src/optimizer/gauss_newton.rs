@@ -324,9 +324,10 @@ impl GaussNewton {
             for i in 0..dimension {
                 self.trial[i] = incumbent.z()[i] + fraction * self.step[i];
             }
-            let cost = problem.cost(&self.trial[..dimension]);
+            let trial = &self.trial[..dimension];
+            let cost = problem.cost_at(trial);
             let origin = incumbent.origin();
-            if incumbent.offer(&self.trial[..dimension], cost, origin) {
+            if incumbent.offer(|i| trial[i], cost, origin) {
                 return true;
             }
             fraction *= 0.5;
@@ -338,6 +339,7 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
     struct Bowl {
@@ -351,8 +353,10 @@ mod tests {
         fn rows(&self) -> usize {
             2
         }
-        fn cost(&self, z: &[f64]) -> f64 {
-            (z[0] * z[0] + z[1] - 1.0).powi(2) + (10.0 * (z[1] - z[0])).powi(2)
+        fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
+            let first = z(0) * z(0) + z(1) + -1.0;
+            let second = (z(1) - z(0)) * 10.0;
+            first * first + second * second
         }
         fn linearise(&self, z: &[f64], model: &mut LinearModel) {
             model
@@ -376,7 +380,7 @@ mod tests {
         bounds.set_symmetric(&std::iter::repeat_n(half_width, problem.dimension()), 1);
         let mut incumbent = Incumbent::with_capacity(3);
         let start = [0.0; 3];
-        incumbent.restart(&start[..problem.dimension()], problem.cost(&start));
+        incumbent.restart(&start[..problem.dimension()], problem.cost_at(&start));
         let settings = GaussNewtonSettings {
             steps,
             damping: 1e-9,
@@ -429,7 +433,7 @@ mod tests {
         let mut bounds = Bounds::with_capacity(2);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
-        incumbent.restart(&[0.1, 0.2], problem.cost(&[0.1, 0.2]));
+        incumbent.restart(&[0.1, 0.2], problem.cost_at(&[0.1, 0.2]));
         let settings = GaussNewtonSettings {
             steps: 9,
             damping: 1e-9,

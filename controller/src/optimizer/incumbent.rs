@@ -43,12 +43,15 @@ impl Incumbent {
         self.evaluations = 1;
     }
 
-    /// Counts one evaluation, and takes `z` if it is better. Says whether it was.
-    pub fn offer(&mut self, z: &[f64], cost: f64, origin: Candidate) -> bool {
+    /// Counts one evaluation, and takes `z` (by its components) if it is better. Says whether it was.
+    #[inline]
+    pub fn offer(&mut self, z: impl Fn(usize) -> f64, cost: f64, origin: Candidate) -> bool {
         self.evaluations += 1;
         let better = cost < self.cost;
         if better {
-            self.z.copy_from_slice(z);
+            for (i, target) in self.z.iter_mut().enumerate() {
+                *target = z(i);
+            }
             self.cost = cost;
             self.origin = origin;
         }

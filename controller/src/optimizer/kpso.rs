@@ -1,9 +1,10 @@
 //! Knowledge-based particle swarm optimisation, Eq. 6-7 of the paper.
 
-use rand::{RngExt, SeedableRng};
-use rand_xoshiro::Xoshiro256PlusPlus;
+use pulp::NullaryFnOnce;
 
-use super::{Bounds, Budget, Candidate, Incumbent, Problem};
+use super::random::RandomLanes;
+use super::{Bounds, Budget, Candidate, Incumbent, Path, Problem};
+use crate::wide::{LANES, Wide};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
@@ -43,12 +44,129 @@ pub struct KpsoSettings {
 /// A swarm. Memory for the largest one is taken at construction.
 #[derive(Debug, Clone)]
 pub struct Kpso {
+    path: Path,
+    flock: Flock,
+}
+
+/// The particles, by lanes.
+#[derive(Debug, Clone)]
+enum Flock {
+    Scalar(Swarm<1>),
+    Wide(Swarm<LANES>),
+}
+
+impl Kpso {
+    /// Room for `size` particles of `dimension` unknowns, computed on `path`.
+    pub fn with_capacity(path: Path, size: usize, dimension: usize) -> Self {
+        let flock = match path {
+            Path::Scalar => Flock::Scalar(Swarm::with_capacity(size, dimension)),
+            _ => Flock::Wide(Swarm::with_capacity(size, dimension)),
+        };
+        Self { path, flock }
+    }
+
+    /// How it is computed.
+    pub fn path(&self) -> Path {
+        self.path
+    }
+
+    /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
+    ///
+    /// `knowledge` holds candidates, `dimension` values each; they become the first particles.
+    pub fn search<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        task: &Task<P>,
+        knowledge: &[f64],
+        budget: &mut Budget<F>,
+        incumbent: &mut Incumbent,
+    ) -> u32 {
+        match &mut self.flock {
+            Flock::Scalar(swarm) => self.path.run(Search {
+                swarm,
+                task,
+                knowledge,
+                budget,
+                incumbent,
+            }),
+            Flock::Wide(swarm) => self.path.run(Search {
+                swarm,
+                task,
+                knowledge,
+                budget,
+                incumbent,
+            }),
+        }
+    }
+}
+
+/// What a search is for.
+#[derive(Debug)]
+pub struct Task<'a, P> {
+    /// The cost.
+    pub problem: &'a P,
+    /// The box.
+    pub bounds: &'a Bounds,
+    /// The rules of the swarm.
+    pub settings: KpsoSettings,
+    /// Seed of its random numbers.
+    pub seed: u64,
+}
+
+/// One search, as work that is compiled for a path: everything it calls is inlined into it.
+struct Search<'a, P, F, const W: usize> {
+    swarm: &'a mut Swarm<W>,
+    task: &'a Task<'a, P>,
+    knowledge: &'a [f64],
+    budget: &'a mut Budget<F>,
+    incumbent: &'a mut Incumbent,
+}
+
+impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_, P, F, W> {
+    type Output = u32;
+
+    /// Fig. 1 of the paper.
+    #[inline(always)]
+    fn call(self) -> u32 {
+        let Self {
+            swarm,
+            task,
+            knowledge,
+            budget,
+            incumbent,
+        } = self;
+        let settings = &task.settings;
+        swarm.gather(task, knowledge);
+        swarm.scatter(swarm.known, task.bounds, incumbent);
+        let (mut iterations, mut stagnant) = (0, 0);
+        while iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance {
+            let Some(improved) = swarm.judge(task.problem, budget, incumbent) else {
+                break;
+            };
+            iterations += 1;
+            stagnant = if improved { 0 } else { stagnant + 1 };
+            if settings.regenerate_after > 0 && stagnant >= settings.regenerate_after {
+                swarm.scatter(1, task.bounds, incumbent);
+                stagnant = 0;
+            } else {
+                swarm.fly(settings, task.bounds, incumbent);
+            }
+        }
+        iterations
+    }
+}
+
+/// Particles in blocks of W, one in each lane.
+#[derive(Debug, Clone)]
+struct Swarm<const W: usize> {
     dimension: usize,
     count: usize,
-    positions: Vec<f64>,
-    velocities: Vec<f64>,
-    best_positions: Vec<f64>,
-    best_costs: Vec<f64>,
+    /// Particles that knowledge has settled.
+    known: usize,
+    positions: Vec<Wide<W>>,
+    velocities: Vec<Wide<W>>,
+    best_positions: Vec<Wide<W>>,
+    best_costs: Vec<Wide<W>>,
+    random: Vec<RandomLanes<W>>,
 }
 
 /// Scattered particles start at distances between the whole box and this part of it, spaced
@@ -58,102 +176,81 @@ const SCATTER_NEAREST: f64 = 1e-6;
 /// A particle may cross at most this part of the box in one iteration.
 const VELOCITY_LIMIT: f64 = 0.5;
 
-impl Kpso {
-    /// Room for `size` particles of `dimension` unknowns.
-    pub fn with_capacity(size: usize, dimension: usize) -> Self {
+impl<const W: usize> Swarm<W> {
+    fn with_capacity(size: usize, dimension: usize) -> Self {
+        let blocks = size.div_ceil(W);
+        let zero = Wide::splat(0.0);
         Self {
             dimension: 0,
             count: 0,
-            positions: vec![0.0; size * dimension],
-            velocities: vec![0.0; size * dimension],
-            best_positions: vec![0.0; size * dimension],
-            best_costs: vec![0.0; size],
+            known: 0,
+            positions: vec![zero; blocks * dimension],
+            velocities: vec![zero; blocks * dimension],
+            best_positions: vec![zero; blocks * dimension],
+            best_costs: vec![zero; blocks],
+            random: vec![RandomLanes::seed(0, 0); blocks],
         }
     }
 
-    /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
-    ///
-    /// `knowledge` holds the candidates that the caller has judged already, `dimension` values each;
-    /// they become the first particles.
-    #[expect(
-        clippy::too_many_arguments,
-        reason = "the parts of Fig. 1, each of another owner"
-    )]
-    pub fn search<P: Problem, F: FnMut() -> bool>(
-        &mut self,
-        problem: &P,
-        bounds: &Bounds,
-        settings: &KpsoSettings,
-        knowledge: &[f64],
-        seed: u64,
-        budget: &mut Budget<F>,
-        incumbent: &mut Incumbent,
-    ) -> u32 {
-        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
-        self.dimension = problem.dimension();
-        self.count = settings.size.min(self.best_costs.len());
-        self.settle(knowledge, incumbent);
-        self.scatter(
-            knowledge.len() / self.dimension,
-            bounds,
-            incumbent,
-            &mut rng,
-        );
-        let mut iterations = 0;
-        let mut stagnant = 0;
-        while iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance {
-            let Some(improved) = self.judge(problem, budget, incumbent) else {
-                break;
-            };
-            iterations += 1;
-            stagnant = if improved { 0 } else { stagnant + 1 };
-            if settings.regenerate_after > 0 && stagnant >= settings.regenerate_after {
-                self.scatter(1, bounds, incumbent, &mut rng);
-                stagnant = 0;
-            } else {
-                self.fly(settings, bounds, incumbent, &mut rng);
+    fn blocks(&self) -> usize {
+        self.count.div_ceil(W)
+    }
+
+    /// Sizes the swarm for the task, and puts the candidates in the first places.
+    #[inline(always)]
+    fn gather<P: Problem>(&mut self, task: &Task<P>, knowledge: &[f64]) {
+        self.dimension = task.problem.dimension();
+        self.count = task.settings.size.min(self.best_costs.len() * W);
+        self.known = (knowledge.len() / self.dimension).min(self.count);
+        for block in 0..self.blocks() {
+            self.random[block] = RandomLanes::seed(task.seed, block * W);
+            self.best_costs[block] = Wide::splat(f64::INFINITY);
+        }
+        for (particle, candidate) in knowledge
+            .chunks_exact(self.dimension)
+            .take(self.known)
+            .enumerate()
+        {
+            for (i, &value) in candidate.iter().enumerate() {
+                let at = particle / W * self.dimension + i;
+                self.positions[at].0[particle % W] = value;
+                self.velocities[at].0[particle % W] = 0.0;
             }
         }
-        iterations
-    }
-
-    /// Puts the knowledge candidates in the first places.
-    fn settle(&mut self, knowledge: &[f64], incumbent: &Incumbent) {
-        let known = (knowledge.len() / self.dimension).min(self.count);
-        let values = known * self.dimension;
-        self.positions[..values].copy_from_slice(&knowledge[..values]);
-        self.best_positions[..values].copy_from_slice(&knowledge[..values]);
-        self.velocities[..values].fill(0.0);
-        // They never beat the incumbent, which has seen them; their own cost is found when judged.
-        self.best_costs[..known].fill(f64::INFINITY);
-        debug_assert_eq!(incumbent.z().len(), self.dimension);
     }
 
     /// Draws the particles from `first` on around the incumbent, at log-spaced distances.
-    fn scatter(
-        &mut self,
-        first: usize,
-        bounds: &Bounds,
-        incumbent: &Incumbent,
-        rng: &mut Xoshiro256PlusPlus,
-    ) {
-        let drawn = self.count.saturating_sub(first);
-        for particle in first..self.count {
-            let place = (particle - first) as f64 / (drawn.max(2) - 1) as f64;
-            let reach = SCATTER_NEAREST.powf(place);
-            let range = particle * self.dimension..(particle + 1) * self.dimension;
-            for (i, at) in range.clone().enumerate() {
-                let half_width = 0.5 * (bounds.upper()[i] - bounds.lower()[i]) * reach;
-                self.positions[at] = incumbent.z()[i] + half_width * symmetric(rng);
-                self.velocities[at] = half_width * symmetric(rng);
+    #[inline(always)]
+    fn scatter(&mut self, first: usize, bounds: &Bounds, incumbent: &Incumbent) {
+        let drawn = self.count.saturating_sub(first).max(2);
+        let nearer = SCATTER_NEAREST.powf(1.0 / (drawn - 1) as f64);
+        let mut next_reach = 1.0;
+        for block in 0..self.blocks() {
+            let chosen = std::array::from_fn(|lane| block * W + lane >= first);
+            let reach = Wide::from_fn(|lane| {
+                let reach = next_reach;
+                if block * W + lane >= first {
+                    next_reach *= nearer;
+                }
+                reach
+            });
+            for i in 0..self.dimension {
+                let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
+                let half_width = reach * (0.5 * (high - low));
+                let random = &mut self.random[block];
+                let position = Wide::splat(incumbent.z()[i]) + half_width * random.symmetric();
+                let velocity = half_width * random.symmetric();
+                let at = block * self.dimension + i;
+                self.positions[at] = position.clamp(low, high).select(self.positions[at], chosen);
+                self.velocities[at] = velocity.select(self.velocities[at], chosen);
             }
-            bounds.project(&mut self.positions[range.clone()]);
-            self.best_positions[range.clone()].copy_from_slice(&self.positions[range]);
-            self.best_costs[particle] = f64::INFINITY;
+            let forgotten = Wide::splat(f64::INFINITY);
+            self.best_costs[block] = forgotten.select(self.best_costs[block], chosen);
         }
     }
 
     /// Evaluates every particle. `None`: the budget ended it. Otherwise whether the best improved.
+    #[inline(always)]
     fn judge<P: Problem, F: FnMut() -> bool>(
         &mut self,
         problem: &P,
@@ -162,44 +259,44 @@ impl Kpso {
     ) -> Option<bool> {
         let quantum = problem.evaluations_per_quantum();
         let mut improved = false;
-        for particle in 0..self.count {
-            if particle % quantum == 0 && !budget.left() {
+        for block in 0..self.blocks() {
+            if block % quantum == 0 && !budget.left() {
                 return None;
             }
-            let range = particle * self.dimension..(particle + 1) * self.dimension;
+            let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
-            let cost = problem.cost(position);
-            if cost < self.best_costs[particle] {
-                self.best_costs[particle] = cost;
-                self.best_positions[range].copy_from_slice(position);
+            let cost = problem.cost(|i| position[i]);
+            let better = cost.less(self.best_costs[block]);
+            self.best_costs[block] = cost.select(self.best_costs[block], better);
+            for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
+                *best = now.select(*best, better);
             }
-            improved |= incumbent.offer(position, cost, Candidate::Swarm);
+            let particles = W.min(self.count - block * W);
+            for lane in 0..particles {
+                let z = |i: usize| position[i].0[lane];
+                improved |= incumbent.offer(z, cost.0[lane], Candidate::Swarm);
+            }
         }
         Some(improved)
     }
 
     /// Eq. 6 and 7 for every particle.
-    fn fly(
-        &mut self,
-        settings: &KpsoSettings,
-        bounds: &Bounds,
-        incumbent: &Incumbent,
-        rng: &mut Xoshiro256PlusPlus,
-    ) {
+    #[inline(always)]
+    fn fly(&mut self, settings: &KpsoSettings, bounds: &Bounds, incumbent: &Incumbent) {
         let (constriction, inertia) = settings.factors();
-        for particle in 0..self.count {
+        for block in 0..self.blocks() {
+            let random = &mut self.random[block];
             for i in 0..self.dimension {
-                let at = particle * self.dimension + i;
+                let at = block * self.dimension + i;
                 let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
+                let limit = VELOCITY_LIMIT * (high - low);
                 let x = self.positions[at];
                 let to_own_best = self.best_positions[at] - x;
-                let to_global_best = incumbent.z()[i] - x;
-                let pull = settings.cognitive * rng.random::<f64>() * to_own_best
-                    + settings.social * rng.random::<f64>() * to_global_best;
-                let limit = VELOCITY_LIMIT * (high - low);
-                let velocity =
-                    (constriction * (inertia * self.velocities[at] + pull)).clamp(-limit, limit);
-                let target = (x + velocity).clamp(low, high);
+                let to_global_best = Wide::splat(incumbent.z()[i]) - x;
+                let pull = random.unit() * settings.cognitive * to_own_best
+                    + random.unit() * settings.social * to_global_best;
+                let wish = (self.velocities[at] * inertia + pull) * constriction;
+                let target = (x + wish.clamp(-limit, limit)).clamp(low, high);
                 self.positions[at] = target;
                 // A particle that meets the border loses what it would have gone beyond.
                 self.velocities[at] = target - x;
@@ -220,11 +317,6 @@ impl KpsoSettings {
             }
         }
     }
-}
-
-/// Uniform in [-1, 1).
-fn symmetric(rng: &mut Xoshiro256PlusPlus) -> f64 {
-    2.0 * rng.random::<f64>() - 1.0
 }
 
 /// The seed of one cycle's swarm: a mix of the configured seed and the number of the cycle, so that a
@@ -253,11 +345,13 @@ mod tests {
         fn rows(&self) -> usize {
             0
         }
-        fn cost(&self, z: &[f64]) -> f64 {
-            z.iter()
-                .map(|z| z - self.centre)
-                .map(|d| d * d + 1.0 - (std::f64::consts::TAU * d).cos())
-                .sum()
+        fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
+            let part = |i| {
+                let d = z(i) + -self.centre;
+                let wave = d.0.map(|d| 1.0 - (std::f64::consts::TAU * d).cos());
+                d * d + Wide(wave)
+            };
+            part(0) + part(1)
         }
         fn linearise(&self, _: &[f64], _: &mut LinearModel) {}
         fn evaluations_per_quantum(&self) -> usize {
@@ -279,21 +373,23 @@ mod tests {
     }
 
     fn search(settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
+        search_on(Path::best(), settings, seed, quanta)
+    }
+
+    fn search_on(path: Path, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
         let problem = Rastrigin { centre: 1.7 };
         let mut bounds = Bounds::with_capacity(2);
         bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
-        incumbent.restart(&[-4.0, 4.0], problem.cost(&[-4.0, 4.0]));
+        incumbent.restart(&[-4.0, 4.0], problem.cost_at(&[-4.0, 4.0]));
         let mut budget = Budget::of_quanta(quanta);
-        Kpso::with_capacity(24, 2).search(
-            &problem,
-            &bounds,
-            settings,
-            &[],
+        let task = Task {
+            problem: &problem,
+            bounds: &bounds,
+            settings: *settings,
             seed,
-            &mut budget,
-            &mut incumbent,
-        );
+        };
+        Kpso::with_capacity(path, 24, 2).search(&task, &[], &mut budget, &mut incumbent);
         assert!(bounds.contains(incumbent.z()));
         incumbent
     }
@@ -318,6 +414,26 @@ mod tests {
         };
         assert_eq!(bits(7), bits(7));
         assert_ne!(bits(7), bits(8));
+    }
+
+    #[test]
+    fn every_path_gives_the_same_bits() {
+        for size in [1, 6, 8, 13, 24] {
+            let kpso = KpsoSettings {
+                size,
+                ..settings(VelocityRule::Inertia)
+            };
+            let scalar = search_on(Path::Scalar, &kpso, 5, u32::MAX);
+            for path in Path::available() {
+                let other = search_on(path, &kpso, 5, u32::MAX);
+                assert_eq!(
+                    other.cost().to_bits(),
+                    scalar.cost().to_bits(),
+                    "{path:?}, {size}"
+                );
+                assert_eq!(other.z(), scalar.z(), "{path:?}, {size}");
+            }
+        }
     }
 
     #[test]

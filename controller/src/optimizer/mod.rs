@@ -13,12 +13,17 @@ mod cholesky;
 mod gauss_newton;
 mod incumbent;
 mod kpso;
+mod path;
+mod random;
 
 pub use bounds::Bounds;
 pub use budget::Budget;
 pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, LinearModel};
 pub use incumbent::{Candidate, Incumbent};
-pub use kpso::{Kpso, KpsoSettings, VelocityRule, cycle_seed};
+pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
+pub use path::Path;
+
+use crate::wide::Wide;
 
 /// A cost over a box, and its least-squares structure.
 pub trait Problem {
@@ -28,14 +33,22 @@ pub trait Problem {
     /// Upper bound of the rows that [`Problem::linearise`] writes.
     fn rows(&self) -> usize;
 
-    /// The cost at `z` (length d), ≥ 0. It may be infinite or NaN where `z` makes no sense; such a
-    /// point never becomes the incumbent.
-    fn cost(&self, z: &[f64]) -> f64;
+    /// The cost at W points side by side, `z(i)` being the i-th unknown of each; ≥ 0. It may be
+    /// infinite or NaN where a point makes no sense; such a point never becomes the incumbent.
+    ///
+    /// Implementations are `#[inline(always)]` down to the last operation, so that the swarm's path
+    /// decides the instructions; each lane must give the bits of W = 1.
+    fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W>;
+
+    /// The cost at one point of length d.
+    fn cost_at(&self, z: &[f64]) -> f64 {
+        self.cost(|i| Wide([z[i]])).0[0]
+    }
 
     /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`.
     fn linearise(&self, z: &[f64], model: &mut LinearModel);
 
-    /// Cost evaluations that fit between two looks at the budget, ≥ 1. A problem with an expensive
+    /// Evaluations of W points each that fit between two looks at the budget, ≥ 1. A problem with an expensive
     /// cost answers 1, so that the overrun of a budget stays a few microseconds.
     fn evaluations_per_quantum(&self) -> usize;
 }

@@ -26,6 +26,7 @@ mod kinematics;
 mod orientation;
 mod parameters;
 mod section;
+mod wide;
 
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;

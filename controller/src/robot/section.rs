@@ -10,6 +10,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use crate::wide::Wide;
+
 /// Up to here the power series, above it the closed form. It lies just above π², so that a robot (θ ≤ π) never leaves the
 /// series: no trigonometry, no division, no root. There the alternating terms of `w h` sum to 2.7 times its value, which costs
 /// a bit and a half; the closed form divides by w > 10, which costs nothing. At θ = 2π the series would cost five bits.
@@ -73,6 +75,20 @@ fn h_and_k_closed(w: f64) -> (f64, f64) {
 pub(super) fn position_coefficients(w: f64) -> (f64, f64) {
     let (h, k) = h_and_k(w);
     (1.0 - w * h, 0.5 - w * k)
+}
+
+/// (f, g) at W values of w side by side, by the series alone: no branch, no trigonometry.
+#[inline(always)]
+pub(super) fn series_coefficients<const W: usize>(w: Wide<W>) -> (Wide<W>, Wide<W>) {
+    let (mut h, mut k) = (
+        Wide::splat(H_SERIES[SERIES_TERMS - 1]),
+        Wide::splat(K_SERIES[SERIES_TERMS - 1]),
+    );
+    for term in (0..SERIES_TERMS - 1).rev() {
+        h = h * w + H_SERIES[term];
+        k = k * w + K_SERIES[term];
+    }
+    (Wide::splat(1.0) - w * h, Wide::splat(0.5) - w * k)
 }
 
 /// The five functions of w = θ² that describe an arc. Pure numbers.

@@ -9,4 +9,4 @@ mod mode;
 
 pub use bucket::LeakyBucket;
 pub use limiter::{Limited, LimitsHit, homing_rates, limit, ramp_to_zero};
-pub use mode::{Mode, ModeMachine, Observation, Reason, Refusal, Request};
+pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};

@@ -38,6 +38,8 @@ pub enum Reason {
     LimitBroken,
     /// The process ends.
     Shutdown,
+    /// The reference lease was given back.
+    LeaseReleased,
 }
 
 /// The mode, with what belongs to it.
@@ -115,6 +117,18 @@ pub enum Refusal {
     CauseStands,
 }
 
+/// The reference lease, as a cycle sees it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LeaseState {
+    /// Nobody holds it: it was never taken, or given back.
+    #[default]
+    Free,
+    /// A client holds it.
+    Held,
+    /// Its holder fell silent.
+    Expired,
+}
+
 /// What one cycle sees.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Observation {
@@ -122,8 +136,8 @@ pub struct Observation {
     pub measured: bool,
     /// Where this release lies relative to the reference.
     pub reference: ReferenceState,
-    /// Whether a client holds the reference lease.
-    pub lease_held: bool,
+    /// The reference lease.
+    pub lease: LeaseState,
     /// Whether the robot is straight.
     pub at_home: bool,
     /// Whether the leaky bucket of deadline misses overflows.
@@ -164,12 +178,7 @@ impl ModeMachine {
         }
         match self.mode {
             Mode::Starting => self.hold(Reason::Start),
-            Mode::Tracking { .. } if !seen.lease_held => self.hold(Reason::LeaseExpired),
-            Mode::Tracking { .. } => match seen.reference {
-                ReferenceState::Ended | ReferenceState::None => self.hold(Reason::ReferenceEnded),
-                ReferenceState::Inside => self.mode = Mode::Tracking { begun: true },
-                ReferenceState::Before => {}
-            },
+            Mode::Tracking { .. } => self.keep_tracking(seen),
             Mode::Homing if seen.at_home => self.hold(Reason::HomeReached),
             _ => {}
         }
@@ -226,13 +235,28 @@ impl ModeMachine {
         matches!(self.mode, Mode::Stopped { .. } | Mode::Faulted { .. })
     }
 
+    /// Tracking goes on while the lease is held and the reference lasts.
+    fn keep_tracking(&mut self, seen: &Observation) {
+        match (seen.lease, seen.reference) {
+            (LeaseState::Expired, _) => self.hold(Reason::LeaseExpired),
+            (LeaseState::Free, _) => self.hold(Reason::LeaseReleased),
+            (LeaseState::Held, ReferenceState::Ended | ReferenceState::None) => {
+                self.hold(Reason::ReferenceEnded);
+            }
+            (LeaseState::Held, ReferenceState::Inside) => {
+                self.mode = Mode::Tracking { begun: true };
+            }
+            (LeaseState::Held, ReferenceState::Before) => {}
+        }
+    }
+
     fn hold(&mut self, reason: Reason) {
         self.mode = Mode::Holding { reason };
     }
 
     fn track(&mut self, seen: &Observation) -> Result<(), Refusal> {
         match seen.reference {
-            _ if !seen.lease_held => Err(Refusal::NoLease),
+            _ if seen.lease != LeaseState::Held => Err(Refusal::NoLease),
             ReferenceState::None | ReferenceState::Ended => Err(Refusal::NoReference),
             ReferenceState::Before | ReferenceState::Inside => {
                 self.mode = Mode::Tracking { begun: false };
@@ -262,7 +286,7 @@ mod tests {
         Observation {
             measured: true,
             reference: ReferenceState::Inside,
-            lease_held: true,
+            lease: LeaseState::Held,
             ..Observation::default()
         }
     }
@@ -301,10 +325,15 @@ mod tests {
         };
         assert_eq!(after(tracking, ended), held(Reason::ReferenceEnded));
         let silent = Observation {
-            lease_held: false,
+            lease: LeaseState::Expired,
             ..good()
         };
         assert_eq!(after(tracking, silent), held(Reason::LeaseExpired));
+        let released = Observation {
+            lease: LeaseState::Free,
+            ..good()
+        };
+        assert_eq!(after(tracking, released), held(Reason::LeaseReleased));
         let home = Observation {
             at_home: true,
             ..good()
@@ -395,7 +424,7 @@ mod tests {
             );
         }
         let seen = Observation {
-            lease_held: false,
+            lease: LeaseState::Expired,
             ..good()
         };
         assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoLease));

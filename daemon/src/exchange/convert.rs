@@ -261,6 +261,7 @@ pub fn reason(reason: Reason) -> codes::Reason {
         Reason::NonFinite => codes::Reason::NonFinite,
         Reason::LimitBroken => codes::Reason::LimitBroken,
         Reason::Shutdown => codes::Reason::Shutdown,
+        Reason::LeaseReleased => codes::Reason::LeaseReleased,
     }
 }
 

@@ -40,7 +40,7 @@ impl Exchange {
             schedule.period_ns(),
             self.settings.horizon_steps as usize,
         );
-        inputs.lease_held = self.lease.holder(now_ns).is_some();
+        inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;
         inputs.settings = self.settings;
         inputs.settings_revision = self.settings_revision;

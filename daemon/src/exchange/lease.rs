@@ -1,3 +1,5 @@
+use cdcr_controller::safety::LeaseState;
+
 /// Who may feed the reference: one client at a time, for as long as it keeps renewing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Lease {
@@ -25,6 +27,15 @@ impl Lease {
         self.holder
             .filter(|holder| holder.expires_ns > now_ns)
             .map(|holder| holder.client)
+    }
+
+    /// The lease as the cycle sees it.
+    pub(super) fn state(&self, now_ns: u64) -> LeaseState {
+        match self.holder {
+            None => LeaseState::Free,
+            Some(_) if self.holder(now_ns).is_some() => LeaseState::Held,
+            Some(_) => LeaseState::Expired,
+        }
     }
 
     /// How long it still runs \[ns\].
@@ -70,12 +81,15 @@ mod tests {
         assert!(lease.renew(1, 50));
         assert_eq!((lease.holder(149), lease.left_ns(149)), (Some(1), 1));
         assert_eq!(lease.holder(150), None);
+        assert_eq!(lease.state(149), LeaseState::Held);
+        assert_eq!(lease.state(150), LeaseState::Expired);
         assert!(
             !lease.renew(1, 150),
             "an expired lease is not renewed but acquired anew"
         );
         assert!(lease.acquire(2, 150));
         assert!(lease.release(2, 160) && lease.holder(160).is_none());
+        assert_eq!(lease.state(160), LeaseState::Free);
         assert!(!lease.acquire(0, 200));
     }
 }

@@ -16,6 +16,8 @@ type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
 
 /// Requests that one gather takes; more wait in their clients' queues.
 const REQUESTS_PER_GATHER: usize = 4;
+/// A request that is older was waiting while the daemon or its client was stopped \[ns\].
+const REQUEST_AGE_MAX_NS: u64 = 1_000_000_000;
 /// Requests that wait for their cycle.
 const WAITING_MAX: usize = 16;
 
@@ -51,6 +53,11 @@ impl Exchange {
         let Ok(kind) = RequestKind::try_from(asked.payload().kind) else {
             return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
         };
+        // Who asked this long ago has been told that there was no answer; only a stop is never late.
+        let age_ns = now_ns.saturating_sub(asked.payload().header.sent_ns);
+        if age_ns > REQUEST_AGE_MAX_NS && kind != RequestKind::Stop {
+            return self.answer_now(&asked, Outcome::Stale, now_ns);
+        }
         if let Some(request) = mode_request(kind) {
             self.pass_on(asked, request, now_ns);
         } else {

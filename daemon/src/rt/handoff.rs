@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::reference::ReferenceWindow;
-use cdcr_controller::safety::{Refusal, Request};
+use cdcr_controller::safety::{LeaseState, Refusal, Request};
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
@@ -28,8 +28,8 @@ pub struct CycleInputs {
     pub gather_ns: u64,
     /// The reference on the grid.
     pub window: ReferenceWindow,
-    /// Whether a client holds the reference lease.
-    pub lease_held: bool,
+    /// The reference lease.
+    pub lease: LeaseState,
     /// The driver's newest measurement.
     pub measurement: Option<TimedMeasurement>,
     /// The settings in force, checked.
@@ -45,7 +45,7 @@ impl CycleInputs {
             gather: 0,
             gather_ns: 0,
             window: ReferenceWindow::default(),
-            lease_held: false,
+            lease: LeaseState::Free,
             measurement: None,
             settings,
             settings_revision: 0,

@@ -101,6 +101,8 @@ fn obstacles_are_refused_until_they_can_be_avoided() {
         .verdict_on(EventKind::Obstacles, &header, PATIENCE)
         .unwrap();
     assert_eq!(verdict, Outcome::Unsupported);
+    let too_many = sender.remove(&[0; 65]).expect_err("65 ids");
+    assert!(too_many.to_string().contains("at most 64"), "{too_many}");
     let later = wait_record(&mut telemetry, |_| true).cycle;
     wait_record(&mut telemetry, |record| record.cycle > later + 5);
 }

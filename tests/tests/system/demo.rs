@@ -1,6 +1,13 @@
 //! The demo: one command, everything real.
 
-use cdcr_tests::Place;
+use std::fs;
+use std::path::Path;
+
+use cdcr_client::Connection;
+use cdcr_shared_types::Location;
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{PATIENCE, Place, Program, shared_memory_files, text, wait_status, wait_until};
+use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
 fn demo(place: &Place, arguments: &[&str]) -> (bool, String, String) {
@@ -39,7 +46,9 @@ fn the_demo_prints_one_json_object_with_every_field() {
         assert!(
             report["max_error_mm"].as_f64().unwrap() >= report["mean_error_mm"].as_f64().unwrap()
         );
-        assert!(report["cycles"].as_u64().unwrap() > 20, "{out}");
+        // 1 s at 5 ms, less what the machine took.
+        let cycles = report["cycles"].as_u64().unwrap();
+        assert!((20..=201).contains(&cycles), "{out}");
         let missing = report["realtime_missing"].as_array().unwrap();
         assert_eq!(report["realtime"].as_bool().unwrap(), missing.is_empty());
         for field in ["deadline_misses", "skipped_periods"] {
@@ -60,8 +69,11 @@ fn the_demo_writes_telemetry_and_pictures() {
     let folder_text = folder.to_str().unwrap();
     let (good, out, err) = demo(&place, &["--duration", "500ms", "--out", folder_text]);
     assert!(good, "{err}");
-    assert!(out.contains("mm"), "{out}");
-    let table = std::fs::read_to_string(folder.join("telemetry.csv")).unwrap();
+    assert!(
+        out.contains("mm") && out.contains("cycles of 5 ms"),
+        "{out}"
+    );
+    let table = fs::read_to_string(folder.join("telemetry.csv")).unwrap();
     let head = table.lines().next().unwrap();
     assert!(head.contains("error_m") && head.contains("_us"), "{head}");
     assert!(
@@ -70,7 +82,7 @@ fn the_demo_writes_telemetry_and_pictures() {
         table.lines().count()
     );
     for picture in ["path.svg", "error.svg", "timing.svg"] {
-        let text = std::fs::read_to_string(folder.join(picture)).unwrap();
+        let text = fs::read_to_string(folder.join(picture)).unwrap();
         assert!(
             text.contains("<svg") && text.trim_end().ends_with("</svg>"),
             "{picture}"
@@ -89,4 +101,122 @@ fn the_demo_refuses_what_it_cannot_show() {
         let (good, _, err) = demo(&place, &arguments);
         assert!(!good && err.contains(arguments[0]), "{err}");
     }
+}
+
+/// A demo that runs, with a folder for temporary files of its own. Dropping it removes what is left.
+struct RunningDemo {
+    program: Program,
+    place: Place,
+    daemon: Option<u32>,
+}
+
+impl RunningDemo {
+    fn start() -> Self {
+        let place = Place::new();
+        let temporary = place.folder().join("tmp");
+        fs::create_dir(&temporary).unwrap();
+        let mut command = place.command("cdcrctl");
+        command
+            .args(["demo", "--duration", "20s"])
+            .env("TMPDIR", temporary);
+        Self {
+            program: Program::start(&mut command),
+            place,
+            daemon: None,
+        }
+    }
+
+    /// Beginning of the names of its files.
+    fn prefix(&self) -> String {
+        format!("cdcr-demo-{}-", self.program.id())
+    }
+
+    /// Names in its folder for temporary files.
+    fn temporary(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.place.folder().join("tmp")).unwrap();
+        let names = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap());
+        names.collect()
+    }
+
+    /// Waits for its daemon, and returns the daemon's process.
+    fn wait_daemon(&mut self) -> u32 {
+        let id = self.program.id();
+        let children = || fs::read_to_string(format!("/proc/{id}/task/{id}/children"));
+        let mut daemon = None;
+        wait_until("the demo's daemon", || {
+            let children = children().unwrap();
+            let ids = children.split_whitespace().map(|id| id.parse().unwrap());
+            // Before it executes cdcrd, the child is a copy of cdcrctl.
+            daemon = ids.into_iter().find(|&id| self.is_its_daemon(id));
+            daemon.is_some()
+        });
+        self.daemon = daemon;
+        daemon.unwrap()
+    }
+
+    /// Whether this process is its daemon, and not one that has ended.
+    fn is_its_daemon(&self, id: u32) -> bool {
+        let line = fs::read(format!("/proc/{id}/cmdline")).unwrap_or_default();
+        String::from_utf8_lossy(&line).contains(&self.prefix())
+    }
+
+    /// Waits until its daemon tracks.
+    fn wait_tracking(&self) {
+        let [folder] = &self.temporary()[..] else {
+            panic!("one folder: {:?}", self.temporary());
+        };
+        let root = self.place.folder().join("tmp").join(folder).join("root");
+        let location = Location::new(&format!("{folder}_"), &root).unwrap();
+        let connection = Connection::open_within(&location, "demo", PATIENCE).unwrap();
+        wait_status(&connection, |status| status.mode == Mode::Tracking.code());
+    }
+}
+
+impl Drop for RunningDemo {
+    fn drop(&mut self) {
+        if let Some(daemon) = self.daemon.filter(|&id| self.is_its_daemon(id)) {
+            let daemon = Pid::from_raw(daemon.cast_signed()).unwrap();
+            let _ = kill_process(daemon, Signal::KILL);
+        }
+        for name in shared_memory_files(&self.prefix()) {
+            let _ = fs::remove_file(Path::new("/dev/shm").join(name));
+        }
+    }
+}
+
+#[test]
+fn an_interrupted_demo_leaves_nothing() {
+    for (signal, is_tracking) in [
+        (Signal::INT, true),
+        (Signal::INT, false),
+        (Signal::TERM, true),
+    ] {
+        let mut demo = RunningDemo::start();
+        let daemon = demo.wait_daemon();
+        if is_tracking {
+            demo.wait_tracking();
+        }
+        demo.program.signal(signal);
+        let output = demo.program.output();
+        assert_eq!(output.status.code(), Some(130), "{}", text(&output));
+        assert!(!demo.is_its_daemon(daemon), "its daemon still runs");
+        assert_eq!(shared_memory_files(&demo.prefix()), Vec::<String>::new());
+        assert_eq!(demo.temporary(), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn the_daemon_of_a_killed_demo_ends() {
+    let mut demo = RunningDemo::start();
+    let daemon = demo.wait_daemon();
+    demo.wait_tracking();
+    demo.program.signal(Signal::KILL);
+    demo.program.output();
+    wait_until("the end of its daemon", || !demo.is_its_daemon(daemon));
+    // One file of 16 bytes is iceoryx2's own.
+    let left = shared_memory_files(&demo.prefix());
+    assert!(
+        left.iter().all(|name| name.ends_with(".global_mgmt")),
+        "{left:?}"
+    );
 }

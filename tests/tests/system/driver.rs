@@ -3,12 +3,15 @@
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Driver, FeedOptions, Line, monotonic_ns};
+use cdcr_client::{Connection, Driver, FeedEvent, FeedOptions, Line, monotonic_ns};
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
 
-const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 400.0\n";
+/// The timeout is long, so that a machine that stalls loses no measurement, and short enough that a
+/// robot that goes on blindly at its largest rates stays inside its limits.
+const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n\
+    [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
 /// A robot that goes to every commanded target at once.
 struct Robot {
@@ -110,6 +113,49 @@ fn a_driver_is_commanded_along_the_reference() {
     });
     assert!(report.unwrap().tracked);
     assert!(moved > 0.01, "the robot was moved by {moved} rad");
+}
+
+#[test]
+fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let feeding = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut robot = Robot::new(&connection);
+    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+
+    let line = Line {
+        duration_s: 60.0,
+        velocity_m_s: [0.001, 0.0, -0.001],
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut tracked = false;
+    let error = feeding
+        .feed(&line, options)
+        .unwrap()
+        .run(|event| {
+            if let FeedEvent::Progress(progress) = event {
+                tracked |= progress.tracking;
+            }
+            // The driver dies as soon as its robot is moved.
+            if !tracked {
+                robot.turn();
+            }
+            ControlFlow::Continue(())
+        })
+        .expect_err("the driver is dead");
+    let message = error.to_string();
+    assert!(
+        message.contains("faulted because the measurement is lost")
+            && message.contains("whether the driver runs"),
+        "{message}"
+    );
+    let status = wait_status(&connection, |status| status.lease_holder == 0);
+    assert_eq!(status.mode, Mode::Faulted.code());
 }
 
 #[test]

@@ -8,7 +8,11 @@
 mod bad_input;
 mod demo;
 mod driver;
+mod feeding;
 mod lease;
 mod lifecycle;
 mod modes;
+mod program;
 mod replay;
+mod silence;
+mod strangers;

@@ -1,7 +1,12 @@
+use std::io::stderr;
 use std::time::Duration;
 
 use cdcr_client::FeedProgress;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use rustix::termios::tcgetwinsize;
+
+/// The longest line with a bar, with room for a file's name.
+const COLUMNS_FOR_BAR: u16 = 80;
 
 /// A progress bar on the terminal's standard error; nothing at all when that is no terminal.
 pub(crate) struct Bar {
@@ -11,7 +16,14 @@ pub(crate) struct Bar {
 impl Bar {
     pub(crate) fn new(what: &str) -> Self {
         let bar = ProgressBar::with_draw_target(Some(0), ProgressDrawTarget::stderr_with_hz(10));
-        let style = ProgressStyle::with_template("{prefix} [{bar:30}] {msg}");
+        // A line that wraps is not cleared.
+        let columns = tcgetwinsize(stderr()).map_or(0, |size| size.ws_col);
+        let template = if columns < COLUMNS_FOR_BAR {
+            "{prefix} {percent}%"
+        } else {
+            "{prefix} [{bar:30}] {msg}"
+        };
+        let style = ProgressStyle::with_template(template);
         bar.set_style(
             style
                 .unwrap_or_else(|_| ProgressStyle::default_bar())

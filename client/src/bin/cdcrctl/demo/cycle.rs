@@ -197,7 +197,7 @@ pub(super) mod tests {
         for state in [
             ReferenceState::None,
             ReferenceState::Before,
-            ReferenceState::After,
+            ReferenceState::Ended,
         ] {
             let mut outside = inside;
             outside.reference.state = state.code();

@@ -40,7 +40,8 @@ impl DemoDaemon {
         let log = File::create(place.log()).context("cannot write the daemon's log")?;
         let child = Command::new(&program)
             // Whatever ends us, SIGKILL too, ends the daemon.
-            .args(["run", "--end-with-parent", "--config"])
+            .args(["run", "--end-with-parent", &std::process::id().to_string()])
+            .arg("--config")
             .arg(place.config())
             .args(["--robot", ROBOT, "--prefix", place.location.prefix()])
             .arg("--root")

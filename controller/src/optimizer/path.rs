@@ -1,0 +1,64 @@
+use pulp::NullaryFnOnce;
+
+/// How the swarm is computed. All paths give the same bits; they differ in speed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Path {
+    /// One particle after the other: the reference.
+    Scalar,
+    /// Eight particles side by side, with the instructions that every processor of the target has.
+    Portable,
+    /// Eight particles in two 256-bit registers (x86-64 with AVX2).
+    Avx2,
+    /// Eight particles in one 512-bit register (x86-64 with AVX-512).
+    Avx512,
+}
+
+impl Path {
+    /// The paths of this processor, slowest first.
+    pub fn available() -> impl Iterator<Item = Self> {
+        [Self::Scalar, Self::Portable, Self::Avx2, Self::Avx512]
+            .into_iter()
+            .filter(|path| path.is_available())
+    }
+
+    /// The fastest path of this processor.
+    pub fn best() -> Self {
+        Self::available().last().unwrap_or(Self::Portable)
+    }
+
+    #[cfg(target_arch = "x86_64")]
+    fn is_available(self) -> bool {
+        match self {
+            Self::Scalar | Self::Portable => true,
+            Self::Avx2 => pulp::x86::V3::try_new().is_some(),
+            Self::Avx512 => pulp::x86::V4::try_new().is_some(),
+        }
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    fn is_available(self) -> bool {
+        matches!(self, Self::Scalar | Self::Portable)
+    }
+
+    /// Runs `work` compiled for this path; a path that this processor lacks runs as the portable one.
+    #[cfg(target_arch = "x86_64")]
+    pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
+        match self {
+            Self::Scalar | Self::Portable => work.call(),
+            Self::Avx2 => match pulp::x86::V3::try_new() {
+                Some(processor) => processor.vectorize(work),
+                None => work.call(),
+            },
+            Self::Avx512 => match pulp::x86::V4::try_new() {
+                Some(processor) => processor.vectorize(work),
+                None => work.call(),
+            },
+        }
+    }
+
+    #[cfg(not(target_arch = "x86_64"))]
+    pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
+        work.call()
+    }
+}

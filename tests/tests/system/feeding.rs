@@ -1,0 +1,87 @@
+//! What ends a feed before its time, and what then becomes of the lease.
+
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use cdcr_client::{Connection, FeedEnd, FeedError, FeedOptions, FeedReport, Line};
+use cdcr_shared_types::codes::{Outcome, RequestKind};
+use cdcr_tests::{Daemon, PATIENT, wait_status};
+
+fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
+    let options = FeedOptions {
+        lead: Duration::from_secs(1),
+        track,
+        ..FeedOptions::default()
+    };
+    connection
+        .feed(line, options)?
+        .run(|_| ControlFlow::Continue(()))
+}
+
+#[test]
+fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let reachable = Line {
+        duration_s: 0.3,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let beyond = Line {
+        start_m: [0.0, 0.0, 5.0],
+        ..reachable
+    };
+    let error = feed(&connection, &beyond, true).expect_err("5 m are out of reach");
+    assert!(
+        matches!(
+            error,
+            FeedError::Refused {
+                outcome: Outcome::OutOfReach,
+                point: 0,
+                ..
+            }
+        ),
+        "{error:?}"
+    );
+    assert!(
+        error.to_string().contains("outside the reachable ball"),
+        "{error}"
+    );
+
+    // 0.85 m upwards at 0.1 m/s: 0.9 m are left behind at 0.5 s, a little later than point 100.
+    let leaving = Line {
+        start_m: [0.0, 0.0, 0.85],
+        velocity_m_s: [0.0, 0.0, 0.1],
+        duration_s: 1.0,
+        ..reachable
+    };
+    match feed(&connection, &leaving, false) {
+        Err(FeedError::Refused { point, time_s, .. }) => {
+            assert!((100..=102).contains(&point), "point {point}");
+            assert!((time_s - 0.005 * point as f64).abs() < 1e-9, "{time_s} s");
+        }
+        other => panic!("{other:?}"),
+    }
+
+    // The lease went back: another client feeds.
+    wait_status(&connection, |status| status.lease_holder == 0);
+    let report = feed(&daemon.connect(), &reachable, true).unwrap();
+    assert_eq!(
+        (report.end, report.points, report.tracked),
+        (FeedEnd::Played, 61, true)
+    );
+}
+
+#[test]
+fn a_refused_request_tells_the_remedy() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let refused = |kind| {
+        let error = connection.request(kind).expect_err("refused");
+        error.to_string()
+    };
+    let message = refused(RequestKind::Track);
+    assert!(message.contains("cdcrctl ref"), "{message}");
+    let _lease = connection.acquire_lease().unwrap();
+    let message = refused(RequestKind::Track);
+    assert!(message.contains("cdcrctl ref spiral --track"), "{message}");
+}

@@ -1,0 +1,117 @@
+//! A daemon that is stopped like a frozen process: everybody notices, and it works again afterwards.
+
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use cdcr_client::{
+    ConnectError, Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError,
+    RequestError,
+};
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status, wait_until};
+use rustix::process::Signal;
+
+/// Longer than anything here takes, slow enough to stay within reach.
+fn long_line() -> Line {
+    Line {
+        duration_s: 120.0,
+        velocity_m_s: [0.001, 0.0, -0.001],
+        ..Line::for_sections(&[0.3; 3])
+    }
+}
+
+fn options() -> FeedOptions {
+    FeedOptions {
+        lead: Duration::from_secs(1),
+        track: true,
+        ..FeedOptions::default()
+    }
+}
+
+/// Feeds until the daemon, stopped in the middle of its tracking, is given up.
+fn feed_until_silence(daemon: &Daemon, connection: &Connection) -> FeedError {
+    let (line, mut stopped) = (long_line(), false);
+    let feeder = connection.feed(&line, options()).unwrap();
+    let result = feeder.run(|event| {
+        if let FeedEvent::Progress(progress) = event
+            && progress.tracking
+            && !stopped
+        {
+            daemon.signal(Signal::STOP);
+            stopped = true;
+        }
+        ControlFlow::Continue(())
+    });
+    result.expect_err("the daemon is stopped")
+}
+
+#[test]
+fn a_stopped_daemon_is_noticed_everywhere_and_works_again() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let location = daemon.place().location();
+    let error = feed_until_silence(&daemon, &connection);
+    assert!(
+        matches!(
+            error,
+            FeedError::Request(RequestError::Timeout { .. })
+                | FeedError::Link(LinkError::Silent { .. })
+        ),
+        "{error:?}"
+    );
+    // Its last status counts as fresh for a moment.
+    wait_until("the status is stale", || {
+        let short = Duration::from_millis(1);
+        matches!(connection.status(short), Err(LinkError::Silent { .. }))
+    });
+    let error = Connection::open(location, ROBOT).expect_err("no fresh status");
+    assert!(
+        matches!(error, ConnectError::DaemonNotRunning { .. }),
+        "{error:?}"
+    );
+    let error = connection.request(RequestKind::Hold).expect_err("silence");
+    assert!(matches!(error, RequestError::Timeout { .. }), "{error:?}");
+    for arguments in [&["status"][..], &["hold"], &["echo", "--count", "1"]] {
+        let output = daemon.place().cdcrctl(arguments);
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+        assert!(
+            text(&output).contains("was it killed?"),
+            "{arguments:?}: {}",
+            text(&output)
+        );
+    }
+
+    daemon.signal(Signal::CONT);
+    let before = wait_status(&connection, |_| true);
+    wait_status(&connection, |status| status.cycles > before.cycles + 20);
+    wait_until("the lease is free", || connection.acquire_lease().is_ok());
+    let line = Line {
+        duration_s: 0.3,
+        ..long_line()
+    };
+    let report = daemon.connect();
+    let report = report.feed(&line, options()).unwrap();
+    let report = report.run(|_| ControlFlow::Continue(())).unwrap();
+    assert_eq!((report.end, report.tracked), (FeedEnd::Played, true));
+}
+
+#[test]
+fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
+    // 100 periods; the freeze lasts longer.
+    let configuration = PATIENT.replace("1000000", "100");
+    let daemon = Daemon::start(&configuration);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_secs(1));
+    daemon.signal(Signal::CONT);
+    let record = wait_mode(&mut telemetry, Mode::Stopped);
+    assert_eq!(record.reason, Reason::DeadlineMisses.code());
+    // Refused while the bucket is full: the machine must have been well for a while.
+    wait_until("the reset", || {
+        connection
+            .request_within(RequestKind::Reset, PATIENCE)
+            .is_ok()
+    });
+    wait_mode(&mut telemetry, Mode::Holding);
+}
