@@ -1,5 +1,10 @@
 //! What `Nmpc::solve` promises, held against the robot and references that make it hard.
 
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveStatus, SolverKind};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{ReferenceSample, ReferenceState};

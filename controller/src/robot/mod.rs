@@ -15,22 +15,30 @@
 //! | `jacobian` | how does the tip move when a bend changes |
 //! | `orientation` | which angles or quaternion is this rotation |
 //! | `cables` | how long is each cable, how fast does it run, and back |
+//! | `obstacle` | what must the body keep away from, and where is it later |
+//! | `tube` | how far is one section from a point, from a segment |
+//! | `clearance` | how far is the body from an obstacle, where, and how does that place move |
 //!
 //! Invariant: nothing here knows a reference, a cost, a time or another process. Once a [`Robot`] exists, nothing here
 //! allocates, fails or panics on finite input, except where an index is documented to.
 
 mod cables;
+mod clearance;
 mod configuration;
 mod jacobian;
 mod kinematics;
+mod obstacle;
 mod orientation;
 mod parameters;
 mod section;
+mod tube;
 mod wide;
 
+pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;
 pub use kinematics::Pose;
+pub use obstacle::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M, Obstacle, ObstacleError, Shape};
 pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
 pub use section::{Arc, Coefficients};

@@ -1,0 +1,264 @@
+//! How far the body is from an obstacle, where, and how that place moves with the bends (§3 of docs/model.md).
+//!
+//! The body is every point within a section's `body_radius_m` of that section's arc; so its ends, and steps in the radius, are
+//! round. Distances are exact, not sampled: 10 points per section would overestimate them by up to 14.7 mm.
+//!
+//! A solver makes one [`Body`] per state and asks it about many obstacles; [`Robot::reaches`] first drops those that are too
+//! far away to matter. The gradient of a clearance is `direction · J`, with J from [`Robot::body_point_jacobian`] at the
+//! nearest point: that this point slides along the body is of second order. Where two points are equally near, it is the
+//! gradient of one of the two.
+
+use nalgebra::Vector3;
+
+use super::obstacle::{Obstacle, Shape};
+use super::tube::{Foot, Tube};
+use super::{Arc, COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
+
+/// Below this distance (m) between backbone and axis of an obstacle, their difference has no direction.
+const COINCIDENT_M: f64 = 1e-12;
+
+/// What [`Body::reaches`] allows for rounding (m): the longest robot is 60 m, and 60 · 2⁻⁵² m = 1.3e-14 m.
+const ROUNDING_M: f64 = 1e-12;
+
+/// The place of the body that is nearest to an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Nearest {
+    /// Distance between the surfaces (m): that of backbone and axis, less both radii. Negative inside.
+    pub clearance_m: f64,
+    /// Section of the body, 0 at the base.
+    pub section: usize,
+    /// Share of that section's length from its start, in [0, 1]: the argument of [`Robot::body_point`].
+    pub s: f64,
+    /// The point of the backbone (m, base frame).
+    pub point_m: Vector3<f64>,
+    /// Unit vector from the obstacle's axis to that point: where to move it for more clearance. Where backbone and axis meet it
+    /// is normal to both, or, if they are parallel or the obstacle is a ball, normal to the plane of the arc.
+    pub direction: Vector3<f64>,
+}
+
+/// The body in one state, prepared for many obstacles. 1.1 kB in fixed arrays, no heap.
+///
+/// A NaN in the bends makes every clearance NaN, never a large number: write `clearance_m >= wanted`, which it fails.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Body {
+    /// The first `section_count` are used, the rest repeat the last.
+    tubes: [Tube; SECTIONS_MAX],
+    section_count: usize,
+}
+
+/// Where the search ended.
+struct Closest {
+    clearance_m: f64,
+    section: usize,
+    /// Point of the obstacle's axis (m, base frame).
+    axis_m: Vector3<f64>,
+}
+
+impl Body {
+    /// The nearest place of the body to an obstacle; of several, one.
+    ///
+    /// Exact beside rounding: 2e-15 m at most over 48 000 random cases of spheres and capsules with 1 to 6 sections of 0.3 m; what
+    /// is guaranteed for a capsule is 1e-12 m beside rounding. Bounded work: for each section a few square roots, for a
+    /// capsule at most 80 Newton steps more (3.4 on average); sections that are further than what is found are skipped.
+    pub fn nearest(&self, obstacle: &Obstacle) -> Nearest {
+        let closest = self.closest(obstacle);
+        let tube = &self.tubes[closest.section];
+        let foot = tube.foot(&closest.axis_m);
+        let apart = foot.point_m - closest.axis_m;
+        let distance_m = apart.norm();
+        Nearest {
+            clearance_m: closest.clearance_m,
+            section: closest.section,
+            s: foot.s,
+            point_m: foot.point_m,
+            direction: if distance_m > COINCIDENT_M {
+                apart / distance_m
+            } else {
+                away(tube, &foot, obstacle.shape())
+            },
+        }
+    }
+
+    /// [`Nearest::clearance_m`] (m) alone, a little cheaper.
+    pub fn clearance_m(&self, obstacle: &Obstacle) -> f64 {
+        self.closest(obstacle).clearance_m
+    }
+
+    /// Whether the body may be within `travel_m` (m) of the obstacle. Cheap, by balls around the sections: where it says no, the
+    /// clearance is above `travel_m`; where it says yes, it need not be below. Ask with the safe distance plus all that body
+    /// and obstacle can move over the horizon. A NaN gives yes.
+    pub fn reaches(&self, obstacle: &Obstacle, travel_m: f64) -> bool {
+        self.tubes().iter().any(|tube| {
+            let out_of_reach = clearance_min_m(tube, obstacle) - ROUNDING_M > travel_m;
+            !out_of_reach
+        })
+    }
+
+    fn tubes(&self) -> &[Tube] {
+        &self.tubes[..self.section_count]
+    }
+
+    /// The section and the point of the obstacle's axis between which clearance is least.
+    fn closest(&self, obstacle: &Obstacle) -> Closest {
+        // First the section that promises most, so that most of the others need no search.
+        let mut bounds_m = [f64::INFINITY; SECTIONS_MAX];
+        let mut first = 0;
+        for (section, tube) in self.tubes().iter().enumerate() {
+            bounds_m[section] = clearance_min_m(tube, obstacle);
+            if bounds_m[section] < bounds_m[first] {
+                first = section;
+            }
+        }
+        let mut best = self.closest_of(first, obstacle);
+        for section in 0..self.section_count {
+            if section == first || bounds_m[section] >= best.clearance_m {
+                continue;
+            }
+            let other = self.closest_of(section, obstacle);
+            // A NaN replaces what was found, and stays.
+            if other.clearance_m < best.clearance_m || other.clearance_m.is_nan() {
+                best = other;
+            }
+        }
+        best
+    }
+
+    /// The same for one section.
+    fn closest_of(&self, section: usize, obstacle: &Obstacle) -> Closest {
+        let tube = &self.tubes[section];
+        let (axis_m, distance_m) = match *obstacle.shape() {
+            Shape::Sphere { centre_m } => (centre_m, tube.distance_m(&centre_m)),
+            Shape::Capsule { start_m, end_m } => {
+                let span_m = end_m - start_m;
+                let (t, distance_m) = tube.nearest_on_segment(&start_m, &span_m);
+                (start_m + span_m * t, distance_m)
+            }
+        };
+        Closest {
+            clearance_m: distance_m - tube.radius_m - obstacle.radius_m(),
+            section,
+            axis_m,
+        }
+    }
+}
+
+/// What the clearance of a section is at least (m): that of a ball around it.
+#[inline]
+fn clearance_min_m(tube: &Tube, obstacle: &Obstacle) -> f64 {
+    let (centre_m, radius_m) = tube.ball();
+    obstacle.shape().axis_distance_m(&centre_m) - radius_m - tube.radius_m - obstacle.radius_m()
+}
+
+/// A direction away from an obstacle whose axis meets the backbone at `foot`, as [`Nearest::direction`] documents it.
+#[cold]
+fn away(tube: &Tube, foot: &Foot, shape: &Shape) -> Vector3<f64> {
+    let span = match *shape {
+        Shape::Sphere { .. } => Vector3::zeros(),
+        Shape::Capsule { start_m, end_m } => end_m - start_m,
+    };
+    let both = foot.tangent.cross(&span);
+    let area = both.norm();
+    // Within a microradian of parallel the two have no common normal that rounding leaves alone.
+    if area > 1e-6 * span.norm() {
+        both / area
+    } else {
+        tube.normal()
+    }
+}
+
+impl Robot {
+    /// The body bent by `bend_rad` = (u1, v1, …), 2n components (rad).
+    pub fn body(&self, bend_rad: &[f64]) -> Body {
+        let mut frames = [Pose::identity(); SECTIONS_MAX + 1];
+        let mut pose = Pose::identity();
+        for (frame, arc) in frames[1..].iter_mut().zip(self.arcs(bend_rad)) {
+            pose = pose.then(&arc);
+            *frame = pose;
+        }
+        self.body_from_frames(bend_rad, &frames)
+    }
+
+    /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for these `bend_rad`.
+    pub fn body_from_frames(&self, bend_rad: &[f64], frames: &[Pose; SECTIONS_MAX + 1]) -> Body {
+        self.debug_assert_coordinates(bend_rad);
+        let (bends, _) = bend_rad.as_chunks::<2>();
+        let last = self.section_count() - 1;
+        let tube = |j: usize| {
+            let bend = bends.get(j).copied().unwrap_or_default();
+            Tube::new(&frames[j], &frames[j + 1], &self.sections()[j], bend)
+        };
+        let mut tubes = [tube(last); SECTIONS_MAX];
+        for (j, target) in tubes[..last].iter_mut().enumerate() {
+            *target = tube(j);
+        }
+        Body {
+            tubes,
+            section_count: self.section_count(),
+        }
+    }
+
+    /// [`Body::nearest`] for a single obstacle. `configuration` has this robot's section count.
+    pub fn nearest(&self, configuration: &Configuration, obstacle: &Obstacle) -> Nearest {
+        self.body(configuration.as_slice()).nearest(obstacle)
+    }
+
+    /// [`Body::clearance_m`] (m) for a single obstacle. `configuration` has this robot's section count.
+    pub fn clearance_m(&self, configuration: &Configuration, obstacle: &Obstacle) -> f64 {
+        self.body(configuration.as_slice()).clearance_m(obstacle)
+    }
+
+    /// [`Body::reaches`] for a single obstacle. `configuration` has this robot's section count.
+    pub fn reaches(
+        &self,
+        configuration: &Configuration,
+        obstacle: &Obstacle,
+        travel_m: f64,
+    ) -> bool {
+        self.body(configuration.as_slice())
+            .reaches(obstacle, travel_m)
+    }
+
+    /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate
+    /// of each coordinate (u1, v1, …), 2n columns and zeros after them, and returns the point (m), that of
+    /// [`Self::body_point`].
+    ///
+    /// `bend_rad` has 2n components (rad). `s` is held within [0, 1]; a section beyond the last gives the tip. The arc up to s is
+    /// an arc with bend s b and length s l, hence ∂p(s)/∂b = s ∂p/∂b of that arc (§1 of docs/model.md). Sections after the
+    /// point do not move it.
+    pub fn body_point_jacobian(
+        &self,
+        bend_rad: &[f64],
+        section: usize,
+        s: f64,
+        jacobian: &mut [[f64; 3]; COORDINATES_MAX],
+    ) -> Vector3<f64> {
+        let last = self.section_count() - 1;
+        let (section, s) = if section > last {
+            (last, 1.0)
+        } else {
+            (section, s.clamp(0.0, 1.0))
+        };
+        let (bends, _) = bend_rad.as_chunks::<2>();
+        let mut own = [[(Vector3::zeros(), Vector3::zeros()); 2]; SECTIONS_MAX];
+        let mut ends = [Vector3::zeros(); SECTIONS_MAX];
+        let mut pose = Pose::identity();
+        for (j, (parameters, &[u, v])) in self.sections()[..=section].iter().zip(bends).enumerate()
+        {
+            let share = if j == section { s } else { 1.0 };
+            let arc = Arc::new(share * parameters.length_m, [share * u, share * v]);
+            let (p, w) = (arc.position_derivatives_m_rad(), arc.rotation_derivatives());
+            own[j] = [0, 1].map(|i| {
+                let velocity = pose.rotation * (p[i] * share);
+                (velocity, pose.rotation * (w[i] * share))
+            });
+            pose = pose.then(&arc);
+            ends[j] = pose.position_m;
+        }
+        let (columns, _) = jacobian.as_chunks_mut::<2>();
+        for ((columns, own), end) in columns.iter_mut().zip(&own).zip(&ends) {
+            let lever = pose.position_m - end;
+            *columns = own.map(|(velocity, spin)| (velocity + spin.cross(&lever)).into());
+        }
+        pose.position_m
+    }
+}

@@ -1,0 +1,232 @@
+//! What the body must keep away from: a sphere or a capsule that may move at constant velocity.
+//!
+//! Invariant: an [`Obstacle`] made by [`Obstacle::new`] holds finite numbers only, so no distance to it overflows.
+
+use core::ops::RangeInclusive;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+/// Allowed components of a position (m) and of a velocity (m/s). A thousand kilometres excludes nonsense and keeps squares
+/// and their products far from overflow.
+pub const OBSTACLE_COMPONENT: RangeInclusive<f64> = -1e6..=1e6;
+/// Allowed radius of an obstacle (m); 0 is a point or a line.
+pub const OBSTACLE_RADIUS_M: RangeInclusive<f64> = 0.0..=1e6;
+
+/// The axis of an obstacle, in the base frame of the robot: its radius is around that.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Shape {
+    /// A ball.
+    Sphere {
+        /// Its centre (m), each component in [`OBSTACLE_COMPONENT`].
+        centre_m: Vector3<f64>,
+    },
+    /// A cylinder with round ends: every point within the radius of a segment. Start and end may coincide: a ball.
+    Capsule {
+        /// One end of the segment (m), each component in [`OBSTACLE_COMPONENT`].
+        start_m: Vector3<f64>,
+        /// The other end (m), the same.
+        end_m: Vector3<f64>,
+    },
+}
+
+impl Shape {
+    /// The same shape elsewhere.
+    fn translated(self, by_m: Vector3<f64>) -> Self {
+        match self {
+            Self::Sphere { centre_m } => Self::Sphere {
+                centre_m: centre_m + by_m,
+            },
+            Self::Capsule { start_m, end_m } => Self::Capsule {
+                start_m: start_m + by_m,
+                end_m: end_m + by_m,
+            },
+        }
+    }
+
+    /// Each point beside its key.
+    fn points(&self) -> [(&'static str, Vector3<f64>); 2] {
+        match *self {
+            Self::Sphere { centre_m } => [("centre_m", centre_m); 2],
+            Self::Capsule { start_m, end_m } => [("start_m", start_m), ("end_m", end_m)],
+        }
+    }
+
+    /// Distance from a point to the axis (m): the centre or the segment.
+    pub(super) fn axis_distance_m(&self, point_m: &Vector3<f64>) -> f64 {
+        match *self {
+            Self::Sphere { centre_m } => (point_m - centre_m).norm(),
+            Self::Capsule { start_m, end_m } => {
+                let span = end_m - start_m;
+                let t = projection(point_m, &start_m, &span);
+                (point_m - start_m - span * t).norm()
+            }
+        }
+    }
+}
+
+/// Share t ∈ [0, 1] of the segment start + t span at which it is nearest to a point; 0 for a segment without length.
+pub(super) fn projection(
+    point_m: &Vector3<f64>,
+    start_m: &Vector3<f64>,
+    span_m: &Vector3<f64>,
+) -> f64 {
+    let square = span_m.norm_squared();
+    if square > 0.0 {
+        ((point_m - start_m).dot(span_m) / square).clamp(0.0, 1.0)
+    } else {
+        0.0
+    }
+}
+
+/// A checked obstacle: shape, radius around it, and the velocity of the whole. 88 bytes, no heap.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Obstacle {
+    shape: Shape,
+    radius_m: f64,
+    velocity_m_s: Vector3<f64>,
+}
+
+/// Why numbers are not an obstacle.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error("obstacle: {key} has {value}, outside {allowed:?} (SI units: m, m/s); correct it")]
+pub struct ObstacleError {
+    /// Which number or vector: `radius_m`, `velocity_m_s`, `centre_m`, `start_m` or `end_m`.
+    pub key: &'static str,
+    /// The number, or the first component of the vector that is refused; in the unit that ends the key.
+    pub value: f64,
+    /// [`OBSTACLE_RADIUS_M`] or [`OBSTACLE_COMPONENT`].
+    pub allowed: RangeInclusive<f64>,
+}
+
+impl Obstacle {
+    /// An obstacle of `radius_m` (m) around `shape` (m, base frame) that moves at `velocity_m_s` (m/s, base frame; zero for one
+    /// that stands).
+    ///
+    /// # Errors
+    /// The first number that is NaN, infinite or outside [`OBSTACLE_RADIUS_M`] or [`OBSTACLE_COMPONENT`].
+    pub fn new(
+        shape: Shape,
+        radius_m: f64,
+        velocity_m_s: Vector3<f64>,
+    ) -> Result<Self, ObstacleError> {
+        let check = |key, value, allowed: RangeInclusive<f64>| {
+            if allowed.contains(&value) {
+                Ok(())
+            } else {
+                Err(ObstacleError {
+                    key,
+                    value,
+                    allowed,
+                })
+            }
+        };
+        check("radius_m", radius_m, OBSTACLE_RADIUS_M)?;
+        let [first, second] = shape.points();
+        for (key, vector) in [first, second, ("velocity_m_s", velocity_m_s)] {
+            for component in vector.iter() {
+                check(key, *component, OBSTACLE_COMPONENT)?;
+            }
+        }
+        Ok(Self {
+            shape,
+            radius_m,
+            velocity_m_s,
+        })
+    }
+
+    /// Its axis (m, base frame).
+    pub fn shape(&self) -> &Shape {
+        &self.shape
+    }
+
+    /// Its radius around the axis (m), in [`OBSTACLE_RADIUS_M`].
+    pub fn radius_m(&self) -> f64 {
+        self.radius_m
+    }
+
+    /// Its velocity (m/s, base frame).
+    pub fn velocity_m_s(&self) -> Vector3<f64> {
+        self.velocity_m_s
+    }
+
+    /// The obstacle `dt_s` (s, finite) later, at constant velocity without turning; earlier if negative.
+    #[must_use]
+    pub fn moved(&self, dt_s: f64) -> Self {
+        Self {
+            shape: self.shape.translated(self.velocity_m_s * dt_s),
+            ..*self
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use super::*;
+
+    fn capsule(start_m: Vector3<f64>, end_m: Vector3<f64>) -> Shape {
+        Shape::Capsule { start_m, end_m }
+    }
+
+    #[test]
+    fn what_is_not_finite_or_has_a_negative_radius_is_refused_by_name() {
+        let (origin, x) = (Vector3::zeros(), Vector3::x());
+        let key = |shape, radius_m, velocity_m_s| {
+            Obstacle::new(shape, radius_m, velocity_m_s)
+                .unwrap_err()
+                .key
+        };
+        let ball = Shape::Sphere { centre_m: x };
+        for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1.1e6] {
+            assert_eq!(key(ball, value, origin), "radius_m");
+            assert_eq!(key(ball, 0.1, x * value), "velocity_m_s");
+            let far = Vector3::new(0.0, value, 0.0);
+            assert_eq!(
+                key(Shape::Sphere { centre_m: far }, 0.1, origin),
+                "centre_m"
+            );
+            assert_eq!(key(capsule(far, x), 0.1, origin), "start_m");
+            assert_eq!(key(capsule(x, far), 0.1, origin), "end_m");
+        }
+        let error = Obstacle::new(ball, -0.01, origin).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "obstacle: radius_m has -0.01, outside 0.0..=1000000.0 (SI units: m, m/s); correct it"
+        );
+        assert!(Obstacle::new(ball, 0.0, origin).is_ok());
+    }
+
+    #[test]
+    fn it_moves_as_a_whole_at_its_velocity() {
+        let velocity_m_s = Vector3::new(0.1, -0.2, 0.0);
+        let (start_m, end_m) = (Vector3::x(), Vector3::z());
+        let shape = capsule(start_m, end_m);
+        let obstacle = Obstacle::new(shape, 0.02, velocity_m_s).unwrap();
+        let later = obstacle.moved(0.5);
+        let by_m = Vector3::new(0.05, -0.1, 0.0);
+        assert_eq!(later.shape(), &capsule(start_m + by_m, end_m + by_m));
+        assert_eq!(later.radius_m(), 0.02);
+        assert_eq!(later.velocity_m_s(), velocity_m_s);
+        assert_eq!(obstacle.moved(0.0), obstacle);
+        let ball = Shape::Sphere { centre_m: start_m };
+        let ball = Obstacle::new(ball, 0.02, velocity_m_s).unwrap();
+        assert_eq!(
+            ball.moved(-0.5).shape(),
+            &Shape::Sphere {
+                centre_m: start_m - by_m
+            }
+        );
+    }
+
+    #[test]
+    fn distance_to_the_axis_of_a_capsule_ends_at_its_ends() {
+        let shape = capsule(Vector3::zeros(), Vector3::x());
+        let at = |x, y| shape.axis_distance_m(&Vector3::new(x, y, 0.0));
+        assert_eq!(at(0.3, 0.4), 0.4);
+        assert_eq!(at(-0.3, 0.4), 0.5);
+        assert_eq!(at(1.3, 0.4), 0.5);
+        let ball = capsule(Vector3::x(), Vector3::x());
+        assert_eq!(ball.axis_distance_m(&Vector3::zeros()), 1.0);
+    }
+}
