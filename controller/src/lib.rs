@@ -16,7 +16,7 @@
 //! | [`wide`] | numbers side by side, for the swarm | processors |
 //! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
 //! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton | robots |
-//! | [`reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
+//! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
 //! | [`estimator`] | configuration from measurements | commands to come |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine and limits: the last word before the cables | optimisation |
