@@ -86,7 +86,8 @@ fn point(scene: &Scene, cycle: u64) -> Vector3<f64> {
     Vector3::from(scene.curve.position_m(cycle as f64 * scene.period_s))
 }
 
-fn window(scene: &Scene, cycle: u64, steps: u32) -> Vec<ReferenceSample> {
+/// The exact curve at the steps of the horizon.
+pub fn window(scene: &Scene, cycle: u64, steps: u32) -> Vec<ReferenceSample> {
     let sample = |step| ReferenceSample {
         state: ReferenceState::Inside,
         position_m: point(scene, cycle + step),

@@ -3,6 +3,7 @@
 //! | module | measures |
 //! |---|---|
 //! | [`closed_loop`] | one robot tracking one curve: error and solve time of every cycle |
+//! | [`solver`] | solve times on every path, and how they grow |
 //! | [`paper`] | the paper's simulation 1 for every solver, beside the paper's figures |
 //!
 //! A time here says how long a solve takes on this machine, back to back, nothing else; what a daemon
@@ -10,3 +11,4 @@
 
 pub mod closed_loop;
 pub mod paper;
+pub mod solver;

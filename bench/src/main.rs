@@ -1,9 +1,11 @@
 //! The command line of the benchmarks.
 
 use anyhow::Result;
-use cdcr_bench::paper::{self, Simulation};
+use cdcr_bench::paper::{self, Flat, Simulation};
+use cdcr_bench::solver::{self, Case};
 use clap::{Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
+use serde::Serialize;
 
 /// What the controller reaches, measured.
 #[derive(Debug, Parser)]
@@ -25,6 +27,21 @@ enum Command {
         #[arg(long, value_enum, default_value_t = Format::Text)]
         format: Format,
     },
+    /// Solve times on every path of this processor, and how they grow with sections, steps, particles
+    /// and iterations.
+    #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
+    Solver {
+        /// How to print the result.
+        #[arg(long, value_enum, default_value_t = Format::Text)]
+        format: Format,
+    },
+}
+
+/// A bar for `length` pieces of work, on a terminal only.
+fn progress(length: u64, unit: &str) -> Result<ProgressBar> {
+    let style =
+        ProgressStyle::with_template(&format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left"))?;
+    Ok(ProgressBar::new(length).with_style(style))
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -33,24 +50,83 @@ enum Format {
     Text,
     /// One JSON object.
     Json,
+    /// Comma-separated values with a header.
+    Csv,
 }
 
 fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Paper { seeds, format } => paper_command(seeds, format),
+        Command::Solver { format } => solver_command(format),
     }
 }
 
 fn paper_command(seeds: u64, format: Format) -> Result<()> {
-    let style = ProgressStyle::with_template("{bar:30} {pos}/{len} runs, {eta} left")?;
-    let bar = ProgressBar::new(paper::spiral_runs(seeds)).with_style(style);
+    let bar = progress(paper::spiral_runs(seeds), "runs")?;
     let rows = paper::spiral(seeds, || bar.inc(1))?;
     bar.finish_and_clear();
     match format {
         Format::Text => print_table(&rows),
         Format::Json => println!("{}", serde_json::json!({ "simulations": rows })),
+        Format::Csv => print_csv(&rows.iter().map(Flat::from).collect::<Vec<_>>())?,
     }
     Ok(())
+}
+
+fn solver_command(format: Format) -> Result<()> {
+    let sizes = solver::sizes();
+    let bar = progress(sizes.len() as u64, "sizes")?;
+    let mut cases = Vec::new();
+    for size in &sizes {
+        cases.extend(solver::measure(size)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    match format {
+        Format::Text => print_cases(&cases),
+        Format::Json => println!("{}", serde_json::json!({ "cases": cases })),
+        Format::Csv => print_csv(&cases)?,
+    }
+    Ok(())
+}
+
+/// One line for each row, with the names of its fields above.
+fn print_csv<T: Serialize>(rows: &[T]) -> Result<()> {
+    let mut writer = csv::Writer::from_writer(std::io::stdout());
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+fn print_cases(cases: &[Case]) {
+    println!(
+        "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10} {:>10} {:>10}",
+        "solver",
+        "path",
+        "sections",
+        "horizon",
+        "swarm",
+        "iterations",
+        "p50 µs",
+        "p99 µs",
+        "speed-up"
+    );
+    for case in cases {
+        println!(
+            "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10.2} {:>10.2} {:>9.1}x",
+            case.solver,
+            format!("{:?}", case.path).to_lowercase(),
+            case.sections,
+            case.horizon,
+            case.swarm,
+            case.iterations,
+            case.p50_us,
+            case.p99_us,
+            case.speedup_vs_scalar
+        );
+    }
 }
 
 fn print_table(rows: &[Simulation]) {

@@ -13,7 +13,7 @@ pub const PAPER: [(f64, f64); 3] = [(5e-9, 4.0), (7e-4, 5.0), (5e-3, 23.0)];
 /// Samples of the paper's spiral.
 const SAMPLES: u64 = 994;
 /// The paper's time step \[s\].
-const PERIOD_S: f64 = 0.005;
+pub const PERIOD_S: f64 = 0.005;
 /// The solvers that are compared.
 const SOLVERS: [(SolverKind, &str); 3] = [
     (SolverKind::Kpso, "kpso"),
@@ -72,6 +72,51 @@ pub struct Simulation {
     pub paper: PaperFigures,
 }
 
+/// A row without nesting, for CSV.
+#[derive(Debug, Clone, Serialize)]
+#[expect(missing_docs, reason = "as in Simulation, SolveTimes and PaperFigures")]
+pub struct Flat {
+    pub name: &'static str,
+    pub sections: usize,
+    pub solver: &'static str,
+    pub horizon: u32,
+    pub swarm: u32,
+    pub iterations: u32,
+    pub samples: u64,
+    pub seeds: u64,
+    pub mean_error_mm: f64,
+    pub max_error_mm: f64,
+    pub solve_mean_us: f64,
+    pub solve_p50_us: f64,
+    pub solve_p99_us: f64,
+    pub solve_max_us: f64,
+    pub paper_mean_error_mm: f64,
+    pub paper_mean_solve_ms: f64,
+}
+
+impl From<&Simulation> for Flat {
+    fn from(row: &Simulation) -> Self {
+        Self {
+            name: row.name,
+            sections: row.sections,
+            solver: row.solver,
+            horizon: row.horizon,
+            swarm: row.swarm,
+            iterations: row.iterations,
+            samples: row.samples,
+            seeds: row.seeds,
+            mean_error_mm: row.mean_error_mm,
+            max_error_mm: row.max_error_mm,
+            solve_mean_us: row.solve_us.mean,
+            solve_p50_us: row.solve_us.p50,
+            solve_p99_us: row.solve_us.p99,
+            solve_max_us: row.solve_us.max,
+            paper_mean_error_mm: row.paper.mean_error_mm,
+            paper_mean_solve_ms: row.paper.mean_solve_ms,
+        }
+    }
+}
+
 /// Runs the spiral for 1, 2 and 3 sections with every solver, `seeds` times each; `progress` is called
 /// after each run.
 ///
@@ -80,18 +125,7 @@ pub struct Simulation {
 pub fn spiral(seeds: u64, mut progress: impl FnMut()) -> Result<Vec<Simulation>> {
     let mut rows = Vec::new();
     for sections in 1..=PAPER.len() {
-        let parameters = RobotParameters::paper(sections);
-        let robot = Robot::new(&parameters)?;
-        let lengths: Vec<f64> = parameters
-            .sections
-            .iter()
-            .map(|section| section.length_m)
-            .collect();
-        // The horizon of the last cycle looks beyond the last sample.
-        let curve = Spiral {
-            duration_s: 2.0 * Spiral::DURATION_S,
-            ..Spiral::for_sections(&lengths)
-        };
+        let (robot, curve) = spiral_of(sections)?;
         let scene = Scene {
             robot: &robot,
             start: start(sections, curve.start_bend_rad()),
@@ -116,13 +150,32 @@ pub fn spiral(seeds: u64, mut progress: impl FnMut()) -> Result<Vec<Simulation>>
     Ok(rows)
 }
 
+/// The paper's robot with this many sections, and its spiral, long enough for the horizon of the last
+/// cycle.
+///
+/// # Errors
+/// When there is no such robot.
+pub fn spiral_of(sections: usize) -> Result<(Robot, Spiral)> {
+    let parameters = RobotParameters::paper(sections);
+    let lengths: Vec<f64> = parameters
+        .sections
+        .iter()
+        .map(|section| section.length_m)
+        .collect();
+    let curve = Spiral {
+        duration_s: 2.0 * Spiral::DURATION_S,
+        ..Spiral::for_sections(&lengths)
+    };
+    Ok((Robot::new(&parameters)?, curve))
+}
+
 /// Runs that [`spiral`] makes.
 pub fn spiral_runs(seeds: u64) -> u64 {
     seeds * (PAPER.len() * SOLVERS.len()) as u64
 }
 
 /// The spiral's first point: all sections straight but the last.
-fn start(sections: usize, last: [f64; 2]) -> Configuration {
+pub fn start(sections: usize, last: [f64; 2]) -> Configuration {
     let mut start = Configuration::straight(sections);
     start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&last);
     start

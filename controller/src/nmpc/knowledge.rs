@@ -56,7 +56,8 @@ impl Knowledge {
         incumbent: &mut Incumbent,
     ) {
         self.scratch.resize(problem.dimension(), 0.0);
-        if gauss_newton.propose(problem, bounds, damping, incumbent.z(), &mut self.scratch) {
+        let (z, into) = (incumbent.z(), &mut self.scratch);
+        if gauss_newton.propose(problem, bounds, damping, budget, z, into) {
             self.judge(problem, Candidate::LeastSquares, budget, incumbent);
         }
     }
@@ -73,7 +74,7 @@ impl Knowledge {
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) {
-        if budget.left() {
+        if budget.spend(problem.evaluation_ns()) {
             let scratch = &self.scratch;
             incumbent.offer(|i| scratch[i], problem.cost_at(scratch), origin);
             self.candidates.extend_from_slice(&self.scratch);

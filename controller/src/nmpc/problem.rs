@@ -1,7 +1,7 @@
 use nalgebra::Vector3;
 
-use super::{Horizon, NmpcSettings, SolveInput};
-use crate::optimizer::{LinearModel, Problem};
+use super::{CONTROL_BLOCKS_MAX, Horizon, NmpcSettings, SolveInput};
+use crate::optimizer::{Budget, LinearModel, Problem};
 use crate::reference::{ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 use crate::wide::Wide;
@@ -17,8 +17,8 @@ pub(super) struct TrackingProblem<'a> {
     reference: &'a [ReferenceSample],
 }
 
-/// Section evaluations between two looks at the budget: about 2 µs.
-const SECTIONS_PER_QUANTUM: usize = 100;
+/// Nominal time of one section at W points side by side \[ns\].
+const SECTION_NS: u32 = 15;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -200,25 +200,42 @@ impl Problem for TrackingProblem<'_> {
         cost
     }
 
-    fn linearise(&self, z: &[f64], model: &mut LinearModel) {
+    fn linearise<F: FnMut() -> bool>(
+        &self,
+        z: &[f64],
+        model: &mut LinearModel,
+        budget: &mut Budget<F>,
+    ) -> bool {
         let mut state = self.start();
         let bend_rad = &mut state[..self.width()];
         let mut jacobian = Jacobian::default();
-        let mut block_periods = [0.0; super::CONTROL_BLOCKS_MAX];
+        let mut block_periods = [0.0; CONTROL_BLOCKS_MAX];
         for step in 0..self.horizon.steps() {
             self.advance(bend_rad, z, step);
             block_periods[self.horizon.block_of(step)] += 1.0;
-            if let Some(target) = self.target(step) {
-                let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
-                let periods = &block_periods[..=self.horizon.block_of(step)];
-                self.push_position_rows(step, tip.position_m - target, &jacobian, periods, model);
+            let Some(target) = self.target(step) else {
+                continue;
+            };
+            if !budget.spend(self.linearise_step_ns()) {
+                return false;
             }
+            let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
+            let periods = &block_periods[..=self.horizon.block_of(step)];
+            self.push_position_rows(step, tip.position_m - target, &jacobian, periods, model);
         }
         self.push_regularisation_rows(z, model);
+        true
     }
 
-    fn evaluations_per_quantum(&self) -> usize {
+    fn evaluation_ns(&self) -> u32 {
         let sections = self.horizon.steps() * self.robot.section_count();
-        (SECTIONS_PER_QUANTUM / sections).max(1)
+        SECTION_NS * sections as u32
+    }
+}
+
+impl TrackingProblem<'_> {
+    /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and three rows.
+    fn linearise_step_ns(&self) -> u32 {
+        3 * SECTION_NS * self.robot.section_count() as u32 + self.dimension() as u32
     }
 }

@@ -1,18 +1,29 @@
 //! Cholesky factorisation in place, in memory of the caller.
 
+use super::Budget;
+
 /// Solves A x = b for symmetric positive definite A (`order`², row-major, only the lower triangle is
 /// read and it is overwritten by the factor); `b` becomes x. Answers false, leaving `b` undefined,
-/// when A is not positive definite to working precision.
-pub(super) fn solve_in_place(a: &mut [f64], order: usize, b: &mut [f64]) -> bool {
-    factorise(a, order) && {
+/// when A is not positive definite to working precision, or the budget was spent on the way.
+pub(super) fn solve_in_place<F: FnMut() -> bool>(
+    a: &mut [f64],
+    order: usize,
+    b: &mut [f64],
+    budget: &mut Budget<F>,
+) -> bool {
+    factorise(a, order, budget) && {
         substitute(a, order, b);
         true
     }
 }
 
-fn factorise(a: &mut [f64], order: usize) -> bool {
+fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budget<F>) -> bool {
     for column in 0..order {
         for row in column..order {
+            // A product and a sum in half a nanosecond.
+            if !budget.spend(column as u32 / 2) {
+                return false;
+            }
             let mut sum = a[row * order + column];
             for k in 0..column {
                 sum -= a[row * order + k] * a[column * order + k];
@@ -55,7 +66,7 @@ mod tests {
         // A = [[4,2,0],[2,5,1],[0,1,3]], x = (1,-2,3)
         let mut a = [4.0, 0.0, 0.0, 2.0, 5.0, 0.0, 0.0, 1.0, 3.0];
         let mut b = [0.0, -5.0, 7.0];
-        assert!(solve_in_place(&mut a, 3, &mut b));
+        assert!(solve_in_place(&mut a, 3, &mut b, &mut Budget::unlimited()));
         for (is, should) in b.iter().zip([1.0, -2.0, 3.0]) {
             assert!((is - should).abs() < 1e-14, "{b:?}");
         }
@@ -64,7 +75,17 @@ mod tests {
     #[test]
     fn refuses_what_is_not_positive_definite() {
         let mut a = [1.0, 0.0, 2.0, 1.0];
-        assert!(!solve_in_place(&mut a, 2, &mut [1.0, 1.0]));
-        assert!(!solve_in_place(&mut [f64::NAN], 1, &mut [1.0]));
+        assert!(!solve_in_place(
+            &mut a,
+            2,
+            &mut [1.0, 1.0],
+            &mut Budget::unlimited()
+        ));
+        assert!(!solve_in_place(
+            &mut [f64::NAN],
+            1,
+            &mut [1.0],
+            &mut Budget::unlimited()
+        ));
     }
 }

@@ -132,10 +132,12 @@ impl GaussNewton {
                 break;
             }
             if !model_is_current {
-                self.linearise(problem, bounds, incumbent.z());
+                if !self.linearise(problem, bounds, incumbent.z(), budget) {
+                    break;
+                }
                 outcome.gradient_norm = self.gradient_norm(problem.dimension());
             }
-            let solved = self.find_step(bounds, incumbent.z(), damping);
+            let solved = self.find_step(bounds, incumbent.z(), damping, budget);
             if solved && self.step_size(problem.dimension()) <= settings.step_tolerance {
                 outcome.converged = true;
                 break;
@@ -153,17 +155,18 @@ impl GaussNewton {
     }
 
     /// One damped step from `z`, not judged: the least-squares particle of the swarm's knowledge.
-    /// False, and `into` untouched, when the linear system is singular.
-    pub fn propose<P: Problem>(
+    /// False, and `into` untouched, when the linear system is singular or the budget was spent.
+    pub fn propose<P: Problem, F: FnMut() -> bool>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
         damping: f64,
+        budget: &mut Budget<F>,
         z: &[f64],
         into: &mut [f64],
     ) -> bool {
-        self.linearise(problem, bounds, z);
-        let solved = self.find_step(bounds, z, damping);
+        let solved = self.linearise(problem, bounds, z, budget)
+            && self.find_step(bounds, z, damping, budget);
         if solved {
             for ((target, start), step) in into.iter_mut().zip(z).zip(&self.step) {
                 *target = start + step;
@@ -172,17 +175,26 @@ impl GaussNewton {
         solved
     }
 
-    /// Linearises at `z` and marks what the gradient presses on a bound.
-    fn linearise<P: Problem>(&mut self, problem: &P, bounds: &Bounds, z: &[f64]) {
+    /// Linearises at `z` and marks what the gradient presses on a bound. False: the budget was spent.
+    fn linearise<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        problem: &P,
+        bounds: &Bounds,
+        z: &[f64],
+        budget: &mut Budget<F>,
+    ) -> bool {
         let dimension = z.len();
         self.model.clear(dimension);
-        problem.linearise(z, &mut self.model);
+        if !problem.linearise(z, &mut self.model, budget) {
+            return false;
+        }
         self.model.gradient(&mut self.gradient[..dimension]);
         for i in 0..dimension {
             let at_lower = z[i] <= bounds.lower()[i] && self.gradient[i] > 0.0;
             let at_upper = z[i] >= bounds.upper()[i] && self.gradient[i] < 0.0;
             self.pressed[i] = at_lower || at_upper;
         }
+        true
     }
 
     /// Norm of the gradient 2 Jᵀr without what presses on bounds.
@@ -200,15 +212,21 @@ impl GaussNewton {
     }
 
     /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
-    /// others solved again. False: the matrix was singular.
-    fn find_step(&mut self, bounds: &Bounds, z: &[f64], damping: f64) -> bool {
+    /// others solved again. False: the matrix was singular, or the budget was spent.
+    fn find_step<F: FnMut() -> bool>(
+        &mut self,
+        bounds: &Bounds,
+        z: &[f64],
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
         self.free.clear();
         let pressed = &self.pressed;
         self.free.extend((0..dimension).filter(|&i| !pressed[i]));
         for _ in 0..ACTIVE_SET_ROUNDS {
-            if !self.solve_free(dimension, damping) {
+            if !self.solve_free(dimension, damping, budget) {
                 return false;
             }
             if !self.fix_leavers(bounds, z) {
@@ -239,7 +257,12 @@ impl GaussNewton {
     }
 
     /// Solves for the free unknowns with the fixed ones at their present step.
-    fn solve_free(&mut self, dimension: usize, damping: f64) -> bool {
+    fn solve_free<F: FnMut() -> bool>(
+        &mut self,
+        dimension: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
         if self.free.is_empty() {
             return true;
         }
@@ -253,16 +276,24 @@ impl GaussNewton {
                 self.model.residuals[row] + moved.map(|(j, s)| j * s).sum::<f64>();
         }
         if rows <= self.free.len() {
-            self.solve_in_residual_space(rows, damping)
+            self.solve_in_residual_space(rows, damping, budget)
         } else {
-            self.solve_in_unknown_space(rows, damping)
+            self.solve_in_unknown_space(rows, damping, budget)
         }
     }
 
     /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
-    fn solve_in_residual_space(&mut self, rows: usize, damping: f64) -> bool {
+    fn solve_in_residual_space<F: FnMut() -> bool>(
+        &mut self,
+        rows: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
         for a in 0..rows {
             for b in 0..=a {
+                if !budget.spend(self.free.len() as u32) {
+                    return false;
+                }
                 let (row_a, row_b) = (self.model.row(a), self.model.row(b));
                 let product: f64 = self.free.iter().map(|&i| row_a[i] * row_b[i]).sum();
                 self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
@@ -273,6 +304,7 @@ impl GaussNewton {
             &mut self.matrix[..rows * rows],
             rows,
             &mut self.right_side[..rows],
+            budget,
         );
         if solved {
             for row in 0..rows {
@@ -286,13 +318,21 @@ impl GaussNewton {
     }
 
     /// (JᵀJ + λI) Δ = -Jᵀ r.
-    fn solve_in_unknown_space(&mut self, rows: usize, damping: f64) -> bool {
+    fn solve_in_unknown_space<F: FnMut() -> bool>(
+        &mut self,
+        rows: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
         let order = self.free.len();
         self.matrix[..order * order].fill(0.0);
         self.right_side[..order].fill(0.0);
         for row in 0..rows {
             let derivatives = self.model.row(row);
             for (a, &i) in self.free.iter().enumerate() {
+                if !budget.spend(a as u32) {
+                    return false;
+                }
                 self.right_side[a] -= derivatives[i] * self.residuals[row];
                 for (b, &k) in self.free[..=a].iter().enumerate() {
                     self.matrix[a * order + b] += derivatives[i] * derivatives[k];
@@ -306,6 +346,7 @@ impl GaussNewton {
             &mut self.matrix[..order * order],
             order,
             &mut self.right_side[..order],
+            budget,
         );
         if solved {
             for (a, &i) in self.free.iter().enumerate() {
@@ -358,7 +399,12 @@ mod tests {
             let second = (z(1) - z(0)) * 10.0;
             first * first + second * second
         }
-        fn linearise(&self, z: &[f64], model: &mut LinearModel) {
+        fn linearise<F: FnMut() -> bool>(
+            &self,
+            z: &[f64],
+            model: &mut LinearModel,
+            budget: &mut Budget<F>,
+        ) -> bool {
             model
                 .push(z[0] * z[0] + z[1] - 1.0)
                 .iter_mut()
@@ -369,9 +415,10 @@ mod tests {
                 .iter_mut()
                 .zip([-10.0, 10.0])
                 .for_each(|(j, value)| *j = value);
+            budget.spend(10)
         }
-        fn evaluations_per_quantum(&self) -> usize {
-            1
+        fn evaluation_ns(&self) -> u32 {
+            100
         }
     }
 

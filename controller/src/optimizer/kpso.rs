@@ -135,20 +135,25 @@ impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_
             incumbent,
         } = self;
         let settings = &task.settings;
-        swarm.gather(task, knowledge);
-        swarm.scatter(swarm.known, task.bounds, incumbent);
+        let mut left = budget.left()
+            && swarm.gather(task, knowledge, budget)
+            && swarm.scatter(swarm.known, task.bounds, budget, incumbent);
         let (mut iterations, mut stagnant) = (0, 0);
-        while iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance {
-            let Some(improved) = swarm.judge(task.problem, budget, incumbent) else {
-                break;
-            };
+        while left && iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance
+        {
+            let before = incumbent.cost();
+            left = swarm.judge(task.problem, budget, incumbent);
             iterations += 1;
-            stagnant = if improved { 0 } else { stagnant + 1 };
+            stagnant = if incumbent.cost() < before {
+                0
+            } else {
+                stagnant + 1
+            };
             if settings.regenerate_after > 0 && stagnant >= settings.regenerate_after {
-                swarm.scatter(1, task.bounds, incumbent);
+                left = left && swarm.scatter(1, task.bounds, budget, incumbent);
                 stagnant = 0;
             } else {
-                swarm.fly(settings, task.bounds, incumbent);
+                left = left && swarm.fly(settings, task.bounds, budget, incumbent);
             }
         }
         iterations
@@ -173,6 +178,8 @@ struct Swarm<const W: usize> {
 /// evenly in the logarithm: the solution of the last cycle is as near as the reference is smooth,
 /// which nobody knows beforehand.
 const SCATTER_NEAREST: f64 = 1e-6;
+/// Nominal time of seeding the generator of one particle \[ns\].
+const SEEDING_NS: u32 = 15;
 /// A particle may cross at most this part of the box in one iteration.
 const VELOCITY_LIMIT: f64 = 0.5;
 
@@ -196,13 +203,22 @@ impl<const W: usize> Swarm<W> {
         self.count.div_ceil(W)
     }
 
-    /// Sizes the swarm for the task, and puts the candidates in the first places.
+    /// Sizes the swarm for the task, and puts the candidates in the first places. False: the budget was
+    /// spent.
     #[inline(always)]
-    fn gather<P: Problem>(&mut self, task: &Task<P>, knowledge: &[f64]) {
+    fn gather<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        task: &Task<P>,
+        knowledge: &[f64],
+        budget: &mut Budget<F>,
+    ) -> bool {
         self.dimension = task.problem.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
         self.known = (knowledge.len() / self.dimension).min(self.count);
         for block in 0..self.blocks() {
+            if !budget.spend(SEEDING_NS * W as u32) {
+                return false;
+            }
             self.random[block] = RandomLanes::seed(task.seed, block * W);
             self.best_costs[block] = Wide::splat(f64::INFINITY);
         }
@@ -217,104 +233,154 @@ impl<const W: usize> Swarm<W> {
                 self.velocities[at].0[particle % W] = 0.0;
             }
         }
+        true
     }
 
-    /// Draws the particles from `first` on around the incumbent, at log-spaced distances.
+    /// Draws the particles from `first` on around the incumbent, at log-spaced distances. False: the
+    /// budget was spent.
     #[inline(always)]
-    fn scatter(&mut self, first: usize, bounds: &Bounds, incumbent: &Incumbent) {
+    fn scatter<F: FnMut() -> bool>(
+        &mut self,
+        first: usize,
+        bounds: &Bounds,
+        budget: &mut Budget<F>,
+        incumbent: &Incumbent,
+    ) -> bool {
         let drawn = self.count.saturating_sub(first).max(2);
         let nearer = SCATTER_NEAREST.powf(1.0 / (drawn - 1) as f64);
         let mut next_reach = 1.0;
         for block in 0..self.blocks() {
-            let chosen = std::array::from_fn(|lane| block * W + lane >= first);
+            if !budget.spend(self.block_ns()) {
+                return false;
+            }
+            let mut chosen = [true; W];
+            for (lane, chosen) in chosen.iter_mut().enumerate() {
+                *chosen = block * W + lane >= first;
+            }
             let reach = Wide::from_fn(|lane| {
                 let reach = next_reach;
-                if block * W + lane >= first {
+                if chosen[lane] {
                     next_reach *= nearer;
                 }
                 reach
             });
+            let mut random = self.random[block];
             for i in 0..self.dimension {
                 let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
                 let half_width = reach * (0.5 * (high - low));
-                let random = &mut self.random[block];
                 let position = Wide::splat(incumbent.z()[i]) + half_width * random.symmetric();
                 let velocity = half_width * random.symmetric();
                 let at = block * self.dimension + i;
                 self.positions[at] = position.clamp(low, high).select(self.positions[at], chosen);
                 self.velocities[at] = velocity.select(self.velocities[at], chosen);
             }
+            self.random[block] = random;
             let forgotten = Wide::splat(f64::INFINITY);
             self.best_costs[block] = forgotten.select(self.best_costs[block], chosen);
         }
+        true
     }
 
-    /// Evaluates every particle. `None`: the budget ended it. Otherwise whether the best improved.
+    /// Evaluates every particle. False: the budget was spent.
     #[inline(always)]
     fn judge<P: Problem, F: FnMut() -> bool>(
         &mut self,
         problem: &P,
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
-    ) -> Option<bool> {
-        let quantum = problem.evaluations_per_quantum();
-        let mut improved = false;
+    ) -> bool {
+        let evaluation_ns = problem.evaluation_ns();
         for block in 0..self.blocks() {
-            if block % quantum == 0 && !budget.left() {
-                return None;
+            if !budget.spend(evaluation_ns) {
+                return false;
             }
             let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
             let cost = problem.cost(|i| position[i]);
             let better = cost.less(self.best_costs[block]);
             self.best_costs[block] = cost.select(self.best_costs[block], better);
-            for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
-                *best = now.select(*best, better);
+            if better.contains(&true) {
+                for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
+                    *best = now.select(*best, better);
+                }
             }
             let particles = W.min(self.count - block * W);
             for lane in 0..particles {
                 let z = |i: usize| position[i].0[lane];
-                improved |= incumbent.offer(z, cost.0[lane], Candidate::Swarm);
+                incumbent.offer(z, cost.0[lane], Candidate::Swarm);
             }
         }
-        Some(improved)
+        true
     }
 
-    /// Eq. 6 and 7 for every particle.
+    /// Eq. 6 and 7 for every particle. False: the budget was spent.
     #[inline(always)]
-    fn fly(&mut self, settings: &KpsoSettings, bounds: &Bounds, incumbent: &Incumbent) {
-        let (constriction, inertia) = settings.factors();
+    fn fly<F: FnMut() -> bool>(
+        &mut self,
+        settings: &KpsoSettings,
+        bounds: &Bounds,
+        budget: &mut Budget<F>,
+        incumbent: &Incumbent,
+    ) -> bool {
+        let factors = settings.factors();
         for block in 0..self.blocks() {
-            let random = &mut self.random[block];
-            for i in 0..self.dimension {
-                let at = block * self.dimension + i;
-                let (low, high) = (bounds.lower()[i], bounds.upper()[i]);
-                let limit = VELOCITY_LIMIT * (high - low);
-                let x = self.positions[at];
-                let to_own_best = self.best_positions[at] - x;
-                let to_global_best = Wide::splat(incumbent.z()[i]) - x;
-                let pull = random.unit() * settings.cognitive * to_own_best
-                    + random.unit() * settings.social * to_global_best;
-                let wish = (self.velocities[at] * inertia + pull) * constriction;
-                let target = (x + wish.clamp(-limit, limit)).clamp(low, high);
-                self.positions[at] = target;
-                // A particle that meets the border loses what it would have gone beyond.
-                self.velocities[at] = target - x;
+            if !budget.spend(self.block_ns()) {
+                return false;
             }
+            let range = block * self.dimension..(block + 1) * self.dimension;
+            let mut random = self.random[block];
+            let moving = self.positions[range.clone()]
+                .iter_mut()
+                .zip(&mut self.velocities[range.clone()])
+                .zip(&self.best_positions[range])
+                .zip(incumbent.z());
+            let walls = bounds.lower().iter().zip(bounds.upper());
+            for ((((position, velocity), own_best), &global_best), (&low, &high)) in
+                moving.zip(walls)
+            {
+                let limit = VELOCITY_LIMIT * (high - low);
+                let x = *position;
+                let pull = random.unit() * settings.cognitive * (*own_best - x)
+                    + random.unit() * settings.social * (Wide::splat(global_best) - x);
+                let wish = (*velocity * factors.inertia + pull) * factors.constriction;
+                let target = (x + wish.clamp(-limit, limit)).clamp(low, high);
+                *position = target;
+                // A particle that meets the border loses what it would have gone beyond.
+                *velocity = target - x;
+            }
+            self.random[block] = random;
         }
+        true
+    }
+
+    /// Nominal time of moving one block \[ns\].
+    fn block_ns(&self) -> u32 {
+        10 * self.dimension as u32
     }
 }
 
+/// The constants of a velocity rule.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Factors {
+    /// χ, on the whole velocity.
+    constriction: f64,
+    /// w, on the last velocity.
+    inertia: f64,
+}
+
 impl KpsoSettings {
-    /// Constriction χ and inertia w of the velocity rule.
-    fn factors(&self) -> (f64, f64) {
-        match self.rule {
+    fn factors(&self) -> Factors {
+        let (constriction, inertia) = match self.rule {
             VelocityRule::Inertia => (1.0, self.inertia),
             VelocityRule::Verbatim => (1.0, 1.0),
             VelocityRule::Constriction => {
                 let c = (self.cognitive + self.social).max(4.0 + 1e-9);
                 (2.0 / (c - 2.0 + (c * c - 4.0 * c).sqrt()), 1.0)
             }
+        };
+        Factors {
+            constriction,
+            inertia,
         }
     }
 }
@@ -353,9 +419,16 @@ mod tests {
             };
             part(0) + part(1)
         }
-        fn linearise(&self, _: &[f64], _: &mut LinearModel) {}
-        fn evaluations_per_quantum(&self) -> usize {
-            4
+        fn linearise<F: FnMut() -> bool>(
+            &self,
+            _: &[f64],
+            _: &mut LinearModel,
+            _: &mut Budget<F>,
+        ) -> bool {
+            true
+        }
+        fn evaluation_ns(&self) -> u32 {
+            500
         }
     }
 
@@ -448,12 +521,12 @@ mod tests {
 
     #[test]
     fn constriction_is_clerc_and_kennedys() {
-        let (chi, _) = KpsoSettings {
+        let rule = KpsoSettings {
             cognitive: 2.05,
             social: 2.05,
             ..settings(VelocityRule::Constriction)
-        }
-        .factors();
+        };
+        let chi = rule.factors().constriction;
         assert!((chi - 0.7298).abs() < 1e-4, "{chi}");
     }
 

@@ -17,7 +17,7 @@ mod path;
 mod random;
 
 pub use bounds::Bounds;
-pub use budget::Budget;
+pub use budget::{Budget, QUANTUM_NS};
 pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, LinearModel};
 pub use incumbent::{Candidate, Incumbent};
 pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
@@ -45,10 +45,15 @@ pub trait Problem {
         self.cost(|i| Wide([z[i]])).0[0]
     }
 
-    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`.
-    fn linearise(&self, z: &[f64], model: &mut LinearModel);
+    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when
+    /// `budget` was spent on the way; the model is then not complete.
+    fn linearise<F: FnMut() -> bool>(
+        &self,
+        z: &[f64],
+        model: &mut LinearModel,
+        budget: &mut Budget<F>,
+    ) -> bool;
 
-    /// Evaluations of W points each that fit between two looks at the budget, ≥ 1. A problem with an expensive
-    /// cost answers 1, so that the overrun of a budget stays a few microseconds.
-    fn evaluations_per_quantum(&self) -> usize;
+    /// Nominal time of one evaluation of W points side by side \[ns\], for the budget.
+    fn evaluation_ns(&self) -> u32;
 }
