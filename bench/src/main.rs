@@ -1,5 +1,8 @@
 //! The command line of the benchmarks.
 
+use std::fmt::Write as _;
+use std::io::Write as _;
+
 use anyhow::Result;
 use cdcr_bench::paper::{self, Flat, Simulation};
 use cdcr_bench::solver::{self, Case};
@@ -66,11 +69,10 @@ fn paper_command(seeds: u64, format: Format) -> Result<()> {
     let rows = paper::spiral(seeds, || bar.inc(1))?;
     bar.finish_and_clear();
     match format {
-        Format::Text => print_table(&rows),
-        Format::Json => println!("{}", serde_json::json!({ "simulations": rows })),
-        Format::Csv => print_csv(&rows.iter().map(Flat::from).collect::<Vec<_>>())?,
+        Format::Text => show(&paper_table(&rows)),
+        Format::Json => show(&format!("{}\n", serde_json::json!({ "simulations": rows }))),
+        Format::Csv => show(&csv_of(&rows.iter().map(Flat::from).collect::<Vec<_>>())?),
     }
-    Ok(())
 }
 
 fn solver_command(format: Format) -> Result<()> {
@@ -83,26 +85,32 @@ fn solver_command(format: Format) -> Result<()> {
     }
     bar.finish_and_clear();
     match format {
-        Format::Text => print_cases(&cases),
-        Format::Json => println!("{}", serde_json::json!({ "cases": cases })),
-        Format::Csv => print_csv(&cases)?,
+        Format::Text => show(&cases_table(&cases)),
+        Format::Json => show(&format!("{}\n", serde_json::json!({ "cases": cases }))),
+        Format::Csv => show(&csv_of(&cases)?),
     }
-    Ok(())
+}
+
+/// Writes to the standard output. A reader that closed it, like `head`, has seen enough.
+fn show(text: &str) -> Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
 }
 
 /// One line for each row, with the names of its fields above.
-fn print_csv<T: Serialize>(rows: &[T]) -> Result<()> {
-    let mut writer = csv::Writer::from_writer(std::io::stdout());
+fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
     for row in rows {
         writer.serialize(row)?;
     }
-    writer.flush()?;
-    Ok(())
+    Ok(String::from_utf8(writer.into_inner()?)?)
 }
 
-fn print_cases(cases: &[Case]) {
-    println!(
-        "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10} {:>10} {:>10}",
+fn cases_table(cases: &[Case]) -> String {
+    let mut text = format!(
+        "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10} {:>10} {:>10}\n",
         "solver",
         "path",
         "sections",
@@ -114,7 +122,8 @@ fn print_cases(cases: &[Case]) {
         "speed-up"
     );
     for case in cases {
-        println!(
+        let _ = writeln!(
+            text,
             "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10.2} {:>10.2} {:>9.1}x",
             case.solver,
             format!("{:?}", case.path).to_lowercase(),
@@ -127,11 +136,12 @@ fn print_cases(cases: &[Case]) {
             case.speedup_vs_scalar
         );
     }
+    text
 }
 
-fn print_table(rows: &[Simulation]) {
-    println!(
-        "{:<8} {:>8} {:<13} {:>14} {:>12} {:>12} {:>10} {:>10} {:>10} {:>12}",
+fn paper_table(rows: &[Simulation]) -> String {
+    let mut text = format!(
+        "{:<8} {:>8} {:<13} {:>14} {:>12} {:>12} {:>10} {:>10} {:>10} {:>12}\n",
         "curve",
         "sections",
         "solver",
@@ -144,7 +154,8 @@ fn print_table(rows: &[Simulation]) {
         "paper's ms"
     );
     for row in rows {
-        println!(
+        let _ = writeln!(
+            text,
             "{:<8} {:>8} {:<13} {:>14.2e} {:>12.2e} {:>12.0e} {:>10.2} {:>10.2} {:>10.2} {:>12}",
             row.name,
             row.sections,
@@ -158,4 +169,5 @@ fn print_table(rows: &[Simulation]) {
             row.paper.mean_solve_ms
         );
     }
+    text
 }

@@ -11,7 +11,7 @@ use cdcr_shared_types::{
 use crate::connect_error::Place;
 use crate::request::Control;
 use crate::sender::Sender;
-use crate::services::Services;
+use crate::services::{Services, check_root};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
     ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
@@ -26,8 +26,9 @@ const STATUS_FRESH: Duration = Duration::from_secs(1);
 /// An open connection to one daemon.
 ///
 /// It opens what the daemon created and creates nothing itself. Ports made from it (streams, feeds)
-/// stay usable on their own. A connection stays on the thread that opened it; a second thread opens a
-/// second connection.
+/// stay usable on their own, but drop them before the connection: when it goes as the last user of its
+/// location, it removes what iceoryx2 would leave. A connection stays on the thread that opened it; a
+/// second thread opens a second connection.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,
@@ -35,6 +36,19 @@ pub struct Connection {
     sender: Sender,
     control: Control,
     status: RefCell<StatusReader>,
+    /// The last field, because it must be dropped after everything that holds the node.
+    _departure: Departure,
+}
+
+/// Leaves the location as if nobody had been there, when its last user leaves. To be dropped after the
+/// node is gone.
+#[derive(Debug)]
+struct Departure(Location);
+
+impl Drop for Departure {
+    fn drop(&mut self) {
+        self.0.tidy();
+    }
 }
 
 impl Connection {
@@ -50,6 +64,9 @@ impl Connection {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
+        check_root(&place)?;
+        // Before the services, so that it is dropped after them when something below fails.
+        let departure = Departure(location.clone());
         let services = Services::open(location, &place)?;
         let memory = |cause: String| ConnectError::Memory {
             place: place.clone(),
@@ -67,6 +84,7 @@ impl Connection {
             services,
             sender,
             control,
+            _departure: departure,
         };
         match connection.status(STATUS_FRESH) {
             Ok(_) => Ok(connection),

@@ -10,7 +10,10 @@ use crate::{CommandStream, LinkError};
 
 /// The ports of a driver process: it sends what the robot measures and obeys what the daemon commands.
 ///
-/// A driver must hold the robot still when a command is older than its `valid_for_ns`.
+/// The daemon sends no command before it has a first measurement, because it does not know before how
+/// the robot is bent: a driver that waits for a command before it measures waits for ever. A driver must
+/// hold the robot still before the first command, and when the newest one is older than its
+/// `valid_for_ns`, counted from `header.sent_ns`.
 #[derive(Debug)]
 pub struct Driver {
     measurements: Outlet<Measurement>,

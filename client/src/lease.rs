@@ -1,30 +1,49 @@
+use std::cell::Cell;
 use std::time::Duration;
 
 use cdcr_shared_types::Response;
 use cdcr_shared_types::codes::RequestKind;
 
-use crate::{Connection, RequestError};
+use crate::{Connection, RequestError, monotonic_ns};
 
 /// How long the end of a lease waits for the daemon: enough for many cycles, short for a person.
 const RELEASE_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// The right to send references, held until it is released or dropped.
 ///
-/// The daemon takes it back 500 ms after the last renewal or accepted chunk; a robot that tracks then
-/// holds. One client at a time has it.
+/// The daemon takes it back some time after the last renewal or accepted chunk; a robot that tracks then
+/// holds. The daemon's configuration says how long that is, 20 ms to a minute; [`left`](Self::left) is
+/// what it told. One client at a time has it.
 #[derive(Debug)]
 pub struct Lease<'c> {
     connection: &'c Connection,
     held: bool,
+    /// When the last renewal was asked for, and how long the daemon said that it runs.
+    renewed_ns: Cell<u64>,
+    left: Cell<Duration>,
 }
 
 impl<'c> Lease<'c> {
     pub(crate) fn acquire(connection: &'c Connection) -> Result<Self, RequestError> {
-        connection.request(RequestKind::AcquireLease)?;
+        let asked_ns = monotonic_ns();
+        let response = connection.request(RequestKind::AcquireLease)?;
         Ok(Self {
             connection,
             held: true,
+            renewed_ns: Cell::new(asked_ns),
+            left: Cell::new(Duration::from_nanos(response.lease_left_ns)),
         })
+    }
+
+    /// How long it ran from its last renewal, as the daemon told then. Who renews it at a fifth of this
+    /// can lose four renewals.
+    pub fn left(&self) -> Duration {
+        self.left.get()
+    }
+
+    /// When it should be renewed \[ns, `CLOCK_MONOTONIC`\].
+    pub(crate) fn renewal_due_ns(&self) -> u64 {
+        renewal_due_ns(self.renewed_ns.get(), self.left())
     }
 
     /// Makes it run for its full time again.
@@ -32,7 +51,11 @@ impl<'c> Lease<'c> {
     /// # Errors
     /// When it was lost to another client, or the daemon does not answer.
     pub fn renew(&self) -> Result<Response, RequestError> {
-        self.connection.request(RequestKind::AcquireLease)
+        let asked_ns = monotonic_ns();
+        let response = self.connection.request(RequestKind::AcquireLease)?;
+        self.renewed_ns.set(asked_ns);
+        self.left.set(Duration::from_nanos(response.lease_left_ns));
+        Ok(response)
     }
 
     /// Gives it back; a robot that tracks then holds. Dropping does the same, silently.
@@ -53,5 +76,21 @@ impl Drop for Lease<'_> {
                 .connection
                 .request_within(RequestKind::ReleaseLease, RELEASE_TIMEOUT);
         }
+    }
+}
+
+/// Renewing at a fifth survives four renewals that came too late or not at all.
+fn renewal_due_ns(renewed_ns: u64, left: Duration) -> u64 {
+    renewed_ns + left.as_nanos() as u64 / 5
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_short_lease_is_renewed_often_and_a_long_one_seldom() {
+        assert_eq!(renewal_due_ns(7, Duration::from_millis(20)), 4_000_007);
+        assert_eq!(renewal_due_ns(7, Duration::from_millis(500)), 100_000_007);
     }
 }

@@ -58,6 +58,8 @@
 //!
 //! Invariant: nothing here computes control or creates a service.
 
+#![forbid(unsafe_code)]
+
 mod clock;
 mod connect_error;
 mod connection;

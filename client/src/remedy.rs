@@ -1,4 +1,4 @@
-use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
 /// What a person can do about a refused message or request: one sentence.
 pub fn remedy(outcome: Outcome) -> &'static str {
@@ -27,13 +27,32 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Stop the other client, or wait: cdcrctl status shows who holds the lease."
         }
         Outcome::NoReference => "Send a reference first: cdcrctl ref spiral --track.",
-        Outcome::WrongMode => "Leave stopped or faulted with: cdcrctl reset.",
+        Outcome::WrongMode => {
+            "See the mode in cdcrctl status: hold ends homing, reset leaves stopped and faulted."
+        }
         Outcome::CauseStands => {
             "Mend the cause first (cdcrctl status names it), then cdcrctl reset again."
         }
         Outcome::Busy => "Wait a moment and try again.",
         Outcome::Stale => "Use one connection for each sender, and count its messages up.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
+    }
+}
+
+/// As [`remedy`], for a request that a daemon in `mode` refused.
+pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
+    if outcome != Outcome::WrongMode {
+        return remedy(outcome);
+    }
+    match mode {
+        Mode::Starting => {
+            "The driver's first measurement is missing: see whether the driver runs and sends."
+        }
+        Mode::Stopped | Mode::Faulted => "Leave this mode with: cdcrctl reset.",
+        Mode::Holding | Mode::Tracking | Mode::Homing if kind == RequestKind::Reset => {
+            "Nothing to reset: the daemon is neither stopped nor faulted."
+        }
+        Mode::Holding | Mode::Tracking | Mode::Homing => "Hold first, with: cdcrctl hold.",
     }
 }
 

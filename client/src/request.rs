@@ -6,7 +6,7 @@ use cdcr_shared_types::{Request, Response, Service, SolverSettings};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, ipc};
 
-use crate::remedy::remedy;
+use crate::remedy::request_remedy;
 use crate::sender::Sender;
 use crate::services::ControlChannel;
 
@@ -17,14 +17,14 @@ const LOOK_AGAIN: Duration = Duration::from_millis(1);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
     /// The daemon refused it.
-    #[error("cannot {kind}: {outcome} (the daemon is {mode}). {}", remedy(*outcome))]
+    #[error("cannot {kind}: {outcome} (the daemon is {mode}). {}", request_remedy(*kind, *outcome, *mode))]
     Refused {
         /// What was asked for.
         kind: RequestKind,
         /// Why not.
         outcome: Outcome,
-        /// Mode of the daemon after the request, in words.
-        mode: &'static str,
+        /// Mode of the daemon after the request.
+        mode: Mode,
     },
     /// No answer came.
     #[error(
@@ -114,10 +114,13 @@ impl Control {
 fn judge(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
     match Outcome::try_from(response.outcome) {
         Ok(Outcome::Accepted) => Ok(response),
-        Ok(outcome) => Err(RequestError::Refused {
-            kind,
-            outcome,
-            mode: Mode::text_of(response.mode),
+        Ok(outcome) => Err(match Mode::try_from(response.mode) {
+            Ok(mode) => RequestError::Refused {
+                kind,
+                outcome,
+                mode,
+            },
+            Err(code) => RequestError::Answer { kind, code },
         }),
         Err(code) => Err(RequestError::Answer { kind, code }),
     }
@@ -144,6 +147,26 @@ mod tests {
         );
         assert!(text.contains("tracking"), "{text}");
         assert!(text.contains("cdcrctl status"), "{text}");
+    }
+
+    #[test]
+    fn the_remedy_for_a_wrong_mode_fits_the_mode() {
+        for (kind, mode, remedy) in [
+            (RequestKind::Track, Mode::Homing, "cdcrctl hold"),
+            (RequestKind::Home, Mode::Tracking, "cdcrctl hold"),
+            (RequestKind::Hold, Mode::Starting, "first measurement"),
+            (RequestKind::Track, Mode::Stopped, "cdcrctl reset"),
+            (RequestKind::Home, Mode::Faulted, "cdcrctl reset"),
+            (RequestKind::Reset, Mode::Tracking, "Nothing to reset"),
+        ] {
+            let response = Response {
+                outcome: Outcome::WrongMode.code(),
+                mode: mode.code(),
+                ..Response::default()
+            };
+            let error = judge(kind, response).expect_err("refused");
+            assert!(error.to_string().contains(remedy), "{error}");
+        }
     }
 
     #[test]

@@ -31,9 +31,8 @@ pub(crate) struct Services {
 }
 
 impl Services {
-    /// Opens what a daemon has created; creates nothing.
+    /// Opens what a daemon has created; creates nothing. [`check_root`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
-        check_root(place)?;
         let opener = Opener {
             node: location
                 .node_builder()?
@@ -98,7 +97,7 @@ impl Opener<'_> {
 
 /// Looks at the root path before iceoryx2 does. A node would create one that is missing, and would
 /// leave a file of ours in the way of a daemon that runs as another user.
-fn check_root(place: &Place) -> Result<(), ConnectError> {
+pub(crate) fn check_root(place: &Place) -> Result<(), ConnectError> {
     let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
         place: place.clone(),
         found: if cause.kind() == io::ErrorKind::PermissionDenied {

@@ -4,6 +4,8 @@ use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use cdcr_shared_types::Location;
+
 /// Runs `cdcrctl` where no daemon can be.
 fn cdcrctl(root: &Path, arguments: &[&str]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_cdcrctl"))
@@ -58,14 +60,12 @@ fn an_empty_root_is_no_daemon_either() {
         text.contains("there are no services of that name"),
         "{text}"
     );
-    let left = fs::read_dir("/dev/shm").expect("Linux");
-    for entry in left.flatten() {
-        let name = entry.file_name().to_string_lossy().into_owned();
-        if name.starts_with("cdcr_cli_test_") {
-            assert!(name.ends_with(".global_mgmt"), "{name} was left");
-            fs::remove_file(entry.path()).expect("ours");
-        }
-    }
+    let location = Location::new("cdcr_cli_test_", folder.path()).expect("legal");
+    let prefix = location.file_prefix();
+    let entries = fs::read_dir("/dev/shm").expect("Linux").flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    let left: Vec<String> = names.filter(|name| name.starts_with(&prefix)).collect();
+    assert!(left.is_empty(), "{left:?}");
 }
 
 #[test]
@@ -120,6 +120,7 @@ fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
     assert!(stderr(&output).contains("bad.csv:3: y_m is \"NaN\""));
     let output = cdcrctl(folder.path(), &["ref", "file", "/no/such.csv"]);
     assert!(stderr(&output).contains("cannot read /no/such.csv"));
+    assert!(stderr(&output).contains("t_s,x_m,y_m,z_m"));
 }
 
 #[test]
@@ -135,6 +136,25 @@ fn the_demo_says_when_its_daemon_is_not_built() {
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("cdcrd does not exist"), "{text}");
     assert!(text.contains("cargo build --release"), "{text}");
+}
+
+#[test]
+fn a_demo_in_too_deep_a_folder_says_that_tmpdir_is_the_cause() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let deep = folder.path().join("d".repeat(100));
+    fs::create_dir(&deep).expect("made");
+    let alone = folder.path().join("cdcrctl");
+    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    fs::write(folder.path().join("cdcrd"), "").expect("written");
+    let output = Command::new(&alone)
+        .arg("demo")
+        .env("TMPDIR", &deep)
+        .output()
+        .expect("cdcrctl runs");
+    let text = stderr(&output);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("set TMPDIR"), "{text}");
+    assert_eq!(fs::read_dir(&deep).expect("there").count(), 0);
 }
 
 #[test]

@@ -165,6 +165,49 @@ fn without_a_reference_the_plan_is_the_warm_start() {
 }
 
 #[test]
+fn the_largest_problems_look_at_their_budget_all_along() {
+    // Six sections, N = 50 in M = 20 blocks, weights on rates and changes: 240 unknowns, 630 rows. Whatever
+    // the solver is doing, a quantum is 1.5 nominal microseconds, so a whole solve asks thousands of times,
+    // and a budget of some quanta ends it with little more work than one of none.
+    let robot = paper(6);
+    let at = Configuration::from_slice(&[0.1; 12]).unwrap();
+    for solver in SOLVERS {
+        let settings = NmpcSettings {
+            solver,
+            horizon_steps: 50,
+            control_blocks: 20,
+            swarm_size: 64,
+            swarm_iterations: 3,
+            refinement_steps: 1,
+            rate_weight: 1e-6,
+            rate_change_weight: 1e-6,
+            ..NmpcSettings::default()
+        };
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        let input = SolveInput {
+            configuration: &at,
+            previous_rates: &BendRates::zero(6),
+            reference: &[inside(Vector3::new(0.3, 0.0, 1.5))],
+            elapsed_periods: 1,
+            seed: 1,
+        };
+        let (_, whole) = nmpc.solve(&input, &mut Budget::unlimited());
+        let least = if solver == SolverKind::Kpso {
+            100
+        } else {
+            1000
+        };
+        assert!(whole.quanta > least, "{solver:?}: {} quanta", whole.quanta);
+        for quanta in [0, 1, 10, whole.quanta / 2] {
+            nmpc.forget_plan();
+            let (_, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(quanta));
+            assert_eq!(report.quanta, quanta);
+            assert!(report.cost <= report.warm_cost);
+        }
+    }
+}
+
+#[test]
 fn settings_that_are_refused_change_nothing() {
     let mut nmpc = solver(&paper(2), SolverKind::KpsoRefined, 2);
     let before = *nmpc.settings();

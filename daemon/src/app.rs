@@ -1,7 +1,7 @@
 //! The composition root: the one place that knows every concrete type.
 //!
-//! Order at the start: build everything → lock memory → warm the solver, touch the stack → priority and
-//! core → first release. Order at the end: the robot comes to rest → threads end → ports close → files
+//! Order at the start: build everything → lock memory → warm the solver → priority, core, stack → first
+//! release. Order at the end: the robot comes to rest → threads end → ports close → files
 //! go.
 
 use std::sync::Arc;
@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, bail};
 use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::config::{LinkKind, RealtimeMode, Validated, ns};
 use crate::cycle::Cycle;
@@ -42,7 +42,7 @@ const STACK_BYTES: usize = 2 * 1024 * 1024;
 /// When it cannot start, or a thread ended by itself.
 pub fn run(validated: &Validated) -> Result<()> {
     let ending = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM] {
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
         signal_hook::flag::register(signal, Arc::clone(&ending)).context("signals")?;
     }
     run_until(validated, || ending.load(Ordering::Relaxed), |life| life())
@@ -98,10 +98,9 @@ fn run_with<L: RobotLink + Send + 'static>(
             return Err(error);
         }
     };
-    supervisor.set_realtime(
-        missing,
-        choose_core(&validated.config.realtime).unwrap_or(0),
-    );
+    let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
+    let core = choose_core(&validated.config.realtime).filter(|_| pinned);
+    supervisor.set_realtime(missing, core);
     let clock = MonotonicClock;
     let schedule = Schedule::new(
         clock.now_ns() + START_DELAY_NS,

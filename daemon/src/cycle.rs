@@ -13,10 +13,11 @@ use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{
-    Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, homing_rates, limit, ramp_to_zero,
+    LeaseState, Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, Request, homing_rates,
+    limit, ramp_to_zero,
 };
 
-use crate::config::{MotionConfig, Validated, ns};
+use crate::config::{Config, Validated, ns};
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
 use crate::rt::accounting::{Accounting, Limits, Totals, Verdict};
 use crate::rt::handoff::{CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE};
@@ -26,6 +27,36 @@ use crate::rt::schedule::Release;
 const BEND_TOLERANCE_RAD: f64 = 0.05;
 /// All bends below this count as straight \[rad\].
 const HOME_TOLERANCE_RAD: f64 = 1e-6;
+
+/// The fixed rules of a cycle, from the configuration.
+#[derive(Debug, Clone, Copy)]
+pub struct Policy {
+    /// How fast rates shrink when holding or stopping \[rad/s²\].
+    pub deceleration_rad_s2: f64,
+    /// Rate of the fastest component on the way home \[rad/s\].
+    pub home_rate_rad_s: f64,
+    /// Deadline after the release \[ns\].
+    pub deadline_ns: u64,
+    /// A start later than this is a late start \[ns\].
+    pub late_start_ns: u64,
+    /// A measurement older than this is lost \[ns\].
+    pub measurement_timeout_ns: u64,
+    /// Level at which the leaky bucket stops the robot.
+    pub miss_limit: u32,
+}
+
+impl Policy {
+    fn new(config: &Config) -> Self {
+        Self {
+            deceleration_rad_s2: config.motion.deceleration_rad_s2,
+            home_rate_rad_s: config.motion.home_rate_rad_s,
+            deadline_ns: config.cycle.deadline_ns(),
+            late_start_ns: ns(config.cycle.late_start_ms),
+            measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
+            miss_limit: config.cycle.miss_limit,
+        }
+    }
+}
 
 /// Everything of one cycle: what it used, what it did, when.
 #[derive(Debug, Clone, Copy)]
@@ -54,6 +85,12 @@ pub struct CycleRecord {
     pub gather: u64,
     /// Its time \[ns\].
     pub gather_ns: u64,
+    /// First cycle of the reference window.
+    pub window_first_cycle: u64,
+    /// The reference lease.
+    pub lease: LeaseState,
+    /// The fixed rules.
+    pub policy: Policy,
     /// The measurement used.
     pub measurement: Option<TimedMeasurement>,
     /// Estimated state at the release.
@@ -91,10 +128,9 @@ pub struct Cycle<L> {
     modes: ModeMachine,
     nmpc: Nmpc,
     accounting: Accounting,
-    motion: MotionConfig,
+    policy: Policy,
     period_ns: u64,
     budget_margin_ns: u64,
-    measurement_timeout_ns: u64,
     settings_revision: u64,
     last_measured_ns: u64,
     previous_release_ns: Option<u64>,
@@ -117,24 +153,20 @@ impl<L: RobotLink> Cycle<L> {
             ..
         } = validated;
         let period_ns = ns(config.cycle.period_ms);
-        let deadline_ns = match ns(config.cycle.deadline_ms) {
-            0 => period_ns,
-            deadline_ns => deadline_ns,
-        };
+        let policy = Policy::new(config);
         Ok(Self {
             link,
             estimator: Estimator::new(*initial),
             modes: ModeMachine::default(),
             nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, config.controller)?,
             accounting: Accounting::new(Limits {
-                deadline_ns,
-                late_start_ns: ns(config.cycle.late_start_ms),
-                miss_limit: config.cycle.miss_limit,
+                deadline_ns: policy.deadline_ns,
+                late_start_ns: policy.late_start_ns,
+                miss_limit: policy.miss_limit,
             }),
-            motion: config.motion.clone(),
+            policy,
             period_ns,
             budget_margin_ns: ns(config.cycle.budget_margin_ms),
-            measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
             settings_revision: 0,
             last_measured_ns: 0,
             previous_release_ns: None,
@@ -193,6 +225,10 @@ impl<L: RobotLink> Cycle<L> {
         let reference = inputs.window.at(release.cycle);
         let seen = self.observe(measurement, &reference, inputs, &release);
         self.modes.observe(&seen);
+        if inputs.stop {
+            // Never refused.
+            let _ = self.modes.request(Request::Stop, &seen);
+        }
         let answers = self.answer(next_request, &seen);
 
         let previous_rates = self.rates;
@@ -220,6 +256,9 @@ impl<L: RobotLink> Cycle<L> {
             faults: self.modes.faults(),
             gather: inputs.gather,
             gather_ns: inputs.gather_ns,
+            window_first_cycle: inputs.window.first_cycle(),
+            lease: inputs.lease,
+            policy: self.policy,
             measurement,
             tip: self.robot.tip_pose(&configuration),
             configuration,
@@ -294,8 +333,9 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     fn fault(&self, measurement: Option<TimedMeasurement>, release: &Release) -> Option<Reason> {
-        let age_ns = |timed: TimedMeasurement| release.start_ns.saturating_sub(timed.measured_ns);
-        if measurement.is_none_or(|timed| age_ns(timed) > self.measurement_timeout_ns) {
+        // What was never measured is not lost: the machine waits for it.
+        let measured_ns = measurement?.measured_ns;
+        if release.start_ns.saturating_sub(measured_ns) > self.policy.measurement_timeout_ns {
             return Some(Reason::MeasurementLost);
         }
         let estimate = self.estimator.configuration();
@@ -339,11 +379,11 @@ impl<L: RobotLink> Cycle<L> {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
             Mode::Homing => homing_rates(
                 self.estimator.configuration(),
-                self.motion.home_rate_rad_s,
+                self.policy.home_rate_rad_s,
                 period_s,
             ),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
-                ramp_to_zero(&self.rates, self.motion.deceleration_rad_s2, period_s)
+                ramp_to_zero(&self.rates, self.policy.deceleration_rad_s2, period_s)
             }
         };
         self.nmpc.forget_plan();

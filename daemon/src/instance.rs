@@ -70,26 +70,7 @@ impl Instance {
             .map_err(|cause| file_error(root, cause))?;
         check_owner(root)?;
         let path = root.join(format!("{}{robot}.lock", location.prefix()));
-        let mut file = OpenOptions::new()
-            .read(true)
-            .write(true)
-            .create(true)
-            .truncate(false)
-            .mode(0o600)
-            .open(&path)
-            .map_err(|cause| file_error(&path, cause))?;
-        match file.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => {
-                return Err(InstanceError::Runs {
-                    robot: robot.to_owned(),
-                    process: owner_of(&mut file),
-                    prefix: location.prefix().to_owned(),
-                    root: root.display().to_string(),
-                });
-            }
-            Err(TryLockError::Error(cause)) => return Err(file_error(&path, cause)),
-        }
+        let mut file = lock(&path, location, robot)?;
         write_process_id(&mut file).map_err(|cause| file_error(&path, cause))?;
         Ok(Self {
             path,
@@ -100,11 +81,45 @@ impl Instance {
 }
 
 impl Drop for Instance {
-    /// Removes the lock file, and what iceoryx2 keeps for a prefix when its last node is gone.
+    /// Removes what iceoryx2 keeps for the location when its last node is gone, and last the lock file.
     fn drop(&mut self) {
+        self.location.tidy();
         remove_if_there(&self.path);
-        leave_nothing(&self.location);
     }
+}
+
+/// Locks the file at `path`. A daemon that ended between our opening and our locking has removed it;
+/// then the lock is worth nothing, and we try again with the file that is there now.
+fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceError> {
+    loop {
+        let mut file = OpenOptions::new()
+            .read(true)
+            .write(true)
+            .create(true)
+            .truncate(false)
+            .mode(0o600)
+            .open(path)
+            .map_err(|cause| file_error(path, cause))?;
+        match file.try_lock() {
+            Ok(()) if is_file_at(&file, path) => return Ok(file),
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(InstanceError::Runs {
+                    robot: robot.to_owned(),
+                    process: owner_of(&mut file),
+                    prefix: location.prefix().to_owned(),
+                    root: location.root().display().to_string(),
+                });
+            }
+            Err(TryLockError::Error(cause)) => return Err(file_error(path, cause)),
+        }
+    }
+}
+
+fn is_file_at(file: &File, path: &Path) -> bool {
+    let opened = file.metadata().map(|file| (file.dev(), file.ino()));
+    let there = std::fs::metadata(path).map(|file| (file.dev(), file.ino()));
+    matches!((opened, there), (Ok(opened), Ok(there)) if opened == there)
 }
 
 fn check_owner(root: &Path) -> Result<(), InstanceError> {
@@ -148,32 +163,5 @@ fn remove_if_there(path: &Path) {
         && error.kind() != std::io::ErrorKind::NotFound
     {
         tracing::warn!(path = %path.display(), %error, "cannot be removed");
-    }
-}
-
-/// iceoryx2 keeps one small management file per prefix in `/dev/shm` for ever. When no node uses the
-/// prefix any more, it goes.
-fn leave_nothing(location: &Location) {
-    use iceoryx2::prelude::{CallbackProgression, Node, ipc};
-    let Ok(config) = location.iceoryx2_config() else {
-        return;
-    };
-    let mut nodes = 0;
-    let listed = Node::<ipc::Service>::list(&config, |_| {
-        nodes += 1;
-        CallbackProgression::Continue
-    });
-    if listed.is_err() || nodes > 0 {
-        return;
-    }
-    let Ok(entries) = std::fs::read_dir("/dev/shm") else {
-        return;
-    };
-    for entry in entries.flatten() {
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
-        if name.starts_with(location.prefix()) && name.ends_with(".global_mgmt") {
-            remove_if_there(&entry.path());
-        }
     }
 }

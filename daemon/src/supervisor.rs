@@ -51,6 +51,8 @@ pub struct Summary {
     pub reference_end_ns: u64,
     /// Points ahead.
     pub reference_points: u32,
+    /// Events that no record took.
+    pub dropped_events: u64,
     /// Messages by outcome.
     pub outcomes: [u64; Outcome::COUNT],
 }
@@ -94,6 +96,7 @@ pub struct Supervisor {
     publisher: Publisher<ipc::Service, wire::Status, ()>,
     status: wire::Status,
     budget_hits: u64,
+    dropped_events: u64,
     wake: Latency,
     solve: Latency,
     response: Latency,
@@ -119,6 +122,7 @@ impl Supervisor {
             publisher: crate::exchange::services::publisher(node, wire::Service::Status, name)?,
             status: first_status(validated, daemon_id),
             budget_hits: 0,
+            dropped_events: 0,
             wake: Latency::new()?,
             solve: Latency::new()?,
             response: Latency::new()?,
@@ -129,11 +133,11 @@ impl Supervisor {
     }
 
     /// Says what the system did not grant, and on which core the real-time threads run.
-    pub fn set_realtime(&mut self, missing: u32, core: usize) {
+    pub fn set_realtime(&mut self, missing: u32, core: Option<usize>) {
         self.status.realtime_missing = missing;
-        self.status.core = core as u32;
+        self.status.core = core.map_or(u32::MAX, |core| core as u32);
         if missing == 0 {
-            tracing::info!(core, "real time: SCHED_FIFO, pinned, memory locked");
+            tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
         }
         for (_, name, remedy) in realtime::ALL
             .iter()
@@ -218,6 +222,7 @@ impl Supervisor {
         self.status.skipped_periods = summary.totals.skipped_periods;
         self.status.faults = summary.faults;
         self.status.outcomes = summary.outcomes;
+        self.dropped_events = summary.dropped_events;
         self.status.lease_holder = summary.lease_holder;
         self.status.reference_end_ns = summary.reference_end_ns;
         self.status.reference_points = summary.reference_points;
@@ -228,7 +233,7 @@ impl Supervisor {
         self.status.header.sequence += 1;
         self.status.header.sent_ns = clock.now_ns();
         self.status.origin_ns = shared.origin_ns();
-        self.status.dropped_records = shared.dropped_records();
+        self.status.dropped_records = shared.dropped_records() + self.dropped_events;
         self.status.budget_hits = self.budget_hits;
         self.status.wake = self.wake.summary();
         self.status.solve = self.solve.summary();
@@ -258,10 +263,7 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         }
         .code(),
         period_ns,
-        deadline_ns: match ns(config.cycle.deadline_ms) {
-            0 => period_ns,
-            deadline_ns => deadline_ns,
-        },
+        deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),
         settings: convert::settings_to_wire(&config.controller, 0),
         ..wire::Status::default()

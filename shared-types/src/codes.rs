@@ -282,6 +282,18 @@ wire_enum! {
 }
 
 wire_enum! {
+    /// The reference lease, as a cycle saw it.
+    LeaseState {
+        /// Nobody holds it.
+        Free = 0: "free",
+        /// A client holds it.
+        Held = 1: "held",
+        /// Its holder fell silent.
+        Expired = 2: "expired",
+    }
+}
+
+wire_enum! {
     /// How the optimal control problem is solved.
     SolverKind {
         /// Knowledge-based particle swarm, Eq. 6-7.

@@ -4,6 +4,9 @@ use crate::Header;
 use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 
 /// What the robot shall do until the next command: rates, and the configuration they lead to.
+///
+/// The daemon sends none before it knows the robot's configuration, that is before the first
+/// measurement. A driver holds the robot still when its newest command is older than `valid_for_ns`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cdcr.Command.v1")]

@@ -26,7 +26,8 @@ pub struct Response {
     pub header: Header,
     /// `header.sequence` of the request.
     pub request_sequence: u64,
-    /// Cycle in which it took effect.
+    /// Newest cycle when it was answered: the one that carried it out, or, for a lease or settings, the
+    /// one before it takes effect.
     pub cycle: u64,
     /// [`codes::Outcome`](crate::codes::Outcome).
     pub outcome: u32,

@@ -34,8 +34,7 @@ pub const SWARM_MAX: usize = 512;
 /// Iterations of the swarm in one cycle.
 pub const ITERATIONS_MAX: usize = 1000;
 
-/// Input events reported in one telemetry record. It bounds the work of one gather, too: at most
-/// this many messages take effect in one cycle, the rest waits in its queue.
+/// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
 pub const EVENTS_MAX: usize = 16;
 
 /// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.

@@ -2,7 +2,8 @@ use std::path::{Path, PathBuf};
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
-    FileName, NodeBuilder, Path as IoxPath, SemanticString, ServiceName, SignalHandlingMode,
+    CallbackProgression, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, ServiceName,
+    SignalHandlingMode, ipc,
 };
 
 /// Prefix of every shared-memory file of ours, unless a user chooses another.
@@ -197,6 +198,46 @@ impl Location {
         &self.prefix
     }
 
+    /// Start of the names of our files in `/dev/shm`: the prefix, and a hash of the root path, because
+    /// these names do not tell one root from another.
+    pub fn file_prefix(&self) -> String {
+        // FNV-1a (Fowler, Noll, Vo), 32 bits.
+        let root = self.root.as_os_str().as_encoded_bytes();
+        let hash = root.iter().fold(0x811c_9dc5_u32, |hash, byte| {
+            (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
+        });
+        format!("{}{hash:08x}_", self.prefix)
+    }
+
+    /// Removes the small management file that iceoryx2 keeps for ever for each prefix, once no node
+    /// uses the location any more. Whoever leaves last calls it after its own node is gone.
+    pub fn tidy(&self) {
+        let Ok(config) = self.iceoryx2_config() else {
+            return;
+        };
+        let mut nodes = 0;
+        let listed = Node::<ipc::Service>::list(&config, |_| {
+            nodes += 1;
+            CallbackProgression::Stop
+        });
+        if listed.is_err() || nodes > 0 {
+            return;
+        }
+        let prefix = self.file_prefix();
+        for entry in std::fs::read_dir("/dev/shm")
+            .into_iter()
+            .flatten()
+            .flatten()
+        {
+            let name = entry.file_name();
+            let ours = name.to_str().and_then(|name| name.strip_prefix(&prefix));
+            if ours.is_some_and(|rest| rest.ends_with(".global_mgmt")) {
+                // Somebody else may have been faster.
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+
     /// Root path.
     pub fn root(&self) -> &Path {
         &self.root
@@ -208,7 +249,7 @@ impl Location {
     /// As [`Location::new`].
     pub fn iceoryx2_config(&self) -> Result<Config, LocationError> {
         let mut config = Config::default();
-        config.global.prefix = FileName::new(self.prefix.as_bytes())
+        config.global.prefix = FileName::new(self.file_prefix().as_bytes())
             .map_err(|_| LocationError::Prefix(self.prefix.clone()))?;
         let root = IoxPath::new(self.root.as_os_str().as_encoded_bytes())
             .map_err(|_| LocationError::Root(self.root.clone()))?;

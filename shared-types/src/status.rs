@@ -80,7 +80,7 @@ pub struct Status {
     pub realtime_missing: u32,
     /// [`codes::RobotLink`](crate::codes::RobotLink): simulated or driver.
     pub link: u32,
-    /// Core of the real-time threads.
+    /// Core that the real-time threads are pinned to; `u32::MAX`: none.
     pub core: u32,
     /// Origin of the time grid \[ns, `CLOCK_MONOTONIC`\]: cycle k is released at origin + k · period.
     pub origin_ns: u64,
@@ -99,7 +99,7 @@ pub struct Status {
     pub skipped_periods: u64,
     /// Solves that the time budget ended.
     pub budget_hits: u64,
-    /// Records that were lost inside the daemon because a ring was full.
+    /// Records and events that were lost inside the daemon because a queue was full.
     pub dropped_records: u64,
     /// Faults since the start.
     pub faults: u64,

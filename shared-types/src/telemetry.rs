@@ -1,7 +1,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::limits::{COORDINATES_MAX, EVENTS_MAX, PLAN_MAX};
-use crate::{Command, Header, Measurement, SolverSettings};
+use crate::{Command, Header, Measurement, RobotDescription, SolverSettings};
 
 /// One message that the daemon took in, and what became of it.
 ///
@@ -75,8 +75,8 @@ pub struct SolverReport {
 
 /// Everything of one cycle: inputs as used, outputs, timing, mode, fault.
 ///
-/// A record holds all that the solver used, so one record is enough to compute that cycle again bit
-/// for bit; see `docs/replay.md`.
+/// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
+/// in the order that the events of the records tell; see `docs/replay.md`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cdcr.Telemetry.v1")]
@@ -87,8 +87,12 @@ pub struct Telemetry {
     // ---- when
     /// Number of the cycle on the grid: release = origin + cycle · period.
     pub cycle: u64,
-    /// Release time r \[ns, `CLOCK_MONOTONIC`\].
+    /// Release time r of this cycle \[ns, `CLOCK_MONOTONIC`\]: what was measured, predicted and commanded
+    /// refers to it.
     pub release_ns: u64,
+    /// The release that the thread slept for \[ns\]. Earlier than `release_ns` when it slept through whole
+    /// periods; lateness counts from here, so a stall cannot hide behind the newest release.
+    pub due_ns: u64,
     /// The cycle started s \[ns\].
     pub start_ns: u64,
     /// The solver began \[ns\].
@@ -136,8 +140,25 @@ pub struct Telemetry {
     pub previous_rate_rad_s: [f64; COORDINATES_MAX],
     /// The solver's settings in this cycle.
     pub settings: SolverSettings,
-    /// Fingerprint of the robot's parameters, as in the status.
-    pub robot_fingerprint: u64,
+    /// The robot.
+    pub robot: RobotDescription,
+    /// First cycle of the reference window: the samples reach from its release to 20 periods past the
+    /// horizon.
+    pub window_first_cycle: u64,
+    /// How fast rates shrink when holding or stopping \[rad/s²\].
+    pub deceleration_rad_s2: f64,
+    /// Rate of the fastest component on the way home \[rad/s\].
+    pub home_rate_rad_s: f64,
+    /// Deadline after the release \[ns\].
+    pub deadline_ns: u64,
+    /// A start later than this after the release it was due at is a late start \[ns\].
+    pub late_start_ns: u64,
+    /// A measurement older than this is lost \[ns\].
+    pub measurement_timeout_ns: u64,
+    /// Level at which the leaky bucket stops the robot.
+    pub miss_limit: u32,
+    /// [`codes::LeaseState`](crate::codes::LeaseState).
+    pub lease_state: u32,
     /// Scalars of `warm_plan` and `plan` that are used; 0: the solver did not run.
     pub plan_length: u32,
     /// Obstacles known in this cycle.
@@ -172,6 +193,7 @@ impl Default for Telemetry {
             header: Header::default(),
             cycle: 0,
             release_ns: 0,
+            due_ns: 0,
             start_ns: 0,
             solve_start_ns: 0,
             solve_end_ns: 0,
@@ -193,7 +215,15 @@ impl Default for Telemetry {
             bend_rad: [0.0; COORDINATES_MAX],
             previous_rate_rad_s: [0.0; COORDINATES_MAX],
             settings: SolverSettings::default(),
-            robot_fingerprint: 0,
+            robot: RobotDescription::default(),
+            window_first_cycle: 0,
+            deceleration_rad_s2: 0.0,
+            home_rate_rad_s: 0.0,
+            deadline_ns: 0,
+            late_start_ns: 0,
+            measurement_timeout_ns: 0,
+            miss_limit: 0,
+            lease_state: 0,
             plan_length: 0,
             obstacle_count: 0,
             warm_plan: [0.0; PLAN_MAX],

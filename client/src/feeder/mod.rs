@@ -24,10 +24,10 @@ use crate::{
 use schedule::Schedule;
 use watch::Watch;
 
-/// How often the feeder looks after everything: once a cycle of the daemon.
-const TURN: Duration = Duration::from_millis(5);
-/// The lease runs for 500 ms; renewing it this often survives four lost renewals.
-const RENEW_NS: u64 = 100_000_000;
+/// How often the feeder looks after everything: about once a cycle of the daemon, more often when the
+/// lease is short.
+const TURN_MAX: Duration = Duration::from_millis(5);
+const TURN_MIN: Duration = Duration::from_millis(1);
 /// How long the daemon may take no notice, or send no telemetry, before the feed gives up.
 const PATIENCE_NS: u64 = 1_000_000_000;
 /// How long after its end a tracked reference may take to be reported as ended.
@@ -44,7 +44,7 @@ pub enum FeedEvent<'a> {
     },
     /// A record of the daemon; every one that arrives while the feed runs.
     Record(&'a Telemetry),
-    /// About every 5 ms: how far it is.
+    /// Every 5 ms or a little more often: how far it is.
     Progress(FeedProgress),
 }
 
@@ -122,8 +122,8 @@ impl<'c> Feeder<'c> {
     /// Feeds the trajectory until it has been played, and gives the lease back.
     ///
     /// `observer` sees everything that happens and ends the feed by `ControlFlow::Break`. It runs
-    /// between the turns: it may take some 100 ms without any effect on the robot, because the
-    /// reference is ahead.
+    /// between the turns, where the reference is ahead and nothing waits for it, but it must leave time to
+    /// renew the lease: what takes longer than the daemon's lease (see [`Lease::left`]) loses it.
     ///
     /// # Errors
     /// When a chunk is refused, the daemon leaves tracking or falls silent, or a request fails.
@@ -135,7 +135,6 @@ impl<'c> Feeder<'c> {
         let mut state = FeedState {
             schedule: Schedule::new(self.trajectory, &self.options, now_ns)?,
             watch: Watch::new(self.connection.sender_id()),
-            renewed_ns: now_ns,
             heard_ns: now_ns,
             begun_ns: now_ns,
             asked: false,
@@ -146,11 +145,11 @@ impl<'c> Feeder<'c> {
             self.send_due(&mut state)?;
             flow = self.listen(&mut state, &mut observer)?;
             self.track_once(&mut state)?;
-            self.renew(&mut state)?;
+            self.renew()?;
             state.check_patience(monotonic_ns())?;
             if flow.is_continue() {
                 flow = observer(FeedEvent::Progress(state.progress(self.trajectory)));
-                thread::sleep(TURN);
+                thread::sleep(turn(self.lease.left()));
             }
         }
         Ok(state.report(flow, self.telemetry.lost()))
@@ -201,21 +200,23 @@ impl<'c> Feeder<'c> {
         Ok(())
     }
 
-    fn renew(&self, state: &mut FeedState) -> Result<(), FeedError> {
-        let now_ns = monotonic_ns();
-        if now_ns >= state.renewed_ns + RENEW_NS {
+    fn renew(&self) -> Result<(), FeedError> {
+        if monotonic_ns() >= self.lease.renewal_due_ns() {
             self.lease.renew()?;
-            state.renewed_ns = now_ns;
         }
         Ok(())
     }
+}
+
+/// How long to sleep when the lease runs for `left`: at most a fifth of it.
+fn turn(left: Duration) -> Duration {
+    (left / 5).clamp(TURN_MIN, TURN_MAX)
 }
 
 /// What changes while a feed runs.
 struct FeedState<'t> {
     schedule: Schedule<'t>,
     watch: Watch,
-    renewed_ns: u64,
     /// When the last record arrived.
     heard_ns: u64,
     begun_ns: u64,
@@ -264,6 +265,19 @@ impl FeedState<'_> {
             chunks: self.watch.chunks(),
             tracked: self.watch.is_tracking(),
             lost_records,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_turn_is_at_most_a_fifth_of_the_lease() {
+        for (left_ms, turn_ms) in [(0, 1), (20, 4), (25, 5), (60_000, 5)] {
+            let left = Duration::from_millis(left_ms);
+            assert_eq!(turn(left), Duration::from_millis(turn_ms));
         }
     }
 }

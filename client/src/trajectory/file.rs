@@ -25,7 +25,11 @@ pub struct FileTrajectory {
 #[derive(Debug, thiserror::Error)]
 pub enum TrajectoryFileError {
     /// It cannot be read.
-    #[error("cannot read {}: {cause}", path.display())]
+    #[error(
+        "cannot read {}: {cause}; it must be a CSV file with the columns t_s,x_m,y_m,z_m or \
+         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
+        path.display()
+    )]
     Read {
         /// The file.
         path: PathBuf,
@@ -53,6 +57,14 @@ pub enum TrajectoryFileError {
         path: PathBuf,
         /// The column.
         column: &'static str,
+    },
+    /// The header names a column twice.
+    #[error("{}:1: column {column} is there more than once", path.display())]
+    DuplicateColumn {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: String,
     },
     /// A cell is not a finite number.
     #[error("{}:{line}: {column} is {text:?}; it must be a finite number", path.display())]
@@ -235,11 +247,23 @@ struct Columns {
 
 impl Columns {
     fn find(path: &Path, header: &csv::StringRecord) -> Result<Self, TrajectoryFileError> {
-        let place = |column: &'static str| {
-            // A spreadsheet may put a byte-order mark before the first name.
-            let is_it = |name: &str| name.trim_start_matches('\u{feff}') == column;
-            header.iter().position(is_it)
-        };
+        // A spreadsheet may put a byte-order mark before the first name.
+        let names: Vec<&str> = header
+            .iter()
+            .map(|name| name.trim_start_matches('\u{feff}'))
+            .collect();
+        let is_twice = |(index, name): &(usize, &&str)| names[..*index].contains(name);
+        let named = names
+            .iter()
+            .enumerate()
+            .filter(|(_, name)| !name.is_empty());
+        if let Some((_, column)) = named.into_iter().find(is_twice) {
+            return Err(TrajectoryFileError::DuplicateColumn {
+                path: path.to_owned(),
+                column: (*column).to_owned(),
+            });
+        }
+        let place = |column: &'static str| names.iter().position(|&name| name == column);
         let find = |columns: [&'static str; 4]| -> Result<[usize; 4], TrajectoryFileError> {
             let mut found = [0; 4];
             for (slot, column) in found.iter_mut().zip(columns) {
@@ -377,6 +401,14 @@ mod tests {
         );
         let text = message("t_s,x_m,y_m,z_m,qx\n0,0,0,0,0\n");
         assert!(text.contains("column qy is missing"), "{text}");
+    }
+
+    #[test]
+    fn a_column_that_is_there_twice_is_named() {
+        for header in ["t_s,x_m,y_m,z_m,x_m", "x_m,t_s, x_m,y_m,z_m"] {
+            let text = message(&format!("{header}\n0,0,0,0,0\n1,0,0,0,0\n"));
+            assert_eq!(text, "ref.csv:1: column x_m is there more than once");
+        }
     }
 
     #[test]

@@ -496,6 +496,15 @@ mod tests {
                 size,
                 ..settings(VelocityRule::Inertia)
             };
+            // A quantum counts evaluations of W particles, so a limited budget goes further with eight.
+            let limited = search_on(Path::Portable, &kpso, 5, 40);
+            for path in Path::available().filter(|path| *path != Path::Scalar) {
+                assert_eq!(
+                    search_on(path, &kpso, 5, 40).z(),
+                    limited.z(),
+                    "{path:?}, {size}"
+                );
+            }
             let scalar = search_on(Path::Scalar, &kpso, 5, u32::MAX);
             for path in Path::available() {
                 let other = search_on(path, &kpso, 5, u32::MAX);

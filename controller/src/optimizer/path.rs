@@ -1,6 +1,7 @@
 use pulp::NullaryFnOnce;
 
-/// How the swarm is computed. All paths give the same bits; they differ in speed.
+/// How the swarm is computed. The same work gives the same bits on every path; they differ in speed. Under
+/// a limited budget that holds for all but the scalar one, whose quanta hold one particle instead of eight.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Path {

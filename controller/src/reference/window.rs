@@ -51,6 +51,11 @@ impl ReferenceWindow {
         }
     }
 
+    /// The cycle of the first sample.
+    pub fn first_cycle(&self) -> u64 {
+        self.first_cycle
+    }
+
     /// The sample at the release of `cycle`; past the window, its last one counts as ended.
     pub fn at(&self, cycle: u64) -> ReferenceSample {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;

@@ -137,7 +137,7 @@ impl RobotParameters {
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum RobotError {
     /// Too few or too many sections.
-    #[error("{key}: {value} sections; a robot has {allowed:?}, so add or remove sections")]
+    #[error("{value} sections; a robot has {} to {}, so add or remove some", allowed.start(), allowed.end())]
     SectionCount {
         /// The list's key.
         key: &'static str,

@@ -166,7 +166,7 @@ impl ModeMachine {
 
     /// What the world does to the mode, once in each cycle and before requests.
     pub fn observe(&mut self, seen: &Observation) {
-        if self.mode == Mode::Starting && !seen.measured {
+        if !seen.measured {
             return;
         }
         if let Some(cause) = seen.fault {
@@ -266,7 +266,7 @@ impl ModeMachine {
     }
 
     fn reset(&mut self, seen: &Observation) -> Result<(), Refusal> {
-        if seen.fault.is_some() || seen.misses_overflow {
+        if !seen.measured || seen.fault.is_some() || seen.misses_overflow {
             return Err(Refusal::CauseStands);
         }
         self.hold(Reason::Request);

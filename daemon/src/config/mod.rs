@@ -12,7 +12,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{
     Configuration, Robot, RobotError, RobotParameters, SectionParameters,
 };
-use cdcr_shared_types::{DEFAULT_PREFIX, Location, Service};
+use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError, Service};
 use serde::{Deserialize, Serialize};
 
 pub use place::ConfigError;
@@ -133,6 +133,16 @@ impl Default for CycleConfig {
             budget_margin_ms: 0.2,
             gather_lead_ms: 0.2,
             miss_limit: 40,
+        }
+    }
+}
+
+impl CycleConfig {
+    /// Deadline D after the release \[ns\].
+    pub fn deadline_ns(&self) -> u64 {
+        match ns(self.deadline_ms) {
+            0 => ns(self.period_ms),
+            deadline_ns => deadline_ns,
         }
     }
 }
@@ -265,7 +275,7 @@ impl Config {
     pub fn parse(text: &str, file: &Path) -> Result<Validated, ConfigError> {
         let config: Self = toml::from_str(text).map_err(|cause| ConfigError::Syntax {
             file: file.to_owned(),
-            cause: cause.to_string(),
+            cause: for_people(&cause.to_string()),
         })?;
         config.validate(&Place::in_text(text, file))
     }
@@ -370,7 +380,7 @@ impl Config {
         } = self.realtime;
         if exchange_priority >= cycle_priority {
             return Err(place.error(
-                "realtime.exchange_priority",
+                place.written_of(["realtime.exchange_priority", "realtime.cycle_priority"]),
                 &format!(
                     "exchange_priority = {exchange_priority} must be below cycle_priority = \
                      {cycle_priority}, so that the cycle pre-empts the exchange"
@@ -423,8 +433,39 @@ impl Config {
         } else {
             PathBuf::from(root)
         };
-        Location::new(prefix, &root).map_err(|error| place.error("transport", &error.to_string()))
+        Location::new(prefix, &root).map_err(|error| {
+            let key = match error {
+                LocationError::Prefix(_) => "transport.prefix",
+                LocationError::Root(_) => "transport.root",
+            };
+            place.error(key, &error.to_string())
+        })
     }
+}
+
+/// What the parser says, without the names that types have in Rust.
+fn for_people(message: &str) -> String {
+    let words = [
+        ("expected u32", "expected a whole number, 0 or more"),
+        ("expected u64", "expected a whole number, 0 or more"),
+        ("expected i32", "expected a whole number"),
+        ("expected i64", "expected a whole number"),
+        ("expected f64", "expected a number"),
+        ("expected a string", "expected a string, in quotes"),
+        ("expected a sequence", "expected a list"),
+    ];
+    let mut text = words
+        .iter()
+        .fold(message.to_owned(), |text, (rust, plain)| {
+            text.replace(rust, plain)
+        });
+    while let Some(start) = text.find("expected struct ") {
+        let end = text[start + 16..]
+            .find(|c: char| !c.is_alphanumeric())
+            .map_or(text.len(), |length| start + 16 + length);
+        text.replace_range(start..end, "expected a table");
+    }
+    text
 }
 
 /// The configuration key that a robot error speaks of.
@@ -544,10 +585,18 @@ mod tests {
         let message = error_of("[link]\ninitial_bend_rad = [[0.1, 0.0], [9.0, 0.0], [0.0, 0.0]]\n");
         assert!(message.contains("section 2"), "{message}");
         let message = error_of("[transport]\nprefix = \"a b\"\n");
+        assert!(message.contains("line 2: transport.prefix"), "{message}");
+        let message = error_of("[realtime]\ncycle_priority = 60\n");
         assert!(
-            message.contains("line 2") || message.contains("transport"),
+            message.contains("line 2: realtime.cycle_priority"),
             "{message}"
         );
+        let message = error_of("[controller]\nswarm_size = -1\n");
+        assert!(
+            message.contains("swarm_size") && message.contains("whole number"),
+            "{message}"
+        );
+        assert!(error_of("robot = 3\n").contains("expected a table"));
         assert!(error_of("[robot]\nname = \"a/b\"\n").contains("robot.name"));
     }
 }

@@ -60,6 +60,12 @@ impl<'a> Place<'a> {
         }
     }
 
+    /// Of two keys that contradict each other, the first one that the text has.
+    pub(super) fn written_of(&self, keys: [&'static str; 2]) -> &'static str {
+        let written = keys.into_iter().find(|key| self.line_of(key).is_some());
+        written.unwrap_or(keys[0])
+    }
+
     /// An error unless `value` lies in `range`.
     pub(super) fn check(
         &self,

@@ -9,7 +9,7 @@ use cdcr_controller::reference::{
     Interpolation, Orientation, ReferencePoint, ReferenceSample, ReferenceState, TrajectoryError,
 };
 use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, quaternion_xyzw};
-use cdcr_controller::safety::{LimitsHit, Mode, Reason, Refusal, Request};
+use cdcr_controller::safety::{LeaseState, LimitsHit, Mode, Reason, Refusal, Request};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
@@ -406,6 +406,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
     let mut telemetry = wire::Telemetry {
         cycle: record.release.cycle,
         release_ns: record.release.release_ns,
+        due_ns: record.release.due_ns,
         start_ns: record.release.start_ns,
         solve_start_ns: record.solve_start_ns,
         solve_end_ns: record.solve_end_ns,
@@ -422,7 +423,20 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         gather: record.gather,
         gather_ns: record.gather_ns,
         settings: settings_to_wire(&record.settings, 0),
-        robot_fingerprint: robot.fingerprint(),
+        robot: self::robot(robot),
+        window_first_cycle: record.window_first_cycle,
+        lease_state: match record.lease {
+            LeaseState::Free => codes::LeaseState::Free,
+            LeaseState::Held => codes::LeaseState::Held,
+            LeaseState::Expired => codes::LeaseState::Expired,
+        }
+        .code(),
+        deceleration_rad_s2: record.policy.deceleration_rad_s2,
+        home_rate_rad_s: record.policy.home_rate_rad_s,
+        deadline_ns: record.policy.deadline_ns,
+        late_start_ns: record.policy.late_start_ns,
+        measurement_timeout_ns: record.policy.measurement_timeout_ns,
+        miss_limit: record.policy.miss_limit,
         plan_length: record.plan_length as u32,
         warm_plan: record.warm_plan,
         plan: record.plan,

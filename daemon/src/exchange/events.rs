@@ -12,6 +12,7 @@ pub(super) struct Events {
     queue: VecDeque<(u64, InputEvent)>,
     refusals_left: usize,
     outcomes: [u64; Outcome::COUNT],
+    dropped: u64,
 }
 
 /// Events that wait for a record. Accepted messages are few per gather, so only a cycle thread that
@@ -19,7 +20,7 @@ pub(super) struct Events {
 const QUEUE_MAX: usize = 1024;
 /// Refusals that one gather reports one by one; all are counted. A flood of refused messages must not
 /// push out what was accepted.
-const REFUSALS_PER_GATHER: usize = 8;
+pub(super) const REFUSALS_PER_GATHER: usize = 4;
 
 impl Events {
     pub(super) fn new() -> Self {
@@ -27,6 +28,7 @@ impl Events {
             queue: VecDeque::with_capacity(QUEUE_MAX),
             refusals_left: REFUSALS_PER_GATHER,
             outcomes: [0; Outcome::COUNT],
+            dropped: 0,
         }
     }
 
@@ -55,7 +57,9 @@ impl Events {
             }
             self.refusals_left -= 1;
         }
-        if self.queue.len() < QUEUE_MAX {
+        if self.queue.len() == QUEUE_MAX {
+            self.dropped += 1;
+        } else {
             let event = InputEvent {
                 sender_id: header.sender_id,
                 sequence: header.sequence,
@@ -90,6 +94,11 @@ impl Events {
             count += 1;
         }
         telemetry.event_count = count as u32;
+    }
+
+    /// Events that were lost because no record took them.
+    pub(super) fn dropped(&self) -> u64 {
+        self.dropped
     }
 
     pub(super) fn outcomes(&self) -> &[u64; Outcome::COUNT] {

@@ -8,7 +8,7 @@ use super::{Exchange, LastChunk};
 use crate::rt::schedule::Schedule;
 
 /// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
-const CHUNKS_PER_GATHER: usize = 4;
+pub(super) const CHUNKS_PER_GATHER: usize = 4;
 /// Messages that one gather looks at on one service: all that its queues can hold.
 const fn drain_limit(service: Service) -> usize {
     service.queues().publishers * service.queues().queue
@@ -42,6 +42,7 @@ impl Exchange {
         );
         inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;
+        inputs.stop = std::mem::take(&mut self.stop_at_once);
         inputs.settings = self.settings;
         inputs.settings_revision = self.settings_revision;
         self.ends.inputs.publish();

@@ -25,11 +25,11 @@ use cdcr_controller::reference::Trajectory;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Header;
 use cdcr_shared_types::codes::Mode;
-use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
+use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::handoff::{ExchangeEnds, Shared};
+use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
 use events::Events;
 use lease::Lease;
@@ -60,7 +60,19 @@ pub struct Exchange {
     telemetry_sent: u64,
     last_cycle: u64,
     last_mode: Mode,
+    /// A stop that found no room in the ring.
+    stop_at_once: bool,
 }
+
+/// What one gather and its cycle can bring fits one record: accepted chunks, refusals, requests that are
+/// answered at once, and requests that the cycle decides.
+const _: () = assert!(
+    gather::CHUNKS_PER_GATHER
+        + events::REFUSALS_PER_GATHER
+        + requests::REQUESTS_PER_GATHER
+        + REQUESTS_PER_CYCLE
+        <= EVENTS_MAX
+);
 
 /// The newest chunk that was accepted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,6 +107,7 @@ impl Exchange {
             telemetry_sent: 0,
             last_cycle: 0,
             last_mode: Mode::Starting,
+            stop_at_once: false,
         }
     }
 

@@ -25,12 +25,16 @@ impl Exchange {
     }
 
     fn publish_command(&mut self, record: &CycleRecord, now_ns: u64) -> wire::Command {
-        self.commands_sent += 1;
+        // Before the first measurement nobody knows where the robot is, so there is no target to go to.
+        let is_known = record.measurement.is_some();
+        self.commands_sent += u64::from(is_known);
         let command = wire::Command {
             header: self.header(self.commands_sent, now_ns),
             ..convert::command(record, &self.robot, self.period_ns, self.command_valid_ns)
         };
-        send(&self.ports.command, command);
+        if is_known {
+            send(&self.ports.command, command);
+        }
         command
     }
 
@@ -46,14 +50,14 @@ impl Exchange {
     }
 
     fn sum_up(&mut self, record: &CycleRecord, now_ns: u64, shared: &Shared) {
-        let release_ns = record.release.release_ns;
+        let due_ns = record.release.due_ns;
         let summary = Summary {
             cycle: record.release.cycle,
-            wake_ns: record.release.start_ns - release_ns,
+            wake_ns: record.release.start_ns - due_ns,
             solve_ns: record.solve_end_ns - record.solve_start_ns,
             solved: record.report.status != SolveStatus::Idle,
             budget_hit: record.report.status == SolveStatus::BudgetSpent,
-            response_ns: record.handed_over_ns - release_ns,
+            response_ns: record.handed_over_ns - due_ns,
             verdict: record.verdict,
             totals: record.totals,
             mode: self.last_mode,
@@ -63,6 +67,7 @@ impl Exchange {
             lease_holder: self.lease.holder(now_ns).unwrap_or(0),
             reference_end_ns: self.trajectory.end_ns().unwrap_or(0),
             reference_points: self.trajectory.points_ahead(now_ns) as u32,
+            dropped_events: self.events.dropped(),
             outcomes: *self.events.outcomes(),
         };
         if self.ends.summaries.push(summary).is_err() {

@@ -2,7 +2,7 @@
 
 use cdcr_controller::safety::Request as ModeRequest;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
-use cdcr_shared_types::{Header, Request, Response};
+use cdcr_shared_types::{Header, Request, Response, Service};
 use iceoryx2::active_request::ActiveRequest;
 use iceoryx2::prelude::ipc;
 
@@ -14,8 +14,10 @@ use crate::rt::handoff::{CycleAnswer, CycleRequest};
 /// A request whose client waits for an answer.
 type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
 
-/// Requests that one gather takes; more wait in their clients' queues.
-const REQUESTS_PER_GATHER: usize = 4;
+/// Requests that one gather carries out; of the others only a stop is.
+pub(super) const REQUESTS_PER_GATHER: usize = 4;
+/// Requests that one gather looks at, so that a stop is found behind a flood of others.
+const REQUESTS_SEEN_PER_GATHER: usize = Service::CONTROL_CLIENTS * Service::CONTROL_REQUESTS;
 /// A request that is older was waiting while the daemon or its client was stopped \[ns\].
 const REQUEST_AGE_MAX_NS: u64 = 1_000_000_000;
 /// Requests that wait for their cycle.
@@ -41,11 +43,32 @@ impl Waiting {
 
 impl Exchange {
     pub(super) fn take_requests(&mut self, now_ns: u64) {
-        for _ in 0..REQUESTS_PER_GATHER {
+        let mut taken = 0;
+        for _ in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {
                 break;
             };
-            self.take_request(asked, now_ns);
+            let is_stop = asked.payload().kind == RequestKind::Stop.code();
+            if is_stop {
+                self.pass_stop_on(asked, now_ns);
+            } else if taken < REQUESTS_PER_GATHER {
+                taken += 1;
+                self.take_request(asked, now_ns);
+            } else {
+                self.answer_now(&asked, Outcome::Busy, now_ns);
+            }
+        }
+    }
+
+    /// A stop is never refused: where the cycle cannot answer it in turn, it is told by a flag.
+    fn pass_stop_on(&mut self, asked: Asked, now_ns: u64) {
+        let ring_has_room =
+            self.ends.requests.slots() > 0 && self.waiting.asked.len() < WAITING_MAX;
+        if ring_has_room {
+            self.pass_on(asked, ModeRequest::Stop, now_ns);
+        } else {
+            self.stop_at_once = true;
+            self.answer_now(&asked, Outcome::Accepted, now_ns);
         }
     }
 
@@ -55,7 +78,7 @@ impl Exchange {
         };
         // Who asked this long ago has been told that there was no answer; only a stop is never late.
         let age_ns = now_ns.saturating_sub(asked.payload().header.sent_ns);
-        if age_ns > REQUEST_AGE_MAX_NS && kind != RequestKind::Stop {
+        if age_ns > REQUEST_AGE_MAX_NS {
             return self.answer_now(&asked, Outcome::Stale, now_ns);
         }
         if let Some(request) = mode_request(kind) {

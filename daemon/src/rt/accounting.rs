@@ -20,7 +20,7 @@ pub struct Limits {
 pub struct Verdict {
     /// It started late.
     pub late_start: bool,
-    /// Its command was handed over after the deadline.
+    /// The command for the release that was due was handed over after the deadline.
     pub deadline_miss: bool,
 }
 
@@ -58,8 +58,8 @@ impl Accounting {
     /// Judges a cycle whose command was handed over at `handed_over_ns`.
     pub fn judge(&mut self, release: &Release, handed_over_ns: u64) -> Verdict {
         let verdict = Verdict {
-            late_start: release.start_ns - release.release_ns > self.limits.late_start_ns,
-            deadline_miss: handed_over_ns - release.release_ns > self.limits.deadline_ns,
+            late_start: release.start_ns - release.due_ns > self.limits.late_start_ns,
+            deadline_miss: handed_over_ns - release.due_ns > self.limits.deadline_ns,
         };
         self.totals.cycles += 1;
         self.totals.late_starts += u64::from(verdict.late_start);
@@ -103,6 +103,7 @@ mod tests {
         let release = |start_ns, skipped| Release {
             cycle: 1,
             release_ns: 1000,
+            due_ns: 1000,
             start_ns,
             skipped,
         };
@@ -115,6 +116,13 @@ mod tests {
         let miss = accounting.judge(&release(1001, 2), 1101);
         assert!(!miss.late_start && miss.deadline_miss);
         assert!(accounting.bucket().overflows());
+        // Slept through three periods: the release that was due is missed, however fresh the one met.
+        let stall = Release {
+            release_ns: 1300,
+            ..release(1310, 0)
+        };
+        let verdict = Accounting::new(limits).judge(&stall, 1320);
+        assert!(verdict.late_start && verdict.deadline_miss);
         let totals = Totals {
             cycles: 3,
             late_starts: 1,

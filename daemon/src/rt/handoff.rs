@@ -30,6 +30,8 @@ pub struct CycleInputs {
     pub window: ReferenceWindow,
     /// The reference lease.
     pub lease: LeaseState,
+    /// Stop at once: a request that found no room in the ring.
+    pub stop: bool,
     /// The driver's newest measurement.
     pub measurement: Option<TimedMeasurement>,
     /// The settings in force, checked.
@@ -46,6 +48,7 @@ impl CycleInputs {
             gather_ns: 0,
             window: ReferenceWindow::default(),
             lease: LeaseState::Free,
+            stop: false,
             measurement: None,
             settings,
             settings_revision: 0,
@@ -162,7 +165,7 @@ impl Shared {
         self.dropped_records.load(Ordering::Relaxed)
     }
 
-    /// The origin of the time grid, once the cycle thread has chosen it.
+    /// The origin of the time grid, once it is chosen.
     pub fn set_origin_ns(&self, origin_ns: u64) {
         self.origin_ns.store(origin_ns, Ordering::Release);
     }

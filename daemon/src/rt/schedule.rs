@@ -4,7 +4,8 @@ use crate::ports::Clock;
 
 /// The absolute time grid: cycle k is released at `origin + k · period`.
 ///
-/// Time is counted from releases, never from actual starts, so a late wake-up cannot hide. After an
+/// Lateness is counted from the release that was due, never from the actual start, so a stall cannot
+/// hide. After an
 /// overrun whole periods are skipped; there is never a burst of cycles that catch up.
 #[derive(Debug, Clone)]
 pub struct Schedule {
@@ -18,8 +19,11 @@ pub struct Schedule {
 pub struct Release {
     /// Number on the grid.
     pub cycle: u64,
-    /// When it was due \[ns\].
+    /// Its time on the grid \[ns\].
     pub release_ns: u64,
+    /// The release that the thread slept for \[ns\]: earlier than `release_ns` when it slept through
+    /// whole periods. Lateness counts from here.
+    pub due_ns: u64,
     /// When the thread ran \[ns\].
     pub start_ns: u64,
     /// Releases that passed since the previous cycle without a cycle.
@@ -64,6 +68,7 @@ impl Schedule {
         Release {
             cycle,
             release_ns: self.release_ns(cycle),
+            due_ns: self.release_ns(next),
             start_ns,
             skipped: u32::try_from(skipped).unwrap_or(u32::MAX),
         }
@@ -109,6 +114,7 @@ mod tests {
                 Release {
                     cycle,
                     release_ns: 1000 + cycle * 100,
+                    due_ns: 1000 + cycle * 100,
                     start_ns: 1000 + cycle * 100,
                     skipped: 0
                 }
@@ -141,6 +147,7 @@ mod tests {
             (release.cycle, release.release_ns, release.skipped),
             (5, 500, 3)
         );
+        assert_eq!((release.due_ns, release.start_ns), (200, 550));
         clock.late_ns.set(0);
         assert_eq!(schedule.wait(&clock).cycle, 6);
     }

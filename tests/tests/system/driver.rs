@@ -159,6 +159,28 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
 }
 
 #[test]
+fn no_command_comes_before_the_first_measurement() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let mut commands = connection.commands().unwrap();
+    let mut telemetry = connection.telemetry().unwrap();
+    let first = wait_record(&mut telemetry, |_| true).cycle;
+    wait_record(&mut telemetry, |record| record.cycle > first + 20);
+    assert_eq!(
+        commands.try_next().unwrap(),
+        None,
+        "nobody knows where the robot is"
+    );
+    // A stop before that is taken, and is no fault; a reset has to wait.
+    connection.request(RequestKind::Stop).unwrap();
+    assert!(connection.request(RequestKind::Reset).is_err());
+    assert_eq!(connection.status(PATIENCE).unwrap().faults, 0);
+    let mut robot = Robot::new(&connection);
+    robot.run_until(|| commands.try_next().unwrap().is_some());
+    connection.request(RequestKind::Reset).unwrap();
+}
+
+#[test]
 fn a_bad_measurement_is_refused_and_counted() {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedOptions, FeedReport, Line};
-use cdcr_shared_types::codes::{Outcome, RequestKind};
+use cdcr_shared_types::codes::{LeaseState, Outcome, RequestKind};
 use cdcr_tests::{Daemon, PATIENT, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
@@ -84,4 +84,36 @@ fn a_refused_request_tells_the_remedy() {
     let _lease = connection.acquire_lease().unwrap();
     let message = refused(RequestKind::Track);
     assert!(message.contains("cdcrctl ref spiral --track"), "{message}");
+    connection.request(RequestKind::Stop).unwrap();
+    let message = refused(RequestKind::Home);
+    assert!(message.contains("cdcrctl reset"), "{message}");
+}
+
+#[test]
+fn a_short_lease_is_renewed_in_time() {
+    // A machine that stalls for 20 ms may cost the lease, but not in every run.
+    let daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 20.0\n");
+    let connection = daemon.connect();
+    let line = Line {
+        duration_s: 0.5,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    // The chunks renew the lease too: one that reaches to the end leaves it to the renewals alone.
+    let options = FeedOptions {
+        lead: Duration::from_millis(500),
+        ahead: Duration::from_secs(10),
+        ..FeedOptions::default()
+    };
+    let held_to_the_end = |_| {
+        let mut telemetry = connection.telemetry().unwrap();
+        let end = connection
+            .feed(&line, options)
+            .and_then(|feeder| feeder.run(|_| ControlFlow::Continue(())));
+        let mut expired = 0;
+        while let Some(record) = telemetry.try_next().unwrap() {
+            expired += u32::from(record.lease_state == LeaseState::Expired.code());
+        }
+        end.is_ok() && expired == 0
+    };
+    assert!((0..5).any(held_to_the_end), "it expired in every run");
 }

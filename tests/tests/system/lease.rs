@@ -26,6 +26,12 @@ fn two_clients_one_lease() {
     let daemon = Daemon::start("");
     let (first, second) = (daemon.connect(), daemon.connect());
     let lease = first.acquire_lease().unwrap();
+    let most = Duration::from_millis(500);
+    assert!(
+        lease.left() > most / 2 && lease.left() <= most,
+        "{:?}",
+        lease.left()
+    );
     match second.acquire_lease() {
         Err(RequestError::Refused {
             outcome: Outcome::LeaseHeld,

@@ -61,6 +61,32 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 }
 
 #[test]
+fn an_orientation_that_is_not_followed_is_told() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    let warning = "warning: the orientation is sent, but this daemon follows the position only\n";
+    let fed = good(place, &[SHORT_LINE, &["--axis", "0,0,1"]]);
+    assert_eq!(fed.matches(warning).count(), 1, "{fed}");
+    let fed = good(place, &[SHORT_LINE]);
+    assert!(!fed.contains("warning"), "{fed}");
+}
+
+#[test]
+fn whoever_leaves_last_leaves_nothing() {
+    let mut daemon = Daemon::start(PATIENT);
+    good(daemon.place(), &[&["status"]]);
+    let connection = daemon.connect();
+    let telemetry = connection.telemetry().unwrap();
+    assert!(daemon.stop().success());
+    drop((telemetry, connection));
+    let files = || daemon.place().shared_memory_files();
+    assert_eq!(files(), Vec::<String>::new());
+    // A client that finds nobody.
+    assert!(!daemon.place().cdcrctl(&["status"]).status.success());
+    assert_eq!(files(), Vec::<String>::new());
+}
+
+#[test]
 fn every_request_is_answered() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();

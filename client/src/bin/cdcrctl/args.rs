@@ -151,6 +151,8 @@ pub(crate) enum Curve {
     #[command(after_help = "Example:\n  cdcrctl ref circle --radius 0.1 --rate 2 --track")]
     Circle(CircleOptions),
     /// A CSV file with the columns `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`
+    ///
+    /// The orientation qx,qy,qz,qw is sent, but this daemon follows the position only.
     #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
     File(FileOptions),
 }
@@ -213,7 +215,8 @@ pub(crate) struct LineOptions {
     /// How fast it goes, in m/s
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0.03,0,-0.01", allow_hyphen_values = true)]
     pub(crate) velocity: Vector,
-    /// Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]
+    /// Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]. It is sent,
+    /// but this daemon follows the position only
     #[arg(long, value_name = "X,Y,Z", value_parser = value::direction, allow_hyphen_values = true)]
     pub(crate) axis: Option<Vector>,
     #[command(flatten)]

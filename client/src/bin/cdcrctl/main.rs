@@ -2,6 +2,8 @@
 //!
 //! A thin user of the library `cdcr_client`: here are only command lines, texts, tables and pictures.
 
+#![forbid(unsafe_code)]
+
 mod args;
 mod bar;
 mod demo;

@@ -9,6 +9,7 @@ use cdcr_shared_types::{LatencySummary, Status};
 use crate::Done;
 use crate::args::{Format, Target};
 use crate::echo::json;
+use crate::echo::line::latency_text;
 
 /// `cdcrctl status`
 pub(crate) fn run(target: &Target, format: Format) -> anyhow::Result<Done> {
@@ -41,11 +42,11 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     )?;
     writeln!(
         out,
-        "daemon      cdcrd {}, process {}, period {} ms, core {}",
+        "daemon      cdcrd {}, process {}, period {} ms, pinned to {}",
         text(&status.build),
         status.process_id,
         status.period_ns as f64 * 1e-6,
-        status.core
+        core_text(status.core)
     )?;
     writeln!(
         out,
@@ -62,6 +63,13 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         writeln!(out, "            {name} is missing: {remedy}")?;
     }
     Ok(())
+}
+
+fn core_text(core: u32) -> String {
+    match core {
+        u32::MAX => "no core".to_owned(),
+        core => format!("core {core}"),
+    }
 }
 
 fn counters(out: &mut String, status: &Status) -> std::fmt::Result {
@@ -97,14 +105,13 @@ fn latencies(out: &mut String, status: &Status) -> std::fmt::Result {
 }
 
 fn latency_row(out: &mut String, name: &str, latency: &LatencySummary) -> std::fmt::Result {
-    let us = |ns: u64| ns as f64 * 1e-3;
     writeln!(
         out,
-        "{name:<18}{:>12.1}{:>12.1}{:>12.1}{:>12.1}",
-        us(latency.p50_ns),
-        us(latency.p99_ns),
-        us(latency.p999_ns),
-        us(latency.max_ns)
+        "{name:<18}{:>12}{:>12}{:>12}{:>12}",
+        latency_text(latency, |l| l.p50_ns),
+        latency_text(latency, |l| l.p99_ns),
+        latency_text(latency, |l| l.p999_ns),
+        latency_text(latency, |l| l.max_ns)
     )
 }
 
@@ -170,13 +177,17 @@ mod tests {
         };
         status.robot.sections = 2;
         status.outcomes[Outcome::NoLease.code() as usize] = 3;
+        status.wake.count = 1;
         status.wake.p99_ns = 42_500;
+        status.core = u32::MAX;
         let table = table(&status).expect("formatted");
         for expected in [
             "mode        tracking",
             "SCHED_FIFO is missing: run as root",
             "1234",
             "42.5",
+            "pinned to no core",
+            "solve                        -           -           -           -\n",
             "3  the sender does not hold the reference lease",
         ] {
             assert!(table.contains(expected), "{expected} in\n{table}");

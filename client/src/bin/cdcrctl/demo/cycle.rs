@@ -12,6 +12,8 @@ use cdcr_shared_types::limits::COORDINATES_MAX;
 pub(super) struct Cycle {
     pub(super) number: u64,
     pub(super) release_ns: u64,
+    /// The release that the daemon slept for: lateness counts from here.
+    pub(super) due_ns: u64,
     /// Time of the release since the start of the curve \[s\].
     pub(super) time_s: f64,
     pub(super) tip_m: [f64; 3],
@@ -49,13 +51,14 @@ impl Cycle {
         Some(Self {
             number: record.cycle,
             release_ns: record.release_ns,
+            due_ns: record.due_ns,
             time_s,
             tip_m: record.tip_position_m,
             exact_m,
             error_m: distance(record.tip_position_m, exact_m),
-            wake_us: between_us(record.release_ns, record.start_ns),
+            wake_us: between_us(record.due_ns, record.start_ns),
             solve_us: between_us(record.solve_start_ns, record.solve_end_ns),
-            response_us: between_us(record.release_ns, record.handed_over_ns),
+            response_us: between_us(record.due_ns, record.handed_over_ns),
             deadline_miss: record.timing_flags & timing::DEADLINE_MISS != 0,
             skipped_periods: record.skipped_periods,
             bend_rad: record.bend_rad,
@@ -72,6 +75,7 @@ impl Cycle {
         let mut cells = vec![
             self.number.to_string(),
             self.release_ns.to_string(),
+            self.due_ns.to_string(),
             format!("{:.9}", self.time_s),
         ];
         cells.extend(numbers(&self.tip_m));
@@ -94,7 +98,7 @@ impl Cycle {
 
 /// Names and units of the columns, in the order of [`Cycle::cells`].
 fn header(sections: usize) -> Vec<String> {
-    let fixed = "cycle,release_ns,time_s,tip_x_m,tip_y_m,tip_z_m,\
+    let fixed = "cycle,release_ns,due_ns,time_s,tip_x_m,tip_y_m,tip_z_m,\
         reference_x_m,reference_y_m,reference_z_m,error_m,wake_us,solve_us,response_us,\
         deadline_miss,skipped_periods,solver_status,winner,evaluations,cost";
     let mut names: Vec<String> = fixed.split(',').map(str::to_owned).collect();
@@ -141,6 +145,7 @@ pub(super) mod tests {
         let mut record = Telemetry {
             mode: Mode::Tracking.code(),
             release_ns,
+            due_ns: release_ns,
             start_ns: release_ns + 20_000,
             solve_start_ns: release_ns + 22_000,
             solve_end_ns: release_ns + 52_000,
@@ -184,6 +189,17 @@ pub(super) mod tests {
         assert!((cycle.wake_us - 20.0).abs() < 1e-12);
         assert!((cycle.solve_us - 30.0).abs() < 1e-12);
         assert!((cycle.response_us - 55.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_stall_shows_in_wake_up_and_response() {
+        let spiral = Spiral::for_sections(&[0.3]);
+        let mut record = record(&spiral, 7_000_000_000, 30_000_000, 0.0);
+        record.due_ns -= 15_000_000;
+        let cycle = Cycle::of(&record, &spiral, 7_000_000_000).expect("tracking");
+        assert!((cycle.wake_us - 15_020.0).abs() < 1e-9);
+        assert!((cycle.response_us - 15_055.0).abs() < 1e-9);
+        assert!((cycle.solve_us - 30.0).abs() < 1e-12);
     }
 
     #[test]

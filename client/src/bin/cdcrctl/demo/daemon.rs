@@ -156,7 +156,9 @@ impl PrivatePlace {
         let random = RandomState::new().build_hasher().finish() as u32;
         let name = format!("cdcr-demo-{}-{random:08x}", std::process::id());
         let folder = std::env::temp_dir().join(&name);
-        let location = Location::new(&format!("{name}_"), &folder.join("root"))?;
+        let root = folder.join("root");
+        let location = Location::new(&format!("{name}_"), &root)
+            .context("the demo's folder lies in TMPDIR: set TMPDIR to a shorter absolute path")?;
         DirBuilder::new()
             .mode(0o700)
             .create(&folder)
@@ -175,15 +177,14 @@ impl PrivatePlace {
 
 impl Drop for PrivatePlace {
     fn drop(&mut self) {
-        let swept = sweep(Path::new(SHARED_MEMORY), self.location.prefix());
+        let swept = sweep(Path::new(SHARED_MEMORY), &self.location.file_prefix());
         if let Err(error) = swept.and_then(|()| fs::remove_dir_all(&self.folder)) {
             eprintln!("warning: cannot remove {}: {error}", self.folder.display());
         }
     }
 }
 
-/// Removes the files whose names begin with `prefix`: iceoryx2 leaves one of 16 bytes, a killed
-/// daemon more.
+/// Removes the files whose names begin with `prefix`: a killed daemon leaves some.
 fn sweep(folder: &Path, prefix: &str) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
@@ -204,8 +205,7 @@ mod tests {
         let other = PrivatePlace::make().expect("another folder");
         assert_ne!(place.location, other.location);
         fs::write(place.config(), "x").expect("written");
-        let stray =
-            Path::new(SHARED_MEMORY).join(format!("{}x.global_mgmt", place.location.prefix()));
+        let stray = Path::new(SHARED_MEMORY).join(format!("{}x", place.location.file_prefix()));
         fs::write(&stray, "x").expect("written");
         let folder = place.folder.clone();
         drop(place);

@@ -66,7 +66,7 @@ fn counts(out: &mut String, report: &Report, status: &Status) -> Result<(), Erro
     )?;
     writeln!(
         out,
-        "{:<24}{:>12}",
+        "{:<24}{:>12}   (releases that got no command)",
         "skipped periods", report.skipped_periods
     )?;
     writeln!(
@@ -108,6 +108,10 @@ mod tests {
         assert!(text.contains("4.97 s: 994 cycles of 5 ms\n"), "{text}");
         assert!(text.contains("SCHED_FIFO: run as root"), "{text}");
         assert!(text.contains("5e-3"), "{text}");
+        assert!(
+            text.contains("0   (releases that got no command)"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -2,9 +2,9 @@
 
 use cdcr_client::{events, realtime_missing, text};
 use cdcr_shared_types::codes::{
-    ChunkMode, Coordinates, EventKind, Interpolation, MeasurementKind, Mode, ObstacleAction,
-    ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState, RobotLink, SolverKind,
-    SolverStatus, VelocityRule, Winner,
+    ChunkMode, Coordinates, EventKind, Interpolation, LeaseState, MeasurementKind, Mode,
+    ObstacleAction, ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState, RobotLink,
+    SolverKind, SolverStatus, VelocityRule, Winner,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, PLAN_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
@@ -29,10 +29,11 @@ fn used_sections(sections: u32) -> usize {
 pub(crate) fn telemetry(record: &Telemetry) -> Value {
     let coordinates = 2 * used_sections(record.command.sections);
     let plan_length = (record.plan_length as usize).min(PLAN_MAX);
-    json!({
+    let when_and_mode = json!({
         "header": header(&record.header),
         "cycle": record.cycle,
         "release_ns": record.release_ns,
+        "due_ns": record.due_ns,
         "start_ns": record.start_ns,
         "solve_start_ns": record.solve_start_ns,
         "solve_end_ns": record.solve_end_ns,
@@ -46,6 +47,8 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "mode": Mode::text_of(record.mode),
         "reason": Reason::text_of(record.reason),
         "miss_bucket": record.miss_bucket,
+    });
+    let inputs = json!({
         "gather": record.gather,
         "gather_ns": record.gather_ns,
         "events": events(record).iter().map(event).collect::<Vec<_>>(),
@@ -53,8 +56,18 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "bend_rad": &record.bend_rad[..coordinates],
         "previous_rate_rad_s": &record.previous_rate_rad_s[..coordinates],
         "settings": settings(&record.settings),
-        "robot_fingerprint": record.robot_fingerprint,
+        "robot": robot(&record.robot),
+        "window_first_cycle": record.window_first_cycle,
+        "deceleration_rad_s2": record.deceleration_rad_s2,
+        "home_rate_rad_s": record.home_rate_rad_s,
+        "deadline_ns": record.deadline_ns,
+        "late_start_ns": record.late_start_ns,
+        "measurement_timeout_ns": record.measurement_timeout_ns,
+        "miss_limit": record.miss_limit,
+        "lease_state": LeaseState::text_of(record.lease_state),
         "obstacle_count": record.obstacle_count,
+    });
+    let outputs = json!({
         "warm_plan": &record.warm_plan[..plan_length],
         "plan": &record.plan[..plan_length],
         "report": report(&record.report),
@@ -69,7 +82,17 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "position_error_m": record.position_error_m,
         "guard_flags": record.guard_flags,
         "command": command(&record.command),
-    })
+    });
+    joined([when_and_mode, inputs, outputs])
+}
+
+/// One object with the fields of all.
+fn joined<const N: usize>(parts: [Value; N]) -> Value {
+    let fields = parts.into_iter().filter_map(|part| match part {
+        Value::Object(fields) => Some(fields),
+        _ => None,
+    });
+    Value::Object(fields.flatten().collect())
 }
 
 fn event(event: &InputEvent) -> Value {
@@ -152,7 +175,7 @@ pub(crate) fn status(status: &Status) -> Value {
         "realtime": missing.is_empty(),
         "realtime_missing": missing.iter().map(|(name, _)| name).collect::<Vec<_>>(),
         "link": RobotLink::text_of(status.link),
-        "core": status.core,
+        "core": (status.core != u32::MAX).then_some(status.core),
         "origin_ns": status.origin_ns,
         "period_ns": status.period_ns,
         "deadline_ns": status.deadline_ns,

@@ -3,9 +3,12 @@
 use cdcr_client::events;
 use cdcr_shared_types::codes::{
     ChunkMode, Interpolation, Mode, ObstacleAction, ObstacleShape, Outcome, Reason, ReferenceState,
+    SolverStatus,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
-use cdcr_shared_types::{Command, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+use cdcr_shared_types::{
+    Command, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
+};
 
 pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm   \
     y mm      z mm      error mm   wake µs  solve µs  response µs  events";
@@ -20,18 +23,29 @@ pub(super) const OBSTACLES_HEADING: &str =
 
 pub(super) fn telemetry(record: &Telemetry) -> String {
     let [x, y, z] = record.tip_position_m.map(|x| 1e3 * x);
-    let us = |to: u64, from: u64| to.saturating_sub(from) as f64 * 1e-3;
     format!(
-        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10.1}{:>13.1}  {}",
+        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10}{:>13.1}  {}",
         record.cycle,
         Mode::text_of(record.mode),
         ReferenceState::text_of(record.reference.state),
         error_text(record.position_error_m),
-        us(record.start_ns, record.release_ns),
-        us(record.solve_end_ns, record.solve_start_ns),
-        us(record.handed_over_ns, record.release_ns),
+        us(record.start_ns, record.due_ns),
+        solve_text(record),
+        us(record.handed_over_ns, record.due_ns),
         event_texts(record),
     )
+}
+
+fn us(to_ns: u64, from_ns: u64) -> f64 {
+    to_ns.saturating_sub(from_ns) as f64 * 1e-3
+}
+
+/// In µs; a dash in a cycle without a solve.
+fn solve_text(record: &Telemetry) -> String {
+    if record.report.status == SolverStatus::Idle.code() {
+        return "-".to_owned();
+    }
+    format!("{:.1}", us(record.solve_end_ns, record.solve_start_ns))
 }
 
 /// In mm; a dash when there is no reference to be off.
@@ -69,15 +83,26 @@ fn join(values: &[f64], scale: f64, decimals: usize) -> String {
 
 pub(super) fn status(status: &Status) -> String {
     format!(
-        "{:>10}  {:<10}{:>8}{:>9}{:>17.1}{:>14}  {}",
+        "{:>10}  {:<10}{:>8}{:>9}{:>17}{:>14}  {}",
         status.cycles,
         Mode::text_of(status.mode),
         status.deadline_misses,
         status.skipped_periods,
-        status.response.p99_ns as f64 * 1e-3,
+        latency_text(&status.response, |response| response.p99_ns),
         status.reference_points,
         Reason::text_of(status.reason)
     )
+}
+
+/// A latency in µs; a dash when none was counted.
+pub(crate) fn latency_text(
+    latency: &LatencySummary,
+    value_ns: impl Fn(&LatencySummary) -> u64,
+) -> String {
+    if latency.count == 0 {
+        return "-".to_owned();
+    }
+    format!("{:.1}", us(value_ns(latency), 0))
 }
 
 pub(super) fn reference(chunk: &ReferenceChunk) -> String {
@@ -115,6 +140,27 @@ pub(super) fn obstacles(update: &ObstacleUpdate) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stall_shows_and_a_cycle_without_a_solve_has_a_dash() {
+        let mut record = Telemetry {
+            due_ns: 10_000_000,
+            release_ns: 25_000_000,
+            start_ns: 25_040_000,
+            solve_start_ns: 25_050_000,
+            solve_end_ns: 25_052_000,
+            handed_over_ns: 25_060_000,
+            ..Telemetry::default()
+        };
+        record.report.status = SolverStatus::Converged.code();
+        let line = telemetry(&record);
+        for part in ["   15040.0", "       2.0", "      15060.0"] {
+            assert!(line.contains(part), "{part} in {line}");
+        }
+        record.report.status = SolverStatus::Idle.code();
+        let line = telemetry(&record);
+        assert!(line.contains("15040.0         -"), "{line}");
+    }
 
     #[test]
     fn a_record_from_anywhere_never_panics() {

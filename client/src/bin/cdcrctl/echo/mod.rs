@@ -1,7 +1,7 @@
 //! Prints messages as they pass.
 
 pub(crate) mod json;
-mod line;
+pub(crate) mod line;
 
 use std::io::Write;
 use std::time::{Duration, Instant};

@@ -14,6 +14,7 @@ use plotters::style::RGBColor;
 const BLUE: RGBColor = RGBColor(0, 114, 178);
 const ORANGE: RGBColor = RGBColor(213, 94, 0);
 const GREEN: RGBColor = RGBColor(0, 158, 115);
+const PURPLE: RGBColor = RGBColor(204, 121, 167);
 const GREY: RGBColor = RGBColor(170, 170, 170);
 /// Grid lines.
 const PALE: RGBColor = RGBColor(225, 225, 225);
@@ -67,6 +68,36 @@ mod tests {
             "timing.svg",
             &["wake-up", "solve", "response", "µs", "cycles"],
         );
+    }
+
+    #[test]
+    fn skipped_periods_break_the_line_and_have_a_legend_only_when_there_are_any() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let folder = std::env::var_os("CDCR_KEEP_PICTURES")
+            .map_or_else(|| folder.path().to_owned(), Into::into);
+        let (whole, _) = synthetic(400);
+        let mut broken = whole.clone();
+        broken.drain(100..104);
+        broken[100].skipped_periods = 4;
+        broken.drain(250..255);
+        broken[250].skipped_periods = 5;
+        // A lost record is a gap, too, but no skipped period.
+        broken.remove(300);
+        let draw = |cycles: &[_]| {
+            let file = folder.join("gaps.svg");
+            error(&file, cycles, &report(cycles, &Status::default())).expect("drawn");
+            let svg = std::fs::read_to_string(file).expect("written");
+            let blue = |line: &&str| line.contains("<polyline") && line.contains("#0072B2");
+            (
+                svg.lines().filter(blue).count(),
+                svg.contains("skipped periods"),
+            )
+        };
+        let (lines, is_marked) = draw(&whole);
+        assert!(!is_marked);
+        let (pieces, is_marked) = draw(&broken);
+        assert!(is_marked);
+        assert_eq!(pieces, lines + 3);
     }
 
     #[test]

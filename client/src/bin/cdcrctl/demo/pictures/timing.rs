@@ -30,7 +30,7 @@ pub(in crate::demo) fn timing(
     let values = |value: fn(&Cycle) -> f64| cycles.iter().map(value).collect::<Vec<_>>();
     let panels = [
         Panel {
-            name: "wake-up: release to start",
+            name: "wake-up: due release to start",
             values_us: values(|cycle| cycle.wake_us),
             spread: &report.wake_us,
             colour: BLUE,
@@ -42,7 +42,7 @@ pub(in crate::demo) fn timing(
             colour: GREEN,
         },
         Panel {
-            name: "response: release to command",
+            name: "response: due release to command",
             values_us: values(|cycle| cycle.response_us),
             spread: &report.response_us,
             colour: ORANGE,
