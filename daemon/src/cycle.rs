@@ -166,7 +166,7 @@ impl<L: RobotLink> Cycle<L> {
             }),
             policy,
             period_ns,
-            budget_margin_ns: ns(config.cycle.budget_margin_ms),
+            budget_margin_ns: config.cycle.budget_margin_ns(),
             settings_revision: 0,
             last_measured_ns: 0,
             previous_release_ns: None,

@@ -20,8 +20,8 @@ impl Clock for MonotonicClock {
             tv_nsec: (time_ns % 1_000_000_000).cast_signed(),
         };
         // A signal may end the sleep early; then the rest of it is slept.
-        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until).is_err()
-            && self.now_ns() < time_ns
+        while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until)
+            == Err(rustix::io::Errno::INTR)
         {}
     }
 }
