@@ -265,7 +265,7 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         period_ns,
         deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),
-        settings: convert::settings_to_wire(&config.controller, 0),
+        settings: convert::settings_to_wire(&config.controller),
         ..wire::Status::default()
     }
 }

@@ -29,7 +29,7 @@
 //!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
 //!
 //! Invariant: no logic lives here. Nothing validates, computes or decides; the daemon's
-//! `exchange/convert.rs` does that at the edge.
+//! `exchange/convert/` does that at the edge.
 
 pub mod codes;
 mod command;

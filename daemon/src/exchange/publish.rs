@@ -63,7 +63,7 @@ impl Exchange {
             mode: self.last_mode,
             reason: convert::reason(record.mode.reason()),
             faults: record.faults,
-            settings: convert::settings_to_wire(&record.settings, 0),
+            settings: convert::settings_to_wire(&record.settings),
             lease_holder: self.lease.holder(now_ns).unwrap_or(0),
             reference_end_ns: self.trajectory.end_ns().unwrap_or(0),
             reference_points: self.trajectory.points_ahead(now_ns) as u32,

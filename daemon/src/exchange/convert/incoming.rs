@@ -1,0 +1,195 @@
+//! Wire → domain: every message of a client or driver, checked.
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, TrajectoryError};
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot};
+use cdcr_controller::safety::Request;
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{self, Outcome};
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
+
+use crate::ports::TimedMeasurement;
+
+/// Why a message was refused, and at which of its points or obstacles.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Refused {
+    /// Why.
+    pub outcome: Outcome,
+    /// Index of the point or obstacle; 0 where there is none.
+    pub detail: u32,
+}
+
+impl Refused {
+    /// A refusal of the message as a whole.
+    pub fn whole(outcome: Outcome) -> Self {
+        Self { outcome, detail: 0 }
+    }
+
+    fn at(outcome: Outcome, index: usize) -> Self {
+        Self {
+            outcome,
+            detail: index as u32,
+        }
+    }
+}
+
+/// Unit vectors and quaternions may be off by this much.
+const UNIT_TOLERANCE: f64 = 1e-6;
+/// Positions may lie this much outside the reachable ball \[m\]: rounding of the straight robot.
+const REACH_TOLERANCE_M: f64 = 1e-6;
+/// A driver's clock may be this far ahead \[ns\].
+const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
+
+/// The points of a chunk, all checked: finite, ahead of `now_ns`, inside the reachable ball, with
+/// increasing times and unit orientations.
+///
+/// # Errors
+/// The first point that is wrong, and what is wrong with it.
+pub fn reference_points<'a>(
+    chunk: &'a wire::ReferenceChunk,
+    robot: &Robot,
+    now_ns: u64,
+) -> Result<impl Iterator<Item = ReferencePoint> + Clone + 'a, Refused> {
+    let interpolation = match codes::Interpolation::try_from(chunk.interpolation) {
+        Ok(codes::Interpolation::Linear) => Interpolation::Linear,
+        Ok(codes::Interpolation::Cubic) => Interpolation::Cubic,
+        Err(_) => return Err(Refused::whole(Outcome::UnknownCode)),
+    };
+    let points = (1..=wire::limits::CHUNK_POINTS_MAX)
+        .contains(&(chunk.count as usize))
+        .then(|| &chunk.points[..chunk.count as usize])
+        .ok_or(Refused::whole(Outcome::CountOutOfRange))?;
+    for (index, point) in points.iter().enumerate() {
+        reference_point(point, interpolation, robot.reach_m(), now_ns)
+            .map_err(|outcome| Refused::at(outcome, index))?;
+        if index > 0 && point.time_ns <= points[index - 1].time_ns {
+            return Err(Refused::at(Outcome::TimeNotIncreasing, index));
+        }
+    }
+    let reach_m = robot.reach_m();
+    Ok(points
+        .iter()
+        .filter_map(move |point| reference_point(point, interpolation, reach_m, now_ns).ok()))
+}
+
+fn reference_point(
+    point: &wire::ReferencePoint,
+    interpolation: Interpolation,
+    reach_m: f64,
+    now_ns: u64,
+) -> Result<ReferencePoint, Outcome> {
+    let position_m = Vector3::from(point.position_m);
+    if !position_m
+        .iter()
+        .chain(&point.orientation)
+        .all(|value| value.is_finite())
+    {
+        return Err(Outcome::NotFinite);
+    }
+    if point.time_ns <= now_ns {
+        return Err(Outcome::InThePast);
+    }
+    if position_m.norm() > reach_m + REACH_TOLERANCE_M {
+        return Err(Outcome::OutOfReach);
+    }
+    Ok(ReferencePoint {
+        time_ns: point.time_ns,
+        position_m,
+        orientation: orientation(point)?,
+        interpolation,
+    })
+}
+
+fn orientation(point: &wire::ReferencePoint) -> Result<Orientation, Outcome> {
+    let [x, y, z, w] = point.orientation;
+    match codes::OrientationKind::try_from(point.orientation_kind) {
+        Ok(codes::OrientationKind::None) => Ok(Orientation::Free),
+        Ok(codes::OrientationKind::Axis) => {
+            let axis = Vector3::new(x, y, z);
+            let is_unit = (axis.norm() - 1.0).abs() <= UNIT_TOLERANCE;
+            let axis = is_unit.then(|| Orientation::Axis(Unit::new_normalize(axis)));
+            axis.ok_or(Outcome::NotUnit)
+        }
+        Ok(codes::OrientationKind::Full) => {
+            let rotation = Quaternion::new(w, x, y, z);
+            let is_unit = (rotation.norm() - 1.0).abs() <= UNIT_TOLERANCE;
+            let full =
+                is_unit.then(|| Orientation::Full(UnitQuaternion::from_quaternion(rotation)));
+            full.ok_or(Outcome::NotUnit)
+        }
+        Err(_) => Err(Outcome::UnknownCode),
+    }
+}
+
+/// Why the trajectory did not take points.
+pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
+    match error {
+        TrajectoryError::TimeNotIncreasing { index } => {
+            Refused::at(Outcome::TimeNotIncreasing, *index)
+        }
+        TrajectoryError::Full { .. } => Refused::whole(Outcome::BufferFull),
+    }
+}
+
+/// A driver's measurement, checked against the robot and the clock.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn measurement(
+    message: &wire::Measurement,
+    robot: &Robot,
+    now_ns: u64,
+) -> Result<TimedMeasurement, Refused> {
+    if message.sections as usize != robot.section_count() {
+        return Err(Refused::whole(Outcome::WrongRobot));
+    }
+    if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
+        return Err(Refused::whole(Outcome::OutOfRange));
+    }
+    let finite = |values: &[f64]| match values.iter().position(|value| !value.is_finite()) {
+        Some(index) => Err(Refused::at(Outcome::NotFinite, index)),
+        None => Ok(()),
+    };
+    let measurement = match codes::MeasurementKind::try_from(message.kind) {
+        Ok(codes::MeasurementKind::Configuration) => {
+            let bends = &message.bend_rad[..robot.coordinate_count()];
+            finite(bends)?;
+            let configuration = Configuration::from_slice(bends);
+            configuration
+                .map(Measurement::Configuration)
+                .ok_or(Refused::whole(Outcome::WrongRobot))?
+        }
+        Ok(codes::MeasurementKind::CableLengths) => {
+            finite(&message.cable_length_m[..robot.cable_count()])?;
+            let mut lengths = [0.0; CABLES_MAX];
+            lengths[..robot.cable_count()]
+                .copy_from_slice(&message.cable_length_m[..robot.cable_count()]);
+            Measurement::CableLengths(lengths)
+        }
+        Ok(codes::MeasurementKind::TipPose) => {
+            finite(&message.tip_position_m)?;
+            Measurement::TipPosition(Vector3::from(message.tip_position_m))
+        }
+        Ok(codes::MeasurementKind::None) | Err(_) => {
+            return Err(Refused::whole(Outcome::UnknownCode));
+        }
+    };
+    Ok(TimedMeasurement {
+        measurement,
+        measured_ns: message.measured_ns,
+    })
+}
+
+/// The request of a client that concerns the mode; none for those about lease and settings.
+pub fn mode_request(kind: codes::RequestKind) -> Option<Request> {
+    match kind {
+        codes::RequestKind::Track => Some(Request::Track),
+        codes::RequestKind::Hold => Some(Request::Hold),
+        codes::RequestKind::Home => Some(Request::Home),
+        codes::RequestKind::Stop => Some(Request::Stop),
+        codes::RequestKind::Reset => Some(Request::Reset),
+        codes::RequestKind::AcquireLease
+        | codes::RequestKind::ReleaseLease
+        | codes::RequestKind::Settings => None,
+    }
+}

@@ -1,0 +1,274 @@
+//! Domain → wire: what the daemon says of itself, of a cycle and to the robot.
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::nmpc::{SolveReport, SolveStatus};
+use cdcr_controller::optimizer::Candidate;
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{Robot, quaternion_xyzw};
+use cdcr_controller::safety::{LeaseState, LimitsHit, Mode, Reason, Refusal};
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{self, Outcome};
+
+use super::settings::settings_to_wire;
+use crate::cycle::CycleRecord;
+use crate::ports::TimedMeasurement;
+
+/// A refusal of the mode machine.
+pub fn refusal(refusal: Refusal) -> Outcome {
+    match refusal {
+        Refusal::WrongMode => Outcome::WrongMode,
+        Refusal::NoLease => Outcome::NoLease,
+        Refusal::NoReference => Outcome::NoReference,
+        Refusal::CauseStands => Outcome::CauseStands,
+    }
+}
+
+/// The mode.
+pub fn mode(mode: Mode) -> codes::Mode {
+    match mode {
+        Mode::Starting => codes::Mode::Starting,
+        Mode::Holding { .. } => codes::Mode::Holding,
+        Mode::Tracking { .. } => codes::Mode::Tracking,
+        Mode::Homing => codes::Mode::Homing,
+        Mode::Stopped { .. } => codes::Mode::Stopped,
+        Mode::Faulted { .. } => codes::Mode::Faulted,
+    }
+}
+
+/// Why a mode.
+pub fn reason(reason: Reason) -> codes::Reason {
+    match reason {
+        Reason::Start => codes::Reason::Start,
+        Reason::Request => codes::Reason::Request,
+        Reason::ReferenceEnded => codes::Reason::ReferenceEnded,
+        Reason::LeaseExpired => codes::Reason::LeaseExpired,
+        Reason::HomeReached => codes::Reason::HomeReached,
+        Reason::DeadlineMisses => codes::Reason::DeadlineMisses,
+        Reason::MeasurementLost => codes::Reason::MeasurementLost,
+        Reason::NonFinite => codes::Reason::NonFinite,
+        Reason::LimitBroken => codes::Reason::LimitBroken,
+        Reason::Shutdown => codes::Reason::Shutdown,
+        Reason::LeaseReleased => codes::Reason::LeaseReleased,
+    }
+}
+
+/// The robot on the wire.
+pub fn robot(robot: &Robot) -> wire::RobotDescription {
+    let mut description = wire::RobotDescription {
+        sections: robot.section_count() as u32,
+        fingerprint: robot.fingerprint(),
+        cable_speed_max_m_s: robot.cable_speed_max_m_s(),
+        ..wire::RobotDescription::default()
+    };
+    for (target, section) in description.section.iter_mut().zip(robot.sections()) {
+        *target = wire::SectionDescription {
+            length_m: section.length_m,
+            cable_radius_m: section.cable_radius_m,
+            cable_offset_rad: section.cable_offset_rad,
+            bend_max_rad: section.bend_max_rad,
+            rate_max_rad_s: section.rate_max_rad_s,
+            body_radius_m: section.body_radius_m,
+        };
+    }
+    description
+}
+
+/// The command of a cycle.
+pub fn command(
+    record: &CycleRecord,
+    robot: &Robot,
+    period_ns: u64,
+    valid_for_ns: u64,
+) -> wire::Command {
+    let target = record
+        .configuration
+        .advanced(&record.rates, period_ns as f64 * 1e-9);
+    let mut command = wire::Command {
+        cycle: record.release.cycle,
+        release_ns: record.release.release_ns,
+        valid_for_ns,
+        mode: mode(record.mode).code(),
+        sections: robot.section_count() as u32,
+        cable_length_m: robot.cable_lengths(target.as_slice()),
+        cable_speed_m_s: robot.cable_speeds(record.rates.as_slice()),
+        ..wire::Command::default()
+    };
+    copy(record.rates.as_slice(), &mut command.bend_rate_rad_s);
+    copy(target.as_slice(), &mut command.bend_target_rad);
+    command
+}
+
+/// The telemetry of a cycle, all but what the exchange adds: header, events and command.
+pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Telemetry {
+    let reference_known = record.reference.state != ReferenceState::None;
+    let error_m = (record.tip.position_m - record.reference.position_m).norm();
+    let mut telemetry = wire::Telemetry {
+        cycle: record.release.cycle,
+        release_ns: record.release.release_ns,
+        due_ns: record.release.due_ns,
+        start_ns: record.release.start_ns,
+        solve_start_ns: record.solve_start_ns,
+        solve_end_ns: record.solve_end_ns,
+        handed_over_ns: record.handed_over_ns,
+        period_ns,
+        elapsed_ns: record.elapsed_ns,
+        skipped_periods: record.release.skipped,
+        timing_flags: timing_flags(record),
+        deadline_misses_total: record.totals.deadline_misses,
+        skipped_periods_total: record.totals.skipped_periods,
+        mode: mode(record.mode).code(),
+        reason: reason(record.mode.reason()).code(),
+        miss_bucket: record.miss_bucket,
+        gather: record.gather,
+        gather_ns: record.gather_ns,
+        settings: settings_to_wire(&record.settings),
+        robot: self::robot(robot),
+        window_first_cycle: record.window_first_cycle,
+        lease_state: match record.lease {
+            LeaseState::Free => codes::LeaseState::Free,
+            LeaseState::Held => codes::LeaseState::Held,
+            LeaseState::Expired => codes::LeaseState::Expired,
+        }
+        .code(),
+        deceleration_rad_s2: record.policy.deceleration_rad_s2,
+        home_rate_rad_s: record.policy.home_rate_rad_s,
+        deadline_ns: record.policy.deadline_ns,
+        late_start_ns: record.policy.late_start_ns,
+        measurement_timeout_ns: record.policy.measurement_timeout_ns,
+        miss_limit: record.policy.miss_limit,
+        plan_length: record.plan_length as u32,
+        warm_plan: record.warm_plan,
+        plan: record.plan,
+        report: report(&record.report),
+        reference: reference(&record.reference),
+        tip_position_m: record.tip.position_m.into(),
+        tip_orientation: quaternion_xyzw(&record.tip.rotation),
+        position_error_m: if reference_known { error_m } else { f64::NAN },
+        guard_flags: guard_flags(record.limits_hit),
+        ..wire::Telemetry::default()
+    };
+    if let Some(timed) = &record.measurement {
+        telemetry.measurement = measurement_to_wire(timed, robot);
+    }
+    copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
+    copy(
+        record.previous_rates.as_slice(),
+        &mut telemetry.previous_rate_rad_s,
+    );
+    telemetry
+}
+
+/// A measurement as a cycle used it. Who sent it is not known any more, so the header is zero.
+pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wire::Measurement {
+    let mut message = wire::Measurement {
+        measured_ns: timed.measured_ns,
+        sections: robot.section_count() as u32,
+        ..wire::Measurement::default()
+    };
+    let kind = match &timed.measurement {
+        Measurement::Configuration(configuration) => {
+            copy(configuration.as_slice(), &mut message.bend_rad);
+            codes::MeasurementKind::Configuration
+        }
+        Measurement::CableLengths(lengths) => {
+            message.cable_length_m = *lengths;
+            codes::MeasurementKind::CableLengths
+        }
+        Measurement::TipPosition(position_m) => {
+            message.tip_position_m = (*position_m).into();
+            codes::MeasurementKind::TipPose
+        }
+    };
+    message.kind = kind.code();
+    message
+}
+
+fn copy(from: &[f64], to: &mut [f64]) {
+    to[..from.len()].copy_from_slice(from);
+}
+
+fn timing_flags(record: &CycleRecord) -> u32 {
+    let late = if record.verdict.late_start {
+        codes::timing::LATE_START
+    } else {
+        0
+    };
+    let miss = if record.verdict.deadline_miss {
+        codes::timing::DEADLINE_MISS
+    } else {
+        0
+    };
+    late | miss
+}
+
+fn guard_flags(hit: LimitsHit) -> u32 {
+    let bits = [
+        (hit.rate, codes::guard::RATE),
+        (hit.bend, codes::guard::BEND),
+        (hit.cable_speed, codes::guard::CABLE_SPEED),
+        (hit.non_finite, codes::guard::NON_FINITE),
+    ];
+    bits.iter()
+        .filter(|(set, _)| *set)
+        .fold(0, |flags, (_, bit)| flags | bit)
+}
+
+fn report(report: &SolveReport) -> wire::SolverReport {
+    wire::SolverReport {
+        cost: report.cost,
+        warm_cost: report.warm_cost,
+        gradient_norm: report.gradient_norm,
+        seed: report.seed,
+        evaluations: report.evaluations,
+        quanta: report.quanta,
+        iterations: report.iterations,
+        refinements: report.refinements,
+        status: match report.status {
+            SolveStatus::Idle => codes::SolverStatus::Idle,
+            SolveStatus::Converged => codes::SolverStatus::Converged,
+            SolveStatus::BudgetSpent => codes::SolverStatus::BudgetSpent,
+            SolveStatus::IterationsSpent => codes::SolverStatus::IterationsSpent,
+            SolveStatus::NonFinite => codes::SolverStatus::NonFinite,
+        }
+        .code(),
+        winner: match report.winner {
+            Candidate::WarmStart => codes::Winner::WarmStart,
+            Candidate::Previous => codes::Winner::Previous,
+            Candidate::Zero => codes::Winner::Zero,
+            Candidate::LeastSquares => codes::Winner::LeastSquares,
+            Candidate::Swarm => codes::Winner::Swarm,
+        }
+        .code(),
+    }
+}
+
+fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
+    let (orientation, kind) = match sample.orientation {
+        Orientation::Free => ([0.0; 4], codes::OrientationKind::None),
+        Orientation::Axis(axis) => ([axis.x, axis.y, axis.z, 0.0], codes::OrientationKind::Axis),
+        Orientation::Full(full) => (full.coords.into(), codes::OrientationKind::Full),
+    };
+    wire::ReferenceSample {
+        position_m: sample.position_m.into(),
+        orientation,
+        orientation_kind: kind.code(),
+        state: match sample.state {
+            ReferenceState::None => codes::ReferenceState::None,
+            ReferenceState::Before => codes::ReferenceState::Before,
+            ReferenceState::Inside => codes::ReferenceState::Inside,
+            ReferenceState::Ended => codes::ReferenceState::Ended,
+        }
+        .code(),
+    }
+}
+
+/// Text in a fixed field, cut at a character's border.
+pub fn text(text: &str) -> [u8; wire::limits::TEXT_BYTES] {
+    let mut bytes = [0; wire::limits::TEXT_BYTES];
+    let end = (0..=text.len().min(bytes.len()))
+        .rev()
+        .find(|&end| text.is_char_boundary(end));
+    let end = end.unwrap_or(0);
+    bytes[..end].copy_from_slice(&text.as_bytes()[..end]);
+    bytes
+}

@@ -1,0 +1,93 @@
+//! Settings of the solver, both ways.
+
+use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
+use cdcr_controller::optimizer::VelocityRule;
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{self, Outcome};
+
+/// Settings on the wire. Fields of functions that this build does not have are zero.
+pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
+    wire::SolverSettings {
+        solver: match settings.solver {
+            SolverKind::Kpso => codes::SolverKind::Kpso,
+            SolverKind::GaussNewton => codes::SolverKind::GaussNewton,
+            SolverKind::KpsoRefined => codes::SolverKind::KpsoRefined,
+        }
+        .code(),
+        coordinates: codes::Coordinates::BendVector.code(),
+        horizon_steps: settings.horizon_steps,
+        control_blocks: settings.control_blocks,
+        swarm_size: settings.swarm_size,
+        swarm_iterations: settings.swarm_iterations,
+        regenerate_after: settings.regenerate_after,
+        velocity_rule: match settings.velocity_rule {
+            VelocityRule::Inertia => codes::VelocityRule::Inertia,
+            VelocityRule::Constriction => codes::VelocityRule::Constriction,
+            VelocityRule::Verbatim => codes::VelocityRule::Verbatim,
+        }
+        .code(),
+        refinement_steps: settings.refinement_steps,
+        inertia: settings.inertia,
+        cognitive: settings.cognitive,
+        social: settings.social,
+        damping: settings.damping,
+        position_weight: settings.position_weight,
+        rate_weight: settings.rate_weight,
+        rate_change_weight: settings.rate_change_weight,
+        terminal_weight: settings.terminal_weight,
+        seed: settings.seed,
+        ..wire::SolverSettings::default()
+    }
+}
+
+/// Settings from the wire, checked. What this build does not have is refused, never ignored.
+///
+/// # Errors
+/// `Unsupported`, `UnknownCode` or `OutOfRange`.
+pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings, Outcome> {
+    let unused = [
+        message.orientation_weight,
+        message.orientation_tolerance_rad,
+        message.safe_distance_m,
+        message.obstacle_step_penalty,
+        message.obstacle_slope_penalty,
+    ];
+    let asks_for_more = message.coordinates != codes::Coordinates::BendVector.code()
+        || message.budget_ns != 0
+        || unused.iter().any(|value| *value != 0.0);
+    if asks_for_more {
+        return Err(Outcome::Unsupported);
+    }
+    let unknown = |_| Outcome::UnknownCode;
+    let settings = NmpcSettings {
+        solver: match codes::SolverKind::try_from(message.solver).map_err(unknown)? {
+            codes::SolverKind::Kpso => SolverKind::Kpso,
+            codes::SolverKind::GaussNewton => SolverKind::GaussNewton,
+            codes::SolverKind::KpsoRefined => SolverKind::KpsoRefined,
+        },
+        horizon_steps: message.horizon_steps,
+        control_blocks: message.control_blocks,
+        swarm_size: message.swarm_size,
+        swarm_iterations: message.swarm_iterations,
+        regenerate_after: message.regenerate_after,
+        velocity_rule: match codes::VelocityRule::try_from(message.velocity_rule)
+            .map_err(unknown)?
+        {
+            codes::VelocityRule::Inertia => VelocityRule::Inertia,
+            codes::VelocityRule::Constriction => VelocityRule::Constriction,
+            codes::VelocityRule::Verbatim => VelocityRule::Verbatim,
+        },
+        inertia: message.inertia,
+        cognitive: message.cognitive,
+        social: message.social,
+        refinement_steps: message.refinement_steps,
+        damping: message.damping,
+        position_weight: message.position_weight,
+        rate_weight: message.rate_weight,
+        rate_change_weight: message.rate_change_weight,
+        terminal_weight: message.terminal_weight,
+        seed: message.seed,
+    };
+    settings.validate().map_err(|_| Outcome::OutOfRange)?;
+    Ok(settings)
+}
