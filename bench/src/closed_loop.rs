@@ -3,75 +3,161 @@
 use std::time::Instant;
 
 use anyhow::{Context, Result};
-use cdcr_client::Trajectory;
+use cdcr_client::Orientation as Wanted;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::limit;
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Pose};
+use cdcr_controller::safety::{guard, limit};
 use hdrhistogram::Histogram;
-use nalgebra::Vector3;
+use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
-/// What is simulated.
-pub struct Scene<'a> {
-    /// The robot.
-    pub robot: &'a Robot,
-    /// Its configuration at the start.
-    pub start: Configuration,
-    /// The curve; its time 0 is the first release.
-    pub curve: &'a dyn Trajectory,
-    /// Cycles.
-    pub cycles: u64,
-    /// Period \[s\].
-    pub period_s: f64,
+use crate::scene::Scene;
+
+/// The ideal kinematic robot and the last word on its commands, around whatever solves. The solver sees
+/// the exact curve at each step of its horizon; the command is what a daemon would send.
+pub struct ClosedLoop<'a> {
+    scene: &'a Scene,
+    settings: NmpcSettings,
+    cycle: u64,
+    configuration: Configuration,
+    rates: BendRates,
+    reference: Vec<ReferenceSample>,
 }
 
-/// What came out.
+/// What one cycle led to.
 #[derive(Debug, Clone)]
-pub struct Run {
-    /// Mean distance of the tip from the curve, at the end of each cycle \[mm\].
-    pub mean_error_mm: f64,
-    /// The largest \[mm\].
-    pub max_error_mm: f64,
-    /// Solve times \[ns\].
-    pub solve_ns: Histogram<u64>,
+pub struct Sample {
+    /// End of the cycle \[s\].
+    pub time_s: f64,
+    /// Where the tip should be then \[m\].
+    pub reference_m: Vector3<f64>,
+    /// Where it is.
+    pub tip: Pose,
+    /// How the robot is bent then.
+    pub configuration: Configuration,
+    /// The command of the cycle \[rad/s\].
+    pub rates: BendRates,
+    /// Clearance of the whole body then \[m\]; infinite without obstacles.
+    pub clearance_m: f64,
+    /// Time of the solve \[ns\].
+    pub solve_ns: u64,
 }
 
-/// Runs the scene with one controller on the ideal kinematic robot. The controller sees the exact
-/// curve at each step of its horizon.
+impl Sample {
+    /// From the reference to the tip \[mm\].
+    pub fn offset_mm(&self) -> Vector3<f64> {
+        1e3 * (self.tip.position_m - self.reference_m)
+    }
+
+    /// Distance of the tip from the reference \[mm\].
+    pub fn error_mm(&self) -> f64 {
+        self.offset_mm().norm()
+    }
+}
+
+impl<'a> ClosedLoop<'a> {
+    /// The scene at its start.
+    pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Self {
+        let mut begin = Self {
+            scene,
+            settings,
+            cycle: 0,
+            configuration: scene.start,
+            rates: BendRates::zero(scene.robot.section_count()),
+            reference: Vec::new(),
+        };
+        begin.look_ahead();
+        begin
+    }
+
+    /// Whether all cycles are done.
+    pub fn is_over(&self) -> bool {
+        self.cycle >= self.scene.cycles
+    }
+
+    /// What a solve of this cycle starts from.
+    pub fn input(&self) -> SolveInput<'_> {
+        SolveInput {
+            configuration: &self.configuration,
+            previous_rates: &self.rates,
+            reference: &self.reference,
+            obstacles: &self.scene.obstacles,
+            elapsed_periods: 1,
+            seed: cycle_seed(self.settings.seed, self.cycle),
+        }
+    }
+
+    /// Limits and guards the wish, moves the robot by it, and goes on to the next cycle.
+    pub fn advance(&mut self, wish: &BendRates) {
+        let Scene {
+            robot,
+            obstacles,
+            period_s,
+            ..
+        } = self.scene;
+        let (at, apart_m) = (&self.configuration, self.settings.safe_distance_m);
+        let limited = limit(robot, at, wish, *period_s).rates;
+        self.rates = guard(robot, at, &limited, obstacles, apart_m, *period_s).rates;
+        self.configuration = self.configuration.advanced(&self.rates, *period_s);
+        self.cycle += 1;
+        self.look_ahead();
+    }
+
+    /// What the cycle before this one led to.
+    pub fn sample(&self, solve_ns: u64) -> Sample {
+        let body = self.scene.robot.body(self.configuration.as_slice());
+        let clearances_m = self.scene.obstacles.iter().map(|o| body.clearance_m(o));
+        Sample {
+            time_s: self.scene.time_s(self.cycle),
+            reference_m: self.scene.point_m(self.cycle),
+            tip: self.scene.robot.tip_pose(&self.configuration),
+            configuration: self.configuration,
+            rates: self.rates,
+            clearance_m: clearances_m.fold(f64::INFINITY, f64::min),
+            solve_ns,
+        }
+    }
+
+    /// The exact curve at the steps of the horizon.
+    fn look_ahead(&mut self) {
+        let first = self.cycle + 1;
+        let cycles = first..first + u64::from(self.settings.horizon_steps);
+        self.reference.clear();
+        self.reference.extend(cycles.map(|cycle| ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: self.scene.point_m(cycle),
+            orientation: orientation(self.scene, cycle),
+        }));
+    }
+}
+
+fn orientation(scene: &Scene, cycle: u64) -> Orientation {
+    match scene.curve.orientation(scene.time_s(cycle)) {
+        Wanted::Free => Orientation::Free,
+        Wanted::Axis(axis) => Orientation::Axis(Unit::new_normalize(axis.into())),
+        Wanted::Full([x, y, z, w]) => {
+            Orientation::Full(UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z)))
+        }
+    }
+}
+
+/// Runs the scene with one controller and tells of every cycle.
 ///
 /// # Errors
 /// When the settings are out of range.
-pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Run> {
+pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-    let mut solve_ns = histogram()?;
-    let mut configuration = scene.start;
-    let mut rates = BendRates::zero(scene.robot.section_count());
-    let (mut sum_m, mut max_m) = (0.0, 0.0_f64);
-    for cycle in 0..scene.cycles {
-        let reference = window(scene, cycle, settings.horizon_steps);
-        let input = SolveInput {
-            configuration: &configuration,
-            previous_rates: &rates,
-            reference: &reference,
-            elapsed_periods: 1,
-            seed: cycle_seed(settings.seed, cycle),
-        };
+    let mut closed = ClosedLoop::new(scene, settings);
+    let mut samples = Vec::with_capacity(scene.cycles as usize);
+    while !closed.is_over() {
         let begin = Instant::now();
-        let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
-        solve_ns.saturating_record(begin.elapsed().as_nanos() as u64);
-        rates = limit(scene.robot, &configuration, &wish, scene.period_s).rates;
-        configuration = configuration.advanced(&rates, scene.period_s);
-        let tip = scene.robot.tip_position(configuration.as_slice());
-        let error_m = (tip - point(scene, cycle + 1)).norm();
-        sum_m += error_m;
-        max_m = max_m.max(error_m);
+        let (wish, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
+        let solve_ns = begin.elapsed().as_nanos() as u64;
+        closed.advance(&wish);
+        samples.push(closed.sample(solve_ns));
     }
-    Ok(Run {
-        mean_error_mm: sum_m / scene.cycles as f64 * 1e3,
-        max_error_mm: max_m * 1e3,
-        solve_ns,
-    })
+    Ok(samples)
 }
 
 /// Solve times from 1 ns to a minute, three digits.
@@ -80,18 +166,4 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Run> {
 /// Never with these bounds.
 pub fn histogram() -> Result<Histogram<u64>> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
-}
-
-fn point(scene: &Scene, cycle: u64) -> Vector3<f64> {
-    Vector3::from(scene.curve.position_m(cycle as f64 * scene.period_s))
-}
-
-/// The exact curve at the steps of the horizon.
-pub fn window(scene: &Scene, cycle: u64, steps: u32) -> Vec<ReferenceSample> {
-    let sample = |step| ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: point(scene, cycle + step),
-        ..ReferenceSample::default()
-    };
-    (1..=u64::from(steps)).map(sample).collect()
 }

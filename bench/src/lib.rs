@@ -1,14 +1,28 @@
 //! `cdcr-bench`: what the controller reaches, measured offline and without real time.
 //!
-//! | module | measures |
+//! | module | is |
 //! |---|---|
-//! | [`closed_loop`] | one robot tracking one curve: error and solve time of every cycle |
-//! | [`solver`] | solve times on every path, and how they grow |
-//! | [`paper`] | the paper's simulation 1 for every solver, beside the paper's figures |
+//! | [`scene`] | robot, start, curve and obstacles of a simulation |
+//! | [`closed_loop`] | one robot tracking one curve: every cycle of it |
+//! | [`experiment`] | which of the paper's simulations, with which solver and settings |
+//! | [`zone`] | which samples of the circle count as tracking |
+//! | [`simulation`] | an experiment run with several seeds, and the row that sums it up |
+//! | [`solver`], [`growth`] | solve times on every path, and how they grow |
+//! | [`table`], [`mod@csv`] | rows for people and for programs |
+//! | [`mod@figures`], [`mod@page`], [`folder`] | the paper's figures, the page around them, the files |
 //!
 //! A time here says how long a solve takes on this machine, back to back, nothing else; what a daemon
 //! adds is measured by `cdcrctl demo`.
 
 pub mod closed_loop;
-pub mod paper;
+pub mod csv;
+pub mod experiment;
+pub mod figures;
+pub mod folder;
+pub mod growth;
+pub mod page;
+pub mod scene;
+pub mod simulation;
 pub mod solver;
+pub mod table;
+pub mod zone;

@@ -1,11 +1,15 @@
 //! The command line of the benchmarks.
 
-use std::fmt::Write as _;
 use std::io::Write as _;
+use std::path::{Path, PathBuf};
 
-use anyhow::Result;
-use cdcr_bench::paper::{self, Flat, Simulation};
+use anyhow::{Context, Result};
+use cdcr_bench::csv::csv;
+use cdcr_bench::folder::{self, Document};
+use cdcr_bench::growth::{Growth, growth};
+use cdcr_bench::simulation::{self, Effort};
 use cdcr_bench::solver::{self, Case};
+use cdcr_bench::table;
 use clap::{Parser, Subcommand, ValueEnum};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -20,18 +24,12 @@ struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// The paper's spiral for 1, 2 and 3 sections with every solver, beside the paper's figures.
-    #[command(after_help = "Example: cdcr-bench paper --seeds 3 --format json")]
-    Paper {
-        /// Runs of each solver, each with another seed, 1 to 1000.
-        #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1000))]
-        seeds: u64,
-        /// How to print the result.
-        #[arg(long, value_enum, default_value_t = Format::Text)]
-        format: Format,
-    },
-    /// Solve times on every path of this processor, and how they grow with sections, steps, particles
-    /// and iterations.
+    /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
+    /// solver, beside the paper's figures.
+    #[command(after_help = "Example: cdcr-bench paper --seeds 3 --out paper")]
+    Paper(PaperArgs),
+    /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
+    /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
     Solver {
         /// How to print the result.
@@ -40,11 +38,22 @@ enum Command {
     },
 }
 
-/// A bar for `length` pieces of work, on a terminal only.
-fn progress(length: u64, unit: &str) -> Result<ProgressBar> {
-    let style =
-        ProgressStyle::with_template(&format!("{{bar:30}} {{pos}}/{{len}} {unit}, {{eta}} left"))?;
-    Ok(ProgressBar::new(length).with_style(style))
+#[derive(Debug, clap::Args)]
+struct PaperArgs {
+    /// Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20
+    /// times.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// Folder for the figures as SVG, for paper.html with all of them, paper.json and paper.csv; made if
+    /// it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Cycles of a run at most: for a quick look.
+    #[arg(long, hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
+    cycles: u64,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -59,36 +68,87 @@ enum Format {
 
 fn main() -> Result<()> {
     match Cli::parse().command {
-        Command::Paper { seeds, format } => paper_command(seeds, format),
-        Command::Solver { format } => solver_command(format),
+        Command::Paper(args) => paper(&args),
+        Command::Solver { format } => solver(format),
     }
 }
 
-fn paper_command(seeds: u64, format: Format) -> Result<()> {
-    let bar = progress(paper::spiral_runs(seeds), "runs")?;
-    let rows = paper::spiral(seeds, || bar.inc(1))?;
+fn paper(args: &PaperArgs) -> Result<()> {
+    if let Some(folder) = &args.out {
+        // Before minutes of work, not after.
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    let effort = Effort {
+        seeds: args.seeds,
+        cycles_max: args.cycles,
+    };
+    let bar = progress(effort.all_work(), "{percent:>3} %")?;
+    let outcomes = simulation::run_all(effort, |work| bar.inc(work))?;
     bar.finish_and_clear();
-    match format {
-        Format::Text => show(&paper_table(&rows)),
-        Format::Json => show(&format!("{}\n", serde_json::json!({ "simulations": rows }))),
-        Format::Csv => show(&csv_of(&rows.iter().map(Flat::from).collect::<Vec<_>>())?),
+    let document = Document::of(&outcomes);
+    show(&match args.format {
+        Format::Text => {
+            let tables = table::simulations(&outcomes);
+            let texts: Vec<String> = tables.iter().map(table::Table::text).collect();
+            texts.join("\n")
+        }
+        Format::Json => document.json()?,
+        Format::Csv => document.csv()?,
+    })?;
+    match &args.out {
+        Some(folder) => tell(folder, &folder::write(folder, &outcomes)?),
+        None => Ok(()),
     }
 }
 
-fn solver_command(format: Format) -> Result<()> {
+/// What was written, beside the result and not in it.
+fn tell(folder: &Path, written: &[PathBuf]) -> Result<()> {
+    let names: Vec<_> = written
+        .iter()
+        .filter_map(|file| file.file_name())
+        .map(|name| name.to_string_lossy())
+        .collect();
+    let folder = folder.display();
+    let mut stderr = std::io::stderr();
+    writeln!(stderr, "written into {folder}: {}", names.join(", "))?;
+    Ok(())
+}
+
+/// The cases, and what follows from them.
+#[derive(Serialize)]
+struct Cases<'a> {
+    cases: &'a [Case],
+    growth: &'a [Growth],
+}
+
+fn solver(format: Format) -> Result<()> {
     let sizes = solver::sizes();
-    let bar = progress(sizes.len() as u64, "sizes")?;
+    let bar = progress(sizes.len() as u64, "{pos}/{len} sizes")?;
     let mut cases = Vec::new();
     for size in &sizes {
         cases.extend(solver::measure(size)?);
         bar.inc(1);
     }
     bar.finish_and_clear();
-    match format {
-        Format::Text => show(&cases_table(&cases)),
-        Format::Json => show(&format!("{}\n", serde_json::json!({ "cases": cases }))),
-        Format::Csv => show(&csv_of(&cases)?),
-    }
+    let growth = growth(&cases);
+    show(&match format {
+        Format::Text => table::cases(&cases).text() + "\n" + &table::growth(&growth).text(),
+        Format::Json => {
+            let all = Cases {
+                cases: &cases,
+                growth: &growth,
+            };
+            serde_json::to_string(&all)? + "\n"
+        }
+        Format::Csv => csv(&cases)?,
+    })
+}
+
+/// A bar for `length` pieces of work that are counted so, on a terminal only.
+fn progress(length: u64, count: &str) -> Result<ProgressBar> {
+    let style = ProgressStyle::with_template(&format!("{{bar:30}} {count}, {{eta}} left"))?;
+    Ok(ProgressBar::new(length).with_style(style))
 }
 
 /// Writes to the standard output. A reader that closed it, like `head`, has seen enough.
@@ -97,77 +157,4 @@ fn show(text: &str) -> Result<()> {
         Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
         _ => Ok(()),
     }
-}
-
-/// One line for each row, with the names of its fields above.
-fn csv_of<T: Serialize>(rows: &[T]) -> Result<String> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    for row in rows {
-        writer.serialize(row)?;
-    }
-    Ok(String::from_utf8(writer.into_inner()?)?)
-}
-
-fn cases_table(cases: &[Case]) -> String {
-    let mut text = format!(
-        "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10} {:>10} {:>10}\n",
-        "solver",
-        "path",
-        "sections",
-        "horizon",
-        "swarm",
-        "iterations",
-        "p50 µs",
-        "p99 µs",
-        "speed-up"
-    );
-    for case in cases {
-        let _ = writeln!(
-            text,
-            "{:<13} {:<9} {:>8} {:>7} {:>6} {:>10} {:>10.2} {:>10.2} {:>9.1}x",
-            case.solver,
-            format!("{:?}", case.path).to_lowercase(),
-            case.sections,
-            case.horizon,
-            case.swarm,
-            case.iterations,
-            case.p50_us,
-            case.p99_us,
-            case.speedup_vs_scalar
-        );
-    }
-    text
-}
-
-fn paper_table(rows: &[Simulation]) -> String {
-    let mut text = format!(
-        "{:<8} {:>8} {:<13} {:>14} {:>12} {:>12} {:>10} {:>10} {:>10} {:>12}\n",
-        "curve",
-        "sections",
-        "solver",
-        "mean error mm",
-        "max mm",
-        "paper's mm",
-        "mean µs",
-        "p50 µs",
-        "p99 µs",
-        "paper's ms"
-    );
-    for row in rows {
-        let _ = writeln!(
-            text,
-            "{:<8} {:>8} {:<13} {:>14.2e} {:>12.2e} {:>12.0e} {:>10.2} {:>10.2} {:>10.2} {:>12}",
-            row.name,
-            row.sections,
-            row.solver,
-            row.mean_error_mm,
-            row.max_error_mm,
-            row.paper.mean_error_mm,
-            row.solve_us.mean,
-            row.solve_us.p50,
-            row.solve_us.p99,
-            row.paper.mean_solve_ms
-        );
-    }
-    text
 }

@@ -1,5 +1,5 @@
-//! How long a solve takes, and how that grows with sections, steps, particles and iterations, on every
-//! path of this processor.
+//! How long a solve takes, and how that grows with sections, steps, particles, iterations and obstacles,
+//! on every path of this processor.
 //!
 //! All paths give the same bits, so in each cycle every path solves the same problem, one after the
 //! other, and the speed-up is a ratio of times that were measured side by side.
@@ -7,28 +7,43 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
-use cdcr_controller::optimizer::{Budget, Path, cycle_seed};
-use cdcr_controller::robot::{BendRates, Configuration};
-use cdcr_controller::safety::limit;
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
+use cdcr_controller::optimizer::{Budget, Path};
+use cdcr_controller::robot::{Obstacle, Robot, Shape};
 use hdrhistogram::Histogram;
+use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{Scene, histogram, window};
-use crate::paper;
+use crate::closed_loop::{ClosedLoop, histogram};
+use crate::experiment::{Experiment, Solver, Task};
+use crate::scene::Scene;
 
 /// Cycles of one case, at most.
 const CYCLES_MAX: u64 = 400;
-/// Time of one case, about.
-const CASE_TIME: Duration = Duration::from_secs(2);
+/// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
+/// within reach and beside its way.
+const OBSTACLE_CYCLES_MAX: u64 = 200;
+/// Time of one size, about, unless `CYCLES_MIN` take longer.
+const SIZE_TIME: Duration = Duration::from_millis(1200);
 /// Cycles at the start of a case that are not counted.
 const WARM_UP: u64 = 10;
+/// Cycles of a case, at least.
+const CYCLES_MIN: u64 = 2 * WARM_UP;
+/// Radius of an obstacle \[m\].
+const OBSTACLE_RADIUS_M: f64 = 0.01;
+/// What the obstacles leave between themselves and the straight body, beyond the safe distance \[m\]: so
+/// little that each is within reach, so much that the robot can do its task.
+const OBSTACLE_GAP_M: f64 = 0.016;
+/// Length of a capsule's axis \[m\].
+const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// One line: one solver on one path, at one size.
 #[derive(Debug, Clone, Serialize)]
 pub struct Case {
     /// Solver.
-    pub solver: &'static str,
+    pub solver: Solver,
+    /// Name of the curve; the line asks for an orientation.
+    pub curve: &'static str,
     /// Path of the swarm.
     pub path: Path,
     /// Sections of the robot.
@@ -39,8 +54,8 @@ pub struct Case {
     pub swarm: u32,
     /// Swarm iterations.
     pub iterations: u32,
-    /// Obstacles.
-    pub obstacles: u32,
+    /// Obstacles within reach.
+    pub obstacles: usize,
     /// Median \[µs\].
     pub p50_us: f64,
     /// 99th percentile \[µs\].
@@ -50,95 +65,151 @@ pub struct Case {
 }
 
 /// A size at which every path is measured.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Size {
-    solver: SolverKind,
-    name: &'static str,
-    sections: usize,
-    horizon: u32,
-    swarm: u32,
-    iterations: u32,
+    /// The curve, its robot and the settings that belong to it.
+    pub task: Task,
+    /// Solver.
+    pub solver: Solver,
+    /// Prediction steps.
+    pub horizon: u32,
+    /// Particles.
+    pub swarm: u32,
+    /// Swarm iterations.
+    pub iterations: u32,
+    /// Obstacles within reach.
+    pub obstacles: usize,
 }
 
 /// The sizes that are measured: the paper's, and from there one thing at a time.
 pub fn sizes() -> Vec<Size> {
-    let base = Size {
-        solver: SolverKind::Kpso,
-        name: "kpso",
-        sections: 3,
-        horizon: 2,
-        swarm: 6,
-        iterations: 30,
-    };
-    let refined = Size {
-        solver: SolverKind::KpsoRefined,
-        name: "kpso-refined",
-        ..base
-    };
-    let newton = Size {
-        solver: SolverKind::GaussNewton,
-        name: "gauss-newton",
-        ..base
-    };
+    let base = Size::paper(Task::Spiral { sections: 3 }, Solver::Kpso);
+    let refined = Size::paper(base.task, Solver::KpsoRefined);
+    let newton = Size::paper(base.task, Solver::GaussNewton);
     let mut sizes = Vec::new();
     for size in [base, refined, newton] {
-        sizes.extend((1..=6).map(|sections| Size { sections, ..size }));
+        let of = |sections| Size {
+            task: Task::Spiral { sections },
+            ..size
+        };
+        sizes.extend((1..=6).map(of));
+        sizes.extend([1, 5, 10, 20, 50].map(|horizon| Size { horizon, ..size }));
+        sizes.extend([1, 4, 16, 64].map(|obstacles| Size { obstacles, ..size }));
     }
-    sizes.extend([1, 5, 10, 20, 50].map(|horizon| Size { horizon, ..base }));
-    sizes.extend([1, 5, 10, 20, 50].map(|horizon| Size { horizon, ..newton }));
-    sizes.extend([8, 16, 64, 256, 512].map(|swarm| Size { swarm, ..base }));
+    sizes.extend([16, 64, 256, 512].map(|swarm| Size { swarm, ..base }));
     sizes.extend([10, 100].map(|iterations| Size { iterations, ..base }));
-    sizes.push(Size {
-        swarm: 15,
-        iterations: 70,
-        ..refined
-    });
+    let line = Task::Line {
+        rate_limit_rad_s: 2.0,
+    };
+    sizes.push(Size::paper(line, Solver::KpsoRefined));
     sizes.push(Size {
         swarm: 64,
         horizon: 20,
+        obstacles: 16,
         ..refined
     });
     sizes
 }
+
+impl Size {
+    /// As in the paper.
+    fn paper(task: Task, solver: Solver) -> Self {
+        let settings = experiment(task, solver).settings();
+        Self {
+            task,
+            solver,
+            horizon: settings.horizon_steps,
+            swarm: settings.swarm_size,
+            iterations: settings.swarm_iterations,
+            obstacles: 0,
+        }
+    }
+
+    fn settings(&self) -> NmpcSettings {
+        NmpcSettings {
+            horizon_steps: self.horizon,
+            swarm_size: self.swarm,
+            swarm_iterations: self.iterations,
+            ..experiment(self.task, self.solver).settings()
+        }
+    }
+
+    fn scene(&self) -> Result<Scene> {
+        let scene = self.task.scene()?;
+        let obstacles = obstacles(
+            &scene.robot,
+            self.settings().safe_distance_m,
+            self.obstacles,
+        )?;
+        let cycles = if obstacles.is_empty() {
+            CYCLES_MAX
+        } else {
+            OBSTACLE_CYCLES_MAX
+        };
+        Ok(scene.with_obstacles(obstacles).at_most(cycles))
+    }
+}
+
+fn experiment(task: Task, solver: Solver) -> Experiment {
+    Experiment {
+        task,
+        solver,
+        coordinates: NmpcSettings::default().coordinates,
+    }
+}
+
+/// Obstacles beside the lower quarter of the last section, on a spiral up the straight robot: spheres, and
+/// every fourth a vertical capsule.
+fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Obstacle>> {
+    let Some((last, below)) = robot.sections().split_last() else {
+        return Ok(Vec::new());
+    };
+    let base_m: f64 = below.iter().map(|section| section.length_m).sum();
+    let apart_m = last.body_radius_m + safe_distance_m + OBSTACLE_GAP_M + OBSTACLE_RADIUS_M;
+    let obstacle = |i: usize| {
+        // The golden angle: no two in one direction.
+        let (sin, cos) = (2.4 * i as f64).sin_cos();
+        let share = 0.05 + 0.2 * i as f64 / count as f64;
+        let start_m = Vector3::new(apart_m * cos, apart_m * sin, base_m + share * last.length_m);
+        let shape = if i % 4 == 3 {
+            let end_m = start_m + Vector3::new(0.0, 0.0, CAPSULE_LENGTH_M);
+            Shape::Capsule { start_m, end_m }
+        } else {
+            Shape::Sphere { centre_m: start_m }
+        };
+        Obstacle::new(shape, OBSTACLE_RADIUS_M, Vector3::zeros())
+    };
+    Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
+}
+
+/// One path, its controller and its times.
+type Runner = (Path, Nmpc, Histogram<u64>);
 
 /// Measures one size on every path.
 ///
 /// # Errors
 /// When a controller cannot be built, or two paths disagree.
 pub fn measure(size: &Size) -> Result<Vec<Case>> {
-    let (robot, curve) = paper::spiral_of(size.sections)?;
-    let scene = Scene {
-        robot: &robot,
-        start: paper::start(size.sections, curve.start_bend_rad()),
-        curve: &curve,
-        cycles: CYCLES_MAX,
-        period_s: paper::PERIOD_S,
-    };
-    let settings = NmpcSettings {
-        solver: size.solver,
-        horizon_steps: size.horizon,
-        swarm_size: size.swarm,
-        swarm_iterations: size.iterations,
-        ..NmpcSettings::default()
-    };
+    let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();
     for path in Path::available() {
-        let nmpc = Nmpc::on_path(path, robot.clone(), scene.period_s, settings)?;
+        let nmpc = Nmpc::on_path(path, scene.robot.clone(), scene.period_s, settings)?;
         runners.push((path, nmpc, histogram()?));
     }
-    race(&scene, &settings, &mut runners)?;
+    race(&scene, settings, &mut runners)?;
     let us = |times: &Histogram<u64>, quantile| times.value_at_quantile(quantile) as f64 * 1e-3;
     let scalar_us = runners
         .first()
         .map_or(f64::NAN, |(_, _, times)| us(times, 0.5));
-    let case = |(path, _, times): &(Path, Nmpc, Histogram<u64>)| Case {
-        solver: size.name,
+    let case = |(path, _, times): &Runner| Case {
+        solver: size.solver,
+        curve: size.task.name(),
         path: *path,
-        sections: size.sections,
+        sections: scene.robot.section_count(),
         horizon: size.horizon,
         swarm: size.swarm,
         iterations: size.iterations,
-        obstacles: 0,
+        obstacles: size.obstacles,
         p50_us: us(times, 0.5),
         p99_us: us(times, 0.99),
         speedup_vs_scalar: scalar_us / us(times, 0.5),
@@ -147,27 +218,14 @@ pub fn measure(size: &Size) -> Result<Vec<Case>> {
 }
 
 /// The closed loop, in which every path solves every cycle.
-fn race(
-    scene: &Scene,
-    settings: &NmpcSettings,
-    runners: &mut [(Path, Nmpc, Histogram<u64>)],
-) -> Result<()> {
-    let mut at: Configuration = scene.start;
-    let mut rates = BendRates::zero(scene.robot.section_count());
+fn race(scene: &Scene, settings: NmpcSettings, runners: &mut [Runner]) -> Result<()> {
+    let mut closed = ClosedLoop::new(scene, settings);
     let begin = Instant::now();
     for cycle in 0..scene.cycles {
-        let reference = window(scene, cycle, settings.horizon_steps);
-        let input = SolveInput {
-            configuration: &at,
-            previous_rates: &rates,
-            reference: &reference,
-            elapsed_periods: 1,
-            seed: cycle_seed(settings.seed, cycle),
-        };
         let mut wish = None;
         for (path, nmpc, times) in &mut *runners {
             let start = Instant::now();
-            let (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            let (rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
             if cycle >= WARM_UP {
                 times.saturating_record(start.elapsed().as_nanos() as u64);
             }
@@ -177,12 +235,59 @@ fn race(
                 "{path:?} gives other rates than the scalar path"
             );
         }
-        let wish = wish.unwrap_or(rates);
-        rates = limit(scene.robot, &at, &wish, scene.period_s).rates;
-        at = at.advanced(&rates, scene.period_s);
-        if begin.elapsed() > CASE_TIME && cycle > 2 * WARM_UP {
+        if let Some(wish) = wish {
+            closed.advance(&wish);
+        }
+        if begin.elapsed() > SIZE_TIME && cycle >= CYCLES_MIN {
             break;
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::SQRT_2;
+
+    use cdcr_controller::robot::SECTIONS_MAX;
+
+    use super::*;
+    use crate::closed_loop;
+
+    #[test]
+    fn every_obstacle_stays_within_reach_and_the_task_feasible() {
+        for sections in [3, 6] {
+            let size = Size {
+                obstacles: 64,
+                ..Size::paper(Task::Spiral { sections }, Solver::GaussNewton)
+            };
+            let scene = size.scene().expect("a scene");
+            let settings = size.settings();
+            // What the solver itself looks at: all that moves within the horizon at the limit of the rates.
+            let horizon_s = f64::from(size.horizon) * scene.period_s;
+            let change_rad = SQRT_2 * scene.robot.sections()[0].rate_max_rad_s * horizon_s;
+            let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);
+            let reach_m = travel_m.map(|travel_m| travel_m + settings.safe_distance_m);
+            for sample in closed_loop::run(&scene, settings).expect("a run") {
+                let body = scene.robot.body(sample.configuration.as_slice());
+                let near = |o: &&Obstacle| body.sections_in_reach(o, &reach_m) != 0;
+                assert_eq!(scene.obstacles.iter().filter(near).count(), 64);
+                let error_mm = sample.error_mm();
+                assert!(error_mm < 0.1, "{sections} sections: {error_mm} mm");
+            }
+        }
+    }
+
+    #[test]
+    fn one_size_is_measured_on_every_path() {
+        let size = Size::paper(Task::Spiral { sections: 1 }, Solver::KpsoRefined);
+        let cases = measure(&size).expect("measured");
+        assert_eq!(cases.len(), Path::available().count());
+        assert!((cases[0].speedup_vs_scalar - 1.0).abs() < 1e-12);
+        assert!(
+            cases
+                .iter()
+                .all(|case| case.p50_us > 0.0 && case.p50_us <= case.p99_us)
+        );
+    }
 }

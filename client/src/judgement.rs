@@ -1,10 +1,16 @@
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{EventKind, Outcome};
-use cdcr_shared_types::limits::EVENTS_MAX;
-use cdcr_shared_types::{Header, InputEvent, Service, Telemetry};
+use cdcr_shared_types::limits::{EVENTS_MAX, OBSTACLES_MAX};
+use cdcr_shared_types::{Header, InputEvent, Obstacle, Service, Telemetry};
 
 use crate::{LinkError, TelemetryStream};
+
+/// The obstacles of a record, where they are at its release.
+pub fn obstacles(record: &Telemetry) -> &[Obstacle] {
+    let count = (record.obstacle_count as usize).min(OBSTACLES_MAX);
+    &record.obstacles[..count]
+}
 
 /// The events of a record: what took effect with it, or was refused.
 pub fn events(record: &Telemetry) -> &[InputEvent] {
@@ -24,6 +30,21 @@ impl TelemetryStream {
         header: &Header,
         timeout: Duration,
     ) -> Result<Outcome, LinkError> {
+        let event = self.event_on(kind, header, timeout)?;
+        Ok(Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode))
+    }
+
+    /// As [`verdict_on`](Self::verdict_on), with all that the daemon says of the message: at which of its
+    /// points or obstacles it was refused, or how many obstacles are known since.
+    ///
+    /// # Errors
+    /// As [`verdict_on`](Self::verdict_on).
+    pub fn event_on(
+        &mut self,
+        kind: EventKind,
+        header: &Header,
+        timeout: Duration,
+    ) -> Result<InputEvent, LinkError> {
         let deadline = Instant::now() + timeout;
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
@@ -34,7 +55,7 @@ impl TelemetryStream {
                 .iter()
                 .find(|event| is_about(event, kind, header))
             {
-                return Ok(Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode));
+                return Ok(*event);
             }
             if Instant::now() >= deadline {
                 return Err(LinkError::silent(Service::Telemetry, timeout));

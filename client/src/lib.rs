@@ -85,7 +85,7 @@ pub use connect_error::{ConnectError, Place};
 pub use connection::Connection;
 pub use driver::Driver;
 pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
-pub use judgement::events;
+pub use judgement::{events, obstacles};
 pub use lease::Lease;
 pub use link_error::LinkError;
 pub use message::Message;

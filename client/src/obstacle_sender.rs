@@ -8,6 +8,9 @@ use crate::sender::Sender;
 use crate::services::Channel;
 
 /// Tells the daemon about obstacles. Any client may; ids are shared among all.
+///
+/// [`TelemetryStream::verdict_on`](crate::TelemetryStream::verdict_on) tells what became of a message.
+/// Keep the sender until then: with it goes what the daemon has not yet taken in.
 #[derive(Debug)]
 pub struct ObstacleSender {
     outlet: Outlet<ObstacleUpdate>,

@@ -16,7 +16,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Start a reference first (cdcrctl ref …), or acquire the reference lease."
         }
         Outcome::SequenceGap => "Begin again with a chunk in mode replace.",
-        Outcome::BufferFull => "Send less far ahead, or wait until points have been played.",
+        Outcome::BufferFull => {
+            "Send less far ahead, or wait until points have been played; remove obstacles."
+        }
         Outcome::CountOutOfRange | Outcome::OutOfRange => {
             "See the ranges in the documentation of the message."
         }

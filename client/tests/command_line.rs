@@ -1,8 +1,11 @@
 //! `cdcrctl` as a user meets it when things are wrong: every error says what, where and what next.
 
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::process::{Command, Output};
+use std::thread::sleep;
+use std::time::Duration;
 
 use cdcr_shared_types::Location;
 
@@ -15,6 +18,19 @@ fn cdcrctl(root: &Path, arguments: &[&str]) -> Output {
         .env("CDCR_ROBOT", "trunk")
         .output()
         .expect("cdcrctl runs")
+}
+
+/// Runs a program that was just written. While another test starts one, its child holds our file open
+/// for a moment, and the system calls it busy.
+fn run_fresh(command: &mut Command) -> Output {
+    loop {
+        match command.output() {
+            Err(error) if error.kind() == ErrorKind::ExecutableFileBusy => {
+                sleep(Duration::from_millis(5));
+            }
+            output => return output.expect("cdcrctl runs"),
+        }
+    }
 }
 
 fn stderr(output: &Output) -> String {
@@ -128,10 +144,7 @@ fn the_demo_says_when_its_daemon_is_not_built() {
     let folder = tempfile::tempdir().expect("a folder");
     let alone = folder.path().join("cdcrctl");
     fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
-    let output = Command::new(&alone)
-        .args(["demo", "--duration", "1s"])
-        .output()
-        .expect("cdcrctl runs");
+    let output = run_fresh(Command::new(&alone).args(["demo", "--duration", "1s"]));
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("cdcrd does not exist"), "{text}");
@@ -146,11 +159,7 @@ fn a_demo_in_too_deep_a_folder_says_that_tmpdir_is_the_cause() {
     let alone = folder.path().join("cdcrctl");
     fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
     fs::write(folder.path().join("cdcrd"), "").expect("written");
-    let output = Command::new(&alone)
-        .arg("demo")
-        .env("TMPDIR", &deep)
-        .output()
-        .expect("cdcrctl runs");
+    let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", &deep));
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("set TMPDIR"), "{text}");
@@ -168,11 +177,7 @@ fn a_daemon_that_fails_is_quoted_and_nothing_is_left() {
     fs::write(&daemon, "#!/bin/sh\necho the core is on fire >&2\nexit 3\n").expect("written");
     let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);
     fs::set_permissions(&daemon, mode).expect("executable");
-    let output = Command::new(&alone)
-        .arg("demo")
-        .env("TMPDIR", &temporary)
-        .output()
-        .expect("cdcrctl runs");
+    let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", &temporary));
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
     assert!(text.contains("the core is on fire"), "{text}");

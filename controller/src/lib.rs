@@ -19,7 +19,7 @@
 //! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
 //! | [`estimator`] | configuration from measurements | commands to come |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
-//! | [`safety`] | mode machine and limits: the last word before the cables | optimisation |
+//! | [`safety`] | mode machine, limits, clearance guard: the last word before the cables | optimisation |
 //! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
 //!
 //! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
@@ -33,12 +33,16 @@
 //! | ℓ | length of a section, `length_m` | m |
 //! | θ, φ | bend and direction of a section | rad |
 //! | u, v | bend vector θ (cos φ, sin φ), smooth through the straight section | rad |
-//! | q | [`Configuration`](robot::Configuration): (u₁, v₁, u₂, v₂, …) | rad |
-//! | q̇ | [`BendRates`](robot::BendRates): what is controlled | rad/s |
+//! | q | [`Configuration`](robot::Configuration): (u₁, v₁, u₂, v₂, …) (the paper's k) | rad |
+//! | q̇ | [`BendRates`](robot::BendRates): what is commanded | rad/s |
 //! | x | tip pose in the base frame, [`Pose`](robot::Pose); base z along the straight robot | m |
 //! | T | period | s |
 //! | N, M | steps of the horizon, blocks in which the rates are held | |
-//! | z | the plan: rates of all blocks, 2 n M unknowns | rad/s |
+//! | z | the plan: controls of all blocks, 2 n M unknowns: rates of bend vectors, or of (θ, φ) | rad/s |
+//! | Φ, Θ, Ψ | angles of the tip, [`ZyxAngles`](robot::ZyxAngles) (Eq. 1) | rad |
+//! | J | [`Jacobian`](robot::Jacobian) of the tip (Eq. 2-3) | m/rad, rad/rad |
+//! | L | [cable lengths](robot::Robot::cable_lengths) | m |
+//! | d, D | [clearance](robot::Body::clearance_m) of the body, and what is kept: `safe_distance_m` | m |
 //! | ω | `terminal_weight`, factor on the error of the last step | |
 //! | λ | `damping` of the Gauss-Newton step | |
 //! | w, c₁, c₂ | inertia and coefficients of the swarm | |
@@ -46,8 +50,19 @@
 //! # What a solve promises
 //!
 //! Bounded work; an end when the budget says so, with the best solution so far; never worse than the
-//! warm start; no allocation; a status that says what happened; the same bits again for the same
-//! inputs, plan, seed and work done.
+//! warm start; no allocation; a status that says what happened, and which constraint the plan breaks
+//! if none that keeps it was found; the same bits again for the same inputs, plan, seed and work done.
+//!
+//! The budget is asked once for each microsecond or two of work, inside a single evaluation, too: fifty steps
+//! against 64 obstacles are many quanta. Where it ends before even the warm start is judged, the warm start
+//! leaves unjudged.
+//!
+//! # Where the cost comes from
+//!
+//! Position, orientation of the tip beyond a tolerance, rates and their change, an extra weight on the last
+//! step (Eq. 5); penalties on steps that come too near to an obstacle or go beyond a limit. Obstacles
+//! move on at their velocity over the horizon; the whole body counts, by exact distances. See
+//! [`NmpcSettings`](nmpc::NmpcSettings) for each weight, its unit and its range.
 //!
 //! # Example: a closed loop
 //!
@@ -82,6 +97,7 @@
 //!         configuration: plant.configuration(),
 //!         previous_rates: &rates,
 //!         reference: &[circle(cycle + 1), circle(cycle + 2)],
+//!         obstacles: &[],
 //!         elapsed_periods: 1,
 //!         seed: cycle_seed(1, cycle),
 //!     };

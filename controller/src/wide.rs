@@ -6,7 +6,7 @@
 //! multiply-add), so every lane holds **the same bits on every path**, and `Wide<1>` is the scalar
 //! reference.
 
-use std::ops::{Add, Mul, Sub};
+use std::ops::{Add, Div, Mul, Neg, Sub};
 
 /// W double-precision numbers, lane by lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -58,6 +58,47 @@ impl<const W: usize> Wide<W> {
         })
     }
 
+    /// Square root lane by lane, as IEEE 754 rounds it.
+    #[inline(always)]
+    #[must_use]
+    pub fn sqrt(mut self) -> Self {
+        for i in 0..W {
+            self.0[i] = self.0[i].sqrt();
+        }
+        self
+    }
+
+    /// Absolute value lane by lane.
+    #[inline(always)]
+    #[must_use]
+    pub fn abs(mut self) -> Self {
+        for i in 0..W {
+            self.0[i] = self.0[i].abs();
+        }
+        self
+    }
+
+    /// The smaller of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
+    #[inline(always)]
+    #[must_use]
+    pub fn min(self, other: Self) -> Self {
+        other.select(self, other.less(self))
+    }
+
+    /// The smaller of two numbers in each lane, NaN where either is: what is unknown is not lost.
+    #[inline(always)]
+    #[must_use]
+    pub fn min_or_nan(self, other: Self) -> Self {
+        other.select(self, either(other.less(self), other.is_nan()))
+    }
+
+    /// The larger of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
+    #[inline(always)]
+    #[must_use]
+    pub fn max(self, other: Self) -> Self {
+        other.select(self, self.less(other))
+    }
+
     /// Whether each lane is less than that of `other`; never with a NaN.
     #[inline(always)]
     pub fn less(self, other: Self) -> [bool; W] {
@@ -67,6 +108,76 @@ impl<const W: usize> Wide<W> {
         }
         less
     }
+
+    /// Whether each lane is less than that of `other` or equal to it; never with a NaN.
+    #[inline(always)]
+    pub fn less_or_equal(self, other: Self) -> [bool; W] {
+        let mut less = [false; W];
+        for i in 0..W {
+            less[i] = self.0[i] <= other.0[i];
+        }
+        less
+    }
+
+    /// Whether each lane is NaN.
+    #[inline(always)]
+    pub fn is_nan(self) -> [bool; W] {
+        let mut nan = [false; W];
+        for i in 0..W {
+            nan[i] = self.0[i].is_nan();
+        }
+        nan
+    }
+}
+
+/// Lane by lane both.
+#[inline(always)]
+#[must_use]
+pub fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
+    for i in 0..W {
+        a[i] &= b[i];
+    }
+    a
+}
+
+/// Lane by lane at least one.
+#[inline(always)]
+#[must_use]
+pub fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
+    for i in 0..W {
+        a[i] |= b[i];
+    }
+    a
+}
+
+/// Lane by lane the opposite.
+#[inline(always)]
+#[must_use]
+pub fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
+    for i in 0..W {
+        a[i] = !a[i];
+    }
+    a
+}
+
+/// Whether any lane is chosen.
+#[inline(always)]
+pub fn any<const W: usize>(chosen: [bool; W]) -> bool {
+    let mut any = false;
+    for i in 0..W {
+        any |= chosen[i];
+    }
+    any
+}
+
+/// Whether every lane is chosen.
+#[inline(always)]
+pub fn all<const W: usize>(chosen: [bool; W]) -> bool {
+    let mut all = true;
+    for i in 0..W {
+        all &= chosen[i];
+    }
+    all
 }
 
 impl<const W: usize> Add for Wide<W> {
@@ -115,5 +226,82 @@ impl<const W: usize> Add<f64> for Wide<W> {
     #[inline(always)]
     fn add(self, term: f64) -> Self {
         self + Self::splat(term)
+    }
+}
+
+impl<const W: usize> Sub<f64> for Wide<W> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, term: f64) -> Self {
+        self - Self::splat(term)
+    }
+}
+
+impl<const W: usize> Div for Wide<W> {
+    type Output = Self;
+    #[inline(always)]
+    fn div(mut self, other: Self) -> Self {
+        for i in 0..W {
+            self.0[i] /= other.0[i];
+        }
+        self
+    }
+}
+
+impl<const W: usize> Neg for Wide<W> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(mut self) -> Self {
+        for i in 0..W {
+            self.0[i] = -self.0[i];
+        }
+        self
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LOW: f64 = -1.0;
+    const HIGH: f64 = 2.5;
+
+    #[test]
+    fn operators_work_lane_by_lane_as_on_numbers() {
+        let (a, b) = (Wide([4.0, -1.5, 0.0]), Wide([0.5, 3.0, 2.0]));
+        assert_eq!(a + b, Wide([4.5, 1.5, 2.0]));
+        assert_eq!(a - b, Wide([3.5, -4.5, -2.0]));
+        assert_eq!(a * b, Wide([2.0, -4.5, 0.0]));
+        assert_eq!(a / b, Wide([8.0, -0.5, 0.0]));
+        assert_eq!(a + 1.0, Wide([5.0, -0.5, 1.0]));
+        assert_eq!(a - 1.0, Wide([3.0, -2.5, -1.0]));
+        assert_eq!(-b, Wide([-0.5, -3.0, -2.0]));
+        assert_eq!((-a).0[2].to_bits(), (-0.0_f64).to_bits());
+        assert_eq!(a.abs().sqrt(), Wide([2.0, 1.5_f64.sqrt(), 0.0]));
+        assert_eq!(a.clamp(LOW, HIGH), Wide([HIGH, LOW, 0.0]));
+    }
+
+    #[test]
+    fn a_nan_is_dropped_kept_or_spread_as_documented() {
+        let nan = f64::NAN;
+        let (a, b) = (Wide([LOW, HIGH, nan, LOW]), Wide([HIGH, LOW, LOW, nan]));
+        let bits = |wide: Wide<4>| wide.0.map(f64::to_bits);
+        assert_eq!(bits(a.min(b)), bits(Wide([LOW, LOW, nan, LOW])));
+        assert_eq!(bits(a.max(b)), bits(Wide([HIGH, HIGH, nan, LOW])));
+        assert_eq!(bits(a.min_or_nan(b)), bits(Wide([LOW, LOW, nan, nan])));
+        assert_eq!(a.less(b), [true, false, false, false]);
+        assert_eq!(a.less_or_equal(a), [true, true, false, true]);
+        assert_eq!(a.is_nan(), [false, false, true, false]);
+        assert!(a.clamp(LOW, HIGH).0[2].is_nan());
+    }
+
+    #[test]
+    fn masks_combine_lane_by_lane() {
+        let (a, b) = ([true, true, false, false], [true, false, true, false]);
+        assert_eq!(both(a, b), [true, false, false, false]);
+        assert_eq!(either(a, b), [true, true, true, false]);
+        assert_eq!(not(a), [false, false, true, true]);
+        assert!(any(a) && !any([false; 4]));
+        assert!(all([true; 4]) && !all(a));
     }
 }

@@ -5,11 +5,11 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveStatus, SolverKind};
+use cdcr_controller::nmpc::{Coordinates, Nmpc, NmpcSettings, SolveInput, SolveStatus, SolverKind};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
-use nalgebra::Vector3;
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use nalgebra::{Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 const PERIOD_S: f64 = 0.005;
@@ -56,6 +56,7 @@ fn track(
                 configuration: &at,
                 previous_rates: &rates,
                 reference: &reference,
+                obstacles: &[],
                 elapsed_periods: 1,
                 seed: cycle_seed(1, cycle),
             };
@@ -126,6 +127,7 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
             configuration: &Configuration::from_slice(&[f64::NAN, 0.0]).unwrap(),
             previous_rates: &BendRates::zero(1),
             reference: &[inside(Vector3::new(0.0, 0.0, 0.3))],
+            obstacles: &[],
             elapsed_periods: 1,
             seed: 1,
         };
@@ -157,6 +159,7 @@ fn without_a_reference_the_plan_is_the_warm_start() {
         configuration: &Configuration::straight(1),
         previous_rates: &BendRates::zero(1),
         reference: &[],
+        obstacles: &[],
         elapsed_periods: 1,
         seed: 1,
     };
@@ -188,6 +191,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
             configuration: &at,
             previous_rates: &BendRates::zero(6),
             reference: &[inside(Vector3::new(0.3, 0.0, 1.5))],
+            obstacles: &[],
             elapsed_periods: 1,
             seed: 1,
         };
@@ -225,10 +229,37 @@ fn settings_that_are_refused_change_nothing() {
 struct Case {
     bends: Vec<f64>,
     rates: Vec<f64>,
-    target: [f64; 3],
+    target: ReferenceSample,
+    obstacles: Vec<Obstacle>,
     settings: NmpcSettings,
     quanta: u32,
     seed: u64,
+}
+
+/// Nothing, an axis or a rotation.
+fn orientations() -> impl Strategy<Value = Orientation> {
+    prop_oneof![
+        Just(Orientation::Free),
+        prop::array::uniform3(-1.0..1.0_f64).prop_map(|axis| {
+            let axis = Vector3::from(axis) + Vector3::new(0.0, 0.0, 1e-3);
+            Orientation::Axis(Unit::new_normalize(axis))
+        }),
+        prop::array::uniform3(-3.0..3.0_f64).prop_map(|[a, b, c]| {
+            Orientation::Full(UnitQuaternion::from_euler_angles(a, b, c))
+        }),
+    ]
+}
+
+/// Up to five spheres and capsules, some of them across the body.
+fn obstacle_sets() -> impl Strategy<Value = Vec<Obstacle>> {
+    let point = || prop::array::uniform3(-0.8..0.8_f64).prop_map(Vector3::from);
+    let shape = prop_oneof![
+        point().prop_map(|centre_m| Shape::Sphere { centre_m }),
+        (point(), point()).prop_map(|(start_m, end_m)| Shape::Capsule { start_m, end_m }),
+    ];
+    let obstacle = (shape, 0.0..0.1_f64, point())
+        .prop_map(|(shape, radius_m, velocity)| Obstacle::new(shape, radius_m, velocity).unwrap());
+    prop::collection::vec(obstacle, 0..5)
 }
 
 fn cases() -> impl Strategy<Value = Case> {
@@ -241,37 +272,54 @@ fn cases() -> impl Strategy<Value = Case> {
             1_u32..=20,
             0_u32..=20,
             0.0..1e-3,
+            prop::bool::ANY,
+            prop_oneof![Just(0.0), 0.0..0.2_f64],
         );
+        let target = (prop::array::uniform3(-2.0..2.0), orientations());
         (
             vector(n, -1.5..1.5),
             vector(n, -2.0..2.0),
-            prop::array::uniform3(-2.0..2.0),
+            target,
+            obstacle_sets(),
             settings,
             0_u32..200,
             any::<u64>(),
         )
-            .prop_map(|(bends, rates, target, settings, quanta, seed)| {
-                let (solver, horizon_steps, blocks, swarm_size, swarm_iterations, weight) =
-                    settings;
-                let settings = NmpcSettings {
-                    solver: SOLVERS[solver],
-                    horizon_steps,
-                    control_blocks: blocks.min(horizon_steps),
-                    swarm_size,
-                    swarm_iterations,
-                    rate_weight: weight,
-                    rate_change_weight: weight,
-                    ..NmpcSettings::default()
-                };
-                Case {
-                    bends,
-                    rates,
-                    target,
-                    settings,
-                    quanta,
-                    seed,
-                }
-            })
+            .prop_map(
+                |(bends, rates, target, obstacles, settings, quanta, seed)| {
+                    let (solver, horizon_steps, blocks, swarm_size, swarm_iterations, ..) =
+                        settings;
+                    let (.., weight, angles, orientation_tolerance_rad) = settings;
+                    let settings = NmpcSettings {
+                        solver: SOLVERS[solver],
+                        horizon_steps,
+                        control_blocks: blocks.min(horizon_steps),
+                        swarm_size,
+                        swarm_iterations,
+                        rate_weight: weight,
+                        rate_change_weight: weight,
+                        coordinates: if angles {
+                            Coordinates::BendAngles
+                        } else {
+                            Coordinates::BendVector
+                        },
+                        orientation_tolerance_rad,
+                        ..NmpcSettings::default()
+                    };
+                    Case {
+                        bends,
+                        rates,
+                        target: ReferenceSample {
+                            orientation: target.1,
+                            ..inside(Vector3::from(target.0))
+                        },
+                        obstacles,
+                        settings,
+                        quanta,
+                        seed,
+                    }
+                },
+            )
     })
 }
 
@@ -284,7 +332,8 @@ fn solve_case(
     let input = SolveInput {
         configuration: &Configuration::from_slice(&case.bends).unwrap(),
         previous_rates: &BendRates::from_slice(&case.rates).unwrap(),
-        reference: &[inside(Vector3::from(case.target))],
+        reference: &[case.target],
+        obstacles: &case.obstacles,
         elapsed_periods: 1,
         seed: case.seed,
     };

@@ -1,23 +1,27 @@
 //! One cycle of 5 ms: the order of its steps, and nothing else.
 //!
 //! ```text
-//! measure → estimate → mode → solve → limit → command → record
+//! measure → estimate → mode → solve → limit → keep clear → command → record
 //! ```
 //!
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
 //! in the record, so that the cycle can be computed again.
 
 use cdcr_controller::estimator::Estimator;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
+use cdcr_controller::nmpc::{
+    Nmpc, NmpcSettings, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus,
+};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
 use cdcr_controller::safety::{
-    LeaseState, Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, Request, homing_rates,
-    limit, ramp_to_zero,
+    Guarded, LeaseState, Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, Request,
+    guard, homing_rates, limit, ramp_to_zero,
 };
+use nalgebra::Vector3;
 
 use crate::config::{Config, Validated, ns};
+use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
 use crate::rt::accounting::{Accounting, Limits, Totals, Verdict};
 use crate::rt::handoff::{CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE};
@@ -101,6 +105,8 @@ pub struct CycleRecord {
     pub previous_rates: BendRates,
     /// Reference at the release.
     pub reference: ReferenceSample,
+    /// The obstacles, where they are at the release.
+    pub obstacles: ObstacleSet,
     /// Settings of the solver.
     pub settings: NmpcSettings,
     /// What the solver did.
@@ -115,6 +121,10 @@ pub struct CycleRecord {
     pub rates: BendRates,
     /// Which limits changed it.
     pub limits_hit: LimitsHit,
+    /// Whether the clearance guard changed it.
+    pub clearance_hit: bool,
+    /// Smallest clearance at the release \[m\].
+    pub clearance_m: f64,
     /// Answers to requests, the first `answer_count`.
     pub answers: [Option<CycleAnswer>; REQUESTS_PER_CYCLE],
 }
@@ -135,6 +145,8 @@ pub struct Cycle<L> {
     last_measured_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
+    /// Those of this cycle, where they are at its release.
+    obstacles: Vec<Obstacle>,
 }
 
 impl<L: RobotLink> Cycle<L> {
@@ -171,25 +183,31 @@ impl<L: RobotLink> Cycle<L> {
             last_measured_ns: 0,
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
+            obstacles: Vec::with_capacity(OBSTACLES_MAX),
             robot: robot.clone(),
         })
     }
 
     /// Runs code and data of the solver once, so that the first real solve finds them in memory.
     pub fn warm_up(&mut self) {
+        let tip_m = self
+            .robot
+            .tip_position(self.estimator.configuration().as_slice());
         let sample = ReferenceSample {
             state: cdcr_controller::reference::ReferenceState::Inside,
-            position_m: self
-                .robot
-                .tip_position(self.estimator.configuration().as_slice())
-                * 0.99,
+            position_m: tip_m * 0.99,
             ..ReferenceSample::default()
         };
+        let shape = Shape::Sphere {
+            centre_m: tip_m * 1.05,
+        };
+        let obstacle = Obstacle::new(shape, 0.01, Vector3::zeros()).ok();
         for seed in 0..20 {
             let input = SolveInput {
                 configuration: self.estimator.configuration(),
                 previous_rates: &self.rates,
                 reference: &[sample],
+                obstacles: obstacle.as_slice(),
                 elapsed_periods: 1,
                 seed,
             };
@@ -221,6 +239,7 @@ impl<L: RobotLink> Cycle<L> {
         self.take_settings(inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
         self.estimate(measurement, &release, elapsed_ns);
+        let obstacles = self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.at(release.cycle);
         let seen = self.observe(measurement, &reference, inputs, &release);
@@ -238,8 +257,9 @@ impl<L: RobotLink> Cycle<L> {
         let solve_end_ns = clock.now_ns();
 
         let limited = self.limit(&wish);
-        self.rates = limited.rates;
-        self.link.command(release.release_ns, &limited.rates);
+        let guarded = self.keep_clear(&limited.rates);
+        self.rates = guarded.rates;
+        self.link.command(release.release_ns, &guarded.rates);
         let handed_over_ns = clock.now_ns();
         let verdict = self.accounting.judge(&release, handed_over_ns);
 
@@ -264,13 +284,16 @@ impl<L: RobotLink> Cycle<L> {
             configuration,
             previous_rates,
             reference,
+            obstacles,
             settings: *self.nmpc.settings(),
             report,
             plan_length: 0,
             warm_plan: [0.0; PLAN_MAX],
             plan: [0.0; PLAN_MAX],
-            rates: limited.rates,
+            rates: guarded.rates,
             limits_hit: limited.hit,
+            clearance_hit: guarded.hit,
+            clearance_m: guarded.clearance_m,
             answers,
         };
         self.copy_plans(&mut record);
@@ -309,6 +332,15 @@ impl<L: RobotLink> Cycle<L> {
             let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
             self.estimator.correct(&self.robot, &measurement, age_s);
         }
+    }
+
+    /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
+    fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) -> ObstacleSet {
+        let placed = inputs.obstacles.at(release.release_ns);
+        self.obstacles.clear();
+        let shapes = placed.iter().map(|known| known.obstacle);
+        self.obstacles.extend(shapes.take(OBSTACLES_MAX));
+        placed
     }
 
     fn observe(
@@ -405,6 +437,7 @@ impl<L: RobotLink> Cycle<L> {
             reference: inputs
                 .window
                 .ahead(release.cycle, settings.horizon_steps as usize),
+            obstacles: &self.obstacles,
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };
@@ -425,6 +458,18 @@ impl<L: RobotLink> Cycle<L> {
             self.modes.fault(Reason::NonFinite);
         }
         limited
+    }
+
+    /// In every mode, the last word.
+    fn keep_clear(&self, rates: &BendRates) -> Guarded {
+        guard(
+            &self.robot,
+            self.estimator.configuration(),
+            rates,
+            &self.obstacles,
+            self.nmpc.settings().safe_distance_m,
+            self.period_ns as f64 * 1e-9,
+        )
     }
 
     fn copy_plans(&self, record: &mut CycleRecord) {

@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | [`config`] | TOML, ranges | threads, messages |
 //! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
+//! | [`obstacles`] | what is known around the robot | who says so |
 //! | [`ports`] | what the cycle needs | who provides it |
 //! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
 //! | [`rt`] | clock, grid, hand-over, privileges | the robot |
@@ -21,6 +22,7 @@ pub mod cycle;
 pub mod exchange;
 pub mod instance;
 pub mod link;
+pub mod obstacles;
 pub mod ports;
 pub mod rt;
 pub mod supervisor;

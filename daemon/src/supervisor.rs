@@ -51,6 +51,14 @@ pub struct Summary {
     pub reference_end_ns: u64,
     /// Points ahead.
     pub reference_points: u32,
+    /// Obstacles of this cycle.
+    pub obstacle_count: u32,
+    /// Obstacle updates refused since the start.
+    pub obstacles_refused: u64,
+    /// Smallest clearance \[m\].
+    pub clearance_m: f64,
+    /// Whether the clearance guard changed the command.
+    pub clearance_guarded: bool,
     /// Events that no record took.
     pub dropped_events: u64,
     /// Messages by outcome.
@@ -226,6 +234,10 @@ impl Supervisor {
         self.status.lease_holder = summary.lease_holder;
         self.status.reference_end_ns = summary.reference_end_ns;
         self.status.reference_points = summary.reference_points;
+        self.status.obstacle_count = summary.obstacle_count;
+        self.status.obstacles_refused = summary.obstacles_refused;
+        self.status.clearance_m = summary.clearance_m;
+        self.status.clearance_guarded += u64::from(summary.clearance_guarded);
         self.status.settings = summary.settings;
     }
 
@@ -266,6 +278,7 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),
         settings: convert::settings_to_wire(&config.controller),
+        clearance_m: f64::INFINITY,
         ..wire::Status::default()
     }
 }

@@ -328,6 +328,18 @@ wire_enum! {
 }
 
 wire_enum! {
+    /// A constraint that a solution breaks.
+    Constraint {
+        /// None.
+        None = 0: "none",
+        /// The safe distance from an obstacle.
+        Clearance = 1: "clearance",
+        /// A limit of bend, cable stroke or cable speed.
+        Limit = 2: "limit",
+    }
+}
+
+wire_enum! {
     /// How a solve ended.
     SolverStatus {
         /// It did not run.
@@ -383,6 +395,18 @@ pub mod guard {
     pub const NON_FINITE: u32 = 1 << 3;
     /// The clearance guard changed the command.
     pub const CLEARANCE: u32 = 1 << 4;
+    /// All rates were scaled down to keep the strokes of the cables.
+    pub const CABLE_STROKE: u32 = 1 << 5;
+
+    /// Every bit with its name.
+    pub const ALL: &[(u32, &str)] = &[
+        (RATE, "rate"),
+        (BEND, "bend"),
+        (CABLE_SPEED, "cable speed"),
+        (NON_FINITE, "not finite"),
+        (CLEARANCE, "clearance"),
+        (CABLE_STROKE, "cable stroke"),
+    ];
 }
 
 /// Bits of [`Status::realtime_missing`](crate::Status::realtime_missing).

@@ -35,7 +35,7 @@ pub const SWARM_MAX: usize = 512;
 pub const ITERATIONS_MAX: usize = 1000;
 
 /// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
-pub const EVENTS_MAX: usize = 16;
+pub const EVENTS_MAX: usize = 24;
 
 /// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.
 pub const TEXT_BYTES: usize = 48;

@@ -4,6 +4,9 @@ use crate::Header;
 use crate::limits::OBSTACLES_MAX;
 
 /// A sphere or a capsule that the body of the robot must stay clear of.
+///
+/// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within
+/// 0 to 10⁶ m. In a telemetry record it is the obstacle as the cycle used it: moved on to the release.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
 #[type_name("cdcr.Obstacle.v1")]
@@ -18,15 +21,22 @@ pub struct Obstacle {
     pub end_m: [f64; 3],
     /// Radius \[m\], ≥ 0.
     pub radius_m: f64,
-    /// Velocity of the whole shape \[m/s\], used to predict it over the horizon.
+    /// Velocity of the whole shape \[m/s\]: it is predicted to each release, and over the horizon, at
+    /// constant velocity.
     pub velocity_m_s: [f64; 3],
-    /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\].
+    /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
     pub measured_ns: u64,
-    /// How long it stays known after `measured_ns` \[ns\]; 0: until removed.
+    /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
+    /// is over when it arrives is refused as in the past.
     pub lifetime_ns: u64,
 }
 
 /// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, taken whole or not at all.
+///
+/// Any client may send one, and all share the ids. Within one message the last obstacle of an id counts.
+/// Removing an id that is not known changes nothing. An upsert that would make more than
+/// [`OBSTACLES_MAX`] obstacles known is refused. The event that reports an accepted update has in
+/// `detail` how many obstacles are known after it.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cdcr.ObstacleUpdate.v1")]

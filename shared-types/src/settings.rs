@@ -54,6 +54,8 @@ pub struct SolverSettings {
     pub obstacle_step_penalty: f64,
     /// Penalty on the depth inside the safe distance, per m.
     pub obstacle_slope_penalty: f64,
+    /// Penalty on the square of the depth, per m².
+    pub obstacle_square_penalty: f64,
     /// Time that a solve may take \[ns\]; 0: what is left of the period less the margin.
     pub budget_ns: u64,
     /// Seed of the swarm.

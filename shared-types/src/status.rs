@@ -36,6 +36,8 @@ pub struct RobotDescription {
     pub fingerprint: u64,
     /// Largest speed of a cable \[m/s\].
     pub cable_speed_max_m_s: f64,
+    /// How far a cable can be pulled or paid out from its length at the straight robot \[m\].
+    pub cable_stroke_max_m: f64,
     /// The sections, base first.
     pub section: [SectionDescription; SECTIONS_MAX],
 }
@@ -103,6 +105,10 @@ pub struct Status {
     pub dropped_records: u64,
     /// Faults since the start.
     pub faults: u64,
+    /// Cycles in which the clearance guard changed the command.
+    pub clearance_guarded: u64,
+    /// Obstacle updates that were refused, for whatever reason.
+    pub obstacles_refused: u64,
     /// Input messages by their [`Outcome`], index = code; 0 counts the accepted ones.
     pub outcomes: [u64; Outcome::COUNT],
 
@@ -119,8 +125,11 @@ pub struct Status {
     pub reference_end_ns: u64,
     /// Points of the buffered reference that are still ahead.
     pub reference_points: u32,
-    /// Obstacles known.
+    /// Obstacles of the newest cycle.
     pub obstacle_count: u32,
+    /// Smallest clearance in the newest cycle \[m\], as in [`Telemetry`](crate::Telemetry): infinite
+    /// without obstacles.
+    pub clearance_m: f64,
 
     /// The robot.
     pub robot: RobotDescription,
@@ -150,6 +159,8 @@ impl Default for Status {
             budget_hits: 0,
             dropped_records: 0,
             faults: 0,
+            clearance_guarded: 0,
+            obstacles_refused: 0,
             outcomes: [0; Outcome::COUNT],
             wake: LatencySummary::default(),
             solve: LatencySummary::default(),
@@ -158,6 +169,7 @@ impl Default for Status {
             reference_end_ns: 0,
             reference_points: 0,
             obstacle_count: 0,
+            clearance_m: 0.0,
             robot: RobotDescription::default(),
             settings: SolverSettings::default(),
         }

@@ -1,7 +1,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::limits::{COORDINATES_MAX, EVENTS_MAX, PLAN_MAX};
-use crate::{Command, Header, Measurement, RobotDescription, SolverSettings};
+use crate::limits::{COORDINATES_MAX, EVENTS_MAX, OBSTACLES_MAX, PLAN_MAX};
+use crate::{Command, Header, Measurement, Obstacle, RobotDescription, SolverSettings};
 
 /// One message that the daemon took in, and what became of it.
 ///
@@ -23,7 +23,8 @@ pub struct InputEvent {
     /// [`codes::Outcome`](crate::codes::Outcome).
     pub outcome: u32,
     /// Place of the trouble: index of the point or obstacle; for a request its
-    /// [`codes::RequestKind`](crate::codes::RequestKind).
+    /// [`codes::RequestKind`](crate::codes::RequestKind); for an accepted obstacle update how many
+    /// obstacles are known after it.
     pub detail: u32,
     /// It took effect this many gathers before the record's `gather`: 0, unless more happened at once
     /// than one record can report.
@@ -56,6 +57,8 @@ pub struct SolverReport {
     pub warm_cost: f64,
     /// Norm of the projected gradient at the solution.
     pub gradient_norm: f64,
+    /// How far the solution breaks its worst constraint: \[m\] of clearance, or parts of a limit.
+    pub violation: f64,
     /// Seed of this cycle's swarm: a function of `settings.seed` and the cycle.
     pub seed: u64,
     /// Cost evaluations.
@@ -71,6 +74,10 @@ pub struct SolverReport {
     pub status: u32,
     /// [`codes::Winner`](crate::codes::Winner): which candidate the solution descends from.
     pub winner: u32,
+    /// [`codes::Constraint`](crate::codes::Constraint): which constraint the solution breaks.
+    pub violated: u32,
+    /// 1 when the budget ended the solve, whatever the status.
+    pub budget_spent: u32,
 }
 
 /// Everything of one cycle: inputs as used, outputs, timing, mode, fault.
@@ -161,8 +168,12 @@ pub struct Telemetry {
     pub lease_state: u32,
     /// Scalars of `warm_plan` and `plan` that are used; 0: the solver did not run.
     pub plan_length: u32,
-    /// Obstacles known in this cycle.
+    /// Obstacles of this cycle, 0 ..= [`OBSTACLES_MAX`].
     pub obstacle_count: u32,
+    /// The obstacles as used, in this order, where they are at the release: `measured_ns` is the release,
+    /// `lifetime_ns` what is left of their lifetime then, 0: until removed. The first `obstacle_count` are
+    /// used.
+    pub obstacles: [Obstacle; OBSTACLES_MAX],
     /// The plan that the solver started from \[rad/s\], block by block.
     pub warm_plan: [f64; PLAN_MAX],
 
@@ -179,10 +190,14 @@ pub struct Telemetry {
     pub tip_orientation: [f64; 4],
     /// Distance of tip and reference at the release \[m\]; NaN without a reference.
     pub position_error_m: f64,
-    /// [`codes::guard`](crate::codes::guard) bits: which limits changed the solver's command.
+    /// [`codes::guard`](crate::codes::guard) bits: which limits changed the command that the mode wanted.
     pub guard_flags: u32,
     /// Zero.
     pub reserved: u32,
+    /// Smallest distance at the release between the surfaces of body and obstacles, from `bend_rad` and
+    /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `bend_rad` is not
+    /// finite.
+    pub clearance_m: f64,
     /// The command as it left.
     pub command: Command,
 }
@@ -226,6 +241,7 @@ impl Default for Telemetry {
             lease_state: 0,
             plan_length: 0,
             obstacle_count: 0,
+            obstacles: [Obstacle::default(); OBSTACLES_MAX],
             warm_plan: [0.0; PLAN_MAX],
             plan: [0.0; PLAN_MAX],
             report: SolverReport::default(),
@@ -235,6 +251,7 @@ impl Default for Telemetry {
             position_error_m: 0.0,
             guard_flags: 0,
             reserved: 0,
+            clearance_m: 0.0,
             command: Command::default(),
         }
     }

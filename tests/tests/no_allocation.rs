@@ -14,7 +14,7 @@ use cdcr_daemon::app::run_until;
 use cdcr_daemon::config::Config;
 use cdcr_daemon::rt::sys::{CountingAllocator, count_allocations};
 use cdcr_shared_types::codes::{MeasurementKind, Mode, RequestKind};
-use cdcr_shared_types::{Measurement, SolverSettings};
+use cdcr_shared_types::{Measurement, Obstacle, SolverSettings, Telemetry};
 use cdcr_tests::{PATIENCE, Place, ROBOT};
 
 #[global_allocator]
@@ -122,12 +122,32 @@ fn drive(place: &Place, ending: &AtomicBool) {
     }
 }
 
-/// Tracks, changes settings, holds, stops, resets and homes, until the daemon has run long enough.
+/// A ball in the way of the tip and a crowd farther away; they come, move and expire.
+fn around(record: &Telemetry) -> [Obstacle; 40] {
+    let [x, y, z] = record.tip_position_m;
+    core::array::from_fn(|i| {
+        let id = i as u32;
+        let apart_m = 0.05 + 0.01 * f64::from(id);
+        Obstacle {
+            id: id + 20 * (record.cycle / 100 % 2) as u32,
+            shape: id % 2,
+            start_m: [x + apart_m, y, z],
+            end_m: [x + apart_m, y + 0.1, z],
+            radius_m: 0.02,
+            velocity_m_s: [0.0, 0.01 * f64::from(id), 0.0],
+            measured_ns: monotonic_ns(),
+            lifetime_ns: 50_000_000,
+        }
+    })
+}
+
+/// Tracks past obstacles, changes settings, holds, stops, resets and homes, until the daemon has run long enough.
 /// Returns its cycles, and the records of tracking cycles.
 fn keep_busy(place: &Place) -> (u64, u64) {
     let begin = std::time::Instant::now();
     let connection = connect(place);
     let settings = connection.status(PATIENCE).unwrap().settings;
+    let obstacles = connection.obstacle_sender().unwrap();
     let (mut cycles, mut tracked, mut turn) = (0, 0, 0);
     while cycles < CYCLES {
         turn += 1;
@@ -152,10 +172,14 @@ fn keep_busy(place: &Place) -> (u64, u64) {
             let _ = feed.run(|event| {
                 if let FeedEvent::Record(record) = event {
                     tracked += u64::from(record.mode == Mode::Tracking.code());
+                    if record.cycle.is_multiple_of(10) {
+                        obstacles.upsert(&around(record)).unwrap();
+                    }
                 }
                 ControlFlow::Continue(())
             });
         }
+        obstacles.clear().unwrap();
         for kind in [RequestKind::Home, RequestKind::Hold, RequestKind::Stop] {
             let _ = connection.request(kind);
         }

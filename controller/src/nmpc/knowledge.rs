@@ -1,64 +1,124 @@
 //! What is known before the search: the candidates that make a particle swarm "knowledge-based".
 
-use super::SolveInput;
+use super::escape;
+use super::problem::TrackingProblem;
 use crate::optimizer::{Bounds, Budget, Candidate, GaussNewton, Incumbent, Problem};
+use crate::robot::COORDINATES_MAX;
 
-/// Candidates, each judged when it is gathered. The warm start is the incumbent already.
+/// Candidates. The warm start is the first and the incumbent already; the swarm judges the others side by
+/// side with its own particles.
 #[derive(Debug, Clone)]
 pub(super) struct Knowledge {
     candidates: Vec<f64>,
+    origins: Vec<Candidate>,
     scratch: Vec<f64>,
 }
 
-/// Candidates at most: warm start, previous command, zero, least squares.
-const CANDIDATES_MAX: usize = 4;
+/// Shares of the largest step inside the box at which a way out is tried, on either side.
+const ESCAPE_SHARES: [f64; 8] = [
+    1.0, -1.0, 0.25, -0.25, 0.0625, -0.0625, 0.015_625, -0.015_625,
+];
+/// Candidates at most: warm start, previous command, zero, least squares, ways out.
+const CANDIDATES_MAX: usize = 4 + ESCAPE_SHARES.len() * escape::DIRECTIONS_MAX;
+/// Nominal time of one column of the Hessian \[ns\].
+const HESSIAN_COLUMN_NS: u32 = 400;
 
 impl Knowledge {
     pub(super) fn with_capacity(dimension: usize) -> Self {
         Self {
             candidates: Vec::with_capacity(CANDIDATES_MAX * dimension),
+            origins: Vec::with_capacity(CANDIDATES_MAX),
             scratch: Vec::with_capacity(dimension),
         }
     }
 
     /// The warm start, the previous command held, and zero rates.
-    pub(super) fn gather<P: Problem, F: FnMut() -> bool>(
-        &mut self,
-        problem: &P,
-        bounds: &Bounds,
-        input: &SolveInput,
+    pub(super) fn gather(&mut self, problem: &TrackingProblem, bounds: &Bounds, warm_plan: &[f64]) {
+        let dimension = problem.dimension();
+        self.candidates.clear();
+        self.origins.clear();
+        self.scratch.clear();
+        self.scratch.extend_from_slice(warm_plan);
+        self.add(Candidate::WarmStart);
+
+        let held = &problem.previous[..problem.motion.width()];
+        for (i, control) in self.scratch.iter_mut().enumerate() {
+            *control = held[i % held.len()];
+        }
+        bounds.project(&mut self.scratch);
+        self.add(Candidate::Previous);
+
+        self.scratch.clear();
+        self.scratch.resize(dimension, 0.0);
+        self.add(Candidate::Zero);
+    }
+
+    fn add(&mut self, origin: Candidate) {
+        self.candidates.extend_from_slice(&self.scratch);
+        self.origins.push(origin);
+    }
+
+    /// Judges what was gathered, but for the warm start: for solvers without a swarm.
+    pub(super) fn judge<F: FnMut() -> bool>(
+        &self,
+        problem: &TrackingProblem,
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) {
-        let dimension = problem.dimension();
-        self.candidates.clear();
-        self.candidates.extend_from_slice(incumbent.z());
-
-        let held = input.previous_rates.as_slice();
-        self.scratch.clear();
-        self.scratch
-            .extend((0..dimension).map(|i| held[i % held.len()]));
-        bounds.project(&mut self.scratch);
-        self.judge(problem, Candidate::Previous, budget, incumbent);
-
-        self.scratch.fill(0.0);
-        self.judge(problem, Candidate::Zero, budget, incumbent);
+        let candidates = self.candidates.chunks_exact(problem.dimension());
+        for (z, origin) in candidates.zip(&self.origins).skip(1) {
+            if let Some(judged) = problem.judge_at(z, budget) {
+                incumbent.offer(|i| z[i], &judged, 0, *origin);
+            }
+        }
     }
 
-    /// One damped least-squares step from the best candidate so far.
-    pub(super) fn add_least_squares<P: Problem, F: FnMut() -> bool>(
+    /// One damped least-squares step from the best so far.
+    pub(super) fn add_least_squares<F: FnMut() -> bool>(
         &mut self,
-        problem: &P,
+        problem: &TrackingProblem,
         bounds: &Bounds,
         damping: f64,
         gauss_newton: &mut GaussNewton,
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) {
-        self.scratch.resize(problem.dimension(), 0.0);
         let (z, into) = (incumbent.z(), &mut self.scratch);
         if gauss_newton.propose(problem, bounds, damping, budget, z, into) {
-            self.judge(problem, Candidate::LeastSquares, budget, incumbent);
+            self.judge_and_add(problem, Candidate::LeastSquares, budget, incumbent);
+        }
+    }
+
+    /// Steps along the Hessian's falling eigenvectors, held over the horizon, at several lengths. For a
+    /// place where the gradient has vanished.
+    pub(super) fn add_ways_out<F: FnMut() -> bool>(
+        &mut self,
+        problem: &TrackingProblem,
+        bounds: &Bounds,
+        budget: &mut Budget<F>,
+        incumbent: &mut Incumbent,
+        base: &mut [f64],
+    ) {
+        let width = problem.motion.width();
+        for _ in 0..width {
+            if !budget.spend(HESSIAN_COLUMN_NS) {
+                return;
+            }
+        }
+        base.copy_from_slice(incumbent.z());
+        let directions = escape::directions(problem, base);
+        for direction in &directions.vectors[..directions.count] {
+            let mut controls = [0.0; COORDINATES_MAX];
+            let controls = &mut controls[..width];
+            problem.motion.controls_of(&direction[..width], controls);
+            let longest = longest_step(controls, bounds);
+            for share in ESCAPE_SHARES {
+                for (i, control) in self.scratch.iter_mut().enumerate() {
+                    *control = base[i] + share * longest * controls[i % width];
+                }
+                bounds.project(&mut self.scratch);
+                self.judge_and_add(problem, Candidate::Eigenvector, budget, incumbent);
+            }
         }
     }
 
@@ -67,17 +127,35 @@ impl Knowledge {
         &self.candidates
     }
 
-    fn judge<P: Problem, F: FnMut() -> bool>(
+    /// Where each comes from.
+    pub(super) fn origins(&self) -> &[Candidate] {
+        &self.origins
+    }
+
+    fn judge_and_add<F: FnMut() -> bool>(
         &mut self,
-        problem: &P,
+        problem: &TrackingProblem,
         origin: Candidate,
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) {
-        if budget.spend(problem.evaluation_ns()) {
+        if let Some(judged) = problem.judge_at(&self.scratch, budget) {
             let scratch = &self.scratch;
-            incumbent.offer(|i| scratch[i], problem.cost_at(scratch), origin);
-            self.candidates.extend_from_slice(&self.scratch);
+            incumbent.offer(|i| scratch[i], &judged, 0, origin);
+            if self.origins.len() < CANDIDATES_MAX {
+                self.add(origin);
+            }
         }
     }
+}
+
+/// How far along `controls` the box reaches from its middle.
+fn longest_step(controls: &[f64], bounds: &Bounds) -> f64 {
+    controls
+        .iter()
+        .zip(bounds.upper())
+        .filter(|(control, _)| **control != 0.0)
+        .map(|(control, upper)| upper / control.abs())
+        .fold(f64::INFINITY, f64::min)
+        .min(1e6)
 }

@@ -1,32 +1,51 @@
 //! The optimal control problem of Eq. 4-5, and its solution in one cycle (Fig. 2 of the paper).
 //!
-//! The state is the bend vector q of every section, the controls are its rates u, held over M ≤ N
-//! blocks of the horizon, and q(k+1) = q(k) + T u(k) (Eq. 4). The cost (Eq. 5) is the weighted squared
-//! position error of the tip at each step, with an extra weight ω on the last, and optional weights
-//! on the rates and on their change.
+//! The state is the bend of every section, the controls u are its rates, held over M ≤ N blocks of the
+//! horizon, and q(k+1) = q(k) + T u(k) (Eq. 4), with q either the bend vectors (u, v) or the paper's angles
+//! (θ, φ). The cost (Eq. 5) is, at each step, the weighted squared error of the tip's position and, where
+//! the reference asks for one, of its orientation beyond a tolerance, with an extra weight ω on the last;
+//! optional weights on the controls and on their change; and penalties on what is too near to an
+//! obstacle or beyond a limit of bend, cable stroke or cable speed.
+//!
+//! | file | question it answers |
+//! |---|---|
+//! | `settings` | what can be tuned, within which ranges |
+//! | `horizon` | which step belongs to which block |
+//! | `motion` | how do the controls bend the robot over the horizon (Eq. 4) |
+//! | `pose_error`, `obstacles`, `limits` | what does one step cost (Eq. 5) |
+//! | `problem` | what does a plan cost, and how does that change with it |
+//! | `knowledge`, `escape` | which candidates are known before the search |
+//! | `solver` | in which order do knowledge, swarm and Gauss-Newton work |
+//! | `report` | how did the solve end |
 //!
 //! Invariant: nothing here knows a clock, a thread or a message. Time is counted in periods; the
 //! budget is a closure. Nothing allocates after [`Nmpc::new`].
 
+mod escape;
 mod horizon;
 mod knowledge;
+mod limits;
+mod motion;
+mod obstacles;
+mod pose_error;
 mod problem;
 mod report;
 mod settings;
+mod solver;
 
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
-pub use report::{SolveReport, SolveStatus};
-pub use settings::{NmpcSettings, SettingsError, SolverKind, ranges};
+pub use report::{Constraint, SolveReport, SolveStatus};
+pub use settings::{Coordinates, NmpcSettings, SettingsError, SolverKind, ranges};
 
-use crate::optimizer::{
-    Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso, Path,
-    Problem, Task,
-};
+use crate::optimizer::{Bounds, Budget, ErasedBudget, Path};
 use crate::reference::ReferenceSample;
-use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
-use knowledge::Knowledge;
+use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
+use limits::Limits;
+use motion::Motion;
+use obstacles::Obstacles;
 use problem::TrackingProblem;
+use solver::Solver;
 
 /// Control blocks M at most. With six sections this makes 240 unknowns.
 pub const CONTROL_BLOCKS_MAX: usize = 20;
@@ -34,6 +53,9 @@ pub const CONTROL_BLOCKS_MAX: usize = 20;
 pub const PLAN_MAX: usize = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
 /// Particles at most.
 pub const SWARM_MAX: usize = 512;
+
+/// Obstacles at most.
+pub const OBSTACLES_MAX: usize = 64;
 
 /// What one solve starts from.
 #[derive(Debug, Clone, Copy)]
@@ -45,6 +67,9 @@ pub struct SolveInput<'a> {
     /// The reference at the releases 1, 2, …, N periods from now. Fewer than N: the last one counts
     /// for the rest. Empty: the solve answers zero rates.
     pub reference: &'a [ReferenceSample],
+    /// What the body must keep away from, at most [`OBSTACLES_MAX`] (further ones are ignored), where
+    /// it is at the release; it moves on at its velocity.
+    pub obstacles: &'a [Obstacle],
     /// Periods since the plan was made: how far the warm start is moved on in time.
     pub elapsed_periods: u64,
     /// Seed of this cycle's swarm, see [`cycle_seed`](crate::optimizer::cycle_seed).
@@ -59,14 +84,13 @@ pub struct Nmpc {
     period_s: f64,
     settings: NmpcSettings,
     horizon: Horizon,
+    /// The box of the controls.
     bounds: Bounds,
+    obstacles: Obstacles,
     /// The plan of the last solve: what the next warm start is made of.
     plan: Vec<f64>,
     warm_plan: Vec<f64>,
-    knowledge: Knowledge,
-    swarm: Kpso,
-    gauss_newton: GaussNewton,
-    incumbent: Incumbent,
+    solver: Solver,
 }
 
 impl Nmpc {
@@ -91,30 +115,31 @@ impl Nmpc {
     ) -> Result<Self, SettingsError> {
         settings.validate()?;
         let unknowns = robot.coordinate_count() * CONTROL_BLOCKS_MAX;
-        let rows = 3 * HORIZON_STEPS_MAX + 2 * unknowns;
         let mut nmpc = Self {
             robot,
             period_s,
             settings,
             horizon: Horizon::new(&settings),
             bounds: Bounds::with_capacity(unknowns),
+            obstacles: Obstacles::with_capacity(),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
-            knowledge: Knowledge::with_capacity(unknowns),
-            swarm: Kpso::with_capacity(path, SWARM_MAX, unknowns),
-            gauss_newton: GaussNewton::with_capacity(unknowns, rows),
-            incumbent: Incumbent::with_capacity(unknowns),
+            solver: Solver::with_capacity(path, unknowns),
         };
         nmpc.apply(settings);
         Ok(nmpc)
     }
 
-    /// Takes over other settings; the plan is cut or continued to the new horizon. No allocation.
+    /// Takes over other settings; the plan is cut or continued to the new horizon, and forgotten when the
+    /// coordinates change. No allocation.
     ///
     /// # Errors
     /// [`SettingsError`], and nothing changes, when a setting is out of its range.
     pub fn configure(&mut self, settings: NmpcSettings) -> Result<(), SettingsError> {
         settings.validate()?;
+        if settings.coordinates != self.settings.coordinates {
+            self.forget_plan();
+        }
         self.apply(settings);
         Ok(())
     }
@@ -122,15 +147,9 @@ impl Nmpc {
     fn apply(&mut self, settings: NmpcSettings) {
         self.settings = settings;
         self.horizon = Horizon::new(&settings);
-        let rate_limits = self
-            .robot
-            .sections()
-            .iter()
-            .flat_map(|s| [s.rate_max_rad_s; 2]);
-        self.bounds
-            .set_symmetric(&rate_limits, self.horizon.blocks());
-        self.plan.resize(self.unknowns(), 0.0);
-        self.warm_plan.resize(self.unknowns(), 0.0);
+        let unknowns = self.robot.coordinate_count() * self.horizon.blocks();
+        self.plan.resize(unknowns, 0.0);
+        self.warm_plan.resize(unknowns, 0.0);
     }
 
     /// Forgets the plan: the next warm start is zero rates. For cycles in which another than the
@@ -139,8 +158,8 @@ impl Nmpc {
         self.plan.fill(0.0);
     }
 
-    /// Replaces the plan that the next warm start is made of by a recorded warm start of a replay.
-    /// False when its length does not fit the settings.
+    /// Replaces the plan that the next warm start is made of by a recorded warm start of a replay, to be
+    /// solved with `elapsed_periods` = 0. False when its length does not fit the settings.
     pub fn restore_plan(&mut self, plan: &[f64]) -> bool {
         let fits = plan.len() == self.plan.len();
         if fits {
@@ -159,18 +178,15 @@ impl Nmpc {
         &self.robot
     }
 
-    /// The plan of the last solve \[rad/s\]: `2 n` rates for each block.
+    /// The plan of the last solve \[rad/s\]: `2 n` controls for each block, in the coordinates of the
+    /// settings.
     pub fn plan(&self) -> &[f64] {
         &self.plan
     }
 
-    /// The warm start of the last solve \[rad/s\].
+    /// The warm start of the last solve \[rad/s\], likewise.
     pub fn warm_plan(&self) -> &[f64] {
         &self.warm_plan
-    }
-
-    fn unknowns(&self) -> usize {
-        self.robot.coordinate_count() * self.horizon.blocks()
     }
 
     /// Finds the rates for the period that begins now (Fig. 2).
@@ -182,87 +198,71 @@ impl Nmpc {
         input: &SolveInput,
         budget: &mut Budget<F>,
     ) -> (BendRates, SolveReport) {
-        let problem = TrackingProblem::new(
+        budget.erased(|budget| self.solve_within(input, budget))
+    }
+
+    fn solve_within(
+        &mut self,
+        input: &SolveInput,
+        budget: &mut ErasedBudget,
+    ) -> (BendRates, SolveReport) {
+        let motion = Motion::new(
             &self.robot,
             self.period_s,
-            &self.settings,
+            self.settings.coordinates,
             &self.horizon,
-            input,
+            input.configuration,
+            input.previous_rates,
         );
+        motion.set_bounds(&self.robot, &mut self.bounds);
         self.horizon
             .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
+        motion.continue_plan(
+            &mut self.warm_plan,
+            input.previous_rates,
+            input.elapsed_periods,
+        );
         self.bounds.project(&mut self.warm_plan);
-        let warm_cost = problem.cost_at(&self.warm_plan);
-        self.incumbent.restart(&self.warm_plan, warm_cost);
 
-        let mut outcome = GaussNewtonOutcome::default();
-        let mut iterations = 0;
-        if problem.is_posed() {
-            let (knowledge, solver) = (&mut self.knowledge, self.settings.solver);
-            knowledge.gather(&problem, &self.bounds, input, budget, &mut self.incumbent);
-            if solver.searches() {
-                knowledge.add_least_squares(
-                    &problem,
-                    &self.bounds,
-                    self.settings.damping,
-                    &mut self.gauss_newton,
-                    budget,
-                    &mut self.incumbent,
-                );
-                let task = Task {
-                    problem: &problem,
-                    bounds: &self.bounds,
-                    settings: self.settings.kpso(),
-                    seed: input.seed,
-                };
-                let candidates = knowledge.candidates();
-                iterations = self
-                    .swarm
-                    .search(&task, candidates, budget, &mut self.incumbent);
-            }
-            if solver.refines() {
-                outcome = self.gauss_newton.refine(
-                    &problem,
-                    &self.bounds,
-                    &self.settings.gauss_newton(),
-                    budget,
-                    &mut self.incumbent,
-                );
-            }
-        }
-        self.plan.copy_from_slice(self.incumbent.z());
-        let report = SolveReport {
-            status: SolveStatus::of(&self.incumbent, &self.settings, &outcome, budget.is_over()),
-            cost: self.incumbent.cost(),
-            warm_cost,
-            gradient_norm: outcome.gradient_norm,
-            evaluations: self.incumbent.evaluations(),
-            quanta: budget.passed(),
-            iterations,
-            refinements: outcome.accepted,
-            winner: self.incumbent.origin(),
+        let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
+        self.obstacles.gather(
+            &self.robot,
+            &motion,
+            input.obstacles,
+            self.settings.safe_distance_m,
+            &fastest_rad_s,
+            budget,
+        );
+        let limits = Limits::new(
+            &self.robot,
+            &motion,
+            self.settings.position_weight,
+            &fastest_rad_s,
+        );
+        let problem = TrackingProblem::new(
+            &self.robot,
+            &self.settings,
+            &motion,
+            limits,
+            &self.obstacles,
+            input,
+        );
+        let task = solver::Task {
+            problem: &problem,
+            bounds: &self.bounds,
+            settings: &self.settings,
             seed: input.seed,
         };
-        (self.first_rates(&report), report)
-    }
-
-    /// The rates of the first block; zero when nothing finite was found.
-    fn first_rates(&mut self, report: &SolveReport) -> BendRates {
-        let zero = BendRates::zero(self.robot.section_count());
-        if report.status == SolveStatus::NonFinite {
-            self.forget_plan();
-            return zero;
-        }
-        BendRates::from_slice(&self.plan[..self.robot.coordinate_count()]).unwrap_or(zero)
-    }
-}
-
-impl NmpcSettings {
-    fn gauss_newton(&self) -> GaussNewtonSettings {
-        GaussNewtonSettings {
-            steps: self.refinement_steps,
-            damping: self.damping,
-            step_tolerance: settings::STEP_TOLERANCE_RAD_S,
-        }
+        let report = self.solver.solve(&task, &self.warm_plan, budget);
+        self.plan.copy_from_slice(self.solver.best());
+        let rates = match report.status {
+            SolveStatus::NonFinite => None,
+            _ => problem.motion.first_rates(&self.robot, &self.plan),
+        };
+        let rates = rates.unwrap_or_else(|| {
+            self.plan.fill(0.0);
+            BendRates::zero(self.robot.section_count())
+        });
+        (rates, report)
     }
 }

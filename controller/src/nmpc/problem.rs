@@ -1,19 +1,22 @@
-use nalgebra::Vector3;
-
-use super::{CONTROL_BLOCKS_MAX, Horizon, NmpcSettings, SolveInput};
-use crate::optimizer::{Budget, LinearModel, Problem};
+use super::limits::{LimitRow, Limits};
+use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
+use super::obstacles::{ClearanceRow, Obstacles};
+use super::pose_error::{self, PoseWeights, Row};
+use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
+use crate::optimizer::{Budget, Judged, LinearModel, Problem};
 use crate::reference::{ReferenceSample, ReferenceState};
-use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
+use crate::robot::{COORDINATES_MAX, Jacobian, Robot};
 use crate::wide::Wide;
 
-/// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the rates of every block.
+/// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
 pub(super) struct TrackingProblem<'a> {
-    robot: &'a Robot,
-    period_s: f64,
+    pub robot: &'a Robot,
+    pub motion: &'a Motion<'a>,
+    /// Controls of the last command.
+    pub previous: [f64; COORDINATES_MAX],
     settings: &'a NmpcSettings,
-    horizon: &'a Horizon,
-    configuration: &'a Configuration,
-    previous_rates: &'a [f64],
+    limits: Limits<'a>,
+    obstacles: &'a Obstacles,
     reference: &'a [ReferenceSample],
 }
 
@@ -23,18 +26,22 @@ const SECTION_NS: u32 = 15;
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
         robot: &'a Robot,
-        period_s: f64,
         settings: &'a NmpcSettings,
-        horizon: &'a Horizon,
+        motion: &'a Motion<'a>,
+        limits: Limits<'a>,
+        obstacles: &'a Obstacles,
         input: &SolveInput<'a>,
     ) -> Self {
+        let mut previous = [0.0; COORDINATES_MAX];
+        let held = input.previous_rates.as_slice();
+        motion.controls_of(held, &mut previous[..held.len()]);
         Self {
             robot,
-            period_s,
+            motion,
+            previous,
             settings,
-            horizon,
-            configuration: input.configuration,
-            previous_rates: input.previous_rates.as_slice(),
+            limits,
+            obstacles,
             reference: input.reference,
         }
     }
@@ -47,53 +54,84 @@ impl<'a> TrackingProblem<'a> {
     }
 
     fn width(&self) -> usize {
-        self.robot.coordinate_count()
+        self.motion.width()
     }
 
-    /// Reference position after step `step` (0-based); the last known one past the end.
-    fn target(&self, step: usize) -> Option<Vector3<f64>> {
-        let sample = self.reference.get(step).or(self.reference.last())?;
-        (sample.state != ReferenceState::None).then_some(sample.position_m)
+    pub(super) fn steps(&self) -> usize {
+        self.motion.horizon().steps()
     }
 
-    /// Weight of the position error after step `step`: with ω on the last.
-    fn position_weight(&self, step: usize) -> f64 {
-        let last = step + 1 == self.horizon.steps();
-        self.settings.position_weight
-            * if last {
-                self.settings.terminal_weight
-            } else {
-                1.0
-            }
-    }
-
-    /// Eq. 4 for W plans side by side.
+    /// Reference after step `step` (0-based); the last known one past the end.
     #[inline(always)]
-    fn advance_wide<const W: usize>(
+    pub(super) fn target(&self, step: usize) -> Option<&ReferenceSample> {
+        let sample = self.reference.get(step).or(self.reference.last())?;
+        (sample.state != ReferenceState::None).then_some(sample)
+    }
+
+    /// Weights of the error after step `step`: with ω on the last.
+    #[inline(always)]
+    pub(super) fn weights(&self, step: usize) -> PoseWeights {
+        let last = step + 1 == self.steps();
+        let factor = if last {
+            self.settings.terminal_weight
+        } else {
+            1.0
+        };
+        PoseWeights {
+            position: factor * self.settings.position_weight,
+            orientation: factor * self.settings.orientation_weight,
+            tolerance_rad: self.settings.orientation_tolerance_rad,
+        }
+    }
+
+    /// Time from the release to the end of `step` \[s\].
+    fn time_s(&self, step: usize) -> f64 {
+        self.motion.period_s() * (step + 1) as f64
+    }
+
+    /// Eq. 5 for W plans side by side, in the coordinates that P stands for. `FREE` is whether neither
+    /// obstacle nor limit is in reach: code of its own, which is why a free scene is fast.
+    #[inline(always)]
+    fn judge_in<const W: usize, const P: usize, const FREE: bool, F: FnMut() -> bool>(
         &self,
-        bend_rad: &mut [Wide<W>; COORDINATES_MAX],
         z: &impl Fn(usize) -> Wide<W>,
-        step: usize,
-    ) {
-        let width = self.width();
-        let first = self.horizon.block_of(step) * width;
-        for (i, bend) in bend_rad[..width].iter_mut().enumerate() {
-            *bend = *bend + z(first + i) * self.period_s;
+        budget: &mut Budget<F>,
+    ) -> Option<Judged<W>> {
+        let step_ns = self.step_ns();
+        let mut bends: Bends<W, P> = self.motion.start();
+        let mut before = bends.bend_rad;
+        let mut judged = Judged::of(self.regularisation(z));
+        for step in 0..self.steps() {
+            if !budget.spend(step_ns) {
+                return None;
+            }
+            self.motion.advance(&mut bends, z, step);
+            if let Some(target) = self.target(step) {
+                let bend_rad = |i: usize| bends.bend_rad[i];
+                let weights = self.weights(step);
+                let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
+                judged.cost = judged.cost + error;
+            }
+            if FREE {
+                continue;
+            }
+            if self.limits.matter() {
+                self.limits.judge(&before, &bends.bend_rad, &mut judged);
+                before = bends.bend_rad;
+            }
+            if self.obstacles.matter() {
+                let time_s = self.time_s(step);
+                self.obstacles.judge(
+                    self.robot,
+                    self.settings,
+                    time_s,
+                    &bends.bend_rad,
+                    &mut judged,
+                    budget,
+                )?;
+            }
         }
-    }
-
-    /// Eq. 4: one period with the rates of the step's block.
-    fn advance(&self, bend_rad: &mut [f64], z: &[f64], step: usize) {
-        let rates = &z[self.horizon.block_of(step) * self.width()..][..self.width()];
-        for (bend, rate) in bend_rad.iter_mut().zip(rates) {
-            *bend += self.period_s * rate;
-        }
-    }
-
-    fn start(&self) -> [f64; COORDINATES_MAX] {
-        let mut bend_rad = [0.0; COORDINATES_MAX];
-        bend_rad[..self.width()].copy_from_slice(self.configuration.as_slice());
-        bend_rad
+        Some(judged)
     }
 
     /// Weights on the rates and on their change from block to block.
@@ -113,36 +151,12 @@ impl<'a> TrackingProblem<'a> {
         if rate_change_weight > 0.0 {
             for i in 0..self.dimension() {
                 let earlier = i.checked_sub(self.width());
-                let before = earlier.map_or_else(|| Wide::splat(self.previous_rates[i]), z);
+                let before = earlier.map_or_else(|| Wide::splat(self.previous[i]), z);
                 let change = z(i) - before;
                 cost = cost + change * change * rate_change_weight;
             }
         }
         cost
-    }
-
-    /// Rows of the position error after `step`, and its derivatives with respect to every block.
-    fn push_position_rows(
-        &self,
-        step: usize,
-        error: Vector3<f64>,
-        jacobian: &Jacobian,
-        block_periods: &[f64],
-        model: &mut LinearModel,
-    ) {
-        let scale = self.position_weight(step).sqrt();
-        for axis in 0..3 {
-            let row = model.push(scale * error[axis]);
-            for (block, &periods) in block_periods.iter().enumerate() {
-                let factor = scale * self.period_s * periods;
-                for (i, derivative) in row[block * self.width()..][..self.width()]
-                    .iter_mut()
-                    .enumerate()
-                {
-                    *derivative = factor * jacobian.column(i)[axis];
-                }
-            }
-        }
     }
 
     fn push_regularisation_rows(&self, z: &[f64], model: &mut LinearModel) {
@@ -161,7 +175,7 @@ impl<'a> TrackingProblem<'a> {
             let scale = rate_change_weight.sqrt();
             for i in 0..z.len() {
                 let earlier = i.checked_sub(self.width());
-                let before = earlier.map_or_else(|| self.previous_rates[i], |k| z[k]);
+                let before = earlier.map_or_else(|| self.previous[i], |k| z[k]);
                 let row = model.push(scale * (z[i] - before));
                 row[i] = scale;
                 if let Some(k) = earlier {
@@ -170,34 +184,111 @@ impl<'a> TrackingProblem<'a> {
             }
         }
     }
+
+    /// Writes derivatives with respect to the bends at the end of a step into a row: block by block, times
+    /// the periods for which each block has moved them.
+    fn spread(
+        &self,
+        bends: &Bent,
+        mut derivatives: [f64; COORDINATES_MAX],
+        block_periods: &[f64],
+        row: &mut [f64],
+    ) {
+        self.motion.by_controls(bends, &mut derivatives);
+        for (block, &periods) in row.chunks_exact_mut(self.width()).zip(block_periods) {
+            let factor = self.motion.period_s() * periods;
+            for (target, derivative) in block.iter_mut().zip(derivatives) {
+                *target = factor * derivative;
+            }
+        }
+    }
+
+    fn push_pose_rows(&self, at: &Step, bend_rad: &[f64], model: &mut LinearModel) {
+        if let Some(target) = self.target(at.index) {
+            let mut jacobian = Jacobian::default();
+            let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
+            let weights = self.weights(at.index);
+            pose_error::residuals(&tip, &jacobian, target, &weights, &mut |row: Row| {
+                let into = model.push(row.residual);
+                self.spread(at.bends, row.derivatives, at.block_periods, into);
+            });
+        }
+    }
+
+    fn push_limit_rows(&self, before: &Bent, at: &Step, model: &mut LinearModel) {
+        if !self.limits.matter() {
+            return;
+        }
+        let block = self.motion.horizon().block_of(at.index);
+        let mut this_step = [0.0; CONTROL_BLOCKS_MAX];
+        this_step[block] = 1.0;
+        self.limits
+            .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
+                let periods = if row.of_step {
+                    &this_step[..=block]
+                } else {
+                    at.block_periods
+                };
+                if let Some(into) = model.push_constraint(row.h) {
+                    self.spread(at.bends, row.derivatives, periods, into);
+                }
+            });
+    }
+
+    /// False: the budget was spent.
+    fn push_clearance_rows<F: FnMut() -> bool>(
+        &self,
+        at: &Step,
+        bend_rad: &[f64],
+        model: &mut LinearModel,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let time_s = self.time_s(at.index);
+        let push = |row: ClearanceRow| {
+            if let Some(into) = model.push_constraint(row.h) {
+                self.spread(at.bends, row.derivatives, at.block_periods, into);
+            }
+        };
+        self.obstacles
+            .rows(self.robot, self.settings, time_s, bend_rad, budget, push)
+    }
+
+    /// Nominal time of one step of [`Problem::judge`] without obstacles.
+    #[inline(always)]
+    fn step_ns(&self) -> u32 {
+        SECTION_NS * self.robot.section_count() as u32
+    }
+
+    /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and three rows.
+    fn linearise_step_ns(&self) -> u32 {
+        3 * self.step_ns() + self.dimension() as u32
+    }
+}
+
+/// The end of one step of a plan.
+struct Step<'a> {
+    index: usize,
+    bends: &'a Bent,
+    block_periods: &'a [f64],
 }
 
 impl Problem for TrackingProblem<'_> {
     fn dimension(&self) -> usize {
-        self.width() * self.horizon.blocks()
-    }
-
-    fn rows(&self) -> usize {
-        3 * self.horizon.steps() + 2 * self.dimension()
+        self.width() * self.motion.horizon().blocks()
     }
 
     #[inline(always)]
-    fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
-        let mut bend_rad = [Wide::splat(0.0); COORDINATES_MAX];
-        for (wide, &bend) in bend_rad.iter_mut().zip(self.configuration.as_slice()) {
-            *wide = Wide::splat(bend);
+    fn judge<const W: usize, F: FnMut() -> bool>(
+        &self,
+        z: impl Fn(usize) -> Wide<W>,
+        budget: &mut Budget<F>,
+    ) -> Option<Judged<W>> {
+        let free = !self.limits.matter() && !self.obstacles.matter();
+        match self.motion.coordinates() {
+            Coordinates::BendVector if free => self.judge_in::<W, VECTORS, true, F>(&z, budget),
+            Coordinates::BendVector => self.judge_in::<W, VECTORS, false, F>(&z, budget),
+            Coordinates::BendAngles => self.judge_in::<W, ANGLES, false, F>(&z, budget),
         }
-        let mut cost = self.regularisation(&z);
-        for step in 0..self.horizon.steps() {
-            self.advance_wide(&mut bend_rad, &z, step);
-            if let Some(target) = self.target(step) {
-                let tip = self.robot.tip_position_wide(|i| bend_rad[i]);
-                let [ex, ey, ez] = [0, 1, 2].map(|axis| tip[axis] + -target[axis]);
-                let squared = ex * ex + ey * ey + ez * ez;
-                cost = cost + squared * self.position_weight(step);
-            }
-        }
-        cost
     }
 
     fn linearise<F: FnMut() -> bool>(
@@ -206,36 +297,30 @@ impl Problem for TrackingProblem<'_> {
         model: &mut LinearModel,
         budget: &mut Budget<F>,
     ) -> bool {
-        let mut state = self.start();
-        let bend_rad = &mut state[..self.width()];
-        let mut jacobian = Jacobian::default();
+        let mut bends: Bent = self.motion.start();
         let mut block_periods = [0.0; CONTROL_BLOCKS_MAX];
-        for step in 0..self.horizon.steps() {
-            self.advance(bend_rad, z, step);
-            block_periods[self.horizon.block_of(step)] += 1.0;
-            let Some(target) = self.target(step) else {
-                continue;
-            };
+        for step in 0..self.steps() {
+            let before = bends;
+            self.motion.advance_one(&mut bends, z, step);
+            let block = self.motion.horizon().block_of(step);
+            block_periods[block] += 1.0;
             if !budget.spend(self.linearise_step_ns()) {
                 return false;
             }
-            let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
-            let periods = &block_periods[..=self.horizon.block_of(step)];
-            self.push_position_rows(step, tip.position_m - target, &jacobian, periods, model);
+            let all = bends.scalar();
+            let bend_rad = &all[..self.width()];
+            let at = Step {
+                index: step,
+                bends: &bends,
+                block_periods: &block_periods[..=block],
+            };
+            self.push_pose_rows(&at, bend_rad, model);
+            self.push_limit_rows(&before, &at, model);
+            if !self.push_clearance_rows(&at, bend_rad, model, budget) {
+                return false;
+            }
         }
         self.push_regularisation_rows(z, model);
         true
-    }
-
-    fn evaluation_ns(&self) -> u32 {
-        let sections = self.horizon.steps() * self.robot.section_count();
-        SECTION_NS * sections as u32
-    }
-}
-
-impl TrackingProblem<'_> {
-    /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and three rows.
-    fn linearise_step_ns(&self) -> u32 {
-        3 * SECTION_NS * self.robot.section_count() as u32 + self.dimension() as u32
     }
 }

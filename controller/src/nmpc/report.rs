@@ -1,8 +1,22 @@
-use super::NmpcSettings;
+use super::{NmpcSettings, limits, obstacles};
 use crate::optimizer::{Candidate, GaussNewtonOutcome, Incumbent};
 
+/// A clearance broken by less than this \[m\] is kept.
+const TOLERATED_M: f64 = 1e-6;
+/// A limit broken by less than this part of it is kept: its penalty is soft.
+const TOLERATED_PART: f64 = 1e-3;
+
+/// A constraint that a plan can break.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Constraint {
+    /// The body comes nearer to an obstacle than the safe distance; measured in metres.
+    Clearance,
+    /// A bend, a cable's stroke or a cable's speed goes beyond its limit; measured in parts of the limit.
+    Limit,
+}
+
 /// How a solve ended. The loop has an answer to every one; none is an error.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum SolveStatus {
     /// No solve took place.
     #[default]
@@ -13,6 +27,14 @@ pub enum SolveStatus {
     BudgetSpent,
     /// All iterations were used.
     IterationsSpent,
+    /// The best plan breaks a constraint somewhere on the horizon: nothing better was found. What leaves is
+    /// still checked by [`safety`](crate::safety).
+    ConstraintViolated {
+        /// Which: clearance before limits.
+        constraint: Constraint,
+        /// By how much at worst, in the unit of the constraint.
+        amount: f64,
+    },
     /// No point of finite cost was found: state or reference are not finite. The rates are zero.
     NonFinite,
 }
@@ -24,9 +46,30 @@ impl SolveStatus {
         refinement: &GaussNewtonOutcome,
         budget_is_over: bool,
     ) -> Self {
+        if !incumbent.is_judged() {
+            return Self::BudgetSpent;
+        }
         if !incumbent.cost().is_finite() {
-            Self::NonFinite
-        } else if incumbent.cost() <= settings.cost_tolerance() || refinement.converged {
+            return Self::NonFinite;
+        }
+        let violations = incumbent.violations();
+        for (constraint, amount, tolerated) in [
+            (
+                Constraint::Clearance,
+                violations[obstacles::CLEARANCE],
+                TOLERATED_M,
+            ),
+            (
+                Constraint::Limit,
+                violations[limits::LIMITS],
+                TOLERATED_PART,
+            ),
+        ] {
+            if amount > tolerated {
+                return Self::ConstraintViolated { constraint, amount };
+            }
+        }
+        if incumbent.cost() <= settings.cost_tolerance() || refinement.converged {
             Self::Converged
         } else if budget_is_over {
             Self::BudgetSpent
@@ -41,7 +84,10 @@ impl SolveStatus {
 pub struct SolveReport {
     /// How it ended.
     pub status: SolveStatus,
-    /// Cost of the solution, in the scale of the weights.
+    /// Whether the budget ended it, whatever the status.
+    pub budget_spent: bool,
+    /// Cost of the solution, in the scale of the weights; infinite when the budget was spent before even
+    /// the warm start was judged.
     pub cost: f64,
     /// Cost of the warm start; never below `cost`.
     pub warm_cost: f64,
@@ -59,4 +105,23 @@ pub struct SolveReport {
     pub winner: Candidate,
     /// Seed of the swarm.
     pub seed: u64,
+}
+
+impl SolveReport {
+    /// What the incumbent says.
+    pub(super) fn of(
+        incumbent: &Incumbent,
+        settings: &NmpcSettings,
+        refinement: &GaussNewtonOutcome,
+        budget_is_over: bool,
+    ) -> Self {
+        Self {
+            status: SolveStatus::of(incumbent, settings, refinement, budget_is_over),
+            budget_spent: budget_is_over,
+            cost: incumbent.cost(),
+            evaluations: incumbent.evaluations(),
+            winner: incumbent.origin(),
+            ..Self::default()
+        }
+    }
 }

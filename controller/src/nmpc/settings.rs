@@ -26,6 +26,17 @@ impl SolverKind {
     }
 }
 
+/// In which rates the optimal control problem is posed. The command is always bend-vector rates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Coordinates {
+    /// Rates (u̇, v̇) of each section's bend vector: smooth everywhere.
+    #[default]
+    BendVector,
+    /// The paper's (θ̇, φ̇), with signed θ. A rate φ̇ moves nothing where the section is straight.
+    BendAngles,
+}
+
 /// Everything that tunes the optimal control problem and its solver.
 ///
 /// The default is the paper's swarm (6 × 30, c₁ = c₂ = 1.2, N = 2) with the inertia weight that Eq. 6
@@ -35,6 +46,8 @@ impl SolverKind {
 pub struct NmpcSettings {
     /// The solver.
     pub solver: SolverKind,
+    /// Coordinates of the controls.
+    pub coordinates: Coordinates,
     /// Prediction steps N.
     pub horizon_steps: u32,
     /// Control blocks M ≤ N; 0: one for each step.
@@ -59,12 +72,27 @@ pub struct NmpcSettings {
     pub damping: f64,
     /// Weight of the squared position error, per m².
     pub position_weight: f64,
+    /// Weight of the squared orientation error, per rad². It counts where the reference asks for an
+    /// orientation, and is chord length: 2 sin(α/2) for an angle of α.
+    pub orientation_weight: f64,
+    /// Orientation error that costs nothing \[rad\], the paper's |Θ|, |Ψ| ≤ 10⁻²: only what is beyond
+    /// it is squared.
+    pub orientation_tolerance_rad: f64,
     /// Weight of the squared rates, per (rad/s)².
     pub rate_weight: f64,
     /// Weight of the squared change of rates from block to block, per (rad/s)².
     pub rate_change_weight: f64,
     /// Factor ω on the last step's error; 1 counts it like the others.
     pub terminal_weight: f64,
+    /// Distance D that the body keeps from every obstacle, surface to surface \[m\].
+    pub safe_distance_m: f64,
+    /// Penalty on a step whose clearance d is below D, for each obstacle. A step alone is known to
+    /// collide (where every candidate violates, it cancels): it needs a slope or a square beside it.
+    pub obstacle_step_penalty: f64,
+    /// Penalty on D - d, per m.
+    pub obstacle_slope_penalty: f64,
+    /// Penalty on (D - d)², per m².
+    pub obstacle_square_penalty: f64,
     /// Seed of the swarm.
     pub seed: u64,
 }
@@ -73,6 +101,7 @@ impl Default for NmpcSettings {
     fn default() -> Self {
         Self {
             solver: SolverKind::KpsoRefined,
+            coordinates: Coordinates::BendVector,
             horizon_steps: 2,
             control_blocks: 0,
             swarm_size: 6,
@@ -85,9 +114,15 @@ impl Default for NmpcSettings {
             refinement_steps: 3,
             damping: 1e-14,
             position_weight: 1.0,
+            orientation_weight: 0.1,
+            orientation_tolerance_rad: 0.0,
             rate_weight: 0.0,
             rate_change_weight: 0.0,
             terminal_weight: 1.0,
+            safe_distance_m: 0.01,
+            obstacle_step_penalty: 1e3,
+            obstacle_slope_penalty: 1e4,
+            obstacle_square_penalty: 0.0,
             seed: 1,
         }
     }
@@ -130,6 +165,12 @@ pub mod ranges {
     pub const DAMPING: RangeInclusive<f64> = 1e-20..=1.0;
     /// Weights.
     pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e12;
+    /// Slope of an obstacle's penalty beside a step without a square.
+    pub const SLOPE_BESIDE_STEP: RangeInclusive<f64> = 1e-12..=1e12;
+    /// Orientation error that costs nothing \[rad\].
+    pub const ORIENTATION_TOLERANCE_RAD: RangeInclusive<f64> = 0.0..=1.0;
+    /// Distance kept from obstacles \[m\].
+    pub const SAFE_DISTANCE_M: RangeInclusive<f64> = 0.0..=10.0;
     /// Position weight: above zero, or there is nothing to follow.
     pub const POSITION_WEIGHT: RangeInclusive<f64> = 1e-12..=1e12;
 }
@@ -186,6 +227,16 @@ impl NmpcSettings {
                 self.position_weight,
                 ranges::POSITION_WEIGHT,
             ),
+            (
+                "orientation_weight",
+                self.orientation_weight,
+                ranges::WEIGHT,
+            ),
+            (
+                "orientation_tolerance_rad",
+                self.orientation_tolerance_rad,
+                ranges::ORIENTATION_TOLERANCE_RAD,
+            ),
             ("rate_weight", self.rate_weight, ranges::WEIGHT),
             (
                 "rate_change_weight",
@@ -193,6 +244,26 @@ impl NmpcSettings {
                 ranges::WEIGHT,
             ),
             ("terminal_weight", self.terminal_weight, ranges::WEIGHT),
+            (
+                "safe_distance_m",
+                self.safe_distance_m,
+                ranges::SAFE_DISTANCE_M,
+            ),
+            (
+                "obstacle_step_penalty",
+                self.obstacle_step_penalty,
+                ranges::WEIGHT,
+            ),
+            (
+                "obstacle_slope_penalty",
+                self.obstacle_slope_penalty,
+                self.slope_range(),
+            ),
+            (
+                "obstacle_square_penalty",
+                self.obstacle_square_penalty,
+                ranges::WEIGHT,
+            ),
         ];
         for (key, value, range) in checks {
             if !range.contains(&value) {
@@ -206,6 +277,16 @@ impl NmpcSettings {
             }
         }
         Ok(())
+    }
+
+    /// A constant penalty alone collides, so it is not allowed: where there is a step and no square,
+    /// there must be a slope.
+    fn slope_range(&self) -> std::ops::RangeInclusive<f64> {
+        if self.obstacle_step_penalty > 0.0 && self.obstacle_square_penalty == 0.0 {
+            ranges::SLOPE_BESIDE_STEP
+        } else {
+            ranges::WEIGHT
+        }
     }
 
     pub(super) fn kpso(&self) -> KpsoSettings {

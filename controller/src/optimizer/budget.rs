@@ -17,6 +17,9 @@ pub struct Budget<F> {
 /// Others take some times longer, and stay below 5 µs.
 pub const QUANTUM_NS: u32 = 1500;
 
+/// A budget whose closure is behind a pointer.
+pub type ErasedBudget<'a> = Budget<&'a mut dyn FnMut() -> bool>;
+
 impl Budget<fn() -> bool> {
     /// A budget that never ends; the iteration limits bound the work.
     pub fn unlimited() -> Self {
@@ -33,6 +36,20 @@ impl<F: FnMut() -> bool> Budget<F> {
             over: false,
             meter_ns: 0,
         }
+    }
+
+    /// The same budget with its closure behind a pointer, for `work`: code that takes it is compiled once,
+    /// not once for each closure.
+    pub fn erased<R>(&mut self, work: impl FnOnce(&mut ErasedBudget) -> R) -> R {
+        let mut erased = Budget {
+            is_spent: &mut self.is_spent as &mut dyn FnMut() -> bool,
+            passed: self.passed,
+            over: self.over,
+            meter_ns: self.meter_ns,
+        };
+        let result = work(&mut erased);
+        (self.passed, self.over, self.meter_ns) = (erased.passed, erased.over, erased.meter_ns);
+        result
     }
 
     /// Announces a piece of work of about `work_ns`, at most a quantum, and says whether it may be done.

@@ -1,52 +1,7 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
-use super::{Bounds, Budget, Incumbent, Problem, cholesky};
-
-/// Residuals r and Jacobian J of a least-squares cost |r|² at one point.
-#[derive(Debug, Clone)]
-pub struct LinearModel {
-    residuals: Vec<f64>,
-    jacobian: Vec<f64>,
-    columns: usize,
-}
-
-impl LinearModel {
-    fn with_capacity(rows: usize, columns: usize) -> Self {
-        Self {
-            residuals: Vec::with_capacity(rows),
-            jacobian: Vec::with_capacity(rows * columns),
-            columns: 0,
-        }
-    }
-
-    fn clear(&mut self, columns: usize) {
-        self.residuals.clear();
-        self.jacobian.clear();
-        self.columns = columns;
-    }
-
-    /// Adds a row with all derivatives zero, and returns the derivatives for the caller to fill in.
-    pub fn push(&mut self, residual: f64) -> &mut [f64] {
-        let start = self.jacobian.len();
-        self.residuals.push(residual);
-        self.jacobian.resize(start + self.columns, 0.0);
-        &mut self.jacobian[start..]
-    }
-
-    fn row(&self, index: usize) -> &[f64] {
-        &self.jacobian[index * self.columns..][..self.columns]
-    }
-
-    /// Half the gradient of the cost, Jᵀr.
-    fn gradient(&self, into: &mut [f64]) {
-        into.fill(0.0);
-        for (index, residual) in self.residuals.iter().enumerate() {
-            for (sum, derivative) in into.iter_mut().zip(self.row(index)) {
-                *sum += derivative * residual;
-            }
-        }
-    }
-}
+use super::linear_model::dot;
+use super::{Bounds, Budget, Incumbent, LinearModel, Problem, cholesky};
 
 /// What tunes [`GaussNewton`].
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -68,6 +23,8 @@ pub struct GaussNewtonOutcome {
     pub converged: bool,
     /// Norm of the projected gradient at the last point that was linearised.
     pub gradient_norm: f64,
+    /// Whether that gradient nearly vanishes for what the residuals are: no step of first order helps.
+    pub stuck: bool,
 }
 
 /// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there
@@ -89,29 +46,41 @@ pub struct GaussNewton {
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
+    /// JᵀJ of the cost's rows, made when it is first needed.
+    gram: Vec<f64>,
+    gram_is_current: bool,
 }
 
 /// Rounds of fixing unknowns at their bounds and solving again for the others.
-const ACTIVE_SET_ROUNDS: usize = 4;
+const ACTIVE_SET_ROUNDS: usize = 12;
+/// Unknowns that meet the border nearly as early as the first are fixed with it.
+const FIRST_SHARE: f64 = 0.9;
 /// Halvings of a step that made the cost worse.
 const HALVINGS: usize = 4;
+/// Rounds of finding a step and meeting the constraints that it breaks.
+const CONSTRAINT_ROUNDS: usize = 3;
+/// A gradient below this share of what the residuals could give counts as vanished.
+const VANISHED_SHARE: f64 = 0.05;
 /// Factor on the damping after a step that did not help.
 const DAMPING_GROWTH: f64 = 1e3;
 
 impl GaussNewton {
-    /// Room for problems of up to `dimension` unknowns and `rows` residuals.
-    pub fn with_capacity(dimension: usize, rows: usize) -> Self {
-        let order = dimension.min(rows);
+    /// Room for problems of up to `dimension` unknowns, `rows` residuals and `constraints`.
+    pub fn with_capacity(dimension: usize, rows: usize, constraints: usize) -> Self {
+        let all_rows = rows + constraints;
+        let order = dimension.min(all_rows);
         Self {
-            model: LinearModel::with_capacity(rows, dimension),
+            model: LinearModel::with_capacity(rows, constraints, dimension),
             gradient: vec![0.0; dimension],
             pressed: vec![false; dimension],
             free: Vec::with_capacity(dimension),
             step: vec![0.0; dimension],
             trial: vec![0.0; dimension],
-            residuals: vec![0.0; rows],
+            residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
+            gram: vec![0.0; dimension * dimension],
+            gram_is_current: false,
         }
     }
 
@@ -136,13 +105,14 @@ impl GaussNewton {
                     break;
                 }
                 outcome.gradient_norm = self.gradient_norm(problem.dimension());
+                outcome.stuck = self.is_stuck(outcome.gradient_norm);
             }
             let solved = self.find_step(bounds, incumbent.z(), damping, budget);
             if solved && self.step_size(problem.dimension()) <= settings.step_tolerance {
                 outcome.converged = true;
                 break;
             }
-            let improved = solved && self.advance(problem, incumbent);
+            let improved = solved && self.advance(problem, budget, incumbent);
             outcome.accepted += u32::from(improved);
             model_is_current = !improved;
             damping = if improved {
@@ -185,6 +155,7 @@ impl GaussNewton {
     ) -> bool {
         let dimension = z.len();
         self.model.clear(dimension);
+        self.gram_is_current = false;
         if !problem.linearise(z, &mut self.model, budget) {
             return false;
         }
@@ -195,6 +166,25 @@ impl GaussNewton {
             self.pressed[i] = at_lower || at_upper;
         }
         true
+    }
+
+    /// Whether the gradient nearly vanishes at `z` for what the residuals are. False, too, when the
+    /// budget was spent.
+    pub fn vanishes_at<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        problem: &P,
+        bounds: &Bounds,
+        budget: &mut Budget<F>,
+        z: &[f64],
+    ) -> bool {
+        self.linearise(problem, bounds, z, budget) && {
+            let norm = self.gradient_norm(z.len());
+            self.is_stuck(norm)
+        }
+    }
+
+    fn is_stuck(&self, gradient_norm: f64) -> bool {
+        gradient_norm <= VANISHED_SHARE * 2.0 * self.model.gradient_scale()
     }
 
     /// Norm of the gradient 2 Jᵀr without what presses on bounds.
@@ -211,9 +201,30 @@ impl GaussNewton {
         steps.fold(0.0, |largest, step| step.abs().max(largest))
     }
 
-    /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
-    /// others solved again. False: the matrix was singular, or the budget was spent.
+    /// Finds the step inside the box that keeps the constraints: what it breaks is met and the rest
+    /// solved again. False: the matrix was singular, or the budget was spent.
     fn find_step<F: FnMut() -> bool>(
+        &mut self,
+        bounds: &Bounds,
+        z: &[f64],
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        self.model.release_constraints();
+        for _ in 0..CONSTRAINT_ROUNDS {
+            if !self.find_step_in_box(bounds, z, damping, budget) {
+                return false;
+            }
+            if !self.model.meet_constraints(&self.step[..z.len()]) {
+                break;
+            }
+        }
+        true
+    }
+
+    /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
+    /// others solved again.
+    fn find_step_in_box<F: FnMut() -> bool>(
         &mut self,
         bounds: &Bounds,
         z: &[f64],
@@ -223,8 +234,10 @@ impl GaussNewton {
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
         self.free.clear();
-        let pressed = &self.pressed;
-        self.free.extend((0..dimension).filter(|&i| !pressed[i]));
+        // What the cost presses on a bound a constraint may pull away from it.
+        let (pressed, constrained) = (&self.pressed, self.model.is_constrained());
+        self.free
+            .extend((0..dimension).filter(|&i| constrained || !pressed[i]));
         for _ in 0..ACTIVE_SET_ROUNDS {
             if !self.solve_free(dimension, damping, budget) {
                 return false;
@@ -240,20 +253,45 @@ impl GaussNewton {
         true
     }
 
-    /// Fixes every free unknown that its step takes out of the box at the border it would cross.
+    /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that
+    /// border. False: none does.
+    ///
+    /// Only the first: once they are fixed, the others need no longer balance what they would have done
+    /// beyond it. Fixing all that leave would bend the step to a corner of the box.
     fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64]) -> bool {
-        let before = self.free.len();
         let step = &mut self.step;
-        self.free.retain(|&i| {
-            let target = z[i] + step[i];
-            let inside = target.clamp(bounds.lower()[i], bounds.upper()[i]);
-            let leaves = inside.to_bits() != target.to_bits();
-            if leaves {
-                step[i] = inside - z[i];
+        let border = |i: usize, step: f64| {
+            if step > 0.0 {
+                bounds.upper()[i] - z[i]
+            } else {
+                bounds.lower()[i] - z[i]
             }
-            !leaves
+        };
+        // How many times further than the border each goes.
+        let excess = |i: usize, step: f64| {
+            let room = border(i, step).abs();
+            if step.abs() > room {
+                step.abs() / room.max(f64::MIN_POSITIVE)
+            } else {
+                0.0
+            }
+        };
+        let worst = self
+            .free
+            .iter()
+            .map(|&i| excess(i, step[i]))
+            .fold(0.0, f64::max);
+        if worst == 0.0 {
+            return false;
+        }
+        self.free.retain(|&i| {
+            let first = excess(i, step[i]) >= FIRST_SHARE * worst;
+            if first {
+                step[i] = border(i, step[i]);
+            }
+            !first
         });
-        self.free.len() < before
+        true
     }
 
     /// Solves for the free unknowns with the fixed ones at their present step.
@@ -269,16 +307,15 @@ impl GaussNewton {
         for &i in &self.free {
             self.step[i] = 0.0;
         }
-        let rows = self.model.residuals.len();
+        let rows = self.model.rows();
         for row in 0..rows {
-            let moved = self.model.row(row).iter().zip(&self.step[..dimension]);
-            self.residuals[row] =
-                self.model.residuals[row] + moved.map(|(j, s)| j * s).sum::<f64>();
+            let moved = dot(self.model.row(row), &self.step[..dimension]);
+            self.residuals[row] = self.model.residual(row) + moved;
         }
         if rows <= self.free.len() {
             self.solve_in_residual_space(rows, damping, budget)
         } else {
-            self.solve_in_unknown_space(rows, damping, budget)
+            self.solve_in_unknown_space(dimension, rows, damping, budget)
         }
     }
 
@@ -317,30 +354,86 @@ impl GaussNewton {
         solved
     }
 
-    /// (JᵀJ + λI) Δ = -Jᵀ r.
-    fn solve_in_unknown_space<F: FnMut() -> bool>(
+    /// JᵀJ of the cost's rows, lower triangle, once for each linearisation.
+    fn fill_gram<F: FnMut() -> bool>(&mut self, dimension: usize, budget: &mut Budget<F>) -> bool {
+        if self.gram_is_current {
+            return true;
+        }
+        let gram = &mut self.gram[..dimension * dimension];
+        gram.fill(0.0);
+        for row in 0..self.model.cost_rows() {
+            let derivatives = self.model.row(row);
+            for (i, target) in gram.chunks_exact_mut(dimension).enumerate() {
+                // Early steps know nothing of late blocks.
+                if derivatives[i] == 0.0 {
+                    continue;
+                }
+                if !budget.spend(i as u32 / 2) {
+                    return false;
+                }
+                for (sum, derivative) in target[..=i].iter_mut().zip(derivatives) {
+                    *sum += derivatives[i] * derivative;
+                }
+            }
+        }
+        self.gram_is_current = true;
+        true
+    }
+
+    /// The part of JᵀJ that belongs to the free unknowns, with the rows of constraints that were met.
+    fn gather_free_matrix<F: FnMut() -> bool>(
         &mut self,
+        dimension: usize,
         rows: usize,
-        damping: f64,
         budget: &mut Budget<F>,
     ) -> bool {
         let order = self.free.len();
-        self.matrix[..order * order].fill(0.0);
-        self.right_side[..order].fill(0.0);
-        for row in 0..rows {
+        for (a, &i) in self.free.iter().enumerate() {
+            if !budget.spend(a as u32) {
+                return false;
+            }
+            for (b, &k) in self.free[..=a].iter().enumerate() {
+                self.matrix[a * order + b] = self.gram[i * dimension + k];
+            }
+        }
+        for row in self.model.cost_rows()..rows {
             let derivatives = self.model.row(row);
             for (a, &i) in self.free.iter().enumerate() {
                 if !budget.spend(a as u32) {
                     return false;
                 }
-                self.right_side[a] -= derivatives[i] * self.residuals[row];
                 for (b, &k) in self.free[..=a].iter().enumerate() {
                     self.matrix[a * order + b] += derivatives[i] * derivatives[k];
                 }
             }
         }
+        true
+    }
+
+    /// (JᵀJ + λI) Δ = -Jᵀ r.
+    fn solve_in_unknown_space<F: FnMut() -> bool>(
+        &mut self,
+        dimension: usize,
+        rows: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let order = self.free.len();
+        if !self.fill_gram(dimension, budget) || !self.gather_free_matrix(dimension, rows, budget) {
+            return false;
+        }
         for a in 0..order {
             self.matrix[a * order + a] += damping;
+        }
+        self.right_side[..order].fill(0.0);
+        for row in 0..rows {
+            if !budget.spend(order as u32) {
+                return false;
+            }
+            let derivatives = self.model.row(row);
+            for (a, &i) in self.free.iter().enumerate() {
+                self.right_side[a] -= derivatives[i] * self.residuals[row];
+            }
         }
         let solved = cholesky::solve_in_place(
             &mut self.matrix[..order * order],
@@ -358,7 +451,12 @@ impl GaussNewton {
 
     /// Goes along the step, halved while it makes the cost worse. The box is convex, so every point
     /// on the way lies in it.
-    fn advance<P: Problem>(&mut self, problem: &P, incumbent: &mut Incumbent) -> bool {
+    fn advance<P: Problem, F: FnMut() -> bool>(
+        &mut self,
+        problem: &P,
+        budget: &mut Budget<F>,
+        incumbent: &mut Incumbent,
+    ) -> bool {
         let dimension = problem.dimension();
         let mut fraction = 1.0;
         for _ in 0..=HALVINGS {
@@ -366,9 +464,11 @@ impl GaussNewton {
                 self.trial[i] = incumbent.z()[i] + fraction * self.step[i];
             }
             let trial = &self.trial[..dimension];
-            let cost = problem.cost_at(trial);
+            let Some(judged) = problem.judge_at(trial, budget) else {
+                return false;
+            };
             let origin = incumbent.origin();
-            if incumbent.offer(|i| trial[i], cost, origin) {
+            if incumbent.offer(|i| trial[i], &judged, 0, origin) {
                 return true;
             }
             fraction *= 0.5;
@@ -380,6 +480,7 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optimizer::Judged;
     use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
@@ -391,13 +492,15 @@ mod tests {
         fn dimension(&self) -> usize {
             if self.extra_unknown { 3 } else { 2 }
         }
-        fn rows(&self) -> usize {
-            2
-        }
-        fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
+        fn judge<const W: usize, F: FnMut() -> bool>(
+            &self,
+            z: impl Fn(usize) -> Wide<W>,
+            budget: &mut Budget<F>,
+        ) -> Option<Judged<W>> {
             let first = z(0) * z(0) + z(1) + -1.0;
             let second = (z(1) - z(0)) * 10.0;
-            first * first + second * second
+            let judged = Judged::of(first * first + second * second);
+            budget.spend(100).then_some(judged)
         }
         fn linearise<F: FnMut() -> bool>(
             &self,
@@ -417,9 +520,6 @@ mod tests {
                 .for_each(|(j, value)| *j = value);
             budget.spend(10)
         }
-        fn evaluation_ns(&self) -> u32 {
-            100
-        }
     }
 
     fn refine(problem: &Bowl, half_width: f64, steps: u32) -> (Incumbent, GaussNewtonOutcome) {
@@ -427,13 +527,17 @@ mod tests {
         bounds.set_symmetric(&std::iter::repeat_n(half_width, problem.dimension()), 1);
         let mut incumbent = Incumbent::with_capacity(3);
         let start = [0.0; 3];
-        incumbent.restart(&start[..problem.dimension()], problem.cost_at(&start));
+        let start = &start[..problem.dimension()];
+        incumbent.restart(
+            start,
+            problem.judge_at(start, &mut Budget::unlimited()).as_ref(),
+        );
         let settings = GaussNewtonSettings {
             steps,
             damping: 1e-9,
             step_tolerance: 1e-12,
         };
-        let outcome = GaussNewton::with_capacity(3, 2).refine(
+        let outcome = GaussNewton::with_capacity(3, 2, 0).refine(
             problem,
             &bounds,
             &settings,
@@ -480,13 +584,17 @@ mod tests {
         let mut bounds = Bounds::with_capacity(2);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
-        incumbent.restart(&[0.1, 0.2], problem.cost_at(&[0.1, 0.2]));
+        let start = [0.1, 0.2];
+        incumbent.restart(
+            &start,
+            problem.judge_at(&start, &mut Budget::unlimited()).as_ref(),
+        );
         let settings = GaussNewtonSettings {
             steps: 9,
             damping: 1e-9,
             step_tolerance: 0.0,
         };
-        GaussNewton::with_capacity(2, 2).refine(
+        GaussNewton::with_capacity(2, 2, 0).refine(
             &problem,
             &bounds,
             &settings,

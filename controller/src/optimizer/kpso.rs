@@ -71,27 +71,23 @@ impl Kpso {
     }
 
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
-    ///
-    /// `knowledge` holds candidates, `dimension` values each; they become the first particles.
     pub fn search<P: Problem, F: FnMut() -> bool>(
         &mut self,
         task: &Task<P>,
-        knowledge: &[f64],
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) -> u32 {
         match &mut self.flock {
-            Flock::Scalar(swarm) => self.path.run(Search {
+            Flock::Scalar(swarm) => Search {
                 swarm,
                 task,
-                knowledge,
                 budget,
                 incumbent,
-            }),
+            }
+            .call(),
             Flock::Wide(swarm) => self.path.run(Search {
                 swarm,
                 task,
-                knowledge,
                 budget,
                 incumbent,
             }),
@@ -108,6 +104,10 @@ pub struct Task<'a, P> {
     pub bounds: &'a Bounds,
     /// The rules of the swarm.
     pub settings: KpsoSettings,
+    /// Candidates that become the first particles, `dimension` values each.
+    pub knowledge: &'a [f64],
+    /// Where each of them comes from.
+    pub origins: &'a [Candidate],
     /// Seed of its random numbers.
     pub seed: u64,
 }
@@ -116,7 +116,6 @@ pub struct Task<'a, P> {
 struct Search<'a, P, F, const W: usize> {
     swarm: &'a mut Swarm<W>,
     task: &'a Task<'a, P>,
-    knowledge: &'a [f64],
     budget: &'a mut Budget<F>,
     incumbent: &'a mut Incumbent,
 }
@@ -130,19 +129,19 @@ impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_
         let Self {
             swarm,
             task,
-            knowledge,
             budget,
             incumbent,
         } = self;
         let settings = &task.settings;
         let mut left = budget.left()
-            && swarm.gather(task, knowledge, budget)
+            && swarm.gather(task, budget)
             && swarm.scatter(swarm.known, task.bounds, budget, incumbent);
         let (mut iterations, mut stagnant) = (0, 0);
         while left && iterations < settings.iterations && incumbent.cost() > settings.cost_tolerance
         {
             let before = incumbent.cost();
-            left = swarm.judge(task.problem, budget, incumbent);
+            let origins = if iterations == 0 { task.origins } else { &[] };
+            left = swarm.judge(task.problem, origins, budget, incumbent);
             iterations += 1;
             stagnant = if incumbent.cost() < before {
                 0
@@ -209,9 +208,9 @@ impl<const W: usize> Swarm<W> {
     fn gather<P: Problem, F: FnMut() -> bool>(
         &mut self,
         task: &Task<P>,
-        knowledge: &[f64],
         budget: &mut Budget<F>,
     ) -> bool {
+        let knowledge = task.knowledge;
         self.dimension = task.problem.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
         self.known = (knowledge.len() / self.dimension).min(self.count);
@@ -281,33 +280,40 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Evaluates every particle. False: the budget was spent.
+    /// Judges every particle; the first come from `origins`. False: the budget was spent.
     #[inline(always)]
     fn judge<P: Problem, F: FnMut() -> bool>(
         &mut self,
         problem: &P,
+        origins: &[Candidate],
         budget: &mut Budget<F>,
         incumbent: &mut Incumbent,
     ) -> bool {
-        let evaluation_ns = problem.evaluation_ns();
         for block in 0..self.blocks() {
-            if !budget.spend(evaluation_ns) {
-                return false;
-            }
             let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
-            let cost = problem.cost(|i| position[i]);
-            let better = cost.less(self.best_costs[block]);
-            self.best_costs[block] = cost.select(self.best_costs[block], better);
+            let Some(judged) = problem.judge(|i| position[i], budget) else {
+                return false;
+            };
+            let better = judged.cost.less(self.best_costs[block]);
+            self.best_costs[block] = judged.cost.select(self.best_costs[block], better);
             if better.contains(&true) {
                 for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
                     *best = now.select(*best, better);
                 }
             }
-            let particles = W.min(self.count - block * W);
+            let first = block * W;
+            let particles = W.min(self.count - first);
+            let best = Wide::splat(incumbent.cost());
+            if !judged.cost.less(best).contains(&true) {
+                incumbent.pass_over(particles);
+                continue;
+            }
             for lane in 0..particles {
                 let z = |i: usize| position[i].0[lane];
-                incumbent.offer(z, cost.0[lane], Candidate::Swarm);
+                let origin = origins.get(first + lane).copied();
+                let origin = origin.unwrap_or(Candidate::Swarm);
+                incumbent.offer(z, &judged, lane, origin);
             }
         }
         true
@@ -397,27 +403,40 @@ pub fn cycle_seed(seed: u64, cycle: u64) -> u64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimizer::LinearModel;
+    use crate::optimizer::{Judged, LinearModel};
 
-    /// Rastrigin's function: many local minima, the global one at `centre`.
+    use std::cell::Cell;
+
+    /// Time of one evaluation on the simulated clock \[ns\].
+    const EVALUATION_NS: u32 = 500;
+
+    /// Rastrigin's function: many local minima, the global one at `centre`. Each evaluation advances a
+    /// simulated clock \[ns\].
     struct Rastrigin {
         centre: f64,
+        clock: Cell<u64>,
     }
 
     impl Problem for Rastrigin {
         fn dimension(&self) -> usize {
             2
         }
-        fn rows(&self) -> usize {
-            0
-        }
-        fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W> {
+        fn judge<const W: usize, F: FnMut() -> bool>(
+            &self,
+            z: impl Fn(usize) -> Wide<W>,
+            budget: &mut Budget<F>,
+        ) -> Option<Judged<W>> {
             let part = |i| {
                 let d = z(i) + -self.centre;
                 let wave = d.0.map(|d| 1.0 - (std::f64::consts::TAU * d).cos());
                 d * d + Wide(wave)
             };
-            part(0) + part(1)
+            let judged = Judged::of(part(0) + part(1));
+            if !budget.spend(EVALUATION_NS) {
+                return None;
+            }
+            self.clock.set(self.clock.get() + u64::from(EVALUATION_NS));
+            Some(judged)
         }
         fn linearise<F: FnMut() -> bool>(
             &self,
@@ -426,9 +445,6 @@ mod tests {
             _: &mut Budget<F>,
         ) -> bool {
             true
-        }
-        fn evaluation_ns(&self) -> u32 {
-            500
         }
     }
 
@@ -450,21 +466,59 @@ mod tests {
     }
 
     fn search_on(path: Path, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
-        let problem = Rastrigin { centre: 1.7 };
+        let problem = rastrigin();
         let mut bounds = Bounds::with_capacity(2);
         bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);
-        incumbent.restart(&[-4.0, 4.0], problem.cost_at(&[-4.0, 4.0]));
+        let start = [-4.0, 4.0];
+        incumbent.restart(
+            &start,
+            problem.judge_at(&start, &mut Budget::unlimited()).as_ref(),
+        );
         let mut budget = Budget::of_quanta(quanta);
         let task = Task {
             problem: &problem,
             bounds: &bounds,
             settings: *settings,
+            knowledge: &[],
+            origins: &[],
             seed,
         };
-        Kpso::with_capacity(path, 24, 2).search(&task, &[], &mut budget, &mut incumbent);
+        Kpso::with_capacity(path, 24, 2).search(&task, &mut budget, &mut incumbent);
         assert!(bounds.contains(incumbent.z()));
         incumbent
+    }
+
+    fn rastrigin() -> Rastrigin {
+        Rastrigin {
+            centre: 1.7,
+            clock: Cell::new(0),
+        }
+    }
+
+    #[test]
+    fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
+        let mut bounds = Bounds::with_capacity(2);
+        bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
+        let settings = settings(VelocityRule::Inertia);
+        let mut swarm = Kpso::with_capacity(Path::best(), 24, 2);
+        for budget_ns in (0..1_000_000).step_by(7_900) {
+            let problem = rastrigin();
+            let mut incumbent = Incumbent::with_capacity(2);
+            incumbent.restart(&[-4.0, 4.0], None);
+            let mut budget = Budget::new(|| problem.clock.get() >= budget_ns);
+            let task = Task {
+                problem: &problem,
+                bounds: &bounds,
+                settings,
+                knowledge: &[],
+                origins: &[],
+                seed: budget_ns,
+            };
+            swarm.search(&task, &mut budget, &mut incumbent);
+            let over_ns = problem.clock.get().saturating_sub(budget_ns);
+            assert!(over_ns <= 5_000, "{budget_ns} ns: {over_ns} ns more");
+        }
     }
 
     #[test]

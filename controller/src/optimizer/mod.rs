@@ -13,47 +13,71 @@ mod cholesky;
 mod gauss_newton;
 mod incumbent;
 mod kpso;
+mod linear_model;
 mod path;
 mod random;
 
 pub use bounds::Bounds;
-pub use budget::{Budget, QUANTUM_NS};
-pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, LinearModel};
+pub use budget::{Budget, ErasedBudget, QUANTUM_NS};
+pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
 pub use incumbent::{Candidate, Incumbent};
 pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
+pub use linear_model::LinearModel;
 pub use path::Path;
 
 use crate::wide::Wide;
+
+/// Kinds of constraints that a problem may tell apart.
+pub const VIOLATIONS: usize = 2;
+
+/// What a problem says of W points side by side.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Judged<const W: usize> {
+    /// The cost, penalties included; ≥ 0. It may be infinite or NaN where a point makes no sense; such
+    /// a point never becomes the incumbent.
+    pub cost: Wide<W>,
+    /// How far each kind of constraint is broken, in units of the problem's; 0: it holds.
+    pub violations: [Wide<W>; VIOLATIONS],
+}
+
+impl<const W: usize> Judged<W> {
+    /// A cost without constraints.
+    #[inline(always)]
+    pub fn of(cost: Wide<W>) -> Self {
+        Self {
+            cost,
+            violations: [Wide::splat(0.0); VIOLATIONS],
+        }
+    }
+}
 
 /// A cost over a box, and its least-squares structure.
 pub trait Problem {
     /// Number of unknowns d.
     fn dimension(&self) -> usize;
 
-    /// Upper bound of the rows that [`Problem::linearise`] writes.
-    fn rows(&self) -> usize;
-
-    /// The cost at W points side by side, `z(i)` being the i-th unknown of each; ≥ 0. It may be
-    /// infinite or NaN where a point makes no sense; such a point never becomes the incumbent.
+    /// Judges W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
+    /// spent on the way.
     ///
     /// Implementations are `#[inline(always)]` down to the last operation, so that the swarm's path
     /// decides the instructions; each lane must give the bits of W = 1.
-    fn cost<const W: usize>(&self, z: impl Fn(usize) -> Wide<W>) -> Wide<W>;
+    fn judge<const W: usize, F: FnMut() -> bool>(
+        &self,
+        z: impl Fn(usize) -> Wide<W>,
+        budget: &mut Budget<F>,
+    ) -> Option<Judged<W>>;
 
-    /// The cost at one point of length d.
-    fn cost_at(&self, z: &[f64]) -> f64 {
-        self.cost(|i| Wide([z[i]])).0[0]
+    /// Judges one point of length d.
+    fn judge_at<F: FnMut() -> bool>(&self, z: &[f64], budget: &mut Budget<F>) -> Option<Judged<1>> {
+        self.judge(|i| Wide([z[i]]), budget)
     }
 
-    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|² into `model`. False when
-    /// `budget` was spent on the way; the model is then not complete.
+    /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|², and the constraints that a step
+    /// may meet, into `model`. False when `budget` was spent on the way; the model is then not complete.
     fn linearise<F: FnMut() -> bool>(
         &self,
         z: &[f64],
         model: &mut LinearModel,
         budget: &mut Budget<F>,
     ) -> bool;
-
-    /// Nominal time of one evaluation of W points side by side \[ns\], for the budget.
-    fn evaluation_ns(&self) -> u32;
 }

@@ -43,19 +43,22 @@ impl Path {
     }
 
     /// Runs `work` compiled for this path; a path that this processor lacks runs as the portable one.
+    ///
+    /// `work` is large and inlined whole, so each arm that calls it is paid for by the compiler: there is one
+    /// for each set of instructions.
     #[cfg(target_arch = "x86_64")]
     pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
-        match self {
-            Self::Scalar | Self::Portable => work.call(),
-            Self::Avx2 => match pulp::x86::V3::try_new() {
-                Some(processor) => processor.vectorize(work),
-                None => work.call(),
-            },
-            Self::Avx512 => match pulp::x86::V4::try_new() {
-                Some(processor) => processor.vectorize(work),
-                None => work.call(),
-            },
+        if self == Self::Avx512
+            && let Some(processor) = pulp::x86::V4::try_new()
+        {
+            return processor.vectorize(work);
         }
+        if self == Self::Avx2
+            && let Some(processor) = pulp::x86::V3::try_new()
+        {
+            return processor.vectorize(work);
+        }
+        work.call()
     }
 
     #[cfg(not(target_arch = "x86_64"))]

@@ -11,6 +11,7 @@
 //! make them chords, shorter at the outside by 0.05 mm with 20 disks at 75°.
 
 use super::{CABLES_MAX, Configuration, Robot};
+use crate::wide::Wide;
 
 impl Robot {
     /// Length of each cable (m) for `bend_rad` = (u1, v1, …), 2n components (rad): three for each section, base section first;
@@ -31,6 +32,13 @@ impl Robot {
     pub fn cable_speeds(&self, rates: &[f64]) -> [f64; CABLES_MAX] {
         self.cable_shortening(rates)
             .map(|speed_m_s| 0.0 - speed_m_s)
+    }
+
+    /// How much longer than at the straight robot each cable is (m) for `bend_rad` = (u1, v1, …), 2n components (rad), in the
+    /// order of [`Self::cable_lengths`]; positive is paid out. 3n are used, the rest are 0.
+    pub fn cable_strokes(&self, bend_rad: &[f64]) -> [f64; CABLES_MAX] {
+        self.cable_shortening(bend_rad)
+            .map(|stroke_m| 0.0 - stroke_m)
     }
 
     /// The shape whose cables have these lengths (m), 3n of them in the order of [`Self::cable_lengths`].
@@ -72,21 +80,28 @@ impl Robot {
     /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part that lengths and speeds share.
     fn cable_shortening(&self, bend: &[f64]) -> [f64; CABLES_MAX] {
         self.debug_assert_coordinates(bend);
-        let mut shortening = [0.0; CABLES_MAX];
-        let (cables, _) = shortening.as_chunks_mut::<3>();
-        let (bends, _) = bend.as_chunks::<2>();
-        let mut pull = [0.0; 2];
-        for (((cables, [u, v]), section), directions) in cables
-            .iter_mut()
-            .zip(bends)
-            .zip(self.sections())
-            .zip(self.cable_directions())
-        {
-            pull = [
-                pull[0] + section.cable_radius_m * u,
-                pull[1] + section.cable_radius_m * v,
-            ];
-            *cables = directions.map(|[cos, sin]| pull[0] * cos + pull[1] * sin);
+        self.cable_shortening_wide(|i| Wide([bend[i]]))
+            .map(|shortening| shortening.0[0])
+    }
+
+    /// By how much each cable is shorter than at the straight robot (m), for W shapes side by side:
+    /// `bend_rad(i)` is the i-th bend-vector component of each (rad). Linear: rates (rad/s) give the speed at
+    /// which cables are pulled (m/s). In the order of [`Self::cable_lengths`]; 3n are used, the rest are 0.
+    #[inline(always)]
+    pub fn cable_shortening_wide<const W: usize>(
+        &self,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> [Wide<W>; CABLES_MAX] {
+        let zero = Wide::splat(0.0);
+        let mut shortening = [zero; CABLES_MAX];
+        let mut pull = [zero; 2];
+        for (j, section) in self.sections().iter().enumerate() {
+            for axis in 0..2 {
+                pull[axis] = pull[axis] + bend_rad(2 * j + axis) * section.cable_radius_m;
+            }
+            for (cable, [cos, sin]) in self.cable_directions()[j].iter().enumerate() {
+                shortening[3 * j + cable] = pull[0] * *cos + pull[1] * *sin;
+            }
         }
         shortening
     }
@@ -157,6 +172,15 @@ mod tests {
         }
 
         #[test]
+        fn strokes_are_what_the_lengths_differ_by_from_the_straight_robots((robot, bend_rad) in robots_and_shapes()) {
+            let straight = robot.cable_lengths(&vec![0.0; bend_rad.len()]);
+            let bent = robot.cable_lengths(&bend_rad);
+            for (i, stroke_m) in robot.cable_strokes(&bend_rad).iter().enumerate() {
+                prop_assert!((bent[i] - straight[i] - stroke_m).abs() < 1e-15);
+            }
+        }
+
+        #[test]
         fn an_error_common_to_a_sections_cables_changes_nothing((robot, bend_rad) in robots_and_shapes(), error_m in -0.01..0.01_f64) {
             let stretched = robot.cable_lengths(&bend_rad).map(|length_m| length_m + error_m);
             for (found, expected) in robot.bend_from_cable_lengths(&stretched).as_slice().iter().zip(&bend_rad) {
@@ -167,7 +191,7 @@ mod tests {
         #[test]
         fn the_shape_found_is_the_least_squares_one((robot, bend_rad) in robots_and_shapes(), noise_m in -0.002..0.002_f64) {
             // One section: the residual must be orthogonal to the columns of the linear map.
-            let parameters = RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5 };
+            let parameters = RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5, cable_stroke_max_m: 0.25 };
             let robot = Robot::new(&parameters).unwrap();
             let mut measured = robot.cable_lengths(&bend_rad[..2]);
             measured[1] += noise_m;

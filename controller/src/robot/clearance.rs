@@ -10,15 +10,18 @@
 
 use nalgebra::Vector3;
 
-use super::obstacle::{Obstacle, Shape};
+use super::lanes::Frame;
+use super::obstacle::{Axis, Obstacle};
 use super::tube::{Foot, Tube};
 use super::{Arc, COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
+use crate::wide::Wide;
 
 /// Below this distance (m) between backbone and axis of an obstacle, their difference has no direction.
 const COINCIDENT_M: f64 = 1e-12;
 
-/// What [`Body::reaches`] allows for rounding (m): the longest robot is 60 m, and 60 · 2⁻⁵² m = 1.3e-14 m.
-const ROUNDING_M: f64 = 1e-12;
+/// What a bound on a clearance allows for rounding (m), beside that of the obstacle's coordinates: the longest robot is 60 m, and
+/// 60 · 2⁻⁵² m = 1.3e-14 m; [`Body::nearest`] promises 1e-12 m for a capsule.
+pub(super) const ROUNDING_M: f64 = 2e-12;
 
 /// The place of the body that is nearest to an obstacle.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +45,7 @@ pub struct Nearest {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
     /// The first `section_count` are used, the rest repeat the last.
-    tubes: [Tube; SECTIONS_MAX],
+    tubes: [Tube<1>; SECTIONS_MAX],
     section_count: usize,
 }
 
@@ -74,7 +77,7 @@ impl Body {
             direction: if distance_m > COINCIDENT_M {
                 apart / distance_m
             } else {
-                away(tube, &foot, obstacle.shape())
+                away(tube, &foot, &obstacle.shape().axis().span_m)
             },
         }
     }
@@ -88,33 +91,52 @@ impl Body {
     /// clearance is above `travel_m`; where it says yes, it need not be below. Ask with the safe distance plus all that body
     /// and obstacle can move over the horizon. A NaN gives yes.
     pub fn reaches(&self, obstacle: &Obstacle, travel_m: f64) -> bool {
-        self.tubes().iter().any(|tube| {
-            let out_of_reach = clearance_min_m(tube, obstacle) - ROUNDING_M > travel_m;
-            !out_of_reach
-        })
+        let axis = obstacle.shape().axis();
+        let radius_m = obstacle.radius_m();
+        self.tubes()
+            .iter()
+            .any(|tube| !is_beyond(clearance_min_m(tube, &axis, radius_m), &axis, travel_m))
     }
 
-    fn tubes(&self) -> &[Tube] {
+    /// Which sections may be within `travel_m[j]` (m) of the obstacle: bit j is clear only if the clearance of section j is
+    /// certainly above that. First by balls, then by the exact distance; a NaN sets the bit. Ask with the safe distance plus all
+    /// that the section ([`Robot::travel_m`]) and the obstacle can move.
+    pub fn sections_in_reach(&self, obstacle: &Obstacle, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
+        let axis = obstacle.shape().axis();
+        let mut sections = 0;
+        for (j, tube) in self.tubes().iter().enumerate() {
+            let least_m = clearance_min_m(tube, &axis, obstacle.radius_m());
+            let is_beyond = is_beyond(least_m, &axis, travel_m[j]) || {
+                let clearance_m = self.closest_of(j, obstacle, &axis).clearance_m;
+                is_beyond(clearance_m, &axis, travel_m[j])
+            };
+            sections |= u8::from(!is_beyond) << j;
+        }
+        sections
+    }
+
+    fn tubes(&self) -> &[Tube<1>] {
         &self.tubes[..self.section_count]
     }
 
     /// The section and the point of the obstacle's axis between which clearance is least.
     fn closest(&self, obstacle: &Obstacle) -> Closest {
         // First the section that promises most, so that most of the others need no search.
+        let axis = obstacle.shape().axis();
         let mut bounds_m = [f64::INFINITY; SECTIONS_MAX];
         let mut first = 0;
         for (section, tube) in self.tubes().iter().enumerate() {
-            bounds_m[section] = clearance_min_m(tube, obstacle);
+            bounds_m[section] = clearance_min_m(tube, &axis, obstacle.radius_m());
             if bounds_m[section] < bounds_m[first] {
                 first = section;
             }
         }
-        let mut best = self.closest_of(first, obstacle);
+        let mut best = self.closest_of(first, obstacle, &axis);
         for section in 0..self.section_count {
             if section == first || bounds_m[section] >= best.clearance_m {
                 continue;
             }
-            let other = self.closest_of(section, obstacle);
+            let other = self.closest_of(section, obstacle, &axis);
             // A NaN replaces what was found, and stays.
             if other.clearance_m < best.clearance_m || other.clearance_m.is_nan() {
                 best = other;
@@ -123,43 +145,39 @@ impl Body {
         best
     }
 
-    /// The same for one section.
-    fn closest_of(&self, section: usize, obstacle: &Obstacle) -> Closest {
+    /// The same for one section. `axis` is the obstacle's.
+    fn closest_of(&self, section: usize, obstacle: &Obstacle, axis: &Axis) -> Closest {
         let tube = &self.tubes[section];
-        let (axis_m, distance_m) = match *obstacle.shape() {
-            Shape::Sphere { centre_m } => (centre_m, tube.distance_m(&centre_m)),
-            Shape::Capsule { start_m, end_m } => {
-                let span_m = end_m - start_m;
-                let (t, distance_m) = tube.nearest_on_segment(&start_m, &span_m);
-                (start_m + span_m * t, distance_m)
-            }
-        };
+        let (t, Wide([distance_m])) = tube.nearest(axis);
         Closest {
             clearance_m: distance_m - tube.radius_m - obstacle.radius_m(),
             section,
-            axis_m,
+            axis_m: axis.at(t).narrow(),
         }
     }
 }
 
-/// What the clearance of a section is at least (m): that of a ball around it.
+/// What the clearance of a section from an obstacle of `radius_m` (m) is at least (m): that of a ball around it.
 #[inline]
-fn clearance_min_m(tube: &Tube, obstacle: &Obstacle) -> f64 {
-    let (centre_m, radius_m) = tube.ball();
-    obstacle.shape().axis_distance_m(&centre_m) - radius_m - tube.radius_m - obstacle.radius_m()
+fn clearance_min_m(tube: &Tube<1>, axis: &Axis, radius_m: f64) -> f64 {
+    let (centre_m, Wide([ball_radius_m])) = tube.ball();
+    let Wide([square_m2]) = axis.square_m2(&centre_m);
+    square_m2.sqrt() - ball_radius_m - tube.radius_m - radius_m
+}
+
+/// Whether a clearance (m) is certainly above `travel_m` (m), rounding or not. A NaN is not.
+#[inline]
+fn is_beyond(clearance_m: f64, axis: &Axis, travel_m: f64) -> bool {
+    clearance_m - (ROUNDING_M + axis.rounding_m()) > travel_m
 }
 
 /// A direction away from an obstacle whose axis meets the backbone at `foot`, as [`Nearest::direction`] documents it.
 #[cold]
-fn away(tube: &Tube, foot: &Foot, shape: &Shape) -> Vector3<f64> {
-    let span = match *shape {
-        Shape::Sphere { .. } => Vector3::zeros(),
-        Shape::Capsule { start_m, end_m } => end_m - start_m,
-    };
-    let both = foot.tangent.cross(&span);
+fn away(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
+    let both = foot.tangent.cross(span_m);
     let area = both.norm();
     // Within a microradian of parallel the two have no common normal that rounding leaves alone.
-    if area > 1e-6 * span.norm() {
+    if area > 1e-6 * span_m.norm() {
         both / area
     } else {
         tube.normal()
@@ -184,8 +202,9 @@ impl Robot {
         let (bends, _) = bend_rad.as_chunks::<2>();
         let last = self.section_count() - 1;
         let tube = |j: usize| {
-            let bend = bends.get(j).copied().unwrap_or_default();
-            Tube::new(&frames[j], &frames[j + 1], &self.sections()[j], bend)
+            let [u, v] = bends.get(j).copied().unwrap_or_default();
+            let (start, end) = (Frame::from(&frames[j]), Frame::from(&frames[j + 1]));
+            Tube::new(&start, &end, &self.sections()[j], [Wide([u]), Wide([v])])
         };
         let mut tubes = [tube(last); SECTIONS_MAX];
         for (j, target) in tubes[..last].iter_mut().enumerate() {
@@ -216,6 +235,24 @@ impl Robot {
     ) -> bool {
         self.body(configuration.as_slice())
             .reaches(obstacle, travel_m)
+    }
+
+    /// How far any point of each section can move (m) when the bend vector of section k changes by at most
+    /// `max_bend_change_rad[k]` (rad, Euclidean norm); 0 after the last section.
+    ///
+    /// An arc's end moves by at most ℓ/2 per radian and turns by at most a radian, and so does each part of it. Hence
+    /// Δⱼ ℓⱼ/2 + Σ_{k<j} Δₖ (ℓₖ/2 + Σ_{k<i≤j} ℓᵢ).
+    pub fn travel_m(&self, max_bend_change_rad: &[f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
+        let mut travel_m = [0.0; SECTIONS_MAX];
+        // How far the start of the section moves, and by how much it turns.
+        let (mut start_m, mut turn_rad) = (0.0, 0.0);
+        for (j, section) in self.sections().iter().enumerate() {
+            let own_m = 0.5 * section.length_m * max_bend_change_rad[j];
+            travel_m[j] = start_m + turn_rad * section.length_m + own_m;
+            start_m = travel_m[j];
+            turn_rad += max_bend_change_rad[j];
+        }
+        travel_m
     }
 
     /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate

@@ -18,15 +18,20 @@
 //! | `obstacle` | what must the body keep away from, and where is it later |
 //! | `tube` | how far is one section from a point, from a segment |
 //! | `clearance` | how far is the body from an obstacle, where, and how does that place move |
+//! | `wide` | where are the tips of many configurations, side by side |
+//! | `lanes` | vectors and frames of many configurations, side by side |
+//! | `body_wide` | how far are many bodies from an obstacle, side by side |
 //!
 //! Invariant: nothing here knows a reference, a cost, a time or another process. Once a [`Robot`] exists, nothing here
 //! allocates, fails or panics on finite input, except where an index is documented to.
 
+mod body_wide;
 mod cables;
 mod clearance;
 mod configuration;
 mod jacobian;
 mod kinematics;
+mod lanes;
 mod obstacle;
 mod orientation;
 mod parameters;
@@ -34,6 +39,7 @@ mod section;
 mod tube;
 mod wide;
 
+pub use body_wide::BodyWide;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;
@@ -41,7 +47,7 @@ pub use kinematics::Pose;
 pub use obstacle::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M, Obstacle, ObstacleError, Shape};
 pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
-pub use section::{Arc, Coefficients};
+pub use section::{Arc, Coefficients, rotate_wide};
 
 /// Six sections: the longest robot published has five. Every array of this crate is sized by it.
 pub const SECTIONS_MAX: usize = 6;

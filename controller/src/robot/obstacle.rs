@@ -7,6 +7,9 @@ use core::ops::RangeInclusive;
 use nalgebra::Vector3;
 use thiserror::Error;
 
+use super::lanes::WideVector;
+use crate::wide::Wide;
+
 /// Allowed components of a position (m) and of a velocity (m/s). A thousand kilometres excludes nonsense and keeps squares
 /// and their products far from overflow.
 pub const OBSTACLE_COMPONENT: RangeInclusive<f64> = -1e6..=1e6;
@@ -52,30 +55,80 @@ impl Shape {
         }
     }
 
-    /// Distance from a point to the axis (m): the centre or the segment.
-    pub(super) fn axis_distance_m(&self, point_m: &Vector3<f64>) -> f64 {
+    /// What distances to it need.
+    #[inline(always)]
+    pub(super) fn axis(&self) -> Axis {
         match *self {
-            Self::Sphere { centre_m } => (point_m - centre_m).norm(),
+            Self::Sphere { centre_m } => Axis {
+                start_m: centre_m,
+                span_m: Vector3::zeros(),
+                length_m: 0.0,
+                per_square_1_m2: 0.0,
+            },
             Self::Capsule { start_m, end_m } => {
-                let span = end_m - start_m;
-                let t = projection(point_m, &start_m, &span);
-                (point_m - start_m - span * t).norm()
+                let span_m = end_m - start_m;
+                let square_m2 = span_m.norm_squared();
+                let is_point = square_m2 <= POINT_M2;
+                Axis {
+                    start_m,
+                    span_m,
+                    length_m: square_m2.sqrt(),
+                    per_square_1_m2: if is_point { 0.0 } else { 1.0 / square_m2 },
+                }
             }
         }
     }
 }
 
-/// Share t ∈ [0, 1] of the segment start + t span at which it is nearest to a point; 0 for a segment without length.
-pub(super) fn projection(
-    point_m: &Vector3<f64>,
-    start_m: &Vector3<f64>,
-    span_m: &Vector3<f64>,
-) -> f64 {
-    let square = span_m.norm_squared();
-    if square > 0.0 {
-        ((point_m - start_m).dot(span_m) / square).clamp(0.0, 1.0)
-    } else {
-        0.0
+/// A segment of less than this square (m²) is taken as a point: its inverse may overflow.
+const POINT_M2: f64 = 1e-300;
+
+/// A point or a segment, prepared for distances from W points side by side.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Axis {
+    pub(super) start_m: Vector3<f64>,
+    pub(super) span_m: Vector3<f64>,
+    pub(super) length_m: f64,
+    /// 0 for a point.
+    per_square_1_m2: f64,
+}
+
+impl Axis {
+    #[inline(always)]
+    pub(super) fn is_point(&self) -> bool {
+        self.per_square_1_m2 == 0.0
+    }
+
+    /// The point start + t span (m, base frame).
+    #[inline(always)]
+    pub(super) fn at<const W: usize>(&self, t: Wide<W>) -> WideVector<W> {
+        WideVector::splat(&self.start_m) + WideVector::splat(&self.span_m) * t
+    }
+
+    /// Share t ∈ [0, 1] at which the segment is nearest to a point; 0 if it is a point itself.
+    #[inline(always)]
+    pub(super) fn share<const W: usize>(&self, point_m: &WideVector<W>) -> Wide<W> {
+        let after_start = *point_m - WideVector::splat(&self.start_m);
+        let along = after_start.dot(&WideVector::splat(&self.span_m));
+        (along * self.per_square_1_m2).clamp(0.0, 1.0)
+    }
+
+    /// Squared distance from a point (m²).
+    #[inline(always)]
+    pub(super) fn square_m2<const W: usize>(&self, point_m: &WideVector<W>) -> Wide<W> {
+        let nearest_m = if self.is_point() {
+            WideVector::splat(&self.start_m)
+        } else {
+            self.at(self.share(point_m))
+        };
+        (*point_m - nearest_m).norm_squared()
+    }
+
+    /// What its coordinates allow distances of it to be off (m): ten units of the last place.
+    #[inline(always)]
+    pub(super) fn rounding_m(&self) -> f64 {
+        const SHARE: f64 = 10.0 * f64::EPSILON;
+        SHARE * (self.start_m.abs().sum() + self.span_m.abs().sum())
     }
 }
 
@@ -222,11 +275,15 @@ mod tests {
     #[test]
     fn distance_to_the_axis_of_a_capsule_ends_at_its_ends() {
         let shape = capsule(Vector3::zeros(), Vector3::x());
-        let at = |x, y| shape.axis_distance_m(&Vector3::new(x, y, 0.0));
+        let distance_m = |shape: &Shape, point_m| {
+            let Wide([square_m2]) = shape.axis().square_m2(&WideVector::splat(&point_m));
+            square_m2.sqrt()
+        };
+        let at = |x, y| distance_m(&shape, Vector3::new(x, y, 0.0));
         assert_eq!(at(0.3, 0.4), 0.4);
         assert_eq!(at(-0.3, 0.4), 0.5);
         assert_eq!(at(1.3, 0.4), 0.5);
         let ball = capsule(Vector3::x(), Vector3::x());
-        assert_eq!(ball.axis_distance_m(&Vector3::zeros()), 1.0);
+        assert_eq!(distance_m(&ball, Vector3::zeros()), 1.0);
     }
 }

@@ -31,6 +31,8 @@ pub mod ranges {
     pub const RATE_MAX_RAD_S: RangeInclusive<f64> = 1e-3..=100.0;
     /// Radius of the body around the backbone (m); 0 is a line.
     pub const BODY_RADIUS_M: RangeInclusive<f64> = 0.0..=1.0;
+    /// How far a cable can be pulled or paid out from its length at the straight robot (m).
+    pub const CABLE_STROKE_MAX_M: RangeInclusive<f64> = 1e-4..=100.0;
     /// Largest speed of a cable (m/s).
     pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
 }
@@ -111,6 +113,9 @@ pub struct RobotParameters {
     pub sections: Vec<SectionParameters>,
     /// Largest speed of any cable (m/s), in [`ranges::CABLE_SPEED_MAX_M_S`].
     pub cable_speed_max_m_s: f64,
+    /// How far any cable can be pulled or paid out from its length at the straight robot (m), in
+    /// [`ranges::CABLE_STROKE_MAX_M`]: what winches and springs allow.
+    pub cable_stroke_max_m: f64,
 }
 
 impl RobotParameters {
@@ -129,7 +134,27 @@ impl RobotParameters {
         Self {
             sections: (0..section_count).map(section).collect(),
             cable_speed_max_m_s: 0.5,
+            cable_stroke_max_m: 0.25,
         }
+    }
+}
+
+impl RobotParameters {
+    /// Every parameter of the whole robot beside its key and its allowed range, in the order that the
+    /// fingerprint hashes them.
+    fn checked(&self) -> [(&'static str, f64, RangeInclusive<f64>); 2] {
+        [
+            (
+                "cable_speed_max_m_s",
+                self.cable_speed_max_m_s,
+                ranges::CABLE_SPEED_MAX_M_S,
+            ),
+            (
+                "cable_stroke_max_m",
+                self.cable_stroke_max_m,
+                ranges::CABLE_STROKE_MAX_M,
+            ),
+        ]
     }
 }
 
@@ -193,6 +218,7 @@ pub struct Robot {
     sections: [SectionParameters; SECTIONS_MAX],
     section_count: usize,
     cable_speed_max_m_s: f64,
+    cable_stroke_max_m: f64,
     /// (cos β, sin β) of each cable of each section: trigonometry once, not in every cycle.
     cable_directions: [[[f64; 2]; 3]; SECTIONS_MAX],
     fingerprint: u64,
@@ -218,21 +244,23 @@ impl Robot {
         for (j, section) in parameters.sections.iter().enumerate() {
             section.check(j + 1)?;
         }
-        let cable_speed_max_m_s = parameters.cable_speed_max_m_s;
-        if !ranges::CABLE_SPEED_MAX_M_S.contains(&cable_speed_max_m_s) {
-            return Err(RobotError::Whole {
-                key: "cable_speed_max_m_s",
-                value: cable_speed_max_m_s,
-                allowed: ranges::CABLE_SPEED_MAX_M_S,
-            });
+        for (key, value, allowed) in parameters.checked() {
+            if !allowed.contains(&value) {
+                return Err(RobotError::Whole {
+                    key,
+                    value,
+                    allowed,
+                });
+            }
         }
         let sections = core::array::from_fn(|j| *parameters.sections.get(j).unwrap_or(&last));
         Ok(Self {
             sections,
             section_count,
-            cable_speed_max_m_s,
+            cable_speed_max_m_s: parameters.cable_speed_max_m_s,
+            cable_stroke_max_m: parameters.cable_stroke_max_m,
             cable_directions: sections.map(|section| cable_directions(section.cable_offset_rad)),
-            fingerprint: fingerprint(&parameters.sections, cable_speed_max_m_s),
+            fingerprint: fingerprint(parameters),
         })
     }
 
@@ -266,10 +294,16 @@ impl Robot {
         self.cable_speed_max_m_s
     }
 
+    /// How far any cable can be pulled or paid out from its length at the straight robot (m), in
+    /// [`ranges::CABLE_STROKE_MAX_M`].
+    pub fn cable_stroke_max_m(&self) -> f64 {
+        self.cable_stroke_max_m
+    }
+
     /// Identifies the parameters, so that two processes, or a recording and its replay, can tell whether they speak of the
     /// same robot: 64-bit FNV-1a over little-endian bytes of the section count (as u64), then of the bits of each section's
     /// `length_m`, `cable_radius_m`, `cable_offset_rad`, `bend_max_rad`, `rate_max_rad_s`, `body_radius_m`, base first, then
-    /// of `cable_speed_max_m_s`. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
+    /// of `cable_speed_max_m_s` and `cable_stroke_max_m`. The same on every platform. It depends on bits: 0.0 and -0.0 differ.
     pub fn fingerprint(&self) -> u64 {
         self.fingerprint
     }
@@ -298,14 +332,17 @@ fn cable_directions(offset_rad: f64) -> [[f64; 2]; 3] {
 }
 
 /// As [`Robot::fingerprint`] documents it.
-fn fingerprint(sections: &[SectionParameters], cable_speed_max_m_s: f64) -> u64 {
-    let mut hash = fnv_1a(FNV_OFFSET_BASIS, sections.len() as u64);
-    for section in sections {
-        for (_, value, _) in section.checked() {
-            hash = fnv_1a(hash, value.to_bits());
-        }
-    }
-    fnv_1a(hash, cable_speed_max_m_s.to_bits())
+fn fingerprint(parameters: &RobotParameters) -> u64 {
+    let count = parameters.sections.len() as u64;
+    let of_sections = parameters
+        .sections
+        .iter()
+        .flat_map(SectionParameters::checked);
+    of_sections
+        .chain(parameters.checked())
+        .fold(fnv_1a(FNV_OFFSET_BASIS, count), |hash, (_, value, _)| {
+            fnv_1a(hash, value.to_bits())
+        })
 }
 
 /// Start value of 64-bit FNV-1a (draft-eastlake-fnv).

@@ -77,18 +77,49 @@ pub(super) fn position_coefficients(w: f64) -> (f64, f64) {
     (1.0 - w * h, 0.5 - w * k)
 }
 
-/// (f, g) at W values of w side by side, by the series alone: no branch, no trigonometry.
+/// (f, g) at w by the series alone, as the lanes of a swarm compute it: no branch, no trigonometry.
+///
+/// Even and odd terms apart, each by Horner's rule in w²: four chains of dependent operations of half the
+/// length, which a processor runs side by side.
 #[inline(always)]
-pub(super) fn series_coefficients<const W: usize>(w: Wide<W>) -> (Wide<W>, Wide<W>) {
-    let (mut h, mut k) = (
-        Wide::splat(H_SERIES[SERIES_TERMS - 1]),
-        Wide::splat(K_SERIES[SERIES_TERMS - 1]),
-    );
-    for term in (0..SERIES_TERMS - 1).rev() {
-        h = h * w + H_SERIES[term];
-        k = k * w + K_SERIES[term];
+pub(super) fn series_coefficients(w: f64) -> (f64, f64) {
+    let w2 = w * w;
+    let last = SERIES_TERMS - 2;
+    let (mut h_even, mut h_odd) = (H_SERIES[last], H_SERIES[last + 1]);
+    let (mut k_even, mut k_odd) = (K_SERIES[last], K_SERIES[last + 1]);
+    for pair in (0..last / 2).rev() {
+        h_even = h_even * w2 + H_SERIES[2 * pair];
+        h_odd = h_odd * w2 + H_SERIES[2 * pair + 1];
+        k_even = k_even * w2 + K_SERIES[2 * pair];
+        k_odd = k_odd * w2 + K_SERIES[2 * pair + 1];
     }
-    (Wide::splat(1.0) - w * h, Wide::splat(0.5) - w * k)
+    (
+        1.0 - w * (h_even + w * h_odd),
+        0.5 - w * (k_even + w * k_odd),
+    )
+}
+
+/// (f, g) at W values of w side by side.
+#[inline(always)]
+pub(super) fn series_coefficients_wide<const W: usize>(w: Wide<W>) -> (Wide<W>, Wide<W>) {
+    let (mut f, mut g) = ([0.0; W], [0.0; W]);
+    for lane in 0..W {
+        (f[lane], g[lane]) = series_coefficients(w.0[lane]);
+    }
+    (Wide(f), Wide(g))
+}
+
+/// W directions (cos φ, sin φ) turned by `turn_rad` each, up to 2π: the series give cos δ = 1 - δ² g and
+/// sin δ = δ f without trigonometry.
+#[inline(always)]
+pub fn rotate_wide<const W: usize>([cos, sin]: [Wide<W>; 2], turn_rad: Wide<W>) -> [Wide<W>; 2] {
+    let w = turn_rad * turn_rad;
+    let (f, g) = series_coefficients_wide(w);
+    let (turn_cos, turn_sin) = (Wide::splat(1.0) - w * g, turn_rad * f);
+    [
+        cos * turn_cos - sin * turn_sin,
+        sin * turn_cos + cos * turn_sin,
+    ]
 }
 
 /// The five functions of w = θ² that describe an arc. Pure numbers.

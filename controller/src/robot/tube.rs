@@ -1,4 +1,4 @@
-//! How far one section is from a point and from a segment, exactly (§3 of docs/model.md).
+//! How far one section is from a point and from a segment, exactly (§3 of docs/model.md), for W configurations side by side.
 //!
 //! The section's own axes: x towards its bend, y normal to the plane of its arc, z along its start. With curvature κ = θ/l the
 //! arc belongs to a circle around (1/κ, 0, 0). In units of its radius, a point is at V = (X, Z) = (1 - κx, κz) from the centre,
@@ -20,13 +20,18 @@
 //! after. So G is convex, then possibly concave, then convex, and has at most one minimum on either side. Newton's method finds
 //! each from its end of the segment: as G'' falls on the way, no step passes the minimum. Where the nearest point of the arc is
 //! one of its ends, the segment's nearest point is a projection. No minimum can be missed; nothing is sampled.
+//!
+//! **Lanes.** There are no branches between lanes: both cases are computed and one is selected, and a lane whose search has ended
+//! stands still until the others' have. So a lane's bits depend on that lane alone, and W = 1 is the scalar reference.
 
 use core::f64::consts::{PI, TAU};
 
 use nalgebra::Vector3;
 
-use super::obstacle::projection;
-use super::{Pose, SectionParameters};
+use super::SectionParameters;
+use super::lanes::{Frame, WideVector};
+use super::obstacle::Axis;
+use crate::wide::{Wide, all, any, both, either, not};
 
 /// Below this bend (rad) a section is taken as straight: its end is then less than 1e-15 of its length aside.
 const STRAIGHT_RAD: f64 = 1e-15;
@@ -47,19 +52,19 @@ const STEP_M: f64 = 1e-12;
 /// the segment is left.
 const STEPS_MAX: usize = 40;
 
-/// One section of the body: every point within `radius_m` of its arc.
+/// One section of W bodies: every point within `radius_m` of its arc.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Tube {
-    start_m: Vector3<f64>,
-    end_m: Vector3<f64>,
+pub(super) struct Tube<const W: usize> {
+    start_m: WideVector<W>,
+    end_m: WideVector<W>,
     /// Unit vectors in the base frame: towards the bend, normal to the plane of the arc, along the start, along the end.
-    across: Vector3<f64>,
-    normal: Vector3<f64>,
-    along: Vector3<f64>,
-    end_along: Vector3<f64>,
-    bend_rad: f64,
+    across: WideVector<W>,
+    normal: WideVector<W>,
+    along: WideVector<W>,
+    end_along: WideVector<W>,
+    bend_rad: Wide<W>,
+    curvature_1_m: Wide<W>,
     length_m: f64,
-    curvature_1_m: f64,
     pub(super) radius_m: f64,
 }
 
@@ -74,246 +79,286 @@ pub(super) struct Foot {
     pub(super) tangent: Vector3<f64>,
 }
 
-impl Tube {
+/// A ball that contains an arc from `start_m` to `end_m` of `length_m` and squared bend `w` (rad²): centre (m) and radius (m).
+/// Up to θ = π the chord is a diameter of one; any curve stays within half its length of the middle of its chord.
+#[inline(always)]
+pub(super) fn ball<const W: usize>(
+    start_m: &WideVector<W>,
+    end_m: &WideVector<W>,
+    length_m: f64,
+    w: Wide<W>,
+) -> (WideVector<W>, Wide<W>) {
+    let half = Wide::splat(0.5);
+    let half_chord_m = (*end_m - *start_m).norm_squared().sqrt() * half;
+    let up_to_half_a_circle = w.less_or_equal(Wide::splat(PI * PI));
+    let radius_m = half_chord_m.select(Wide::splat(0.5 * length_m), up_to_half_a_circle);
+    ((*start_m + *end_m) * half, radius_m)
+}
+
+impl<const W: usize> Tube<W> {
     /// A section between two frames of the robot, bent by (u, v) (rad).
+    #[inline(always)]
     pub(super) fn new(
-        start: &Pose,
-        end: &Pose,
+        start: &Frame<W>,
+        end: &Frame<W>,
         section: &SectionParameters,
-        [u, v]: [f64; 2],
+        [u, v]: [Wide<W>; 2],
     ) -> Self {
+        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
         let theta = (u * u + v * v).sqrt();
         // Not "below": a NaN has to stay one.
-        let straight = theta < STRAIGHT_RAD;
-        let (bend_rad, cos, sin) = if straight {
-            (0.0, 1.0, 0.0)
-        } else {
-            (theta, u / theta, v / theta)
-        };
-        let [x, y, z] = [0, 1, 2].map(|axis| Vector3::from(start.rotation.column(axis)));
+        let straight = theta.less(Wide::splat(STRAIGHT_RAD));
+        let bend_rad = zero.select(theta, straight);
+        let (cos, sin) = (
+            one.select(u / theta, straight),
+            zero.select(v / theta, straight),
+        );
+        let [x, y, z] = start.axes;
         Self {
             start_m: start.position_m,
             end_m: end.position_m,
             across: x * cos + y * sin,
             normal: y * cos - x * sin,
             along: z,
-            end_along: end.rotation.column(2).into(),
+            end_along: end.axes[2],
             bend_rad,
+            curvature_1_m: bend_rad / Wide::splat(section.length_m),
             length_m: section.length_m,
-            curvature_1_m: bend_rad / section.length_m,
             radius_m: section.body_radius_m,
         }
     }
 
-    /// A ball that contains the arc: centre (m) and radius (m). Up to θ = π the chord is a diameter of one; any curve stays
-    /// within half its length of the middle of its chord.
-    #[inline]
-    pub(super) fn ball(&self) -> (Vector3<f64>, f64) {
-        let radius_m = if self.bend_rad <= PI {
-            0.5 * (self.end_m - self.start_m).norm()
-        } else {
-            0.5 * self.length_m
-        };
-        ((self.start_m + self.end_m) * 0.5, radius_m)
+    /// The [`ball`] around it.
+    #[inline(always)]
+    pub(super) fn ball(&self) -> (WideVector<W>, Wide<W>) {
+        let w = self.bend_rad * self.bend_rad;
+        ball(&self.start_m, &self.end_m, self.length_m, w)
     }
 
+    /// Where an axis is nearest to the arc, as a share t ∈ [0, 1] of its span, and that distance (m). Exact beside rounding for
+    /// a point; to 1e-12 m beside rounding for a segment.
+    #[inline(always)]
+    pub(super) fn nearest(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
+        let (t, square_m2) = if axis.is_point() {
+            let square_m2 = self.square_m2(&WideVector::splat(&axis.start_m));
+            (Wide::splat(0.0), square_m2)
+        } else {
+            self.nearest_on_segment(axis)
+        };
+        (t, square_m2.sqrt())
+    }
+
+    /// Squared distance from a point (base frame, m) to the arc (m²). Bounded work: one root, one division.
+    #[inline(always)]
+    fn square_m2(&self, point_m: &WideVector<W>) -> Wide<W> {
+        let after_start_m = *point_m - self.start_m;
+        let after_end_m = *point_m - self.end_m;
+        let local = self.local(&after_start_m);
+        let [_, y, z] = local.0;
+        let (q_h, h) = in_plane(self.curvature_1_m, &local);
+        let q = q_h / (h + 1.0);
+        let (start, end) = (after_start_m.norm_squared(), after_end_m.norm_squared());
+        (q * q + y * y).select(
+            start.min_or_nan(end),
+            self.faces(z, after_end_m.dot(&self.end_along)),
+        )
+    }
+
+    /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton steps from
+    /// either end.
+    #[inline(always)]
+    fn nearest_on_segment(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
+        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
+        let line = Line {
+            curvature_1_m: self.curvature_1_m,
+            start: self.local(&(WideVector::splat(&axis.start_m) - self.start_m)),
+            span: self.local(&WideVector::splat(&axis.span_m)),
+            length_m: axis.length_m,
+        };
+        let middle = line.nearest_to_axis();
+        let candidates = [
+            one,
+            axis.share(&self.start_m),
+            axis.share(&self.end_m),
+            line.descend(zero, middle),
+            line.descend(one, middle),
+        ];
+        let mut t = zero;
+        let mut square_m2 = self.square_m2(&WideVector::splat(&axis.start_m));
+        for i in 0..candidates.len() {
+            let candidate = candidates[i];
+            // The ends were first, and most candidates are one of them.
+            let is_end = either(candidate.less_or_equal(zero), one.less_or_equal(candidate));
+            if i > 0 && all(is_end) {
+                continue;
+            }
+            let found_m2 = self.square_m2(&axis.at(candidate));
+            // A NaN replaces what was found: it must not be lost.
+            let nearer = either(found_m2.less(square_m2), found_m2.is_nan());
+            t = candidate.select(t, nearer);
+            square_m2 = found_m2.select(square_m2, nearer);
+        }
+        (t, square_m2)
+    }
+
+    /// A vector of the base frame in the section's own axes.
+    #[inline(always)]
+    fn local(&self, vector: &WideVector<W>) -> WideVector<W> {
+        WideVector([
+            vector.dot(&self.across),
+            vector.dot(&self.normal),
+            vector.dot(&self.along),
+        ])
+    }
+
+    /// Whether the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z_m` is the point's height over the
+    /// start, `end_z_m` that over the end.
+    #[inline(always)]
+    fn faces(&self, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
+        let zero = Wide::splat(0.0);
+        let after_start = zero.less_or_equal(z_m);
+        let before_end = end_z_m.less_or_equal(zero);
+        // Up to half a circle both have to hold, after that one of the two; both imply one.
+        let more_than_half = not(self.bend_rad.less_or_equal(Wide::splat(PI)));
+        let full = Wide::splat(TAU).less_or_equal(self.bend_rad);
+        let one_holds = either(either(after_start, before_end), full);
+        either(
+            both(after_start, before_end),
+            both(more_than_half, one_holds),
+        )
+    }
+}
+
+impl Tube<1> {
     /// Normal to the plane of the arc, a unit vector in the base frame; of a straight section, some normal.
     pub(super) fn normal(&self) -> Vector3<f64> {
-        self.normal
-    }
-
-    /// Distance from a point (base frame, m) to the arc (m). Bounded work: two square roots.
-    #[inline]
-    pub(super) fn distance_m(&self, point_m: &Vector3<f64>) -> f64 {
-        let local = self.local(point_m - self.start_m);
-        if self.faces(point_m, local.z) {
-            let (q, _) = in_plane(self.curvature_1_m, &local);
-            (q * q + local.y * local.y).sqrt()
-        } else {
-            let [start, end] = self.end_squares(point_m);
-            // Not f64::min, which drops a NaN.
-            if start < end { start } else { end }.sqrt()
-        }
+        self.normal.narrow()
     }
 
     /// The nearest point of the arc; at the circle's centre, where all are equally near, one of its ends.
     pub(super) fn foot(&self, point_m: &Vector3<f64>) -> Foot {
-        let local = self.local(point_m - self.start_m);
-        let (_, h) = in_plane(self.curvature_1_m, &local);
-        if h < CENTRE || !self.faces(point_m, local.z) {
-            return self.nearer_end(point_m);
+        let point = WideVector::splat(point_m);
+        let local = self.local(&(point - self.start_m));
+        let (_, Wide([h])) = in_plane(self.curvature_1_m, &local);
+        let end_z_m = (point - self.end_m).dot(&self.end_along);
+        let [faces] = self.faces(local.0[2], end_z_m);
+        if h < CENTRE || !faces {
+            return self.nearer_end(&point);
         }
-        let cos = (1.0 - self.curvature_1_m * local.x) / h;
-        let sin = self.curvature_1_m * local.z / h;
-        let s = if self.bend_rad > 0.0 {
+        let (Wide([curvature_1_m]), Wide([bend_rad])) = (self.curvature_1_m, self.bend_rad);
+        let local = local.narrow();
+        let cos = (1.0 - curvature_1_m * local.x) / h;
+        let sin = curvature_1_m * local.z / h;
+        let s = if bend_rad > 0.0 {
             let a = sin.atan2(cos);
-            (if a < 0.0 { a + TAU } else { a }) / self.bend_rad
+            (if a < 0.0 { a + TAU } else { a }) / bend_rad
         } else {
             local.z / self.length_m
         };
         if !(0.0..=1.0).contains(&s) {
             // By rounding: just beyond an end, or so near the centre that its side of a plane does not tell the angle.
-            return self.nearer_end(point_m);
+            return self.nearer_end(&point);
         }
         // x = (1 - cos a)/κ, written so that nothing cancels near straight; unlike (q + x)/H it holds near the centre too.
         let z_m = local.z / h;
         let x_m = if cos > 0.0 {
             z_m * sin / (1.0 + cos)
         } else {
-            (1.0 - cos) / self.curvature_1_m
+            (1.0 - cos) / curvature_1_m
         };
+        let (across, along) = (self.across.narrow(), self.along.narrow());
         Foot {
             s,
-            point_m: self.start_m + self.across * x_m + self.along * z_m,
-            tangent: self.across * sin + self.along * cos,
+            point_m: self.start_m.narrow() + across * x_m + along * z_m,
+            tangent: across * sin + along * cos,
         }
     }
 
     /// The end of the arc that is nearer to a point; of two equally near, the start.
-    fn nearer_end(&self, point_m: &Vector3<f64>) -> Foot {
-        let [start, end] = self.end_squares(point_m);
-        let (s, point_m, tangent) = if start <= end {
+    fn nearer_end(&self, point_m: &WideVector<1>) -> Foot {
+        let [start, end] = [self.start_m, self.end_m].map(|end| (*point_m - end).norm_squared());
+        let [start_nearer] = start.less_or_equal(end);
+        let (s, point_m, tangent) = if start_nearer {
             (0.0, self.start_m, self.along)
         } else {
             (1.0, self.end_m, self.end_along)
         };
         Foot {
             s,
-            point_m,
-            tangent,
+            point_m: point_m.narrow(),
+            tangent: tangent.narrow(),
         }
-    }
-
-    /// Share t ∈ [0, 1] of the segment start + t span (m, base frame) at which it is nearest to the arc, and that distance (m):
-    /// exact to 1e-12 m beside rounding. Bounded work: at most [`STEPS_MAX`] Newton steps from either end.
-    pub(super) fn nearest_on_segment(
-        &self,
-        start_m: &Vector3<f64>,
-        span_m: &Vector3<f64>,
-    ) -> (f64, f64) {
-        let line = Line {
-            curvature_1_m: self.curvature_1_m,
-            start: self.local(start_m - self.start_m),
-            span: self.local(*span_m),
-        };
-        let middle = line.nearest_to_axis();
-        let mut best = (0.0, self.distance_m(start_m));
-        for t in [
-            1.0,
-            projection(&self.start_m, start_m, span_m),
-            projection(&self.end_m, start_m, span_m),
-            line.descend(0.0, middle),
-            line.descend(1.0, middle),
-        ] {
-            // The start was first: most candidates are one of the segment's ends.
-            if t == 0.0 {
-                continue;
-            }
-            let distance_m = self.distance_m(&(start_m + span_m * t));
-            // A NaN replaces what was found: it must not be lost.
-            if distance_m < best.1 || distance_m.is_nan() {
-                best = (t, distance_m);
-            }
-        }
-        best
-    }
-
-    /// A vector of the base frame in the section's own axes.
-    #[inline]
-    fn local(&self, vector: Vector3<f64>) -> Vector3<f64> {
-        Vector3::new(
-            vector.dot(&self.across),
-            vector.dot(&self.normal),
-            vector.dot(&self.along),
-        )
-    }
-
-    /// Whether the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z` is the point's height over the
-    /// start.
-    #[inline]
-    fn faces(&self, point_m: &Vector3<f64>, z: f64) -> bool {
-        let after_start = z >= 0.0;
-        let before_end = (point_m - self.end_m).dot(&self.end_along) <= 0.0;
-        if self.bend_rad <= PI {
-            after_start && before_end
-        } else {
-            after_start || before_end || self.bend_rad >= TAU
-        }
-    }
-
-    /// Squares of the distances to start and end (m²).
-    #[inline]
-    fn end_squares(&self, point_m: &Vector3<f64>) -> [f64; 2] {
-        [self.start_m, self.end_m].map(|end_m| (point_m - end_m).norm_squared())
     }
 }
 
-/// (q, H) of a point in the axes of a section of this curvature (1/m).
-#[inline]
-fn in_plane(curvature_1_m: f64, local: &Vector3<f64>) -> (f64, f64) {
-    let (x, z) = (local.x, local.z);
-    let (big_x, big_z) = (1.0 - curvature_1_m * x, curvature_1_m * z);
+/// (q (H + 1), H) of a point in the axes of a section of this curvature (1/m).
+#[inline(always)]
+fn in_plane<const W: usize>(kappa: Wide<W>, local: &WideVector<W>) -> (Wide<W>, Wide<W>) {
+    let [x, _, z] = local.0;
+    let (big_x, big_z) = (Wide::splat(1.0) - kappa * x, kappa * z);
     let h = (big_x * big_x + big_z * big_z).sqrt();
-    let q = (curvature_1_m * (x * x + z * z) - 2.0 * x) / (h + 1.0);
-    (q, h)
+    (kappa * (x * x + z * z) - (x + x), h)
 }
 
-/// A segment start + t span, 0 ≤ t ≤ 1, in the axes of a section (m).
-struct Line {
-    curvature_1_m: f64,
-    start: Vector3<f64>,
-    span: Vector3<f64>,
+/// A segment start + t span, 0 ≤ t ≤ 1, in the axes of W sections (m).
+struct Line<const W: usize> {
+    curvature_1_m: Wide<W>,
+    start: WideVector<W>,
+    span: WideVector<W>,
+    length_m: f64,
 }
 
-impl Line {
+impl<const W: usize> Line<W> {
     /// G' and G'' at t (m²). G'' as q'² + q q'' + y'², which does not cancel where the section is straight.
-    fn derivatives(&self, t: f64) -> (f64, f64) {
-        let (local, span) = (self.start + self.span * t, &self.span);
-        let (q, h) = in_plane(self.curvature_1_m, &local);
+    #[inline(always)]
+    fn derivatives(&self, t: Wide<W>) -> (Wide<W>, Wide<W>) {
+        let (kappa, local) = (self.curvature_1_m, self.start + self.span * t);
+        let ([x, y, z], [x_slope, y_slope, z_slope]) = (local.0, self.span.0);
+        let (q_h, h) = in_plane(kappa, &local);
         // On the circle's axis G has a kink, a local maximum within the plane: any finite slope will do there.
-        let h = h.max(f64::EPSILON);
-        let (big_x, big_z) = (
-            1.0 - self.curvature_1_m * local.x,
-            self.curvature_1_m * local.z,
-        );
-        let q_slope = (big_z * span.z - big_x * span.x) / h;
-        let c = big_x * span.z + big_z * span.x;
-        let q_curvature = self.curvature_1_m * c * c / (h * h * h);
+        let h = h.max(Wide::splat(f64::EPSILON));
+        // One division for both 1/H and 1/(H + 1).
+        let per_both = Wide::splat(1.0) / (h * (h + 1.0));
+        let (per_h, q) = (per_both * (h + 1.0), q_h * (per_both * h));
+        let (big_x, big_z) = (Wide::splat(1.0) - kappa * x, kappa * z);
+        let q_slope = (big_z * z_slope - big_x * x_slope) * per_h;
+        let c = (big_x * z_slope + big_z * x_slope) * per_h;
+        let q_curvature = kappa * (c * c) * per_h;
         (
-            q * q_slope + local.y * span.y,
-            q_slope * q_slope + q * q_curvature + span.y * span.y,
+            q * q_slope + y * y_slope,
+            q_slope * q_slope + q * q_curvature + y_slope * y_slope,
         )
     }
 
     /// The t in [0, 1] nearest to the circle's axis, where G'' is least; any where G'' is constant.
-    fn nearest_to_axis(&self) -> f64 {
-        let (kappa, span) = (self.curvature_1_m, &self.span);
-        let in_plane_square = span.x * span.x + span.z * span.z;
-        if kappa == 0.0 || in_plane_square <= NORMAL_SHARE * span.norm_squared() {
-            return 1.0;
-        }
-        let (big_x, big_z) = (1.0 - kappa * self.start.x, kappa * self.start.z);
-        ((big_x * span.x - big_z * span.z) / (kappa * in_plane_square)).clamp(0.0, 1.0)
+    #[inline(always)]
+    fn nearest_to_axis(&self) -> Wide<W> {
+        let (zero, one, kappa) = (Wide::splat(0.0), Wide::splat(1.0), self.curvature_1_m);
+        let ([x, _, z], [x_slope, _, z_slope]) = (self.start.0, self.span.0);
+        let in_plane_square = x_slope * x_slope + z_slope * z_slope;
+        let normal = in_plane_square.less_or_equal(self.span.norm_squared() * NORMAL_SHARE);
+        let constant = either(kappa.less_or_equal(zero), normal);
+        let (big_x, big_z) = (one - kappa * x, kappa * z);
+        let t = (big_x * x_slope - big_z * z_slope) / (kappa * in_plane_square);
+        one.select(t.clamp(0.0, 1.0), constant)
     }
 
     /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis, if there is one;
     /// else some t between. G'' falls on the way, so Newton's steps stay short of the minimum: it lies where G is convex, and
     /// where G is not, there is none to be found.
-    fn descend(&self, from: f64, middle: f64) -> f64 {
-        let length_m = self.span.norm();
-        let mut t = from;
+    #[inline(always)]
+    fn descend(&self, from: Wide<W>, middle: Wide<W>) -> Wide<W> {
+        let (mut t, mut searching) = (from, [true; W]);
         for _ in 0..STEPS_MAX {
             let (slope, curvature) = self.derivatives(t);
             let step = -slope / curvature;
-            let forward = step * (middle - from) > 0.0;
-            if !forward {
-                break;
-            }
-            if step.abs() >= (middle - t).abs() {
-                return middle;
-            }
-            t += step;
-            if step.abs() * length_m < STEP_M {
+            let forward = Wide::splat(0.0).less(step * (middle - from));
+            let moving = both(searching, forward);
+            let passes = (middle - t).abs().less_or_equal(step.abs());
+            t = middle.select(t + step, passes).select(t, moving);
+            let small = (step.abs() * self.length_m).less(Wide::splat(STEP_M));
+            searching = both(moving, not(either(passes, small)));
+            if !any(searching) {
                 break;
             }
         }

@@ -15,26 +15,53 @@ impl Robot {
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> [Wide<W>; 3] {
-        let zero = Wide::splat(0.0);
-        let [mut x, mut y, mut z] = [zero; 3];
-        for (j, section) in self.sections().iter().enumerate().rev() {
-            let (u, v) = (bend_rad(2 * j), bend_rad(2 * j + 1));
-            let w = u * u + v * v;
-            let (f, g) = series_coefficients(w);
-            // x ← Rⱼ x + pⱼ with t = ℓ - (u x + v y), as in `tip_position`.
-            let t = Wide::splat(section.length_m) - (u * x + v * y);
-            let across = f * z + g * t;
-            x = x + u * across;
-            y = y + v * across;
-            z = (Wide::splat(1.0) - w * g) * z + f * t;
+        let (tip, []) = self.tip_frame_wide::<W, 0>(bend_rad);
+        tip
+    }
+
+    /// The same, and the first `AXES` (up to 2) of the tip's z and x axis in the base frame.
+    #[inline(always)]
+    pub fn tip_frame_wide<const W: usize, const AXES: usize>(
+        &self,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {
+        // The tip as seen from the section's end, then from its start: (x, y, z), and the axes.
+        let [mut x, mut y, mut z] = [[0.0; W]; 3];
+        let mut axes = [[Wide::splat(0.0); 3]; AXES];
+        for (axis, component) in [2, 0].into_iter().enumerate().take(AXES) {
+            axes[axis][component] = Wide::splat(1.0);
         }
-        [x, y, z]
+        for (j, section) in self.sections().iter().enumerate().rev() {
+            let (u, v) = (bend_rad(2 * j).0, bend_rad(2 * j + 1).0);
+            let length_m = section.length_m;
+            // One loop over the lanes with all that a section does: the compiler makes vectors of it.
+            for i in 0..W {
+                let w = u[i] * u[i] + v[i] * v[i];
+                let (f, g) = series_coefficients(w);
+                let upright = 1.0 - w * g;
+                // x ← Rⱼ x + pⱼ with t = ℓ - (u x + v y), as in `tip_position`.
+                let t = length_m - (u[i] * x[i] + v[i] * y[i]);
+                let across = f * z[i] + g * t;
+                x[i] += u[i] * across;
+                y[i] += v[i] * across;
+                z[i] = upright * z[i] + f * t;
+                for [x, y, z] in &mut axes {
+                    // A direction has no pⱼ: the same without ℓ.
+                    let t = 0.0 - (u[i] * x.0[i] + v[i] * y.0[i]);
+                    let across = f * z.0[i] + g * t;
+                    x.0[i] += u[i] * across;
+                    y.0[i] += v[i] * across;
+                    z.0[i] = upright * z.0[i] + f * t;
+                }
+            }
+        }
+        ([x, y, z].map(Wide), axes)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::robot::RobotParameters;
+    use crate::robot::{Configuration, RobotParameters};
 
     use super::*;
 
@@ -51,6 +78,32 @@ mod tests {
                 for axis in 0..3 {
                     assert_eq!(wide[axis].0[lane].to_bits(), narrow[axis].0[0].to_bits());
                     assert!((wide[axis].0[lane] - scalar[axis]).abs() < 1e-12);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_tips_axes_are_those_of_its_pose() {
+        for sections in 1..=6 {
+            let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
+            // Lane 0 is straight, lane 7 bends by π at most.
+            let bend = |i: usize, lane: usize| 0.32 * (i as f64 % 5.0 - 2.0) * lane as f64 * 0.49;
+            let at = |i: usize| Wide::<8>::from_fn(|lane| bend(i, lane));
+            let (tip, [z, x]) = robot.tip_frame_wide::<8, 2>(at);
+            assert_eq!(tip, robot.tip_position_wide(at));
+            assert_eq!((tip, [z]), robot.tip_frame_wide::<8, 1>(at));
+            for lane in 0..8 {
+                let bends: Vec<_> = (0..2 * sections).map(|i| bend(i, lane)).collect();
+                let pose = robot.tip_pose(&Configuration::from_slice(&bends).unwrap());
+                let narrow = robot.tip_frame_wide::<1, 2>(|i| Wide([bends[i]])).1;
+                for axis in 0..3 {
+                    assert!((tip[axis].0[lane] - pose.position_m[axis]).abs() < 1e-14);
+                    for (found, narrow, column) in [(z, narrow[0], 2), (x, narrow[1], 0)] {
+                        let found = found[axis].0[lane];
+                        assert_eq!(found.to_bits(), narrow[axis].0[0].to_bits());
+                        assert!((found - pose.rotation[(axis, column)]).abs() < 1e-14);
+                    }
                 }
             }
         }

@@ -1,4 +1,4 @@
-//! Rates that the robot may have: finite, in the box, bends inside their limits, cables not too fast.
+//! Rates that the robot may have: finite, in the box, bends inside their limits, cables neither too fast nor too far.
 
 use crate::robot::{BendRates, Configuration, Robot};
 
@@ -11,6 +11,8 @@ pub struct LimitsHit {
     pub bend: bool,
     /// All rates were scaled down to the cable speed limit.
     pub cable_speed: bool,
+    /// All rates were scaled down to keep every cable's stroke.
+    pub cable_stroke: bool,
     /// The wish was not finite and became zero.
     pub non_finite: bool,
 }
@@ -25,7 +27,9 @@ pub struct Limited {
 }
 
 /// The nearest command inside every limit: rates in the box, each bend at most its section's limit
-/// one period later (a bend beyond it may only shrink), cables at most at their speed limit.
+/// one period later (a bend beyond it may only shrink), cables at most at their speed limit and, one
+/// period later, at most their stroke away from their lengths at the straight robot (a cable beyond it
+/// may only come back).
 pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64) -> Limited {
     let mut rates = *wish;
     let mut hit = LimitsHit::default();
@@ -38,6 +42,7 @@ pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64)
     // Keeping a bend that is beyond its limit inside asks for a rate of its own.
     hit.rate |= clamp_rates(robot, &mut rates);
     hit.cable_speed = slow_cables(robot, &mut rates);
+    hit.cable_stroke = keep_strokes(robot, at, &mut rates, period_s);
     Limited { rates, hit }
 }
 
@@ -81,6 +86,29 @@ fn slow_cables(robot: &Robot, rates: &mut BendRates) -> bool {
         scale(rates, robot.cable_speed_max_m_s() / fastest);
     }
     too_fast
+}
+
+/// Strokes are linear in the bends, so one factor for all rates tells how far everything may go.
+fn keep_strokes(robot: &Robot, at: &Configuration, rates: &mut BendRates, period_s: f64) -> bool {
+    let max_m = robot.cable_stroke_max_m();
+    let strokes_m = robot.cable_strokes(at.as_slice());
+    let speeds_m_s = robot.cable_speeds(rates.as_slice());
+    let mut factor = 1.0_f64;
+    for (stroke_m, speed_m_s) in strokes_m.iter().zip(speeds_m_s) {
+        let change_m = period_s * speed_m_s;
+        let (least_m, most_m) = (stroke_m.min(-max_m), stroke_m.max(max_m));
+        let next_m = stroke_m + change_m;
+        if next_m > most_m {
+            factor = factor.min((most_m - stroke_m) / change_m);
+        } else if next_m < least_m {
+            factor = factor.min((least_m - stroke_m) / change_m);
+        }
+    }
+    let too_far = factor < 1.0;
+    if too_far {
+        scale(rates, factor);
+    }
+    too_far
 }
 
 fn scale(rates: &mut BendRates, factor: f64) {
@@ -207,6 +235,34 @@ mod tests {
         let speeds = robot.cable_speeds(limited.rates.as_slice());
         assert!(limited.hit.cable_speed);
         assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));
+    }
+
+    #[test]
+    fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.cable_stroke_max_m = 0.02;
+        let robot = Robot::new(&parameters).expect("legal");
+        let farthest_m = |bend: &Configuration| {
+            let strokes_m = robot.cable_strokes(bend.as_slice());
+            strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
+        };
+        let (mut bend, mut hits) = (at([0.0; 4]), 0);
+        for step in 0..400 {
+            let turn = f64::from(step).sin();
+            let wish = rates([2.0, 0.3 * turn, 1.5, -turn]);
+            let limited = limit(&robot, &bend, &wish, PERIOD_S);
+            hits += u32::from(limited.hit.cable_stroke);
+            bend = bend.advanced(&limited.rates, PERIOD_S);
+            assert!(farthest_m(&bend) <= 0.02 + 1e-15, "{}", farthest_m(&bend));
+        }
+        assert!(hits > 100, "{hits}");
+        let beyond = at([1.8, 0.0, 0.0, 0.0]);
+        let out = limit(&robot, &beyond, &rates([1.0, 0.0, 0.0, 0.0]), PERIOD_S);
+        assert!(out.hit.cable_stroke);
+        assert_eq!(out.rates, BendRates::zero(2));
+        let wish = rates([-1.0, 0.0, 0.0, 0.0]);
+        let back = limit(&robot, &beyond, &wish, PERIOD_S);
+        assert_eq!((back.rates, back.hit), (wish, LimitsHit::default()));
     }
 
     #[test]

@@ -1,12 +1,16 @@
 //! The last word before the cables: which mode we are in, and what a command may be.
 //!
-//! Invariant: nothing here optimises or predicts. It sees the state, what the solver would like, and
-//! what happened; it answers with a mode and a command inside every limit. No clock, no message.
+//! Invariant: nothing here optimises, and nothing looks further than one period ahead. It sees the
+//! state, the obstacles, what the solver would like, and what happened; it answers with a mode and a
+//! command inside every limit that brings the body no nearer to an obstacle than allowed. No clock, no
+//! message.
 
 mod bucket;
+mod clearance;
 mod limiter;
 mod mode;
 
 pub use bucket::LeakyBucket;
+pub use clearance::{Guarded, NEAR_MAX, guard};
 pub use limiter::{Limited, LimitsHit, homing_rates, limit, ramp_to_zero};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};

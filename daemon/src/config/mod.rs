@@ -51,6 +51,8 @@ pub struct RobotConfig {
     pub name: String,
     /// Largest speed of a cable \[m/s\].
     pub cable_speed_max_m_s: f64,
+    /// How far a cable can be pulled or paid out from its length at the straight robot \[m\].
+    pub cable_stroke_max_m: f64,
     /// The sections, base first.
     pub sections: Vec<SectionParameters>,
 }
@@ -60,10 +62,12 @@ impl Default for RobotConfig {
         let RobotParameters {
             sections,
             cable_speed_max_m_s,
+            cable_stroke_max_m,
         } = RobotParameters::paper(3);
         Self {
             name: "cdcr".to_owned(),
             cable_speed_max_m_s,
+            cable_stroke_max_m,
             sections,
         }
     }
@@ -406,6 +410,7 @@ impl Config {
         let parameters = RobotParameters {
             sections: self.robot.sections.clone(),
             cable_speed_max_m_s: self.robot.cable_speed_max_m_s,
+            cable_stroke_max_m: self.robot.cable_stroke_max_m,
         };
         Robot::new(&parameters).map_err(|error| place.error(&key_of(&error), &error.to_string()))
     }
@@ -561,6 +566,37 @@ mod tests {
         let message = error_of("[controller]\nseed = 1\nswarm_size = 9999\n");
         for part in ["line 3", "controller.swarm_size", "1 to 512"] {
             assert!(message.contains(part), "{part}: {message}");
+        }
+        for (text, parts) in [
+            (
+                "[robot]\ncable_stroke_max_m = 0.0\n",
+                ["line 2", "robot.cable_stroke_max_m", "0.0001"],
+            ),
+            (
+                "[controller]\nsafe_distance_m = -0.1\n",
+                ["line 2", "controller.safe_distance_m", "0 to 10"],
+            ),
+            (
+                "[controller]\norientation_tolerance_rad = 2.0\n",
+                ["line 2", "controller.orientation_tolerance_rad", "0 to 1"],
+            ),
+            (
+                "[controller]\nobstacle_slope_penalty = 0.0\n",
+                [
+                    "line 2",
+                    "controller.obstacle_slope_penalty",
+                    "0.000000000001 to",
+                ],
+            ),
+            (
+                "[controller]\ncoordinates = \"polar\"\n",
+                ["line 2", "polar", "bend-angles"],
+            ),
+        ] {
+            let message = error_of(text);
+            for part in parts {
+                assert!(message.contains(part), "{part}: {message}");
+            }
         }
         let message = error_of("[motion]\nhome_rate_rad_s = nan\n");
         assert!(

@@ -122,7 +122,7 @@ mod tests {
     #[test]
     fn records_get_what_their_gather_knew_and_the_rest_waits() {
         let mut events = Events::new();
-        for sequence in 0..20 {
+        for sequence in 0..28 {
             note(&mut events, 1, sequence, Ok(0));
         }
         note(&mut events, 2, 99, Ok(0));
@@ -131,7 +131,7 @@ mod tests {
             ..Telemetry::default()
         };
         events.report(&mut telemetry);
-        assert_eq!(telemetry.event_count, 16);
+        assert_eq!(telemetry.event_count as usize, EVENTS_MAX);
         let mut telemetry = Telemetry {
             gather: 3,
             ..Telemetry::default()
@@ -141,7 +141,7 @@ mod tests {
             .iter()
             .map(|e| (e.sequence, e.gathers_ago))
             .collect();
-        assert_eq!(late, [(16, 2), (17, 2), (18, 2), (19, 2), (99, 1)]);
+        assert_eq!(late, [(24, 2), (25, 2), (26, 2), (27, 2), (99, 1)]);
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! Shortly before each release: drain, check, hand over.
 
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
-use cdcr_shared_types::{Header, ReferenceChunk, Service};
+use cdcr_shared_types::{Header, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
 use super::{Exchange, LastChunk};
@@ -9,6 +9,8 @@ use crate::rt::schedule::Schedule;
 
 /// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
 pub(super) const CHUNKS_PER_GATHER: usize = 4;
+/// Obstacle updates that one gather accepts: half of what one client's queue holds; more than this wait.
+pub(super) const UPDATES_PER_GATHER: usize = 8;
 /// Messages that one gather looks at on one service: all that its queues can hold.
 const fn drain_limit(service: Service) -> usize {
     service.queues().publishers * service.queues().queue
@@ -42,6 +44,7 @@ impl Exchange {
         );
         inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;
+        inputs.obstacles = self.obstacles;
         inputs.stop = std::mem::take(&mut self.stop_at_once);
         inputs.settings = self.settings;
         inputs.settings_revision = self.settings_revision;
@@ -116,21 +119,33 @@ impl Exchange {
         }
     }
 
-    /// This build cannot avoid obstacles, so it does not pretend to: every update is refused.
     fn take_obstacles(&mut self, now_ns: u64) {
+        self.obstacles.expire(now_ns);
+        let mut accepted = 0;
         for _ in 0..drain_limit(Service::Obstacles) {
             let Ok(Some(update)) = self.ports.obstacles.receive() else {
                 break;
             };
-            let refused = Err(Refused::whole(Outcome::Unsupported));
+            let result = self.take_update(&update, now_ns);
+            self.obstacles_refused += u64::from(result.is_err());
             self.events.note(
                 self.gather,
                 EventKind::Obstacles,
                 &update.header,
                 now_ns,
-                refused,
+                result,
             );
+            accepted += usize::from(result.is_ok());
+            if accepted == UPDATES_PER_GATHER {
+                break;
+            }
         }
+    }
+
+    /// Takes an update whole, or refuses it whole. Says how many obstacles are known after it.
+    fn take_update(&mut self, update: &ObstacleUpdate, now_ns: u64) -> Result<u32, Refused> {
+        self.obstacles = convert::updated_obstacles(update, &self.obstacles, now_ns)?;
+        Ok(self.obstacles.count() as u32)
     }
 
     /// Keeps the newest measurement. Good ones are many and not reported one by one.

@@ -28,6 +28,7 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
 use crate::config::{LinkKind, Validated, ns};
+use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
@@ -50,6 +51,8 @@ pub struct Exchange {
     lease: Lease,
     last_chunk: Option<LastChunk>,
     measurement: Option<TimedMeasurement>,
+    obstacles: ObstacleSet,
+    obstacles_refused: u64,
     settings: NmpcSettings,
     settings_revision: u64,
     gather: u64,
@@ -64,10 +67,11 @@ pub struct Exchange {
     stop_at_once: bool,
 }
 
-/// What one gather and its cycle can bring fits one record: accepted chunks, refusals, requests that are
-/// answered at once, and requests that the cycle decides.
+/// What one gather and its cycle can bring fits one record: accepted chunks and obstacle updates, refusals,
+/// requests that are answered at once, and requests that the cycle decides.
 const _: () = assert!(
     gather::CHUNKS_PER_GATHER
+        + gather::UPDATES_PER_GATHER
         + events::REFUSALS_PER_GATHER
         + requests::REQUESTS_PER_GATHER
         + REQUESTS_PER_CYCLE
@@ -97,6 +101,8 @@ impl Exchange {
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,
             measurement: None,
+            obstacles: ObstacleSet::default(),
+            obstacles_refused: 0,
             settings: config.controller,
             settings_revision: 0,
             gather: 0,

@@ -16,6 +16,7 @@ use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
 use crate::cycle::CycleRecord;
+use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
 use crate::supervisor::Summary;
 
@@ -34,6 +35,8 @@ pub struct CycleInputs {
     pub stop: bool,
     /// The driver's newest measurement.
     pub measurement: Option<TimedMeasurement>,
+    /// The obstacles, each at its own stamp.
+    pub obstacles: ObstacleSet,
     /// The settings in force, checked.
     pub settings: NmpcSettings,
     /// Grows with each change of the settings.
@@ -50,6 +53,7 @@ impl CycleInputs {
             lease: LeaseState::Free,
             stop: false,
             measurement: None,
+            obstacles: ObstacleSet::default(),
             settings,
             settings_revision: 0,
         }

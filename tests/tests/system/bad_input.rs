@@ -1,9 +1,9 @@
 //! What bad input gets: a clear refusal, and the loop goes on.
 
 use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_shared_types::{Obstacle, ReferencePoint};
-use cdcr_tests::{Daemon, PATIENCE, Place, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENCE, Place, wait_status};
 
 fn point(offset_ms: i64, position_m: [f64; 3]) -> ReferencePoint {
     ReferencePoint {
@@ -83,28 +83,6 @@ fn bad_points_are_refused_with_the_reason_and_counted() {
     }
     let before = status.cycles;
     wait_status(&connection, |status| status.cycles > before + 20);
-}
-
-#[test]
-fn obstacles_are_refused_until_they_can_be_avoided() {
-    let daemon = Daemon::start("");
-    let connection = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    let sender = connection.obstacle_sender().unwrap();
-    let obstacle = Obstacle {
-        id: 1,
-        radius_m: 0.01,
-        ..Obstacle::default()
-    };
-    let header = sender.upsert(&[obstacle]).unwrap();
-    let verdict = telemetry
-        .verdict_on(EventKind::Obstacles, &header, PATIENCE)
-        .unwrap();
-    assert_eq!(verdict, Outcome::Unsupported);
-    let too_many = sender.remove(&[0; 65]).expect_err("65 ids");
-    assert!(too_many.to_string().contains("at most 64"), "{too_many}");
-    let later = wait_record(&mut telemetry, |_| true).cycle;
-    wait_record(&mut telemetry, |record| record.cycle > later + 5);
 }
 
 #[test]

@@ -12,6 +12,7 @@ mod feeding;
 mod lease;
 mod lifecycle;
 mod modes;
+mod obstacles;
 mod program;
 mod replay;
 mod silence;

@@ -61,14 +61,46 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 }
 
 #[test]
-fn an_orientation_that_is_not_followed_is_told() {
+fn an_orientation_is_fed_without_a_warning() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let warning = "warning: the orientation is sent, but this daemon follows the position only\n";
-    let fed = good(place, &[SHORT_LINE, &["--axis", "0,0,1"]]);
-    assert_eq!(fed.matches(warning).count(), 1, "{fed}");
-    let fed = good(place, &[SHORT_LINE]);
+    let fed = good(place, &[SHORT_LINE, &["--axis", "0,0,1", "--track"]]);
+    assert!(fed.contains("tracked to its end"), "{fed}");
     assert!(!fed.contains("warning"), "{fed}");
+}
+
+#[test]
+fn obstacles_are_added_shown_and_removed() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    let add = |id, rest: &[&str]| {
+        let sphere = ["obstacle", "add", "--id", id, "--at", "0.2,0,0.5"];
+        good(place, &[&sphere, rest])
+    };
+    let said = add("1", &["--radius", "0.05"]);
+    assert!(said.contains("accepted, 1 known"), "{said}");
+    let said = add("2", &["--radius", "0.05", "--to", "0.2,0.1,0.5"]);
+    assert!(said.contains("accepted, 2 known"), "{said}");
+    wait_until("2 obstacles", || status(place)["obstacle_count"] == 2);
+    // The robot is straight: 0.2 m to the axis, less the radii of ball and body.
+    let clearance_m = status(place)["clearance_m"].as_f64().unwrap();
+    assert!((clearance_m - 0.135).abs() < 1e-12, "{clearance_m}");
+    let table = good(place, &[&["status"]]);
+    let shown = "obstacles   2, smallest clearance 135.00 mm";
+    assert!(table.contains(shown), "{table}");
+    let said = good(place, &[&["obstacle", "remove", "2", "77"]]);
+    assert!(said.contains("accepted, 1 known"), "{said}");
+    let said = good(place, &[&["obstacle", "clear"]]);
+    assert!(said.contains("accepted, 0 known"), "{said}");
+    wait_until("none", || status(place)["clearance_m"].is_null());
+    let refused = place.cdcrctl(&[
+        "obstacle", "add", "--id", "1", "--at", "9e9,0,0", "--radius", "1",
+    ]);
+    let message = text(&refused);
+    assert_eq!(refused.status.code(), Some(1), "{message}");
+    assert!(message.contains("the daemon refused it"), "{message}");
+    assert!(message.contains("within ±1000000 m"), "{message}");
+    wait_until("counted", || status(place)["obstacles_refused"] == 1);
 }
 
 #[test]
@@ -105,19 +137,6 @@ fn every_request_is_answered() {
     assert_eq!(output.status.code(), Some(1), "{message}");
     assert!(message.starts_with("error: cannot track"), "{message}");
     assert!(message.contains("cdcrctl ref"), "{message}");
-    let output = place.cdcrctl(&[
-        "obstacle",
-        "add",
-        "--id",
-        "1",
-        "--at",
-        "0,0.2,0.2",
-        "--radius",
-        "0.02",
-    ]);
-    let message = text(&output);
-    assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.contains("the daemon refused it"), "{message}");
 }
 
 #[test]

@@ -1,20 +1,24 @@
-//! A recording of telemetry and reference chunks holds everything: each cycle is computed again from
-//! it, bit for bit.
+//! A recording of telemetry and reference chunks holds everything: each cycle, with its obstacles, is
+//! computed again from it, bit for bit.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
 
-use cdcr_client::{FeedEvent, FeedOptions, Spiral, events};
+use cdcr_client::{
+    FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns, obstacles,
+};
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{ReferenceWindow, Trajectory};
-use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters, SectionParameters};
-use cdcr_controller::safety::ramp_to_zero;
+use cdcr_controller::robot::{
+    BendRates, Configuration, Obstacle, Robot, RobotParameters, SectionParameters,
+};
+use cdcr_controller::safety::{guard, limit, ramp_to_zero};
 use cdcr_daemon::exchange::convert;
-use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, Outcome};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
-use cdcr_shared_types::{InputEvent, ReferenceChunk, SectionDescription, Telemetry};
-use cdcr_tests::Daemon;
+use cdcr_shared_types::{InputEvent, ReferenceChunk, SectionDescription, Telemetry, codes};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT};
 
 /// The events of a recording by the gather that they took effect with, in order.
 fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
@@ -64,12 +68,28 @@ fn robot_of(record: &Telemetry) -> Robot {
     let parameters = RobotParameters {
         sections: used.iter().map(section).collect(),
         cable_speed_max_m_s: record.robot.cable_speed_max_m_s,
+        cable_stroke_max_m: record.robot.cable_stroke_max_m,
     };
     Robot::new(&parameters).unwrap()
 }
 
-/// Computes the solve of a record again.
-fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Vec<u64> {
+/// The obstacles of a record.
+fn obstacles_of(record: &Telemetry) -> Vec<Obstacle> {
+    let used = obstacles(record).iter();
+    let known = used.map(|obstacle| convert::obstacle(obstacle, record.release_ns).unwrap());
+    known.map(|known| known.obstacle).collect()
+}
+
+/// The state of a record, and the rates of the command before.
+fn state_of(record: &Telemetry) -> (Configuration, BendRates) {
+    let width = 2 * record.robot.sections as usize;
+    let at = Configuration::from_slice(&record.bend_rad[..width]).unwrap();
+    let before = BendRates::from_slice(&record.previous_rate_rad_s[..width]).unwrap();
+    (at, before)
+}
+
+/// Computes the solve of a record again; the rates that it wants.
+fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> BendRates {
     let settings = convert::settings_from_wire(&record.settings).expect("they were in force");
     let period_s = record.period_ns as f64 * 1e-9;
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings).expect("they were in force");
@@ -85,91 +105,173 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Ve
         record.period_ns,
         steps,
     );
-    let width = robot.coordinate_count();
+    let (at, before) = state_of(record);
     let input = SolveInput {
-        configuration: &Configuration::from_slice(&record.bend_rad[..width])
-            .expect("a configuration"),
-        previous_rates: &BendRates::from_slice(&record.previous_rate_rad_s[..width])
-            .expect("rates"),
+        configuration: &at,
+        previous_rates: &before,
         reference: window.ahead(record.cycle, steps),
+        obstacles: &obstacles_of(record),
         // The recorded warm start is moved on in time already.
         elapsed_periods: 0,
         seed: record.report.seed,
     };
-    let (_, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(record.report.quanta));
+    let (rates, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(record.report.quanta));
     assert_eq!(report.evaluations, record.report.evaluations);
     assert_eq!(report.cost.to_bits(), record.report.cost.to_bits());
-    nmpc.plan().iter().map(|rate| rate.to_bits()).collect()
+    let again = bits(nmpc.plan());
+    assert_eq!(
+        again,
+        bits(&record.plan[..length]),
+        "cycle {}",
+        record.cycle
+    );
+    rates
+}
+
+fn bits(values: &[f64]) -> Vec<u64> {
+    values.iter().map(|value| value.to_bits()).collect()
+}
+
+/// Computes what limits and guard make of a wish again. Whether the guard changed it.
+fn command_again(record: &Telemetry, robot: &Robot, wish: &BendRates) -> bool {
+    let (at, _) = state_of(record);
+    let period_s = record.period_ns as f64 * 1e-9;
+    let limited = limit(robot, &at, wish, period_s);
+    let known = obstacles_of(record);
+    let safe_m = record.settings.safe_distance_m;
+    let guarded = guard(robot, &at, &limited.rates, &known, safe_m, period_s);
+    let width = robot.coordinate_count();
+    let sent = &record.command.bend_rate_rad_s[..width];
+    assert_eq!(
+        bits(guarded.rates.as_slice()),
+        bits(sent),
+        "cycle {}",
+        record.cycle
+    );
+    assert_eq!(guarded.clearance_m.to_bits(), record.clearance_m.to_bits());
+    let flagged = record.guard_flags & codes::guard::CLEARANCE != 0;
+    assert_eq!(guarded.hit, flagged);
+    flagged
+}
+
+/// What is recorded of a run.
+#[derive(Default)]
+struct Recording {
+    records: Vec<Telemetry>,
+    chunks: HashMap<(u64, u64), ReferenceChunk>,
+}
+
+impl Recording {
+    /// A daemon with this configuration that tracks `curve` past `known`.
+    fn make(configuration: &str, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
+        let daemon = Daemon::start(configuration);
+        let connection = daemon.connect();
+        let mut telemetry = connection.telemetry().unwrap();
+        let sender = connection.obstacle_sender().unwrap();
+        let header = sender.upsert(known).unwrap();
+        let verdict = telemetry.verdict_on(EventKind::Obstacles, &header, PATIENCE);
+        assert_eq!(verdict.unwrap(), Outcome::Accepted);
+        let mut sent = connection.references().unwrap();
+        let mut recording = Self::default();
+        let options = FeedOptions {
+            track: true,
+            ..FeedOptions::default()
+        };
+        connection
+            .feed(curve, options)
+            .unwrap()
+            .run(|event| {
+                if let FeedEvent::Record(record) = event {
+                    recording.records.push(*record);
+                }
+                while let Some(chunk) = sent.try_next().unwrap() {
+                    let of = (chunk.header.sender_id, chunk.header.sequence);
+                    recording.chunks.insert(of, chunk);
+                }
+                ControlFlow::Continue(())
+            })
+            .unwrap();
+        recording
+    }
+
+    /// Computes every cycle again. How many solved, and how many the guard changed.
+    fn replay(&self) -> (u32, u32) {
+        let robot = robot_of(&self.records[0]);
+        assert_eq!(self.records[0].robot.fingerprint, robot.fingerprint());
+        let mut to_come = events_by_gather(&self.records);
+        let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX);
+        let (mut solved, mut guarded) = (0, 0);
+        for record in &self.records {
+            while let Some(entry) = to_come.first_entry()
+                && *entry.key() <= record.gather
+            {
+                for event in entry.remove() {
+                    apply(&event, &self.chunks, &robot, &mut trajectory);
+                }
+            }
+            let wish = if record.plan_length > 0 {
+                solved += 1;
+                solve_again(record, &robot, &trajectory)
+            } else if record.mode == Mode::Holding.code() {
+                let (_, before) = state_of(record);
+                let period_s = record.period_ns as f64 * 1e-9;
+                ramp_to_zero(&before, record.deceleration_rad_s2, period_s)
+            } else {
+                continue;
+            };
+            guarded += u32::from(command_again(record, &robot, &wish));
+        }
+        assert!(solved > 100, "only {solved} cycles were solved");
+        (solved, guarded)
+    }
+}
+
+fn spiral() -> Spiral {
+    Spiral {
+        duration_s: 1.5,
+        ..Spiral::for_sections(&[0.3; 3])
+    }
+}
+
+/// A ball that stands on the paper's line, and a bar that comes from the side.
+fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
+    let ball = cdcr_shared_types::Obstacle {
+        id: 1,
+        start_m: [0.055, 0.0, 0.885],
+        radius_m: 0.02,
+        measured_ns: monotonic_ns(),
+        ..Default::default()
+    };
+    let bar = cdcr_shared_types::Obstacle {
+        id: 2,
+        shape: ObstacleShape::Capsule.code(),
+        start_m: [-0.1, -0.2, 0.5],
+        end_m: [-0.1, 0.2, 0.5],
+        velocity_m_s: [0.02, 0.0, 0.0],
+        ..ball
+    };
+    [ball, bar]
 }
 
 #[test]
 fn every_recorded_cycle_is_computed_again_bit_for_bit() {
-    let daemon = Daemon::start("");
-    let connection = daemon.connect();
-    let mut sent = connection.references().unwrap();
-    let (mut records, mut chunks) = (Vec::new(), HashMap::new());
-    let spiral = Spiral {
-        duration_s: 1.5,
-        ..Spiral::for_sections(&[0.3; 3])
-    };
-    let options = FeedOptions {
-        track: true,
-        ..FeedOptions::default()
-    };
-    let mut collect = |records: &mut Vec<Telemetry>, event: FeedEvent<'_>| {
-        if let FeedEvent::Record(record) = event {
-            records.push(*record);
-        }
-        while let Some(chunk) = sent.try_next().unwrap() {
-            chunks.insert((chunk.header.sender_id, chunk.header.sequence), chunk);
-        }
-    };
-    connection
-        .feed(&spiral, options)
-        .unwrap()
-        .run(|event| {
-            collect(&mut records, event);
-            ControlFlow::Continue(())
-        })
-        .unwrap();
-
-    let robot = robot_of(&records[0]);
-    assert_eq!(records[0].robot.fingerprint, robot.fingerprint());
-    let mut to_come = events_by_gather(&records);
-    let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX);
-    let mut solved = 0;
-    for record in &records {
-        while let Some(entry) = to_come.first_entry()
-            && *entry.key() <= record.gather
-        {
-            for event in entry.remove() {
-                apply(&event, &chunks, &robot, &mut trajectory);
-            }
-        }
-        check_rest(record);
-        if record.plan_length == 0 {
-            continue;
-        }
-        let length = record.plan_length as usize;
-        let recorded: Vec<_> = record.plan[..length]
-            .iter()
-            .map(|rate| rate.to_bits())
-            .collect();
-        let again = solve_again(record, &robot, &trajectory);
-        assert_eq!(again, recorded, "cycle {}", record.cycle);
-        solved += 1;
-    }
-    assert!(solved > 100, "only {solved} cycles were solved");
+    let (_, guarded) = Recording::make("", &[], &spiral()).replay();
+    assert_eq!(guarded, 0);
 }
 
-/// A cycle that held: its command is the ramp from the rates before.
-fn check_rest(record: &Telemetry) {
-    if record.mode != Mode::Holding.code() {
-        return;
-    }
-    let width = 2 * record.robot.sections as usize;
-    let before = BendRates::from_slice(&record.previous_rate_rad_s[..width]).unwrap();
-    let period_s = record.period_ns as f64 * 1e-9;
-    let rates = ramp_to_zero(&before, record.deceleration_rad_s2, period_s);
-    assert_eq!(rates.as_slice(), &record.command.bend_rate_rad_s[..width]);
+#[test]
+fn cycles_with_obstacles_are_computed_again_bit_for_bit() {
+    let recording = Recording::make(PATIENT, &in_the_way(), &spiral());
+    assert!(recording.records.iter().all(|r| r.obstacle_count == 2));
+    recording.replay();
+}
+
+#[test]
+fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
+    // The solver sees no obstacle in its cost, so that the guard has to act.
+    let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
+    let configuration = format!("{PATIENT}{blind}");
+    let line = Line::for_sections(&[0.3; 3]);
+    let (solved, guarded) = Recording::make(&configuration, &in_the_way(), &line).replay();
+    assert!(guarded > 10, "{guarded} of {solved}");
 }

@@ -98,9 +98,11 @@ pub(crate) enum Task {
         after_help = "Example:\n  cdcrctl echo telemetry --rate 10\n  cdcrctl echo command --count 1 --format json"
     )]
     Echo(EchoOptions),
-    /// Add or remove obstacles
+    /// Add or remove obstacles that the body of the robot keeps away from
     #[command(
-        after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02"
+        after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
+        cdcrctl status                   how many are known, and the smallest clearance\n  \
+        cdcrctl obstacle remove 1"
     )]
     Obstacle(ObstacleOptions),
 }
@@ -152,7 +154,8 @@ pub(crate) enum Curve {
     Circle(CircleOptions),
     /// A CSV file with the columns `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`
     ///
-    /// The orientation qx,qy,qz,qw is sent, but this daemon follows the position only.
+    /// With the orientation qx,qy,qz,qw, a unit quaternion, the tip turns, too, as much as the
+    /// orientation weight of the daemon asks for.
     #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
     File(FileOptions),
 }
@@ -305,10 +308,13 @@ pub(crate) enum ObstacleAction {
     /// Add a sphere, or with --to a capsule; a known id is replaced
     #[command(
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
-        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s"
+        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
+        cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\
+        The body keeps controller.safe_distance_m away from it in every mode: no command brings it \
+        nearer. An obstacle that moves into the standing robot is not evaded."
     )]
     Add(ObstacleAdd),
-    /// Remove obstacles by their ids
+    /// Remove obstacles by their ids; one that is not known changes nothing
     #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
     Remove {
         /// Their ids
@@ -335,7 +341,7 @@ pub(crate) struct ObstacleAdd {
     /// Radius in m
     #[arg(long, value_name = "M", value_parser = value::not_negative)]
     pub(crate) radius: f64,
-    /// Velocity in m/s
+    /// Velocity in m/s: the daemon moves it on from now
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
     pub(crate) velocity: Vector,
     /// How long it stays known [default: until removed]

@@ -5,7 +5,7 @@ use std::time::Duration;
 use anyhow::Context;
 use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
-    Orientation, PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
+    PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
 };
 use cdcr_shared_types::codes::{Interpolation, RequestKind};
 
@@ -20,9 +20,6 @@ use crate::interrupt::Interrupt;
 /// `cdcrctl ref …`
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
-    if trajectory.orientation(0.0) != Orientation::Free {
-        eprintln!("warning: the orientation is sent, but this daemon follows the position only");
-    }
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new(trajectory.name());
     let report = connection

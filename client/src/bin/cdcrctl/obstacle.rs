@@ -22,12 +22,31 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
         ObstacleAction::Remove { ids } => sender.remove(ids)?,
         ObstacleAction::Clear => sender.clear()?,
     };
-    match telemetry.verdict_on(EventKind::Obstacles, &header, VERDICT_TIMEOUT)? {
+    let event = telemetry.event_on(EventKind::Obstacles, &header, VERDICT_TIMEOUT)?;
+    match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
         Outcome::Accepted => {
-            writeln!(std::io::stdout(), "obstacles: accepted")?;
+            let known = event.detail;
+            writeln!(
+                std::io::stdout(),
+                "obstacles: accepted, {known} known to the daemon now"
+            )?;
             Ok(Done::Good)
         }
-        outcome => bail!("the daemon refused it: {outcome}. {}", remedy(outcome)),
+        outcome => bail!("the daemon refused it: {outcome}. {}", advice(outcome)),
+    }
+}
+
+/// What to do, in the words of this command where it has its own.
+fn advice(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::BufferFull => {
+            "It knows as many as it can (64): remove some with cdcrctl obstacle remove or clear."
+        }
+        Outcome::OutOfRange => {
+            "Positions and velocities are within ±1000000 m and m/s, the radius is 0 to 1000000 m."
+        }
+        Outcome::InThePast => "Its lifetime was over when it arrived: give it a longer --lifetime.",
+        other => remedy(other),
     }
 }
 

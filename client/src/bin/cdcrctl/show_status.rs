@@ -9,7 +9,7 @@ use cdcr_shared_types::{LatencySummary, Status};
 use crate::Done;
 use crate::args::{Format, Target};
 use crate::echo::json;
-use crate::echo::line::latency_text;
+use crate::echo::line::{clearance_text, latency_text};
 
 /// `cdcrctl status`
 pub(crate) fn run(target: &Target, format: Format) -> anyhow::Result<Done> {
@@ -125,12 +125,27 @@ fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
         "\nreference   {} points ahead, lease held by {holder}",
         status.reference_points
     )?;
-    writeln!(out, "obstacles   {}", status.obstacle_count)?;
+    obstacles(out, status)?;
     let counted = Outcome::ALL.iter().zip(status.outcomes);
     for (outcome, count) in counted.filter(|(_, count)| *count > 0) {
         writeln!(out, "messages    {count:>8}  {outcome}")?;
     }
     Ok(())
+}
+
+fn obstacles(out: &mut String, status: &Status) -> std::fmt::Result {
+    write!(out, "obstacles   {}", status.obstacle_count)?;
+    if status.obstacle_count > 0 {
+        let clearance = clearance_text(status.clearance_m);
+        write!(out, ", smallest clearance {clearance} mm")?;
+    }
+    writeln!(
+        out,
+        ", kept {} mm away (the guard changed {} commands; {} updates refused)",
+        1e3 * status.settings.safe_distance_m,
+        status.clearance_guarded,
+        status.obstacles_refused
+    )
 }
 
 fn robot(out: &mut String, status: &Status) -> std::fmt::Result {
@@ -180,6 +195,9 @@ mod tests {
         status.wake.count = 1;
         status.wake.p99_ns = 42_500;
         status.core = u32::MAX;
+        status.obstacle_count = 2;
+        status.clearance_m = 0.0105;
+        status.clearance_guarded = 17;
         let table = table(&status).expect("formatted");
         for expected in [
             "mode        tracking",
@@ -187,6 +205,8 @@ mod tests {
             "1234",
             "42.5",
             "pinned to no core",
+            "obstacles   2, smallest clearance 10.50 mm",
+            "the guard changed 17 commands",
             "solve                        -           -           -           -\n",
             "3  the sender does not hold the reference lease",
         ] {

@@ -2,12 +2,13 @@
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, TrajectoryError};
-use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot};
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Obstacle, Robot, Shape};
 use cdcr_controller::safety::Request;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
+use crate::obstacles::{KnownObstacle, ObstacleSet};
 use crate::ports::TimedMeasurement;
 
 /// Why a message was refused, and at which of its points or obstacles.
@@ -37,7 +38,7 @@ impl Refused {
 const UNIT_TOLERANCE: f64 = 1e-6;
 /// Positions may lie this much outside the reachable ball \[m\]: rounding of the straight robot.
 const REACH_TOLERANCE_M: f64 = 1e-6;
-/// A driver's clock may be this far ahead \[ns\].
+/// The clock of a driver, or of who sees obstacles, may be this far ahead \[ns\].
 const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
 /// The points of a chunk, all checked: finite, ahead of `now_ns`, inside the reachable ball, with
@@ -178,6 +179,71 @@ pub fn measurement(
         measurement,
         measured_ns: message.measured_ns,
     })
+}
+
+/// The obstacles that are known after `update`, all of it checked.
+///
+/// # Errors
+/// The first obstacle that is wrong or does not fit; then nothing of the update counts.
+pub fn updated_obstacles(
+    update: &wire::ObstacleUpdate,
+    known: &ObstacleSet,
+    now_ns: u64,
+) -> Result<ObstacleSet, Refused> {
+    let action = codes::ObstacleAction::try_from(update.action)
+        .map_err(|_| Refused::whole(Outcome::UnknownCode))?;
+    let count = update.count as usize;
+    let given = update.obstacles.get(..count);
+    let given = given.ok_or(Refused::whole(Outcome::CountOutOfRange))?;
+    let mut set = *known;
+    match action {
+        codes::ObstacleAction::Upsert => {
+            for (index, message) in given.iter().enumerate() {
+                let refused = |outcome| Refused::at(outcome, index);
+                let obstacle = obstacle(message, now_ns).map_err(refused)?;
+                set.upsert(obstacle)
+                    .map_err(|_| refused(Outcome::BufferFull))?;
+            }
+        }
+        codes::ObstacleAction::Remove => given.iter().for_each(|message| set.remove(message.id)),
+        codes::ObstacleAction::Clear => set = ObstacleSet::default(),
+    }
+    Ok(set)
+}
+
+/// One obstacle: finite numbers in range, seen no later than now, not forgotten already.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, Outcome> {
+    let [start_m, end_m] = [message.start_m, message.end_m].map(Vector3::from);
+    let velocity_m_s = Vector3::from(message.velocity_m_s);
+    let shape = match codes::ObstacleShape::try_from(message.shape) {
+        Ok(codes::ObstacleShape::Sphere) => Shape::Sphere { centre_m: start_m },
+        Ok(codes::ObstacleShape::Capsule) => Shape::Capsule { start_m, end_m },
+        Err(_) => return Err(Outcome::UnknownCode),
+    };
+    let ends = match shape {
+        Shape::Sphere { .. } => [start_m; 2],
+        Shape::Capsule { .. } => [start_m, end_m],
+    };
+    let finite = ends.iter().flatten().chain(&velocity_m_s);
+    if !finite.chain([&message.radius_m]).all(|x| x.is_finite()) {
+        return Err(Outcome::NotFinite);
+    }
+    if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
+        return Err(Outcome::OutOfRange);
+    }
+    let expires_ns = message.measured_ns.saturating_add(message.lifetime_ns);
+    let known = KnownObstacle {
+        id: message.id,
+        obstacle: Obstacle::new(shape, message.radius_m, velocity_m_s)
+            .map_err(|_| Outcome::OutOfRange)?,
+        measured_ns: message.measured_ns,
+        expires_ns: (message.lifetime_ns > 0).then_some(expires_ns),
+    };
+    let still_known = known.is_known_at(now_ns).then_some(known);
+    still_known.ok_or(Outcome::InThePast)
 }
 
 /// The request of a client that concerns the mode; none for those about lease and settings.

@@ -6,7 +6,10 @@ mod incoming;
 mod outgoing;
 mod settings;
 
-pub use incoming::{Refused, measurement, mode_request, reference_points, trajectory_refusal};
+pub use incoming::{
+    Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
+    updated_obstacles,
+};
 pub use outgoing::{command, mode, reason, refusal, robot, telemetry, text};
 pub use settings::{settings_from_wire, settings_to_wire};
 
@@ -21,8 +24,9 @@ mod tests {
     use cdcr_shared_types::codes::{self, Outcome};
     use nalgebra::Vector3;
 
-    use super::outgoing::measurement_to_wire;
+    use super::outgoing::{measurement_to_wire, obstacle_to_wire};
     use super::*;
+    use crate::obstacles::ObstacleSet;
     use crate::ports::TimedMeasurement;
 
     fn trunk() -> Robot {
@@ -116,17 +120,115 @@ mod tests {
             change(&mut message);
             settings_from_wire(&message)
         };
-        assert_eq!(
-            with(|m| m.orientation_weight = 1.0),
-            Err(Outcome::Unsupported)
-        );
+        assert_eq!(with(|m| m.budget_ns = 1), Err(Outcome::Unsupported));
         assert_eq!(
             with(|m| m.safe_distance_m = f64::NAN),
-            Err(Outcome::Unsupported)
+            Err(Outcome::OutOfRange)
         );
+        assert_eq!(with(|m| m.coordinates = 9), Err(Outcome::UnknownCode));
         assert_eq!(with(|m| m.solver = 77), Err(Outcome::UnknownCode));
         assert_eq!(with(|m| m.swarm_size = 0), Err(Outcome::OutOfRange));
         assert_eq!(with(|m| m.inertia = f64::NAN), Err(Outcome::OutOfRange));
+    }
+
+    fn ball(id: u32) -> wire::Obstacle {
+        wire::Obstacle {
+            id,
+            start_m: [0.1, 0.0, 0.3],
+            end_m: [f64::NAN; 3],
+            radius_m: 0.02,
+            measured_ns: 1_000,
+            ..Default::default()
+        }
+    }
+
+    fn update(action: codes::ObstacleAction, given: &[wire::Obstacle]) -> wire::ObstacleUpdate {
+        let mut update = wire::ObstacleUpdate {
+            action: action.code(),
+            count: given.len() as u32,
+            ..Default::default()
+        };
+        update.obstacles[..given.len()].copy_from_slice(given);
+        update
+    }
+
+    #[test]
+    fn obstacles_come_and_go_by_their_ids() {
+        use codes::ObstacleAction::{Clear, Remove, Upsert};
+        let mut set = ObstacleSet::default();
+        for (action, ids, count) in [
+            (Upsert, &[1, 2, 3][..], 3),
+            (Upsert, &[3, 4], 4),
+            (Remove, &[1, 4, 99], 2),
+            (Upsert, &[], 2),
+            (Clear, &[], 0),
+        ] {
+            let given: Vec<_> = ids.iter().map(|id| ball(*id)).collect();
+            set = updated_obstacles(&update(action, &given), &set, 2_000).unwrap();
+            assert_eq!(set.count(), count, "{action}");
+        }
+    }
+
+    #[test]
+    fn every_kind_of_bad_obstacle_is_refused_with_its_place() {
+        let upsert = codes::ObstacleAction::Upsert;
+        let refusal = |update: &wire::ObstacleUpdate, known: &ObstacleSet| {
+            let refused = updated_obstacles(update, known, 2_000).expect_err("it is wrong");
+            (refused.outcome, refused.detail)
+        };
+        let none = ObstacleSet::default();
+        let bad = |change: fn(&mut wire::Obstacle)| {
+            let mut wrong = ball(2);
+            change(&mut wrong);
+            refusal(&update(upsert, &[ball(1), wrong]), &none)
+        };
+        assert_eq!(bad(|o| o.radius_m = f64::NAN), (Outcome::NotFinite, 1));
+        assert_eq!(
+            bad(|o| o.start_m[2] = f64::INFINITY),
+            (Outcome::NotFinite, 1)
+        );
+        assert_eq!(
+            bad(|o| o.velocity_m_s[0] = f64::NAN),
+            (Outcome::NotFinite, 1)
+        );
+        let capsule = |o: &mut wire::Obstacle| o.shape = codes::ObstacleShape::Capsule.code();
+        assert_eq!(bad(capsule), (Outcome::NotFinite, 1));
+        assert_eq!(bad(|o| o.radius_m = -0.01), (Outcome::OutOfRange, 1));
+        assert_eq!(bad(|o| o.start_m[0] = 1e7), (Outcome::OutOfRange, 1));
+        assert_eq!(
+            bad(|o| o.measured_ns = 10_000_000),
+            (Outcome::OutOfRange, 1)
+        );
+        assert_eq!(bad(|o| o.measured_ns = u64::MAX), (Outcome::OutOfRange, 1));
+        assert_eq!(bad(|o| o.lifetime_ns = 1_000), (Outcome::InThePast, 1));
+        assert_eq!(bad(|o| o.shape = 2), (Outcome::UnknownCode, 1));
+        let many = wire::ObstacleUpdate {
+            count: 65,
+            ..update(upsert, &[])
+        };
+        assert_eq!(refusal(&many, &none), (Outcome::CountOutOfRange, 0));
+        let odd = wire::ObstacleUpdate { action: 3, ..many };
+        assert_eq!(refusal(&odd, &none), (Outcome::UnknownCode, 0));
+        let all: Vec<_> = (0..64).map(ball).collect();
+        let full = updated_obstacles(&update(upsert, &all), &none, 2_000).unwrap();
+        let one_more = update(upsert, &[ball(5), ball(64)]);
+        assert_eq!(refusal(&one_more, &full), (Outcome::BufferFull, 1));
+    }
+
+    #[test]
+    fn obstacles_round_trip() {
+        let mut capsule = wire::Obstacle {
+            shape: codes::ObstacleShape::Capsule.code(),
+            end_m: [0.2, 0.1, 0.3],
+            velocity_m_s: [0.1, 0.0, -0.2],
+            lifetime_ns: 5_000,
+            ..ball(7)
+        };
+        let known = obstacle(&capsule, 2_000).unwrap();
+        assert_eq!(obstacle_to_wire(&known), capsule);
+        capsule.lifetime_ns = 0;
+        let known = obstacle(&capsule, 2_000).unwrap();
+        assert_eq!(obstacle_to_wire(&known), capsule);
     }
 
     #[test]

@@ -1,16 +1,17 @@
 //! Domain → wire: what the daemon says of itself, of a cycle and to the robot.
 
 use cdcr_controller::estimator::Measurement;
-use cdcr_controller::nmpc::{SolveReport, SolveStatus};
+use cdcr_controller::nmpc::{Constraint, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::Candidate;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{Robot, quaternion_xyzw};
-use cdcr_controller::safety::{LeaseState, LimitsHit, Mode, Reason, Refusal};
+use cdcr_controller::robot::{Robot, Shape, quaternion_xyzw};
+use cdcr_controller::safety::{LeaseState, Mode, Reason, Refusal};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
 use super::settings::settings_to_wire;
 use crate::cycle::CycleRecord;
+use crate::obstacles::KnownObstacle;
 use crate::ports::TimedMeasurement;
 
 /// A refusal of the mode machine.
@@ -58,6 +59,7 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
         sections: robot.section_count() as u32,
         fingerprint: robot.fingerprint(),
         cable_speed_max_m_s: robot.cable_speed_max_m_s(),
+        cable_stroke_max_m: robot.cable_stroke_max_m(),
         ..wire::RobotDescription::default()
     };
     for (target, section) in description.section.iter_mut().zip(robot.sections()) {
@@ -144,11 +146,16 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         tip_position_m: record.tip.position_m.into(),
         tip_orientation: quaternion_xyzw(&record.tip.rotation),
         position_error_m: if reference_known { error_m } else { f64::NAN },
-        guard_flags: guard_flags(record.limits_hit),
+        guard_flags: guard_flags(record),
+        clearance_m: record.clearance_m,
+        obstacle_count: record.obstacles.count() as u32,
         ..wire::Telemetry::default()
     };
     if let Some(timed) = &record.measurement {
         telemetry.measurement = measurement_to_wire(timed, robot);
+    }
+    for (target, known) in telemetry.obstacles.iter_mut().zip(record.obstacles.iter()) {
+        *target = obstacle_to_wire(known);
     }
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
     copy(
@@ -183,6 +190,26 @@ pub(super) fn measurement_to_wire(timed: &TimedMeasurement, robot: &Robot) -> wi
     message
 }
 
+/// An obstacle as it is at its stamp.
+pub(super) fn obstacle_to_wire(known: &KnownObstacle) -> wire::Obstacle {
+    let (shape, start_m, end_m) = match *known.obstacle.shape() {
+        Shape::Sphere { centre_m } => (codes::ObstacleShape::Sphere, centre_m, centre_m),
+        Shape::Capsule { start_m, end_m } => (codes::ObstacleShape::Capsule, start_m, end_m),
+    };
+    wire::Obstacle {
+        id: known.id,
+        shape: shape.code(),
+        start_m: start_m.into(),
+        end_m: end_m.into(),
+        radius_m: known.obstacle.radius_m(),
+        velocity_m_s: known.obstacle.velocity_m_s().into(),
+        measured_ns: known.measured_ns,
+        lifetime_ns: known
+            .expires_ns
+            .map_or(0, |expires_ns| expires_ns.saturating_sub(known.measured_ns)),
+    }
+}
+
 fn copy(from: &[f64], to: &mut [f64]) {
     to[..from.len()].copy_from_slice(from);
 }
@@ -201,12 +228,15 @@ fn timing_flags(record: &CycleRecord) -> u32 {
     late | miss
 }
 
-fn guard_flags(hit: LimitsHit) -> u32 {
+fn guard_flags(record: &CycleRecord) -> u32 {
+    let hit = record.limits_hit;
     let bits = [
         (hit.rate, codes::guard::RATE),
         (hit.bend, codes::guard::BEND),
         (hit.cable_speed, codes::guard::CABLE_SPEED),
+        (hit.cable_stroke, codes::guard::CABLE_STROKE),
         (hit.non_finite, codes::guard::NON_FINITE),
+        (record.clearance_hit, codes::guard::CLEARANCE),
     ];
     bits.iter()
         .filter(|(set, _)| *set)
@@ -214,7 +244,17 @@ fn guard_flags(hit: LimitsHit) -> u32 {
 }
 
 fn report(report: &SolveReport) -> wire::SolverReport {
+    let (violated, violation) = match report.status {
+        SolveStatus::ConstraintViolated { constraint, amount } => match constraint {
+            Constraint::Clearance => (codes::Constraint::Clearance, amount),
+            Constraint::Limit => (codes::Constraint::Limit, amount),
+        },
+        _ => (codes::Constraint::None, 0.0),
+    };
     wire::SolverReport {
+        violated: violated.code(),
+        violation,
+        budget_spent: u32::from(report.budget_spent),
         cost: report.cost,
         warm_cost: report.warm_cost,
         gradient_norm: report.gradient_norm,
@@ -228,6 +268,7 @@ fn report(report: &SolveReport) -> wire::SolverReport {
             SolveStatus::Converged => codes::SolverStatus::Converged,
             SolveStatus::BudgetSpent => codes::SolverStatus::BudgetSpent,
             SolveStatus::IterationsSpent => codes::SolverStatus::IterationsSpent,
+            SolveStatus::ConstraintViolated { .. } => codes::SolverStatus::ConstraintViolated,
             SolveStatus::NonFinite => codes::SolverStatus::NonFinite,
         }
         .code(),
@@ -236,6 +277,7 @@ fn report(report: &SolveReport) -> wire::SolverReport {
             Candidate::Previous => codes::Winner::Previous,
             Candidate::Zero => codes::Winner::Zero,
             Candidate::LeastSquares => codes::Winner::LeastSquares,
+            Candidate::Eigenvector => codes::Winner::Eigenvector,
             Candidate::Swarm => codes::Winner::Swarm,
         }
         .code(),

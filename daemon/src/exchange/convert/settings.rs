@@ -1,6 +1,6 @@
 //! Settings of the solver, both ways.
 
-use cdcr_controller::nmpc::{NmpcSettings, SolverKind};
+use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
@@ -14,7 +14,11 @@ pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
             SolverKind::KpsoRefined => codes::SolverKind::KpsoRefined,
         }
         .code(),
-        coordinates: codes::Coordinates::BendVector.code(),
+        coordinates: match settings.coordinates {
+            Coordinates::BendVector => codes::Coordinates::BendVector,
+            Coordinates::BendAngles => codes::Coordinates::BendAngles,
+        }
+        .code(),
         horizon_steps: settings.horizon_steps,
         control_blocks: settings.control_blocks,
         swarm_size: settings.swarm_size,
@@ -32,9 +36,15 @@ pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
         social: settings.social,
         damping: settings.damping,
         position_weight: settings.position_weight,
+        orientation_weight: settings.orientation_weight,
+        orientation_tolerance_rad: settings.orientation_tolerance_rad,
         rate_weight: settings.rate_weight,
         rate_change_weight: settings.rate_change_weight,
         terminal_weight: settings.terminal_weight,
+        safe_distance_m: settings.safe_distance_m,
+        obstacle_step_penalty: settings.obstacle_step_penalty,
+        obstacle_slope_penalty: settings.obstacle_slope_penalty,
+        obstacle_square_penalty: settings.obstacle_square_penalty,
         seed: settings.seed,
         ..wire::SolverSettings::default()
     }
@@ -45,17 +55,7 @@ pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
 /// # Errors
 /// `Unsupported`, `UnknownCode` or `OutOfRange`.
 pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings, Outcome> {
-    let unused = [
-        message.orientation_weight,
-        message.orientation_tolerance_rad,
-        message.safe_distance_m,
-        message.obstacle_step_penalty,
-        message.obstacle_slope_penalty,
-    ];
-    let asks_for_more = message.coordinates != codes::Coordinates::BendVector.code()
-        || message.budget_ns != 0
-        || unused.iter().any(|value| *value != 0.0);
-    if asks_for_more {
+    if message.budget_ns != 0 {
         return Err(Outcome::Unsupported);
     }
     let unknown = |_| Outcome::UnknownCode;
@@ -64,6 +64,10 @@ pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings
             codes::SolverKind::Kpso => SolverKind::Kpso,
             codes::SolverKind::GaussNewton => SolverKind::GaussNewton,
             codes::SolverKind::KpsoRefined => SolverKind::KpsoRefined,
+        },
+        coordinates: match codes::Coordinates::try_from(message.coordinates).map_err(unknown)? {
+            codes::Coordinates::BendVector => Coordinates::BendVector,
+            codes::Coordinates::BendAngles => Coordinates::BendAngles,
         },
         horizon_steps: message.horizon_steps,
         control_blocks: message.control_blocks,
@@ -83,9 +87,15 @@ pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings
         refinement_steps: message.refinement_steps,
         damping: message.damping,
         position_weight: message.position_weight,
+        orientation_weight: message.orientation_weight,
+        orientation_tolerance_rad: message.orientation_tolerance_rad,
         rate_weight: message.rate_weight,
         rate_change_weight: message.rate_change_weight,
         terminal_weight: message.terminal_weight,
+        safe_distance_m: message.safe_distance_m,
+        obstacle_step_penalty: message.obstacle_step_penalty,
+        obstacle_slope_penalty: message.obstacle_slope_penalty,
+        obstacle_square_penalty: message.obstacle_square_penalty,
         seed: message.seed,
     };
     settings.validate().map_err(|_| Outcome::OutOfRange)?;

@@ -1,10 +1,10 @@
 //! Every message as JSON: codes in words, SI units in the names, only what is used of each array.
 
-use cdcr_client::{events, realtime_missing, text};
+use cdcr_client::{events, obstacles as obstacles_of, realtime_missing, text};
 use cdcr_shared_types::codes::{
-    ChunkMode, Coordinates, EventKind, Interpolation, LeaseState, MeasurementKind, Mode,
-    ObstacleAction, ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState, RobotLink,
-    SolverKind, SolverStatus, VelocityRule, Winner,
+    ChunkMode, Constraint, Coordinates, EventKind, Interpolation, LeaseState, MeasurementKind,
+    Mode, ObstacleAction, ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState,
+    RobotLink, SolverKind, SolverStatus, VelocityRule, Winner, guard,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, PLAN_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
@@ -65,7 +65,7 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "measurement_timeout_ns": record.measurement_timeout_ns,
         "miss_limit": record.miss_limit,
         "lease_state": LeaseState::text_of(record.lease_state),
-        "obstacle_count": record.obstacle_count,
+        "obstacles": obstacles_of(record).iter().map(obstacle).collect::<Vec<_>>(),
     });
     let outputs = json!({
         "warm_plan": &record.warm_plan[..plan_length],
@@ -81,6 +81,8 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "tip_orientation": record.tip_orientation,
         "position_error_m": record.position_error_m,
         "guard_flags": record.guard_flags,
+        "guards": guards(record.guard_flags),
+        "clearance_m": record.clearance_m,
         "command": command(&record.command),
     });
     joined([when_and_mode, inputs, outputs])
@@ -93,6 +95,12 @@ fn joined<const N: usize>(parts: [Value; N]) -> Value {
         _ => None,
     });
     Value::Object(fields.flatten().collect())
+}
+
+/// Names of the limits and guards that changed a command.
+pub(super) fn guards(flags: u32) -> Vec<&'static str> {
+    let set = guard::ALL.iter().filter(|(bit, _)| flags & bit != 0);
+    set.map(|(_, name)| *name).collect()
 }
 
 fn event(event: &InputEvent) -> Value {
@@ -136,6 +144,9 @@ fn report(report: &SolverReport) -> Value {
     json!({
         "status": SolverStatus::text_of(report.status),
         "winner": Winner::text_of(report.winner),
+        "violated": Constraint::text_of(report.violated),
+        "violation": report.violation,
+        "budget_spent": report.budget_spent != 0,
         "cost": report.cost,
         "warm_cost": report.warm_cost,
         "gradient_norm": report.gradient_norm,
@@ -186,6 +197,8 @@ pub(crate) fn status(status: &Status) -> Value {
         "budget_hits": status.budget_hits,
         "dropped_records": status.dropped_records,
         "faults": status.faults,
+        "clearance_guarded": status.clearance_guarded,
+        "obstacles_refused": status.obstacles_refused,
         "outcomes": outcomes(status),
         "wake": latency(&status.wake),
         "solve": latency(&status.solve),
@@ -194,6 +207,7 @@ pub(crate) fn status(status: &Status) -> Value {
         "reference_end_ns": status.reference_end_ns,
         "reference_points": status.reference_points,
         "obstacle_count": status.obstacle_count,
+        "clearance_m": status.clearance_m,
         "robot": robot(&status.robot),
         "settings": settings(&status.settings),
     })
@@ -231,6 +245,7 @@ fn robot(robot: &RobotDescription) -> Value {
     json!({
         "fingerprint": robot.fingerprint,
         "cable_speed_max_m_s": robot.cable_speed_max_m_s,
+        "cable_stroke_max_m": robot.cable_stroke_max_m,
         "sections": sections.collect::<Vec<_>>(),
     })
 }
@@ -259,6 +274,7 @@ fn settings(settings: &SolverSettings) -> Value {
         "safe_distance_m": settings.safe_distance_m,
         "obstacle_step_penalty": settings.obstacle_step_penalty,
         "obstacle_slope_penalty": settings.obstacle_slope_penalty,
+        "obstacle_square_penalty": settings.obstacle_square_penalty,
         "budget_ns": settings.budget_ns,
         "seed": settings.seed,
     })
@@ -314,13 +330,18 @@ mod tests {
         let mut record = Telemetry {
             plan_length: 4,
             position_error_m: f64::NAN,
+            clearance_m: f64::INFINITY,
+            obstacle_count: 2,
+            guard_flags: guard::CLEARANCE | guard::BEND,
             ..Telemetry::default()
         };
         record.command.sections = 2;
         let value = telemetry(&record);
         assert_eq!(value["bend_rad"].as_array().map(Vec::len), Some(4));
         assert_eq!(value["plan"].as_array().map(Vec::len), Some(4));
-        assert!(value["position_error_m"].is_null());
+        assert!(value["position_error_m"].is_null() && value["clearance_m"].is_null());
+        assert_eq!(value["obstacles"].as_array().map(Vec::len), Some(2));
+        assert_eq!(value["guards"], json!(["bend", "clearance"]));
         assert_eq!(
             value["command"]["cable_length_m"].as_array().map(Vec::len),
             Some(6)

@@ -10,12 +10,13 @@ use cdcr_shared_types::{
     Command, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
 };
 
+use super::json::guards;
+
 pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm   \
-    y mm      z mm      error mm   wake µs  solve µs  response µs  events";
+    y mm      z mm      error mm   wake µs  solve µs  response µs  obstacles  clearance mm  limited by, refused";
 pub(super) const COMMAND_HEADING: &str =
     "     cycle  mode        bend rates rad/s (u, v of each section) | cable lengths mm";
-pub(super) const STATUS_HEADING: &str =
-    "    cycles  mode        misses  skipped  response p99 µs  points ahead  reason";
+pub(super) const STATUS_HEADING: &str = "    cycles  mode        misses  skipped  response p99 µs  points ahead  obstacles  clearance mm  reason";
 pub(super) const REFERENCE_HEADING: &str =
     "sender            chunk  mode     between  points   first s ahead   last s ahead";
 pub(super) const OBSTACLES_HEADING: &str =
@@ -24,7 +25,7 @@ pub(super) const OBSTACLES_HEADING: &str =
 pub(super) fn telemetry(record: &Telemetry) -> String {
     let [x, y, z] = record.tip_position_m.map(|x| 1e3 * x);
     format!(
-        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10}{:>13.1}  {}",
+        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10}{:>13.1}{:>11}{:>14}  {}",
         record.cycle,
         Mode::text_of(record.mode),
         ReferenceState::text_of(record.reference.state),
@@ -32,7 +33,9 @@ pub(super) fn telemetry(record: &Telemetry) -> String {
         us(record.start_ns, record.due_ns),
         solve_text(record),
         us(record.handed_over_ns, record.due_ns),
-        event_texts(record),
+        record.obstacle_count,
+        clearance_text(record.clearance_m),
+        remarks(record),
     )
 }
 
@@ -57,7 +60,25 @@ fn error_text(error_m: f64) -> String {
     }
 }
 
-fn event_texts(record: &Telemetry) -> String {
+/// In mm; a dash when there is no obstacle.
+pub(crate) fn clearance_text(clearance_m: f64) -> String {
+    if clearance_m.is_finite() {
+        format!("{:.2}", 1e3 * clearance_m)
+    } else {
+        "-".to_owned()
+    }
+}
+
+/// Which limits changed the command, and what was refused.
+fn remarks(record: &Telemetry) -> String {
+    let limited = guards(record.guard_flags).join(", ");
+    let refused = refusals(record);
+    let parts = [limited, refused];
+    let parts: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+    parts.join("; ")
+}
+
+fn refusals(record: &Telemetry) -> String {
     let refused = events(record)
         .iter()
         .filter(|event| event.outcome != Outcome::Accepted.code())
@@ -83,13 +104,15 @@ fn join(values: &[f64], scale: f64, decimals: usize) -> String {
 
 pub(super) fn status(status: &Status) -> String {
     format!(
-        "{:>10}  {:<10}{:>8}{:>9}{:>17}{:>14}  {}",
+        "{:>10}  {:<10}{:>8}{:>9}{:>17}{:>14}{:>11}{:>14}  {}",
         status.cycles,
         Mode::text_of(status.mode),
         status.deadline_misses,
         status.skipped_periods,
         latency_text(&status.response, |response| response.p99_ns),
         status.reference_points,
+        status.obstacle_count,
+        clearance_text(status.clearance_m),
         Reason::text_of(status.reason)
     )
 }
@@ -139,7 +162,23 @@ pub(super) fn obstacles(update: &ObstacleUpdate) -> String {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::guard;
+
     use super::*;
+
+    #[test]
+    fn clearance_and_the_guard_show() {
+        let mut record = Telemetry {
+            obstacle_count: 3,
+            clearance_m: 0.012_34,
+            guard_flags: guard::RATE | guard::CLEARANCE,
+            ..Telemetry::default()
+        };
+        assert!(telemetry(&record).ends_with("3         12.34  rate, clearance"));
+        record.clearance_m = f64::INFINITY;
+        record.guard_flags = 0;
+        assert!(telemetry(&record).ends_with("3             -  "));
+    }
 
     #[test]
     fn a_stall_shows_and_a_cycle_without_a_solve_has_a_dash() {

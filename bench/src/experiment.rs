@@ -1,0 +1,212 @@
+//! Which of the paper's simulations, with which solver and which settings.
+
+use anyhow::Result;
+use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
+use cdcr_controller::optimizer::VelocityRule;
+use serde::Serialize;
+
+use crate::scene::Scene;
+
+/// Limits on the rates of the line \[rad/s\]. The paper names none.
+pub const LINE_RATES_RAD_S: [f64; 2] = [2.0, 8.0];
+/// The paper's bound on |Θ| and |Ψ| \[rad\].
+pub const LINE_TILT_MAX_RAD: f64 = 1e-2;
+/// Safe distances of the circle \[m\]. The paper names none.
+pub const CIRCLE_DISTANCES_M: [f64; 3] = [0.01, 0.02, 0.04];
+/// Swarm of the line: particles and iterations, as in the paper.
+const LINE_SWARM: (u32, u32) = (15, 70);
+/// Weight of the tilt on the line \[per rad²\], beside 1 per m² of position.
+const LINE_ORIENTATION_WEIGHT: f64 = 0.1;
+/// Tilt that costs nothing on the line \[rad\]: none, though the paper allows 10⁻². The line can be drawn
+/// with a vertical tip, and a penalty that begins at the bound would let the bound be passed.
+const LINE_TOLERANCE_RAD: f64 = 0.0;
+/// Steps of the circle: 0.1 s, in which the detour begins before the obstacle is reached.
+const CIRCLE_HORIZON: u32 = 20;
+/// Control blocks of the circle; 0: one for each step. Fewer cannot hold the circle between them, and
+/// leave more than the rounding of its constants.
+const CIRCLE_BLOCKS: u32 = 0;
+
+/// A simulation of the paper.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Task {
+    /// The spiral of the last section.
+    Spiral {
+        /// Sections of the robot.
+        sections: usize,
+    },
+    /// The line of three sections with a vertical tip.
+    Line {
+        /// Limit on the rates \[rad/s\].
+        rate_limit_rad_s: f64,
+    },
+    /// The circle of one section around an obstacle.
+    Circle {
+        /// Safe distance D \[m\].
+        safe_distance_m: f64,
+    },
+}
+
+impl Task {
+    /// All, in the paper's order.
+    pub fn all() -> Vec<Self> {
+        let spirals = (1..=3).map(|sections| Self::Spiral { sections });
+        let lines = LINE_RATES_RAD_S.map(|rate_limit_rad_s| Self::Line { rate_limit_rad_s });
+        let circles = CIRCLE_DISTANCES_M.map(|safe_distance_m| Self::Circle { safe_distance_m });
+        spirals.chain(lines).chain(circles).collect()
+    }
+
+    /// Name of the curve.
+    pub fn name(&self) -> &'static str {
+        match self {
+            Self::Spiral { .. } => "spiral",
+            Self::Line { .. } => "line",
+            Self::Circle { .. } => "circle",
+        }
+    }
+
+    /// Robot, start, curve and obstacles.
+    ///
+    /// # Errors
+    /// When there is no such robot.
+    pub fn scene(&self) -> Result<Scene> {
+        match *self {
+            Self::Spiral { sections } => Scene::spiral(sections),
+            Self::Line { rate_limit_rad_s } => Scene::line(rate_limit_rad_s),
+            Self::Circle { .. } => Scene::circle(),
+        }
+    }
+
+    /// What the paper states.
+    pub fn paper(&self) -> PaperFigures {
+        let (mean_error_mm, mean_solve_ms) = match self {
+            Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
+            Self::Spiral { sections: 2 } => (Some(7e-4), 5.0),
+            Self::Spiral { .. } => (Some(5e-3), 23.0),
+            Self::Line { .. } => (Some(0.016), 68.0),
+            Self::Circle { .. } => (None, 2.6),
+        };
+        PaperFigures {
+            mean_error_mm,
+            mean_solve_ms,
+        }
+    }
+}
+
+/// What the paper states.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PaperFigures {
+    /// Mean error \[mm\], where it states one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mean_error_mm: Option<f64>,
+    /// Mean computation time \[ms\].
+    pub mean_solve_ms: f64,
+}
+
+/// The solvers that are compared.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solver {
+    /// The swarm with an inertia weight.
+    Kpso,
+    /// The swarm with Eq. 6 as printed.
+    KpsoVerbatim,
+    /// Gauss-Newton steps alone.
+    GaussNewton,
+    /// Gauss-Newton steps after the swarm.
+    KpsoRefined,
+}
+
+impl Solver {
+    /// All of them.
+    pub const ALL: [Self; 4] = [
+        Self::Kpso,
+        Self::KpsoVerbatim,
+        Self::GaussNewton,
+        Self::KpsoRefined,
+    ];
+
+    /// As in tables and JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Kpso => "kpso",
+            Self::KpsoVerbatim => "kpso-verbatim",
+            Self::GaussNewton => "gauss-newton",
+            Self::KpsoRefined => "kpso-refined",
+        }
+    }
+
+    /// The settings with this solver.
+    #[must_use]
+    pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
+        let (solver, velocity_rule) = match self {
+            Self::Kpso => (SolverKind::Kpso, settings.velocity_rule),
+            Self::KpsoVerbatim => (SolverKind::Kpso, VelocityRule::Verbatim),
+            Self::GaussNewton => (SolverKind::GaussNewton, settings.velocity_rule),
+            Self::KpsoRefined => (SolverKind::KpsoRefined, settings.velocity_rule),
+        };
+        NmpcSettings {
+            solver,
+            velocity_rule,
+            ..settings
+        }
+    }
+}
+
+/// One simulation with one solver in one kind of coordinates.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Experiment {
+    /// The simulation.
+    pub task: Task,
+    /// The solver.
+    pub solver: Solver,
+    /// The coordinates of its controls.
+    pub coordinates: Coordinates,
+}
+
+impl Experiment {
+    /// All that are run. The circle only in bend vectors: it starts straight, where bend angles have no
+    /// direction, and twenty steps of them have many local minima.
+    pub fn all() -> Vec<Self> {
+        let both = [Coordinates::BendVector, Coordinates::BendAngles];
+        let mut all = Vec::new();
+        for task in Task::all() {
+            let count = if matches!(task, Task::Circle { .. }) {
+                1
+            } else {
+                2
+            };
+            for &coordinates in &both[..count] {
+                all.extend(Solver::ALL.map(|solver| Self {
+                    task,
+                    solver,
+                    coordinates,
+                }));
+            }
+        }
+        all
+    }
+
+    /// The paper's parameters; what it does not name is the project's default or a constant of this file.
+    pub fn settings(&self) -> NmpcSettings {
+        let base = self.solver.of(NmpcSettings {
+            coordinates: self.coordinates,
+            ..NmpcSettings::default()
+        });
+        match self.task {
+            Task::Spiral { .. } => base,
+            Task::Line { .. } => NmpcSettings {
+                swarm_size: LINE_SWARM.0,
+                swarm_iterations: LINE_SWARM.1,
+                orientation_weight: LINE_ORIENTATION_WEIGHT,
+                orientation_tolerance_rad: LINE_TOLERANCE_RAD,
+                ..base
+            },
+            Task::Circle { safe_distance_m } => NmpcSettings {
+                horizon_steps: CIRCLE_HORIZON,
+                control_blocks: CIRCLE_BLOCKS,
+                safe_distance_m,
+                ..base
+            },
+        }
+    }
+}

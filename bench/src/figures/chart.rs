@@ -1,0 +1,340 @@
+//! Sheets of charts: lines over labelled axes, each with its legend above it, as SVG.
+//!
+//! Drawn twice as large as it is meant to be seen, because the library places everything on whole pixels.
+
+use std::ops::Range;
+
+use anyhow::Result;
+use plotters::coord::Shift;
+use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
+use plotters::prelude::*;
+use plotters::style::RGBColor;
+
+// A palette that colour-blind people can tell apart (Okabe and Ito).
+pub(super) const BLUE: RGBColor = RGBColor(0, 114, 178);
+pub(super) const ORANGE: RGBColor = RGBColor(213, 94, 0);
+pub(super) const GREEN: RGBColor = RGBColor(0, 158, 115);
+pub(super) const PURPLE: RGBColor = RGBColor(204, 121, 167);
+pub(super) const SKY: RGBColor = RGBColor(86, 180, 233);
+pub(super) const YELLOW: RGBColor = RGBColor(230, 159, 0);
+pub(super) const GREY: RGBColor = RGBColor(150, 150, 150);
+pub(super) const DARK: RGBColor = RGBColor(40, 40, 40);
+/// Grid lines.
+const PALE: RGBColor = RGBColor(225, 225, 225);
+
+/// Width of a sheet.
+const WIDTH: u32 = 1600;
+const TITLE: (&str, u32) = ("sans-serif", 32);
+const LABEL: (&str, u32) = ("sans-serif", 27);
+const TICK: (&str, u32) = ("sans-serif", 25);
+/// Width of a letter of a legend, about.
+const LETTER: u32 = 15;
+const LINE_OF_TEXT: u32 = 38;
+const LABEL_LEFT: u32 = 128;
+const LABEL_BOTTOM: u32 = 84;
+const MARGIN: u32 = 20;
+/// The library centres a vertical label on the left edge of its area.
+const MARGIN_LEFT: u32 = 22;
+/// Room for half of the last tick label.
+const MARGIN_RIGHT: u32 = 45;
+/// Length of a legend's line.
+const SWATCH: u32 = 45;
+
+/// A point of a curve.
+pub(super) type Point = (f64, f64);
+
+/// One curve: pieces of a line.
+pub(super) struct Curve {
+    label: String,
+    pieces: Vec<Vec<Point>>,
+    style: ShapeStyle,
+}
+
+impl Curve {
+    /// A line; an empty label keeps it out of the legend.
+    pub(super) fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
+        Self::pieces(label, vec![points], colour)
+    }
+
+    /// A line with gaps.
+    pub(super) fn pieces(
+        label: impl Into<String>,
+        pieces: Vec<Vec<Point>>,
+        colour: RGBColor,
+    ) -> Self {
+        Self {
+            label: label.into(),
+            pieces,
+            style: colour.stroke_width(4),
+        }
+    }
+
+    /// A level from start to end.
+    pub(super) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
+        Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
+    }
+
+    /// The same with another width.
+    pub(super) fn width(mut self, width: u32) -> Self {
+        self.style.stroke_width = width;
+        self
+    }
+
+    fn points(&self) -> impl Iterator<Item = &Point> {
+        self.pieces.iter().flatten()
+    }
+}
+
+/// How a panel is scaled.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Scale {
+    /// Both axes linear.
+    Linear,
+    /// A logarithmic y axis; what is below the floor is drawn on it.
+    Log {
+        /// The floor.
+        floor: f64,
+    },
+    /// Both linear, a unit as long across as up.
+    Equal,
+}
+
+/// One chart.
+pub(super) struct Panel {
+    pub(super) title: String,
+    pub(super) x: &'static str,
+    pub(super) y: &'static str,
+    pub(super) scale: Scale,
+    pub(super) curves: Vec<Curve>,
+}
+
+impl Panel {
+    fn is_log(&self) -> bool {
+        matches!(self.scale, Scale::Log { .. })
+    }
+}
+
+/// Draws panels in rows of `columns`, each `height` high.
+///
+/// # Errors
+/// Never into memory.
+pub(super) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
+    let rows = panels.len().div_ceil(columns);
+    let mut svg = String::new();
+    {
+        let size = (WIDTH, height * rows as u32);
+        let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
+        root.fill(&WHITE)?;
+        for (area, panel) in root.split_evenly((rows, columns)).iter().zip(panels) {
+            draw(area, panel)?;
+        }
+        root.present()?;
+    }
+    Ok(svg)
+}
+
+type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
+
+fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
+    let (width, height) = area.dim_in_pixel();
+    let entries = legend(panel, width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
+    let head = LINE_OF_TEXT * (entries.last().map_or(0, |entry| entry.line + 1) + 1) + MARGIN;
+    let (top, chart) = area.split_vertically(head);
+    let left = (MARGIN_LEFT + LABEL_LEFT).cast_signed();
+    top.draw(&Text::new(
+        panel.title.clone(),
+        (left, 8),
+        TITLE.into_font().color(&DARK),
+    ))?;
+    for entry in entries {
+        let x = left + entry.offset.cast_signed();
+        let y = (LINE_OF_TEXT * (entry.line + 1)).cast_signed() + 24;
+        let end = x + SWATCH.cast_signed();
+        top.draw(&PathElement::new([(x, y), (end, y)], entry.curve.style))?;
+        let label = entry.curve.label.clone();
+        top.draw(&Text::new(
+            label,
+            (end + 10, y - 14),
+            TICK.into_font().color(&DARK),
+        ))?;
+    }
+    let (across, up) = ranges(panel, (width, height - head));
+    match panel.scale {
+        Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
+        Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
+    }
+}
+
+/// One entry of a legend, and where it stands.
+struct Entry<'a> {
+    curve: &'a Curve,
+    line: u32,
+    offset: u32,
+}
+
+/// The curves that have a label, in lines not longer than `room`.
+fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
+    let (mut line, mut offset) = (0, 0);
+    let labelled = panel.curves.iter().filter(|curve| !curve.label.is_empty());
+    labelled
+        .map(|curve| {
+            let width = SWATCH + 35 + LETTER * curve.label.chars().count() as u32;
+            if offset > 0 && offset + width > room {
+                (line, offset) = (line + 1, 0);
+            }
+            let entry = Entry {
+                curve,
+                line,
+                offset,
+            };
+            offset += width;
+            entry
+        })
+        .collect()
+}
+
+fn plot<Y>(area: &Area<'_>, panel: &Panel, across: Range<f64>, up: Y, floor: f64) -> Result<()>
+where
+    Y: AsRangedCoord<Value = f64>,
+    Y::CoordDescType: ValueFormatter<f64>,
+{
+    let is_wide = area.dim_in_pixel().0 > WIDTH / 2;
+    let mut chart = ChartBuilder::on(area)
+        .margin_left(MARGIN_LEFT)
+        .margin_right(MARGIN_RIGHT)
+        .margin_bottom(MARGIN)
+        .x_label_area_size(LABEL_BOTTOM)
+        .y_label_area_size(LABEL_LEFT)
+        .build_cartesian_2d(across, up)?;
+    chart
+        .configure_mesh()
+        .x_desc(panel.x)
+        .y_desc(panel.y)
+        .axis_desc_style(LABEL.into_font().color(&DARK))
+        .label_style(TICK.into_font().color(&DARK))
+        .axis_style(GREY)
+        .x_labels(if is_wide { 12 } else { 7 })
+        .y_labels(8)
+        .x_label_formatter(&|x| number(*x))
+        .y_label_formatter(&|y| {
+            if panel.is_log() {
+                power(*y)
+            } else {
+                number(*y)
+            }
+        })
+        .bold_line_style(PALE.stroke_width(2))
+        .light_line_style(TRANSPARENT)
+        .draw()?;
+    for curve in &panel.curves {
+        let lines = curve.pieces.iter().map(|piece| {
+            let points: Vec<Point> = piece.iter().map(|&(x, y)| (x, y.max(floor))).collect();
+            PathElement::new(points, curve.style)
+        });
+        chart.draw_series(lines)?;
+    }
+    Ok(())
+}
+
+/// A tick of a linear axis. Steps between ticks are above 1e-6; adding zero takes the sign from a negative
+/// zero.
+fn number(value: f64) -> String {
+    format!("{}", (value * 1e6).round() / 1e6 + 0.0)
+}
+
+/// A tick of a logarithmic axis: plain where that is short, else with a power of ten.
+fn power(value: f64) -> String {
+    if (9e-3..2e4).contains(&value) {
+        return number(value);
+    }
+    let text = format!("{value:.2e}");
+    let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
+    let digits = digits.trim_end_matches('0').trim_end_matches('.');
+    format!("{digits}e{power}")
+}
+
+/// Ranges around all points.
+fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>) {
+    let points = || panel.curves.iter().flat_map(Curve::points);
+    let (left, right) = extent(points().map(|p| p.0));
+    let (low, high) = extent(points().map(|p| p.1));
+    match panel.scale {
+        Scale::Linear => (left..right, widened(low, high)),
+        Scale::Log { floor } => (left..right, decades(low.max(floor), high.max(floor))),
+        Scale::Equal => {
+            let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
+            let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
+            let unit = ((right - left) / plot_width).max((high - low) / plot_height);
+            let unit = (1.12 * unit).max(1e-9);
+            let around = |a: f64, b: f64, pixels: f64| {
+                let (middle, half) = (f64::midpoint(a, b), 0.5 * pixels * unit);
+                middle - half..middle + half
+            };
+            (
+                around(left, right, plot_width),
+                around(low, high, plot_height),
+            )
+        }
+    }
+}
+
+/// Least and greatest finite value, apart; zero to one of nothing.
+fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let all = values.filter(|value| value.is_finite());
+    let (low, high) = all.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| {
+        (low.min(x), high.max(x))
+    });
+    if low > high {
+        (0.0, 1.0)
+    } else if low == high {
+        (low - 0.5, high + 0.5)
+    } else {
+        (low, high)
+    }
+}
+
+/// A little room below and above.
+fn widened(low: f64, high: f64) -> Range<f64> {
+    let room = 0.05 * (high - low);
+    low - room..high + room
+}
+
+/// Whole decades around both.
+fn decades(low: f64, high: f64) -> Range<f64> {
+    let (first, last) = (low.log10().floor(), high.log10().ceil());
+    10_f64.powf(first)..10_f64.powf(last.max(first + 1.0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ticks_are_short() {
+        for (value, text) in [
+            (0.300_000_000_000_000_04, "0.3"),
+            (-5e-17, "0"),
+            (900.0, "900"),
+        ] {
+            assert_eq!(number(value), text);
+        }
+        for (value, text) in [(1e-9, "1e-9"), (2.5e-5, "2.5e-5"), (100.0, "100")] {
+            assert_eq!(power(value), text);
+        }
+    }
+
+    #[test]
+    fn a_panel_without_points_can_be_drawn() {
+        for scale in [Scale::Linear, Scale::Log { floor: 1e-3 }, Scale::Equal] {
+            let panel = Panel {
+                title: "nothing".into(),
+                x: "x",
+                y: "y",
+                scale,
+                curves: vec![Curve::line("", Vec::new(), BLUE)],
+            };
+            let svg = sheet(&[panel], 1, 500).expect("drawn");
+            assert!(svg.contains("nothing"));
+        }
+    }
+}

@@ -1,0 +1,73 @@
+//! The paper's figures, drawn from the first run of each experiment.
+
+mod chart;
+mod circle;
+mod line;
+mod shape;
+mod signals;
+mod spiral;
+
+use anyhow::{Context, Result};
+use cdcr_controller::nmpc::Coordinates;
+
+use crate::experiment::{Solver, Task};
+use crate::simulation::Outcome;
+
+/// One figure.
+pub struct Figure {
+    /// Name of its file, without an ending.
+    pub name: &'static str,
+    /// What it shows.
+    pub caption: String,
+    /// The picture.
+    pub svg: String,
+}
+
+impl Figure {
+    fn new(name: &'static str, caption: impl Into<String>, svg: String) -> Self {
+        Self {
+            name,
+            caption: caption.into(),
+            svg,
+        }
+    }
+}
+
+/// All figures, in three groups: spiral, line and circle.
+///
+/// # Errors
+/// When an experiment that is drawn is not among the outcomes.
+pub fn figures(outcomes: &[Outcome]) -> Result<[Vec<Figure>; 3]> {
+    Ok([
+        spiral::figures(outcomes)?,
+        line::figures(outcomes)?,
+        circle::figures(outcomes)?,
+    ])
+}
+
+/// The outcome of a task with bend vectors.
+fn find(outcomes: &[Outcome], task: Task, solver: Solver) -> Result<&Outcome> {
+    let mut all = outcomes.iter();
+    all.find(|outcome| {
+        let experiment = &outcome.experiment;
+        experiment.task == task
+            && experiment.solver == solver
+            && experiment.coordinates == Coordinates::BendVector
+    })
+    .with_context(|| format!("no outcome of {task:?} with {}", solver.name()))
+}
+
+/// The outcomes of all solvers.
+fn find_all(outcomes: &[Outcome], task: Task) -> Result<Vec<&Outcome>> {
+    let solvers = Solver::ALL.iter();
+    solvers
+        .map(|solver| find(outcomes, task, *solver))
+        .collect()
+}
+
+/// With their names.
+fn named<'a>(outcomes: &[&'a Outcome]) -> Vec<(String, &'a Outcome)> {
+    let all = outcomes.iter();
+    all.map(|outcome| (outcome.row.solver.name().to_owned(), *outcome))
+        .collect()
+}

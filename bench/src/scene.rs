@@ -1,0 +1,139 @@
+//! What is simulated: a robot, the curve that its tip shall follow, and what stands in the way.
+
+use std::f64::consts::{FRAC_PI_2, TAU};
+
+use anyhow::Result;
+use cdcr_client::{Circle, Line, Spiral, Trajectory};
+use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
+use nalgebra::Vector3;
+
+/// The paper's time step \[s\].
+pub const PERIOD_S: f64 = 0.005;
+/// Samples of the paper's spiral.
+pub const SPIRAL_SAMPLES: u64 = 994;
+/// Samples of the paper's line.
+pub const LINE_SAMPLES: u64 = 510;
+/// Samples of the circle: one turn, and 0.7 s in which the straight robot comes to it.
+pub const CIRCLE_SAMPLES: u64 = 1400;
+/// How much longer than the samples a curve lasts \[s\]: the longest horizon is 50 steps.
+const BEYOND_S: f64 = 1.0;
+
+/// One robot before one curve.
+pub struct Scene {
+    /// The robot.
+    pub robot: Robot,
+    /// Its configuration at the start.
+    pub start: Configuration,
+    /// The curve; its time 0 is the first release, and it lasts longer than the samples.
+    pub curve: Box<dyn Trajectory>,
+    /// What the body keeps away from; standing still.
+    pub obstacles: Vec<Obstacle>,
+    /// Cycles, and samples.
+    pub cycles: u64,
+    /// Period \[s\].
+    pub period_s: f64,
+}
+
+impl Scene {
+    /// The paper's simulation 1 (Eq. 8): the spiral of the last of these sections, from its first point.
+    ///
+    /// # Errors
+    /// When there is no such robot.
+    pub fn spiral(sections: usize) -> Result<Self> {
+        let parameters = RobotParameters::paper(sections);
+        let curve = Spiral {
+            duration_s: Spiral::DURATION_S + BEYOND_S,
+            ..Spiral::for_sections(&lengths_m(&parameters))
+        };
+        let mut start = Configuration::straight(sections);
+        start.as_mut_slice()[2 * sections - 2..].copy_from_slice(&curve.start_bend_rad());
+        Ok(Self {
+            robot: Robot::new(&parameters)?,
+            start,
+            curve: Box::new(curve),
+            obstacles: Vec::new(),
+            cycles: SPIRAL_SAMPLES,
+            period_s: PERIOD_S,
+        })
+    }
+
+    /// The paper's simulation 2 (Eq. 9): the line of three sections from the straight robot, its tip axis
+    /// along z, with this limit on the rates.
+    ///
+    /// # Errors
+    /// When the limit is out of range.
+    pub fn line(rate_max_rad_s: f64) -> Result<Self> {
+        let mut parameters = RobotParameters::paper(3);
+        for section in &mut parameters.sections {
+            section.rate_max_rad_s = rate_max_rad_s;
+        }
+        let curve = Line {
+            duration_s: Line::DURATION_S + BEYOND_S,
+            tip_axis: Some([0.0, 0.0, 1.0]),
+            ..Line::for_sections(&lengths_m(&parameters))
+        };
+        Ok(Self {
+            robot: Robot::new(&parameters)?,
+            start: Configuration::straight(3),
+            curve: Box::new(curve),
+            obstacles: Vec::new(),
+            cycles: LINE_SAMPLES,
+            period_s: PERIOD_S,
+        })
+    }
+
+    /// The paper's simulation 3: the circle of one section from the straight robot, and a point on it at
+    /// t = π/2. Body and point have no radius, so clearance is the distance from the backbone.
+    ///
+    /// # Errors
+    /// Never with the paper's numbers.
+    pub fn circle() -> Result<Self> {
+        let mut parameters = RobotParameters::paper(1);
+        parameters.sections[0].body_radius_m = 0.0;
+        let curve = Circle {
+            duration_s: TAU + 2.0 * BEYOND_S,
+            ..Circle::for_sections(&lengths_m(&parameters))
+        };
+        let point = Shape::Sphere {
+            centre_m: Vector3::from(curve.position_m(FRAC_PI_2)),
+        };
+        Ok(Self {
+            robot: Robot::new(&parameters)?,
+            start: Configuration::straight(1),
+            curve: Box::new(curve),
+            obstacles: vec![Obstacle::new(point, 0.0, Vector3::zeros())?],
+            cycles: CIRCLE_SAMPLES,
+            period_s: PERIOD_S,
+        })
+    }
+
+    /// The same with these obstacles.
+    #[must_use]
+    pub fn with_obstacles(self, obstacles: Vec<Obstacle>) -> Self {
+        Self { obstacles, ..self }
+    }
+
+    /// The same with at most this many cycles.
+    #[must_use]
+    pub fn at_most(self, cycles: u64) -> Self {
+        Self {
+            cycles: self.cycles.min(cycles),
+            ..self
+        }
+    }
+
+    /// Time of a release \[s\].
+    pub fn time_s(&self, cycle: u64) -> f64 {
+        cycle as f64 * self.period_s
+    }
+
+    /// Where the tip shall be at a release \[m\].
+    pub fn point_m(&self, cycle: u64) -> Vector3<f64> {
+        Vector3::from(self.curve.position_m(self.time_s(cycle)))
+    }
+}
+
+fn lengths_m(parameters: &RobotParameters) -> Vec<f64> {
+    let sections = parameters.sections.iter();
+    sections.map(|section| section.length_m).collect()
+}

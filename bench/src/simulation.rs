@@ -1,0 +1,300 @@
+//! One experiment, run with several seeds, and the row that sums it up.
+
+use anyhow::Result;
+use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
+use cdcr_controller::robot::{Shape, ZyxAngles};
+use hdrhistogram::Histogram;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::closed_loop::{self, Sample};
+use crate::experiment::{Experiment, PaperFigures, Solver, Task};
+use crate::scene::Scene;
+use crate::zone::Zone;
+
+/// Times of one solver \[µs\].
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct SolveTimes {
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl SolveTimes {
+    fn of(times_ns: &Histogram<u64>) -> Self {
+        let us = |quantile| times_ns.value_at_quantile(quantile) as f64 * 1e-3;
+        Self {
+            mean: times_ns.mean() * 1e-3,
+            p50: us(0.5),
+            p99: us(0.99),
+            max: us(1.0),
+        }
+    }
+}
+
+/// What only the line has.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct LineFigures {
+    /// Largest |Θ| of all samples and runs \[rad\].
+    pub max_theta_rad: f64,
+    /// Largest |Ψ| \[rad\].
+    pub max_psi_rad: f64,
+    /// Limit on the rates \[rad/s\].
+    pub rate_limit_rad_s: f64,
+}
+
+/// What only the circle has.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct CircleFigures {
+    /// Safe distance D \[mm\].
+    pub safe_distance_mm: f64,
+    /// Smallest clearance of the whole body in all samples and runs \[mm\].
+    pub min_clearance_mm: f64,
+    /// Median over the seeds of the mean error after the approach and outside the detour \[mm\]; none when
+    /// a run has no such sample.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub mean_error_outside_mm: Option<f64>,
+    /// Largest error after the approach of all runs \[mm\]; none when a run never arrives.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peak_error_mm: Option<f64>,
+}
+
+/// One row: one experiment.
+#[derive(Debug, Clone, Serialize)]
+pub struct Simulation {
+    /// Name of the curve.
+    pub name: &'static str,
+    /// Sections of the robot.
+    pub sections: usize,
+    /// Solver.
+    pub solver: Solver,
+    /// Coordinates of the controls.
+    pub coordinates: Coordinates,
+    /// Prediction steps.
+    pub horizon: u32,
+    /// Particles.
+    pub swarm: u32,
+    /// Swarm iterations.
+    pub iterations: u32,
+    /// Samples of a run.
+    pub samples: u64,
+    /// Runs, each with another seed.
+    pub seeds: u64,
+    /// Median over the seeds of the mean error \[mm\].
+    pub mean_error_mm: f64,
+    /// Largest error of all runs \[mm\].
+    pub max_error_mm: f64,
+    /// Solve times of all runs.
+    pub solve_us: SolveTimes,
+    /// What the paper states.
+    pub paper: PaperFigures,
+    /// The line's own.
+    #[serde(flatten)]
+    pub line: Option<LineFigures>,
+    /// The circle's own.
+    #[serde(flatten)]
+    pub circle: Option<CircleFigures>,
+}
+
+/// An experiment, its row, and its first run for the figures.
+pub struct Outcome {
+    /// What was run.
+    pub experiment: Experiment,
+    /// Where.
+    pub scene: Scene,
+    /// The row.
+    pub row: Simulation,
+    /// The run with the first seed.
+    pub first: Vec<Sample>,
+}
+
+/// How much is run.
+#[derive(Debug, Clone, Copy)]
+pub struct Effort {
+    /// Runs of each experiment, each with another seed.
+    pub seeds: u64,
+    /// Cycles of a run at most.
+    pub cycles_max: u64,
+}
+
+/// Seeds with which `kpso-refined` draws the circle at least, so that its clearance says something.
+const CLEARANCE_SEEDS: u64 = 20;
+
+impl Effort {
+    /// Runs of this experiment.
+    pub fn runs(&self, experiment: &Experiment) -> u64 {
+        match (experiment.task, experiment.solver) {
+            (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS),
+            _ => self.seeds,
+        }
+    }
+
+    /// The work of all experiments, in a unit of no meaning: for a bar that shows the time left.
+    pub fn all_work(&self) -> u64 {
+        Experiment::all()
+            .iter()
+            .map(|one| self.runs(one) * work(one))
+            .sum()
+    }
+}
+
+/// What one run takes beside another: particles moved over steps.
+fn work(experiment: &Experiment) -> u64 {
+    let settings = experiment.settings();
+    let swarm = match experiment.solver {
+        Solver::GaussNewton => 1,
+        _ => settings.swarm_size * settings.swarm_iterations,
+    };
+    u64::from(settings.horizon_steps * swarm)
+}
+
+/// Runs all experiments; `progress` is called after each run with the part of [`Effort::all_work`] that
+/// it was.
+///
+/// # Errors
+/// When a controller cannot be built.
+pub fn run_all(effort: Effort, mut progress: impl FnMut(u64)) -> Result<Vec<Outcome>> {
+    let experiments = Experiment::all().into_iter();
+    experiments
+        .map(|experiment| run(experiment, effort, || progress(work(&experiment))))
+        .collect()
+}
+
+/// Runs one experiment with every seed.
+///
+/// # Errors
+/// When its controller cannot be built.
+pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
+    let scene = experiment.task.scene()?.at_most(effort.cycles_max);
+    let mut summary = Summary::new(&experiment)?;
+    let mut first = None;
+    for seed in 1..=effort.runs(&experiment) {
+        let settings = NmpcSettings {
+            seed,
+            ..experiment.settings()
+        };
+        let samples = closed_loop::run(&scene, settings)?;
+        summary.add(&scene, &samples);
+        first.get_or_insert(samples);
+        progress();
+    }
+    Ok(Outcome {
+        row: summary.row(&experiment, &scene),
+        experiment,
+        scene,
+        first: first.unwrap_or_default(),
+    })
+}
+
+/// What is kept of the runs so far.
+struct Summary {
+    task: Task,
+    solve_ns: Histogram<u64>,
+    mean_mm: Vec<f64>,
+    max_mm: f64,
+    max_theta_rad: f64,
+    max_psi_rad: f64,
+    min_clearance_m: f64,
+    mean_outside_mm: Vec<Option<f64>>,
+    peak_mm: Vec<Option<f64>>,
+}
+
+impl Summary {
+    fn new(experiment: &Experiment) -> Result<Self> {
+        Ok(Self {
+            task: experiment.task,
+            solve_ns: closed_loop::histogram()?,
+            mean_mm: Vec::new(),
+            max_mm: 0.0,
+            max_theta_rad: 0.0,
+            max_psi_rad: 0.0,
+            min_clearance_m: f64::INFINITY,
+            mean_outside_mm: Vec::new(),
+            peak_mm: Vec::new(),
+        })
+    }
+
+    fn add(&mut self, scene: &Scene, samples: &[Sample]) {
+        let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();
+        self.mean_mm.push(sum_mm / samples.len() as f64);
+        for sample in samples {
+            let angles = ZyxAngles::from_rotation(&sample.tip.rotation);
+            self.solve_ns.saturating_record(sample.solve_ns);
+            self.max_mm = self.max_mm.max(sample.error_mm());
+            self.max_theta_rad = self.max_theta_rad.max(angles.theta_rad.abs());
+            self.max_psi_rad = self.max_psi_rad.max(angles.psi_rad.abs());
+            self.min_clearance_m = self.min_clearance_m.min(sample.clearance_m);
+        }
+        if let Task::Circle { safe_distance_m } = self.task {
+            let zone = Zone::of(samples, &obstacle_m(scene), safe_distance_m);
+            self.mean_outside_mm
+                .push(zone.mean_error_outside_mm(samples));
+            self.peak_mm.push(zone.peak_error_mm(samples));
+        }
+    }
+
+    fn row(&self, experiment: &Experiment, scene: &Scene) -> Simulation {
+        let settings = experiment.settings();
+        Simulation {
+            name: experiment.task.name(),
+            sections: scene.robot.section_count(),
+            solver: experiment.solver,
+            coordinates: experiment.coordinates,
+            horizon: settings.horizon_steps,
+            swarm: settings.swarm_size,
+            iterations: settings.swarm_iterations,
+            samples: scene.cycles,
+            seeds: self.mean_mm.len() as u64,
+            mean_error_mm: median(&self.mean_mm),
+            max_error_mm: self.max_mm,
+            solve_us: SolveTimes::of(&self.solve_ns),
+            paper: experiment.task.paper(),
+            line: self.line(),
+            circle: self.circle(),
+        }
+    }
+
+    fn line(&self) -> Option<LineFigures> {
+        let Task::Line { rate_limit_rad_s } = self.task else {
+            return None;
+        };
+        Some(LineFigures {
+            max_theta_rad: self.max_theta_rad,
+            max_psi_rad: self.max_psi_rad,
+            rate_limit_rad_s,
+        })
+    }
+
+    fn circle(&self) -> Option<CircleFigures> {
+        let Task::Circle { safe_distance_m } = self.task else {
+            return None;
+        };
+        let all = |values: &[Option<f64>]| values.iter().copied().collect::<Option<Vec<f64>>>();
+        Some(CircleFigures {
+            safe_distance_mm: 1e3 * safe_distance_m,
+            min_clearance_mm: 1e3 * self.min_clearance_m,
+            mean_error_outside_mm: all(&self.mean_outside_mm).map(|values| median(&values)),
+            peak_error_mm: all(&self.peak_mm).map(|values| values.into_iter().fold(0.0, f64::max)),
+        })
+    }
+}
+
+/// The point of the circle's scene \[m\].
+pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
+    match scene.obstacles.first().map(|obstacle| *obstacle.shape()) {
+        Some(Shape::Sphere { centre_m }) => centre_m,
+        _ => Vector3::repeat(f64::INFINITY),
+    }
+}
+
+/// The upper median; NaN of nothing.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+}

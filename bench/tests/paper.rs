@@ -1,0 +1,166 @@
+//! What `cdcr-bench paper` hands over, from runs of a few cycles.
+
+use cdcr_bench::experiment::{Experiment, Solver, Task};
+use cdcr_bench::folder::{self, Document};
+use cdcr_bench::simulation::{Effort, Outcome, run, run_all};
+use serde_json::Value;
+
+const QUICK: Effort = Effort {
+    seeds: 1,
+    cycles_max: 12,
+};
+
+fn outcomes() -> Vec<Outcome> {
+    run_all(QUICK, |_| ()).expect("all experiments run")
+}
+
+fn rows(outcomes: &[Outcome]) -> Vec<Value> {
+    let json = Document::of(outcomes).json().expect("JSON");
+    let document: Value = serde_json::from_str(&json).expect("one object");
+    document["simulations"].as_array().expect("a list").clone()
+}
+
+fn keys(value: &Value) -> Vec<&str> {
+    let object = value.as_object().expect("an object");
+    object.keys().map(String::as_str).collect()
+}
+
+#[test]
+fn every_row_has_the_fields_of_its_simulation_and_no_others() {
+    const COMMON: [&str; 13] = [
+        "coordinates",
+        "horizon",
+        "iterations",
+        "max_error_mm",
+        "mean_error_mm",
+        "name",
+        "paper",
+        "samples",
+        "sections",
+        "seeds",
+        "solve_us",
+        "solver",
+        "swarm",
+    ];
+    for row in rows(&outcomes()) {
+        // The tip does not reach the circle in a few cycles, so it has neither mean nor peak.
+        let own: &[&str] = match row["name"].as_str() {
+            Some("spiral") => &[],
+            Some("line") => &["max_psi_rad", "max_theta_rad", "rate_limit_rad_s"],
+            Some("circle") => &["min_clearance_mm", "safe_distance_mm"],
+            other => panic!("{other:?}"),
+        };
+        let mut expected = [&COMMON, own].concat();
+        expected.sort_unstable();
+        let mut found = keys(&row);
+        found.sort_unstable();
+        assert_eq!(found, expected);
+        assert_eq!(row["samples"], 12);
+        for key in ["mean", "p50", "p99", "max"] {
+            assert!(row["solve_us"][key].as_f64() > Some(0.0), "{row}");
+        }
+        assert!(row["paper"]["mean_solve_ms"].as_f64() > Some(1.0));
+        assert_eq!(
+            row["paper"]["mean_error_mm"].is_f64(),
+            row["name"] != "circle"
+        );
+    }
+}
+
+#[test]
+fn all_solvers_run_everywhere_and_the_spiral_in_both_coordinates() {
+    let outcomes = outcomes();
+    let rows = rows(&outcomes);
+    for solver in ["kpso", "kpso-verbatim", "gauss-newton", "kpso-refined"] {
+        let of = |name: &str, coordinates: &str| {
+            let is_it = |row: &&Value| {
+                row["name"] == name && row["solver"] == solver && row["coordinates"] == coordinates
+            };
+            rows.iter().filter(is_it).count()
+        };
+        assert_eq!(of("spiral", "bend-vector"), 3);
+        assert_eq!(of("spiral", "bend-angles"), 3);
+        assert_eq!(of("line", "bend-vector"), 2);
+        assert_eq!(of("circle", "bend-vector"), 3);
+    }
+    let clearest = |row: &&Value| row["name"] == "circle" && row["solver"] == "kpso-refined";
+    assert!(rows.iter().filter(clearest).all(|row| row["seeds"] == 20));
+}
+
+#[test]
+fn csv_has_the_columns_of_json() {
+    let outcomes = outcomes();
+    let csv = Document::of(&outcomes).csv().expect("CSV");
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let heads = reader.headers().expect("heads").clone();
+    for row in rows(&outcomes) {
+        for (key, value) in row.as_object().expect("an object") {
+            let names = match value.as_object() {
+                Some(inner) => inner.keys().map(|name| format!("{key}_{name}")).collect(),
+                None => vec![key.clone()],
+            };
+            for name in names {
+                assert!(heads.iter().any(|head| head == name), "{name} in {heads:?}");
+            }
+        }
+    }
+    assert_eq!(reader.records().count(), outcomes.len());
+}
+
+#[test]
+fn the_folder_holds_figures_a_page_and_tables() {
+    let place = tempfile::tempdir().expect("a folder");
+    let folder = place.path().join("new").join("paper");
+    let written = folder::write(&folder, &outcomes()).expect("written");
+    let mut figures = 0;
+    for file in &written {
+        let text = std::fs::read_to_string(file).expect("a text");
+        if file.extension().is_some_and(|ending| ending == "svg") {
+            let picture = roxmltree::Document::parse(&text).expect("XML");
+            let mut texts = picture.descendants().filter_map(|node| node.text());
+            let is_axis = |text: &str| ["time [s]", "x [mm]"].contains(&text.trim());
+            assert!(texts.any(is_axis), "{}", file.display());
+            figures += 1;
+        }
+    }
+    assert_eq!(figures, 18);
+    let page = std::fs::read_to_string(folder.join("paper.html")).expect("the page");
+    assert_eq!(page.matches("<svg").count(), figures);
+    assert_eq!(page.matches("<table").count(), 3);
+    for word in ["src=", "href=", "url(", "<script", "@import"] {
+        assert!(
+            !page.contains(word),
+            "{word}: the page must not need anything else"
+        );
+    }
+    assert!(folder.join("paper.json").exists() && folder.join("paper.csv").exists());
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_is_named() {
+    let place = tempfile::NamedTempFile::new().expect("a file");
+    let error = folder::write(&place.path().join("inside"), &[]).expect_err("no folder");
+    assert!(error.to_string().contains("inside"), "{error}");
+}
+
+#[test]
+fn the_line_keeps_the_tip_vertical_and_near() {
+    let experiment = Experiment {
+        task: Task::Line {
+            rate_limit_rad_s: 8.0,
+        },
+        solver: Solver::KpsoRefined,
+        coordinates: cdcr_controller::nmpc::Coordinates::BendVector,
+    };
+    let effort = Effort {
+        seeds: 1,
+        cycles_max: u64::MAX,
+    };
+    let row = run(experiment, effort, || ()).expect("a run").row;
+    assert!(row.mean_error_mm <= 2e-4, "{}", row.mean_error_mm);
+    let line = row.line.expect("a line");
+    assert!(
+        line.max_theta_rad <= 1e-2 && line.max_psi_rad <= 1e-2,
+        "{line:?}"
+    );
+}

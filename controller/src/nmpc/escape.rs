@@ -1,0 +1,148 @@
+//! Ways out where the gradient vanishes but the error does not.
+//!
+//! A straight robot cannot move along its axis to first order: every column of the Jacobian is across
+//! it. To second order it can, along the eigenvectors of the Hessian with negative eigenvalues: for
+//! three sections these are the S shapes. No shape is made by hand.
+
+use nalgebra::{SMatrix, SymmetricEigen};
+
+use super::motion::Bent;
+use super::pose_error::{self, PoseWeights, Row};
+use super::problem::TrackingProblem;
+use crate::reference::ReferenceSample;
+use crate::robot::{COORDINATES_MAX, Jacobian};
+
+/// Directions at most.
+pub(super) const DIRECTIONS_MAX: usize = 4;
+/// Step of the differences that make the Hessian \[rad\].
+const DIFFERENCE_RAD: f64 = 1e-4;
+/// Steps of the eigenvalue iteration at most.
+const EIGEN_ITERATIONS: usize = 200;
+/// Eigenvalues above this share of the largest are rounding.
+const NEGATIVE_SHARE: f64 = 1e-8;
+
+/// Eigenvalues and eigenvectors of the leading part of a matrix, in the fixed size of that part, which
+/// keeps them off the heap. None when it is not finite.
+macro_rules! spectrum {
+    ($order:literal, $matrix:expr) => {{
+        let symmetric = SMatrix::<f64, $order, $order>::from_fn(|row, column| {
+            0.5 * ($matrix[row][column] + $matrix[column][row])
+        });
+        let finite = symmetric.iter().all(|entry| entry.is_finite());
+        finite
+            .then(|| SymmetricEigen::try_new(symmetric, f64::EPSILON, EIGEN_ITERATIONS))
+            .flatten()
+            .map(|eigen| {
+                let mut spectrum = Spectrum {
+                    order: $order,
+                    values: [0.0; COORDINATES_MAX],
+                    vectors: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
+                };
+                for i in 0..$order {
+                    spectrum.values[i] = eigen.eigenvalues[i];
+                    for k in 0..$order {
+                        spectrum.vectors[i][k] = eigen.eigenvectors[(k, i)];
+                    }
+                }
+                spectrum
+            })
+    }};
+}
+
+/// Directions in bend vectors, unit norm, along which the cost falls to second order: the most promising
+/// first.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Directions {
+    pub vectors: [[f64; COORDINATES_MAX]; DIRECTIONS_MAX],
+    pub count: usize,
+}
+
+/// Directions out of the shape at the end of plan `z`.
+pub(super) fn directions(problem: &TrackingProblem, z: &[f64]) -> Directions {
+    let none = Directions {
+        vectors: [[0.0; COORDINATES_MAX]; DIRECTIONS_MAX],
+        count: 0,
+    };
+    let last = problem.steps() - 1;
+    let Some(target) = problem.target(last) else {
+        return none;
+    };
+    let mut bends: Bent = problem.motion.start();
+    for step in 0..=last {
+        problem.motion.advance_one(&mut bends, z, step);
+    }
+    let mut bend_rad = bends.scalar();
+    let curve = |bend_rad: &mut [f64], hessian: &mut [[f64; COORDINATES_MAX]; COORDINATES_MAX]| {
+        differentiate(problem, target, &problem.weights(last), bend_rad, hessian);
+    };
+    let mut hessian = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
+    curve(&mut bend_rad[..problem.motion.width()], &mut hessian);
+    let spectrum = match problem.motion.width() {
+        2 => spectrum!(2, hessian),
+        4 => spectrum!(4, hessian),
+        6 => spectrum!(6, hessian),
+        8 => spectrum!(8, hessian),
+        10 => spectrum!(10, hessian),
+        _ => spectrum!(12, hessian),
+    };
+    spectrum.map_or(none, |spectrum| falling(&spectrum, none))
+}
+
+/// Differences of the gradient Σ rᵢ ∂rᵢ: the Hessian with its second derivatives, which Gauss-Newton leaves
+/// away.
+fn differentiate(
+    problem: &TrackingProblem,
+    target: &ReferenceSample,
+    weights: &PoseWeights,
+    bend_rad: &mut [f64],
+    hessian: &mut [[f64; COORDINATES_MAX]; COORDINATES_MAX],
+) {
+    let mut jacobian = Jacobian::default();
+    let mut gradient = |bend_rad: &[f64]| {
+        let mut sum = [0.0; COORDINATES_MAX];
+        let tip = problem.robot.tip_jacobian(bend_rad, &mut jacobian);
+        pose_error::residuals(&tip, &jacobian, target, weights, &mut |row: Row| {
+            for (sum, derivative) in sum.iter_mut().zip(row.derivatives) {
+                *sum += row.residual * derivative;
+            }
+        });
+        sum
+    };
+    for i in 0..bend_rad.len() {
+        let at = bend_rad[i];
+        bend_rad[i] = at + DIFFERENCE_RAD;
+        let ahead = gradient(bend_rad);
+        bend_rad[i] = at - DIFFERENCE_RAD;
+        let behind = gradient(bend_rad);
+        bend_rad[i] = at;
+        for k in 0..bend_rad.len() {
+            hessian[i][k] = (ahead[k] - behind[k]) / (2.0 * DIFFERENCE_RAD);
+        }
+    }
+}
+
+/// The first `order` eigenvalues, each with its eigenvector.
+struct Spectrum {
+    order: usize,
+    values: [f64; COORDINATES_MAX],
+    vectors: [[f64; COORDINATES_MAX]; COORDINATES_MAX],
+}
+
+/// Eigenvectors of negative eigenvalues, the most negative first.
+fn falling(spectrum: &Spectrum, mut found: Directions) -> Directions {
+    let values = &spectrum.values[..spectrum.order];
+    let largest = values
+        .iter()
+        .fold(0.0_f64, |most, value| value.abs().max(most));
+    let mut after = f64::NEG_INFINITY;
+    while found.count < DIRECTIONS_MAX {
+        let next = (0..values.len())
+            .filter(|&i| values[i] > after && values[i] < -NEGATIVE_SHARE * largest)
+            .min_by(|&a, &b| values[a].total_cmp(&values[b]));
+        let Some(next) = next else { break };
+        after = values[next];
+        found.vectors[found.count] = spectrum.vectors[next];
+        found.count += 1;
+    }
+    found
+}

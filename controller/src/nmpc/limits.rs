@@ -1,0 +1,199 @@
+//! Limits on bend, cable stroke and cable speed as penalties over the horizon.
+//!
+//! They guide the plan; that no command breaks them is the business of `safety`. A limit that nothing in
+//! the box can reach within the horizon costs nothing.
+
+use super::motion::Motion;
+use crate::optimizer::Judged;
+use crate::robot::{CABLES_MAX, COORDINATES_MAX, Robot, SECTIONS_MAX};
+use crate::wide::Wide;
+
+/// Weight of the squared excess of a bend, per rad² and position weight: an excess of 0.1 mrad costs as
+/// much as an error of the tip of 0.1 m.
+const BEND_WEIGHT: f64 = 1e6;
+/// Weight of the squared excess of a cable's stroke, per m² and position weight.
+const STROKE_WEIGHT: f64 = 1e10;
+/// Weight of the squared excess of a cable's speed, per (m/s)² and position weight.
+const SPEED_WEIGHT: f64 = 1e6;
+/// Index of the limits among the violations.
+pub(super) const LIMITS: usize = 1;
+
+/// The limits of a robot that matter in one solve.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Limits<'a> {
+    robot: &'a Robot,
+    period_s: f64,
+    weight: f64,
+    bend: bool,
+    stroke: bool,
+    speed: bool,
+}
+
+/// A linearised limit h + A Δb ≥ 0 on bend vectors, in a scale in which it outweighs the tip.
+pub(super) struct LimitRow {
+    pub h: f64,
+    pub derivatives: [f64; COORDINATES_MAX],
+    /// Whether it holds for the change over one step instead of the sum of all.
+    pub of_step: bool,
+}
+
+impl<'a> Limits<'a> {
+    /// `fastest_rad_s` bounds the norm of each section's bend rate; `weight` is that of the position.
+    pub(super) fn new(
+        robot: &'a Robot,
+        motion: &Motion,
+        weight: f64,
+        fastest_rad_s: &[f64; SECTIONS_MAX],
+    ) -> Self {
+        let period_s = motion.period_s();
+        let horizon_s = period_s * motion.horizon().steps() as f64;
+        let start_rad = motion.start_rad();
+        let (bends, _) = start_rad.as_chunks::<2>();
+        let sections = robot.sections().iter().zip(bends).zip(fastest_rad_s);
+        let bend = sections
+            .clone()
+            .any(|((section, [u, v]), rate)| u.hypot(*v) + rate * horizon_s > section.bend_max_rad);
+        // No cable is faster than all sections together; the last section's cables pass all of them.
+        let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
+        let strokes = robot.cable_shortening_wide(|i| Wide([start_rad[i]]));
+        let longest_m = strokes
+            .iter()
+            .fold(0.0_f64, |most, s| most.max(s.0[0].abs()));
+        Self {
+            robot,
+            period_s,
+            weight,
+            bend,
+            stroke: longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m(),
+            speed: fastest_m_s > robot.cable_speed_max_m_s(),
+        }
+    }
+
+    pub(super) fn matter(&self) -> bool {
+        self.bend || self.stroke || self.speed
+    }
+
+    /// Penalties after a step from `before` to `after`.
+    #[inline(always)]
+    pub(super) fn judge<const W: usize>(
+        &self,
+        before: &[Wide<W>; COORDINATES_MAX],
+        after: &[Wide<W>; COORDINATES_MAX],
+        judged: &mut Judged<W>,
+    ) {
+        if self.bend {
+            for (j, section) in self.robot.sections().iter().enumerate() {
+                let (u, v) = (after[2 * j], after[2 * j + 1]);
+                let bend = (u * u + v * v).sqrt();
+                self.punish(bend, section.bend_max_rad, BEND_WEIGHT, judged);
+            }
+        }
+        if self.stroke {
+            let strokes = self.robot.cable_shortening_wide(|i| after[i]);
+            let most = self.robot.cable_stroke_max_m();
+            for stroke in &strokes[..self.robot.cable_count()] {
+                self.punish(stroke.abs(), most, STROKE_WEIGHT, judged);
+            }
+        }
+        if self.speed {
+            let rate = |i: usize| (after[i] - before[i]) * (1.0 / self.period_s);
+            let speeds = self.robot.cable_shortening_wide(rate);
+            let most = self.robot.cable_speed_max_m_s();
+            for speed in &speeds[..self.robot.cable_count()] {
+                self.punish(speed.abs(), most, SPEED_WEIGHT, judged);
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn punish<const W: usize>(
+        &self,
+        value: Wide<W>,
+        most: f64,
+        weight: f64,
+        judged: &mut Judged<W>,
+    ) {
+        let zero = Wide::splat(0.0);
+        let beyond = value + -most;
+        // A NaN is not "less": it stays, and spoils the cost as it should.
+        let beyond = zero.select(beyond, beyond.less(zero));
+        judged.cost = judged.cost + beyond * beyond * (weight * self.weight);
+        let share = beyond * (1.0 / most);
+        let worst = judged.violations[LIMITS];
+        judged.violations[LIMITS] = share.select(worst, worst.less(share));
+    }
+
+    /// The same limits for a Gauss-Newton step.
+    pub(super) fn rows(
+        &self,
+        before: &[f64; COORDINATES_MAX],
+        after: &[f64; COORDINATES_MAX],
+        mut push: impl FnMut(LimitRow),
+    ) {
+        if self.bend {
+            let scale = (BEND_WEIGHT * self.weight).sqrt();
+            for (j, section) in self.robot.sections().iter().enumerate() {
+                let (u, v) = (after[2 * j], after[2 * j + 1]);
+                let bend = u.hypot(v);
+                if bend > 0.0 {
+                    let mut derivatives = [0.0; COORDINATES_MAX];
+                    derivatives[2 * j] = -scale * u / bend;
+                    derivatives[2 * j + 1] = -scale * v / bend;
+                    push(LimitRow {
+                        h: scale * (section.bend_max_rad - bend),
+                        derivatives,
+                        of_step: false,
+                    });
+                }
+            }
+        }
+        if self.stroke {
+            let scale = (STROKE_WEIGHT * self.weight).sqrt();
+            let most = self.robot.cable_stroke_max_m();
+            self.cable_rows(after, most, scale, 1.0, false, &mut push);
+        }
+        if self.speed {
+            let mut rates = [0.0; COORDINATES_MAX];
+            for i in 0..rates.len() {
+                rates[i] = (after[i] - before[i]) / self.period_s;
+            }
+            let scale = (SPEED_WEIGHT * self.weight).sqrt();
+            let most = self.robot.cable_speed_max_m_s();
+            self.cable_rows(&rates, most, scale, 1.0 / self.period_s, true, &mut push);
+        }
+    }
+
+    /// Rows of |shortening of every cable| ≤ most. Shortening is linear in the bends: its derivatives are
+    /// those of unit bends.
+    fn cable_rows(
+        &self,
+        bends: &[f64; COORDINATES_MAX],
+        most: f64,
+        scale: f64,
+        per_bend: f64,
+        of_step: bool,
+        push: &mut impl FnMut(LimitRow),
+    ) {
+        let width = self.robot.coordinate_count();
+        let mut units = [[Wide([0.0]); CABLES_MAX]; COORDINATES_MAX];
+        for (i, unit) in units[..width].iter_mut().enumerate() {
+            *unit = self
+                .robot
+                .cable_shortening_wide(|k| Wide([f64::from(u8::from(k == i))]));
+        }
+        let values = self.robot.cable_shortening_wide(|i| Wide([bends[i]]));
+        for cable in 0..self.robot.cable_count() {
+            let value = values[cable].0[0];
+            let towards = -scale * per_bend * value.signum();
+            let mut derivatives = [0.0; COORDINATES_MAX];
+            for (derivative, unit) in derivatives.iter_mut().zip(&units) {
+                *derivative = towards * unit[cable].0[0];
+            }
+            push(LimitRow {
+                h: scale * (most - value.abs()),
+                derivatives,
+                of_step,
+            });
+        }
+    }
+}

@@ -1,0 +1,354 @@
+//! How the controls bend the robot over the horizon: Eq. 4, in either choice of coordinates.
+
+use super::{Coordinates, Horizon};
+use crate::optimizer::Bounds;
+use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX, rotate_wide};
+use crate::wide::Wide;
+
+/// Below this bend a section has no direction of its own \[rad\].
+const STRAIGHT_RAD: f64 = 1e-9;
+
+/// The start of a horizon, and the rule by which controls move it on.
+///
+/// With bend vectors a control is a rate (u̇, v̇), with bend angles a rate (θ̇, φ̇); either is held over a
+/// block. The angles of the start are θ ≥ 0 and the direction of the bend; a straight section takes the
+/// direction of its last rates, or x.
+#[derive(Debug, Clone)]
+pub(super) struct Motion<'a> {
+    coordinates: Coordinates,
+    horizon: &'a Horizon,
+    width: usize,
+    period_s: f64,
+    start_rad: [f64; COORDINATES_MAX],
+    /// (θ, cos φ, sin φ) of each section.
+    polar: [[f64; 3]; SECTIONS_MAX],
+}
+
+/// The bend vectors of W robots on the way, and (θ, cos φ, sin φ) of P sections: none with bend vectors,
+/// all with bend angles.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Bends<const W: usize, const P: usize> {
+    pub bend_rad: [Wide<W>; COORDINATES_MAX],
+    polar: [[Wide<W>; 3]; P],
+}
+
+/// Sections with angles when the coordinates are bend vectors.
+pub(super) const VECTORS: usize = 0;
+/// Sections with angles when the coordinates are bend angles.
+pub(super) const ANGLES: usize = SECTIONS_MAX;
+
+/// One robot on the way, in either choice of coordinates.
+pub(super) type Bent = Bends<1, ANGLES>;
+
+impl Bent {
+    /// The bend vectors alone.
+    pub(super) fn scalar(&self) -> [f64; COORDINATES_MAX] {
+        self.bend_rad.map(|bend| bend.0[0])
+    }
+}
+
+impl<'a> Motion<'a> {
+    pub(super) fn new(
+        robot: &Robot,
+        period_s: f64,
+        coordinates: Coordinates,
+        horizon: &'a Horizon,
+        at: &Configuration,
+        previous_rates: &BendRates,
+    ) -> Self {
+        let mut start_rad = [0.0; COORDINATES_MAX];
+        let width = robot.coordinate_count();
+        start_rad[..width].copy_from_slice(at.as_slice());
+        let mut polar = [[0.0, 1.0, 0.0]; SECTIONS_MAX];
+        for (section, polar) in polar[..robot.section_count()].iter_mut().enumerate() {
+            *polar = polar_of(at.section(section), previous_rates.section(section));
+        }
+        Self {
+            coordinates,
+            horizon,
+            width,
+            period_s,
+            start_rad,
+            polar,
+        }
+    }
+
+    /// Bend vectors at the start: 2n components \[rad\].
+    pub(super) fn start_rad(&self) -> &[f64] {
+        &self.start_rad[..self.width]
+    }
+
+    pub(super) fn coordinates(&self) -> Coordinates {
+        self.coordinates
+    }
+
+    /// Coordinates 2n.
+    pub(super) fn width(&self) -> usize {
+        self.width
+    }
+
+    pub(super) fn period_s(&self) -> f64 {
+        self.period_s
+    }
+
+    pub(super) fn horizon(&self) -> &Horizon {
+        self.horizon
+    }
+
+    /// W robots at the start.
+    #[inline(always)]
+    pub(super) fn start<const W: usize, const P: usize>(&self) -> Bends<W, P> {
+        let zero = Wide::splat(0.0);
+        let mut bends = Bends {
+            bend_rad: [zero; COORDINATES_MAX],
+            polar: [[zero; 3]; P],
+        };
+        for i in 0..self.width {
+            bends.bend_rad[i] = Wide::splat(self.start_rad[i]);
+        }
+        for section in 0..P.min(self.width / 2) {
+            for i in 0..3 {
+                bends.polar[section][i] = Wide::splat(self.polar[section][i]);
+            }
+        }
+        bends
+    }
+
+    /// One period with the controls of the block of `step`, in bend angles if there are some.
+    #[inline(always)]
+    pub(super) fn advance<const W: usize, const P: usize>(
+        &self,
+        bends: &mut Bends<W, P>,
+        z: &impl Fn(usize) -> Wide<W>,
+        step: usize,
+    ) {
+        let first = self.horizon.block_of(step) * self.width;
+        if P == VECTORS {
+            for i in 0..self.width {
+                bends.bend_rad[i] = bends.bend_rad[i] + z(first + i) * self.period_s;
+            }
+            return;
+        }
+        for section in 0..self.width / 2 {
+            let [theta, cos, sin] = &mut bends.polar[section];
+            *theta = *theta + z(first + 2 * section) * self.period_s;
+            let turn = z(first + 2 * section + 1) * self.period_s;
+            [*cos, *sin] = rotate_wide([*cos, *sin], turn);
+            bends.bend_rad[2 * section] = *theta * *cos;
+            bends.bend_rad[2 * section + 1] = *theta * *sin;
+        }
+    }
+
+    /// One period for one robot, in the coordinates of the settings.
+    pub(super) fn advance_one(&self, bent: &mut Bent, z: &[f64], step: usize) {
+        let control = |i: usize| Wide([z[i]]);
+        match self.coordinates {
+            Coordinates::BendAngles => self.advance(bent, &control, step),
+            Coordinates::BendVector => {
+                let mut bends = Bends::<1, VECTORS> {
+                    bend_rad: bent.bend_rad,
+                    polar: [],
+                };
+                self.advance(&mut bends, &control, step);
+                bent.bend_rad = bends.bend_rad;
+            }
+        }
+    }
+
+    /// Derivatives with respect to bend vectors, (∂u, ∂v) of each section, as derivatives with respect to
+    /// the controls' own coordinates at `bends`.
+    pub(super) fn by_controls(&self, bends: &Bent, derivatives: &mut [f64; COORDINATES_MAX]) {
+        if self.coordinates == Coordinates::BendVector {
+            return;
+        }
+        let (pairs, _) = derivatives.as_chunks_mut::<2>();
+        for (pair, polar) in pairs.iter_mut().zip(&bends.polar) {
+            let [theta, cos, sin] = polar.map(|value| value.0[0]);
+            let [by_u, by_v] = *pair;
+            *pair = [cos * by_u + sin * by_v, theta * (cos * by_v - sin * by_u)];
+        }
+    }
+
+    /// Bend rates as controls at the start: one block. A straight section loses what is across its
+    /// direction.
+    pub(super) fn controls_of(&self, rates: &[f64], controls: &mut [f64]) {
+        controls.copy_from_slice(rates);
+        if self.coordinates == Coordinates::BendVector {
+            return;
+        }
+        let (pairs, _) = controls.as_chunks_mut::<2>();
+        for (pair, [theta, cos, sin]) in pairs.iter_mut().zip(self.polar) {
+            let [u, v] = *pair;
+            let across = cos * v - sin * u;
+            let turning = if theta > STRAIGHT_RAD {
+                across / theta
+            } else {
+                0.0
+            };
+            *pair = [cos * u + sin * v, turning];
+        }
+    }
+
+    /// The box of the controls. Bend vectors: the rate limit of each section. Bend angles: θ̇ likewise, φ̇ so
+    /// that θ φ̇ keeps to it from one radian on.
+    pub(super) fn set_bounds(&self, robot: &Robot, bounds: &mut Bounds) {
+        let angles = self.coordinates == Coordinates::BendAngles;
+        let sections = robot.sections().iter().zip(&self.polar);
+        let half_widths = sections.flat_map(|(section, [theta, ..])| {
+            let most = section.rate_max_rad_s;
+            [most, if angles { most / theta.max(1.0) } else { most }]
+        });
+        bounds.set_symmetric(&half_widths, self.horizon.blocks());
+    }
+
+    /// Bounds of the norm of each section's bend rate over the horizon \[rad/s\].
+    pub(super) fn fastest_rad_s(&self, bounds: &Bounds) -> [f64; SECTIONS_MAX] {
+        let horizon_s = self.period_s * self.horizon.steps() as f64;
+        let mut fastest = [0.0; SECTIONS_MAX];
+        for (section, fastest) in fastest[..self.width / 2].iter_mut().enumerate() {
+            let [first, second] = [0, 1].map(|i| bounds.upper()[2 * section + i]);
+            let arm = match self.coordinates {
+                Coordinates::BendVector => 1.0,
+                Coordinates::BendAngles => self.polar[section][0] + first * horizon_s,
+            };
+            *fastest = first.hypot(arm * second);
+        }
+        fastest
+    }
+
+    /// The bend rates that do in one period what the first block of `plan` does, slowed down section by
+    /// section to the rate limit where bend angles exceed it.
+    pub(super) fn first_rates(&self, robot: &Robot, plan: &[f64]) -> Option<BendRates> {
+        if self.coordinates == Coordinates::BendVector {
+            return BendRates::from_slice(&plan[..self.width]);
+        }
+        let mut bends: Bent = self.start();
+        self.advance_one(&mut bends, plan, 0);
+        let mut rates = BendRates::from_slice(&self.start_rad[..self.width])?;
+        for (rate, bend) in rates.as_mut_slice().iter_mut().zip(bends.scalar()) {
+            *rate = (bend - *rate) / self.period_s;
+        }
+        let (pairs, _) = rates.as_mut_slice().as_chunks_mut::<2>();
+        for (pair, section) in pairs.iter_mut().zip(robot.sections()) {
+            let fastest = pair[0].abs().max(pair[1].abs());
+            if fastest > section.rate_max_rad_s {
+                *pair = pair.map(|rate| rate * (section.rate_max_rad_s / fastest));
+            }
+        }
+        Some(rates)
+    }
+
+    /// Turns the sign of θ̇ in a plan for sections that have passed through straight since it was made,
+    /// `elapsed_periods` of `previous_rates` ago: their angles now count from the other side.
+    pub(super) fn continue_plan(
+        &self,
+        plan: &mut [f64],
+        previous_rates: &BendRates,
+        elapsed_periods: u64,
+    ) {
+        if self.coordinates == Coordinates::BendVector {
+            return;
+        }
+        let elapsed_s = elapsed_periods as f64 * self.period_s;
+        for section in 0..self.width / 2 {
+            let ([u, v], rates) = (
+                [self.start_rad[2 * section], self.start_rad[2 * section + 1]],
+                previous_rates.section(section),
+            );
+            let before = [u - elapsed_s * rates[0], v - elapsed_s * rates[1]];
+            let [_, cos_before, sin_before] = polar_of(before, rates);
+            let [_, cos, sin] = self.polar[section];
+            if cos * cos_before + sin * sin_before < 0.0 {
+                for block in plan.chunks_exact_mut(self.width) {
+                    block[2 * section] = -block[2 * section];
+                }
+            }
+        }
+    }
+}
+
+/// (θ, cos φ, sin φ) of one section.
+fn polar_of([u, v]: [f64; 2], rates: [f64; 2]) -> [f64; 3] {
+    let theta = u.hypot(v);
+    if theta > STRAIGHT_RAD {
+        return [theta, u / theta, v / theta];
+    }
+    let speed = rates[0].hypot(rates[1]);
+    if speed > STRAIGHT_RAD {
+        [theta, rates[0] / speed, rates[1] / speed]
+    } else {
+        [theta, 1.0, 0.0]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::nmpc::NmpcSettings;
+    use crate::robot::RobotParameters;
+
+    const PERIOD_S: f64 = 0.005;
+
+    fn robot() -> Robot {
+        Robot::new(&RobotParameters::paper(2)).expect("the paper's robot")
+    }
+
+    fn motion<'a>(horizon: &'a Horizon, at: &Configuration, rates: &BendRates) -> Motion<'a> {
+        Motion::new(
+            &robot(),
+            PERIOD_S,
+            Coordinates::BendAngles,
+            horizon,
+            at,
+            rates,
+        )
+    }
+
+    #[test]
+    fn bend_angles_move_as_the_paper_integrates_them() {
+        let horizon = Horizon::new(&NmpcSettings::default());
+        let (theta, phi) = ([0.3, 1.2], [2.0, -1.0]);
+        let at = Configuration::from_bend_angles(&[[theta[0], phi[0]], [theta[1], phi[1]]]);
+        let motion = motion(&horizon, &at, &BendRates::zero(2));
+        let z = [0.5, -1.5, -0.7, 20.0, 0.1, 0.2, 0.3, 0.4];
+        let mut bends: Bent = motion.start();
+        for step in 0..2 {
+            motion.advance_one(&mut bends, &z, step);
+        }
+        for section in 0..2 {
+            let moved = |i: usize| PERIOD_S * (z[2 * section + i] + z[4 + 2 * section + i]);
+            let (theta, phi) = (theta[section] + moved(0), phi[section] + moved(1));
+            let bend = bends.scalar();
+            assert!((bend[2 * section] - theta * phi.cos()).abs() < 1e-15);
+            assert!((bend[2 * section + 1] - theta * phi.sin()).abs() < 1e-15);
+        }
+    }
+
+    #[test]
+    fn controls_and_rates_are_inverse_to_first_order() {
+        let horizon = Horizon::new(&NmpcSettings::default());
+        let at = Configuration::from_bend_angles(&[[0.3, 2.0], [1.2, -1.0]]);
+        let motion = motion(&horizon, &at, &BendRates::zero(2));
+        let rates = [1e-4, -2e-4, 3e-4, 1e-4];
+        let mut plan = [0.0; 8];
+        motion.controls_of(&rates, &mut plan[..4]);
+        let back = motion.first_rates(&robot(), &plan).expect("two sections");
+        for (back, rate) in back.as_slice().iter().zip(rates) {
+            assert!((back - rate).abs() < 1e-8, "{back} {rate}");
+        }
+    }
+
+    #[test]
+    fn a_plan_goes_on_through_straight() {
+        // θ fell at 0.4 rad/s through zero: it now rises on the other side.
+        let horizon = Horizon::new(&NmpcSettings::default());
+        let rates = BendRates::from_slice(&[-0.4, 0.0, 0.1, 0.0]).expect("two sections");
+        let at = Configuration::from_slice(&[-0.001, 0.0, 0.5, 0.0]).expect("two sections");
+        let motion = motion(&horizon, &at, &rates);
+        let mut plan = [-0.4, 0.0, 0.1, 0.0];
+        motion.continue_plan(&mut plan, &rates, 1);
+        assert_eq!(plan, [0.4, 0.0, 0.1, 0.0]);
+        let kept = motion.first_rates(&robot(), &plan).expect("two sections");
+        assert!((kept.as_slice()[0] + 0.4).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,161 @@
+//! Obstacles over the horizon: culled once per solve, then a penalty on every step too near to one.
+
+use super::motion::Motion;
+use super::{NmpcSettings, OBSTACLES_MAX};
+use crate::optimizer::{Budget, Judged};
+use crate::robot::{COORDINATES_MAX, Obstacle, Robot, SECTIONS_MAX, Shape};
+use crate::wide::Wide;
+
+/// Index of the clearance among the violations: metres inside the safe distance.
+pub(super) const CLEARANCE: usize = 0;
+/// Nominal time of one section against a sphere \[ns\]: at W points side by side, or exactly at one.
+const SPHERE_NS: u32 = 40;
+/// Nominal time of one section against a capsule \[ns\], likewise.
+const CAPSULE_NS: u32 = 300;
+/// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
+/// leaves away does not break the distance itself.
+const MARGIN_M: f64 = 1e-6;
+/// Weight of a Gauss-Newton step's constraint against the tip's position: a metre for a micrometre.
+const CONSTRAINT_SCALE: f64 = 1e3;
+
+/// What the body can meet within the horizon.
+#[derive(Debug, Clone)]
+pub(super) struct Obstacles {
+    near: Vec<Near>,
+}
+
+/// An obstacle, and the sections (a bit each) that can meet it.
+#[derive(Debug, Clone, Copy)]
+struct Near {
+    obstacle: Obstacle,
+    sections: u8,
+}
+
+/// A linearised distance h + A Δb ≥ 0 on bend vectors.
+pub(super) struct ClearanceRow {
+    pub h: f64,
+    pub derivatives: [f64; COORDINATES_MAX],
+}
+
+/// Nominal time of one section against this obstacle \[ns\].
+#[inline(always)]
+fn section_ns(obstacle: &Obstacle) -> u32 {
+    match obstacle.shape() {
+        Shape::Sphere { .. } => SPHERE_NS,
+        Shape::Capsule { .. } => CAPSULE_NS,
+    }
+}
+
+impl Obstacles {
+    pub(super) fn with_capacity() -> Self {
+        Self {
+            near: Vec::with_capacity(OBSTACLES_MAX),
+        }
+    }
+
+    /// Keeps what any plan in the box can bring within the safe distance. `fastest_rad_s` bounds the norm of
+    /// each section's bend rate. When the budget ends it, nothing will be judged either.
+    pub(super) fn gather<F: FnMut() -> bool>(
+        &mut self,
+        robot: &Robot,
+        motion: &Motion,
+        obstacles: &[Obstacle],
+        safe_distance_m: f64,
+        fastest_rad_s: &[f64; SECTIONS_MAX],
+        budget: &mut Budget<F>,
+    ) {
+        self.near.clear();
+        if obstacles.is_empty() {
+            return;
+        }
+        let horizon_s = motion.period_s() * motion.horizon().steps() as f64;
+        let body = robot.body(motion.start_rad());
+        let travel_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * horizon_s));
+        for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
+            if !budget.spend(section_ns(obstacle) * robot.section_count() as u32) {
+                return;
+            }
+            let own_m = obstacle.velocity_m_s().norm() * horizon_s;
+            let reach_m = travel_m.map(|travel| travel + own_m + safe_distance_m);
+            let sections = body.sections_in_reach(obstacle, &reach_m);
+            if sections != 0 {
+                self.near.push(Near {
+                    obstacle: *obstacle,
+                    sections,
+                });
+            }
+        }
+    }
+
+    pub(super) fn matter(&self) -> bool {
+        !self.near.is_empty()
+    }
+
+    /// Penalties at the end of `step`. None: the budget was spent.
+    #[inline(always)]
+    pub(super) fn judge<const W: usize, F: FnMut() -> bool>(
+        &self,
+        robot: &Robot,
+        settings: &NmpcSettings,
+        time_s: f64,
+        bend_rad: &[Wide<W>; COORDINATES_MAX],
+        judged: &mut Judged<W>,
+        budget: &mut Budget<F>,
+    ) -> Option<()> {
+        let body = robot.body_wide(|i| bend_rad[i]);
+        let (zero, enough_m) = (Wide::splat(0.0), settings.safe_distance_m);
+        for near in &self.near {
+            if !budget.spend(section_ns(&near.obstacle) * near.sections.count_ones()) {
+                return None;
+            }
+            let obstacle = near.obstacle.moved(time_s);
+            let clearance_m = body.clearance_below(&obstacle, enough_m, near.sections);
+            let depth_m = Wide::splat(enough_m) - clearance_m;
+            let inside = zero.less(depth_m);
+            let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
+            let beyond = depth_m * settings.obstacle_slope_penalty
+                + depth_m * depth_m * settings.obstacle_square_penalty;
+            judged.cost = judged.cost + (step + beyond);
+            let worst = judged.violations[CLEARANCE];
+            judged.violations[CLEARANCE] = depth_m.select(worst, worst.less(depth_m));
+        }
+        Some(())
+    }
+
+    /// The nearest place of the body to each obstacle that a step could bring too near, for a
+    /// Gauss-Newton step. False: the budget was spent.
+    pub(super) fn rows<F: FnMut() -> bool>(
+        &self,
+        robot: &Robot,
+        settings: &NmpcSettings,
+        time_s: f64,
+        bend_rad: &[f64],
+        budget: &mut Budget<F>,
+        mut push: impl FnMut(ClearanceRow),
+    ) -> bool {
+        if self.near.is_empty() {
+            return true;
+        }
+        let body = robot.body(bend_rad);
+        let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
+        let kept_m = settings.safe_distance_m + MARGIN_M;
+        let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
+        for near in &self.near {
+            if !budget.spend(2 * section_ns(&near.obstacle) * robot.section_count() as u32) {
+                return false;
+            }
+            let nearest = body.nearest(&near.obstacle.moved(time_s));
+            robot.body_point_jacobian(bend_rad, nearest.section, nearest.s, &mut jacobian);
+            let mut derivatives = [0.0; COORDINATES_MAX];
+            for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
+                let along = nearest.direction.iter().zip(velocity);
+                *derivative = scale * along.map(|(d, v)| d * v).sum::<f64>();
+            }
+            push(ClearanceRow {
+                h: scale * (nearest.clearance_m - kept_m),
+                derivatives,
+            });
+        }
+        true
+    }
+}

@@ -1,0 +1,171 @@
+//! The order in which knowledge, swarm and Gauss-Newton work on one problem.
+
+use super::knowledge::Knowledge;
+use super::problem::TrackingProblem;
+use super::settings::STEP_TOLERANCE_RAD_S;
+use super::{HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
+use crate::optimizer::{
+    self, Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso,
+    Path, Problem,
+};
+
+/// Rows of one step: position, and three axes of the tip.
+const POSE_ROWS: usize = 12;
+/// Constraints that a Gauss-Newton step sees; further ones only count in the cost.
+const CONSTRAINTS_MAX: usize = 256;
+/// Below this error of the tip \[m\] a vanished gradient is not looked into.
+const STUCK_ERROR_M: f64 = 1e-6;
+
+/// What is to be solved.
+pub(super) struct Task<'a> {
+    pub problem: &'a TrackingProblem<'a>,
+    pub bounds: &'a Bounds,
+    pub settings: &'a NmpcSettings,
+    pub seed: u64,
+}
+
+/// Solvers that share one incumbent. Memory for the largest problem is taken at construction.
+#[derive(Debug, Clone)]
+pub(super) struct Solver {
+    knowledge: Knowledge,
+    swarm: Kpso,
+    gauss_newton: GaussNewton,
+    incumbent: Incumbent,
+    scratch: Vec<f64>,
+}
+
+impl Solver {
+    pub(super) fn with_capacity(path: Path, unknowns: usize) -> Self {
+        let rows = POSE_ROWS * HORIZON_STEPS_MAX + 2 * unknowns;
+        Self {
+            knowledge: Knowledge::with_capacity(unknowns),
+            swarm: Kpso::with_capacity(path, SWARM_MAX, unknowns),
+            gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
+            incumbent: Incumbent::with_capacity(unknowns),
+            scratch: Vec::with_capacity(unknowns),
+        }
+    }
+
+    /// The best plan of the last solve.
+    pub(super) fn best(&self) -> &[f64] {
+        self.incumbent.z()
+    }
+
+    /// Starts from `warm_plan` and improves it while the budget lasts.
+    pub(super) fn solve<F: FnMut() -> bool>(
+        &mut self,
+        task: &Task,
+        warm_plan: &[f64],
+        budget: &mut Budget<F>,
+    ) -> SolveReport {
+        let judged = task.problem.judge_at(warm_plan, budget);
+        self.incumbent.restart(warm_plan, judged.as_ref());
+        let warm_cost = self.incumbent.cost();
+
+        let mut refinement = GaussNewtonOutcome::default();
+        let mut iterations = 0;
+        if task.problem.is_posed() && !budget.is_over() {
+            self.knowledge.gather(task.problem, task.bounds, warm_plan);
+            if task.settings.solver.searches() {
+                iterations = self.search(task, budget);
+            } else {
+                self.knowledge
+                    .judge(task.problem, budget, &mut self.incumbent);
+            }
+            if task.settings.solver.refines() {
+                refinement = self.refine(task, budget);
+                if refinement.stuck && self.leave_singular_shape(task, budget) {
+                    refinement = self.refine(task, budget);
+                }
+            }
+        }
+        SolveReport {
+            warm_cost,
+            gradient_norm: refinement.gradient_norm,
+            quanta: budget.passed(),
+            iterations,
+            refinements: refinement.accepted,
+            seed: task.seed,
+            ..SolveReport::of(
+                &self.incumbent,
+                task.settings,
+                &refinement,
+                budget.is_over(),
+            )
+        }
+    }
+
+    /// Knowledge, then the swarm around it. Returns the iterations begun.
+    fn search<F: FnMut() -> bool>(&mut self, task: &Task, budget: &mut Budget<F>) -> u32 {
+        self.knowledge.add_least_squares(
+            task.problem,
+            task.bounds,
+            task.settings.damping,
+            &mut self.gauss_newton,
+            budget,
+            &mut self.incumbent,
+        );
+        if self.error_is_left(task) {
+            let (problem, z) = (task.problem, self.incumbent.z());
+            if self
+                .gauss_newton
+                .vanishes_at(problem, task.bounds, budget, z)
+            {
+                self.leave_singular_shape(task, budget);
+            }
+        }
+        let swarm_task = optimizer::Task {
+            problem: task.problem,
+            bounds: task.bounds,
+            settings: task.settings.kpso(),
+            knowledge: self.knowledge.candidates(),
+            origins: self.knowledge.origins(),
+            seed: task.seed,
+        };
+        self.swarm.search(&swarm_task, budget, &mut self.incumbent)
+    }
+
+    fn refine<F: FnMut() -> bool>(
+        &mut self,
+        task: &Task,
+        budget: &mut Budget<F>,
+    ) -> GaussNewtonOutcome {
+        let settings = GaussNewtonSettings {
+            steps: task.settings.refinement_steps,
+            damping: task.settings.damping,
+            step_tolerance: STEP_TOLERANCE_RAD_S,
+        };
+        self.gauss_newton.refine(
+            task.problem,
+            task.bounds,
+            &settings,
+            budget,
+            &mut self.incumbent,
+        )
+    }
+
+    /// Whether the cost is that of an error which matters.
+    fn error_is_left(&self, task: &Task) -> bool {
+        self.incumbent.cost() > task.settings.position_weight * STUCK_ERROR_M * STUCK_ERROR_M
+    }
+
+    /// Tries the ways out of a place where the gradient vanishes. Whether that helped.
+    fn leave_singular_shape<F: FnMut() -> bool>(
+        &mut self,
+        task: &Task,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let before = self.incumbent.cost();
+        if self.error_is_left(task) {
+            self.scratch.resize(task.problem.dimension(), 0.0);
+            self.knowledge.add_ways_out(
+                task.problem,
+                task.bounds,
+                budget,
+                &mut self.incumbent,
+                &mut self.scratch,
+            );
+        }
+        self.incumbent.cost() < before
+    }
+}

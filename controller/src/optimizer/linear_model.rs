@@ -1,0 +1,131 @@
+//! A problem near one point: residuals, their derivatives, and constraints that a step may meet.
+
+/// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
+///
+/// A constraint that a step would break becomes a residual of its own, so the step ends on it. Each is
+/// written by its problem in a scale in which it outweighs the residuals.
+#[derive(Debug, Clone)]
+pub struct LinearModel {
+    columns: usize,
+    residuals: Vec<f64>,
+    jacobian: Vec<f64>,
+    /// Residuals of the cost; those after them are constraints that were met.
+    cost_rows: usize,
+    constraints: Vec<f64>,
+    constraint_jacobian: Vec<f64>,
+    met: Vec<bool>,
+    constraints_max: usize,
+}
+
+impl LinearModel {
+    pub(super) fn with_capacity(rows: usize, constraints: usize, columns: usize) -> Self {
+        Self {
+            columns: 0,
+            residuals: Vec::with_capacity(rows + constraints),
+            jacobian: Vec::with_capacity((rows + constraints) * columns),
+            cost_rows: 0,
+            constraints: Vec::with_capacity(constraints),
+            constraint_jacobian: Vec::with_capacity(constraints * columns),
+            met: Vec::with_capacity(constraints),
+            constraints_max: constraints,
+        }
+    }
+
+    pub(super) fn clear(&mut self, columns: usize) {
+        self.residuals.clear();
+        self.jacobian.clear();
+        self.constraints.clear();
+        self.constraint_jacobian.clear();
+        self.met.clear();
+        self.columns = columns;
+        self.cost_rows = 0;
+    }
+
+    /// Adds a row with all derivatives zero, and returns the derivatives for the caller to fill in.
+    pub fn push(&mut self, residual: f64) -> &mut [f64] {
+        let start = self.jacobian.len();
+        self.residuals.push(residual);
+        self.cost_rows += 1;
+        self.jacobian.resize(start + self.columns, 0.0);
+        &mut self.jacobian[start..]
+    }
+
+    /// Adds a constraint h + A Δ ≥ 0 with all derivatives zero, and returns them for the caller to fill
+    /// in. None when there is no room for more: steps then see the first ones only.
+    pub fn push_constraint(&mut self, h: f64) -> Option<&mut [f64]> {
+        if self.constraints.len() == self.constraints_max {
+            return None;
+        }
+        let start = self.constraint_jacobian.len();
+        self.constraints.push(h);
+        self.met.push(false);
+        self.constraint_jacobian.resize(start + self.columns, 0.0);
+        Some(&mut self.constraint_jacobian[start..])
+    }
+
+    /// Residuals of the cost: the first of all.
+    pub(super) fn cost_rows(&self) -> usize {
+        self.cost_rows
+    }
+
+    /// Residuals, with those of constraints that were met.
+    pub(super) fn rows(&self) -> usize {
+        self.residuals.len()
+    }
+
+    pub(super) fn residual(&self, index: usize) -> f64 {
+        self.residuals[index]
+    }
+
+    pub(super) fn row(&self, index: usize) -> &[f64] {
+        &self.jacobian[index * self.columns..][..self.columns]
+    }
+
+    /// Whether a constraint was met.
+    pub(super) fn is_constrained(&self) -> bool {
+        self.rows() > self.cost_rows
+    }
+
+    /// Forgets which constraints were met.
+    pub(super) fn release_constraints(&mut self) {
+        self.residuals.truncate(self.cost_rows);
+        self.jacobian.truncate(self.cost_rows * self.columns);
+        self.met.fill(false);
+    }
+
+    /// Makes residuals of the constraints that `step` breaks. False when it breaks none that were not
+    /// met before.
+    pub(super) fn meet_constraints(&mut self, step: &[f64]) -> bool {
+        let before = self.rows();
+        for (index, h) in self.constraints.iter().enumerate() {
+            let row = &self.constraint_jacobian[index * self.columns..][..self.columns];
+            if !self.met[index] && h + dot(row, step) < 0.0 {
+                self.met[index] = true;
+                self.residuals.push(*h);
+                self.jacobian.extend_from_slice(row);
+            }
+        }
+        self.rows() > before
+    }
+
+    /// Half the gradient of the cost, Jᵀr.
+    pub(super) fn gradient(&self, into: &mut [f64]) {
+        into.fill(0.0);
+        for (index, residual) in self.residuals.iter().enumerate() {
+            for (sum, derivative) in into.iter_mut().zip(self.row(index)) {
+                *sum += derivative * residual;
+            }
+        }
+    }
+
+    /// Frobenius norm of J times the norm of r: what the gradient would be if all rows pulled one way.
+    pub(super) fn gradient_scale(&self) -> f64 {
+        let square = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
+        (square(&self.jacobian) * square(&self.residuals)).sqrt()
+    }
+}
+
+/// Σ aᵢ bᵢ over the shorter length.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}

@@ -1,0 +1,125 @@
+//! Clearance of W bodies side by side: what the swarm asks at every step of its plans.
+
+use super::clearance::ROUNDING_M;
+use super::lanes::{Frame, WideVector};
+use super::obstacle::Obstacle;
+use super::tube::{Tube, ball};
+use super::{Robot, SECTIONS_MAX, SectionParameters};
+use crate::wide::{Wide, all};
+
+/// The bodies of W configurations, prepared for many obstacles. Fixed arrays, no heap.
+///
+/// Lane by lane the bits are those of W = 1, whatever the other lanes hold.
+#[derive(Debug, Clone, Copy)]
+pub struct BodyWide<const W: usize> {
+    /// Base first, then `None`, which costs no time to write.
+    sections: [Option<SectionWide<W>>; SECTIONS_MAX],
+    /// Zero where all bends are finite, NaN in the other lanes.
+    poison: Wide<W>,
+}
+
+/// One section, its frames and a ball around it.
+#[derive(Debug, Clone, Copy)]
+struct SectionWide<const W: usize> {
+    parameters: SectionParameters,
+    bend_rad: [Wide<W>; 2],
+    start: Frame<W>,
+    end: Frame<W>,
+    centre_m: WideVector<W>,
+    radius_m: Wide<W>,
+}
+
+impl<const W: usize> SectionWide<W> {
+    #[inline(always)]
+    fn new(parameters: &SectionParameters, start: Frame<W>, bend_rad: [Wide<W>; 2]) -> Self {
+        let [u, v] = bend_rad;
+        let end = start.then(parameters.length_m, bend_rad);
+        let w = u * u + v * v;
+        let (start_m, end_m) = (&start.position_m, &end.position_m);
+        let (centre_m, radius_m) = ball(start_m, end_m, parameters.length_m, w);
+        Self {
+            parameters: *parameters,
+            bend_rad,
+            start,
+            end,
+            centre_m,
+            radius_m,
+        }
+    }
+}
+
+impl<const W: usize> BodyWide<W> {
+    /// Clearance (m) of each body from an obstacle, where it is below `enough_m` (m, finite), and exactly `enough_m` where it is
+    /// not. Only sections whose bit is set in `sections` count (bit 0 at the base; [`Body::sections_in_reach`] tells which).
+    ///
+    /// Exact as [`Body::clearance_m`] is. A lane with a NaN or an infinity in its bends gives NaN. Sections that are too far in
+    /// all lanes, by balls around them, cost next to nothing.
+    ///
+    /// [`Body::sections_in_reach`]: super::Body::sections_in_reach
+    /// [`Body::clearance_m`]: super::Body::clearance_m
+    #[inline(always)]
+    pub fn clearance_below(&self, obstacle: &Obstacle, enough_m: f64, sections: u8) -> Wide<W> {
+        /// What a squared distance may be off by rounding, relatively.
+        const ROUNDING: f64 = 1.0 + 1e-14;
+        let (axis, zero) = (obstacle.shape().axis(), Wide::splat(0.0));
+        let margin_m = ROUNDING_M + axis.rounding_m();
+        let enough = Wide::splat(enough_m);
+        let mut least_m = enough + self.poison;
+        for j in 0..SECTIONS_MAX {
+            let Some(section) = &self.sections[j] else {
+                break;
+            };
+            if sections & (1 << j) == 0 {
+                continue;
+            }
+            let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
+            let reach_m = (section.radius_m + (radii_m + enough_m + margin_m)).max(zero);
+            let far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
+            if all(far) {
+                continue;
+            }
+            let (_, distance_m) = section.tube().nearest(&axis);
+            let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
+            // Far lanes have enough, by whatever rounding: as if they were alone.
+            let nearer = least_m.min_or_nan(clearance_m);
+            least_m = least_m.select(nearer, far);
+        }
+        least_m
+    }
+}
+
+impl<const W: usize> SectionWide<W> {
+    /// Prepared for exact distances.
+    #[inline(always)]
+    fn tube(&self) -> Tube<W> {
+        Tube::new(&self.start, &self.end, &self.parameters, self.bend_rad)
+    }
+}
+
+impl Robot {
+    /// The bodies of W configurations, `bend_rad(i)` being the i-th bend-vector component of each (rad): a [`Body`] in every
+    /// lane.
+    ///
+    /// Neither branches nor trigonometry: the series of the section's coefficients, good to 5e-16 for θ ≤ π, to 1e-12 for
+    /// θ ≤ 2π.
+    ///
+    /// [`Body`]: super::Body
+    #[inline(always)]
+    pub fn body_wide<const W: usize>(&self, bend_rad: impl Fn(usize) -> Wide<W>) -> BodyWide<W> {
+        // Filled in place: a copy would cost as much as the arithmetic.
+        let mut body = BodyWide {
+            sections: [None; SECTIONS_MAX],
+            poison: Wide::splat(0.0),
+        };
+        let mut end = Frame::base();
+        for (j, parameters) in self.sections().iter().enumerate() {
+            let bend_rad = [bend_rad(2 * j), bend_rad(2 * j + 1)];
+            let section = SectionWide::new(parameters, end, bend_rad);
+            end = section.end;
+            body.sections[j] = Some(section);
+        }
+        let [x, _, _] = end.position_m.0;
+        body.poison = x * 0.0;
+        body
+    }
+}

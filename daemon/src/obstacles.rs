@@ -1,0 +1,189 @@
+//! What is known around the robot: obstacles with their times, in a set of fixed size.
+//!
+//! Invariant: nothing here allocates or knows a message. A set is one value that is copied as a whole.
+
+use cdcr_controller::nmpc::OBSTACLES_MAX;
+use cdcr_controller::robot::Obstacle;
+
+/// An obstacle with its identity and its times.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct KnownObstacle {
+    /// Chosen by who sent it.
+    pub id: u32,
+    /// The obstacle where it was at `measured_ns`.
+    pub obstacle: Obstacle,
+    /// When it was there \[ns\].
+    pub measured_ns: u64,
+    /// It is forgotten from then on \[ns\]; none: when it is removed.
+    pub expires_ns: Option<u64>,
+}
+
+impl KnownObstacle {
+    /// Whether it is still known at `time_ns`.
+    pub fn is_known_at(&self, time_ns: u64) -> bool {
+        self.expires_ns
+            .is_none_or(|expires_ns| time_ns < expires_ns)
+    }
+
+    /// Where it is at `time_ns`, at constant velocity. None when it is forgotten by then, or farther away
+    /// than an [`Obstacle`] can be: a thousand kilometres.
+    pub fn at(&self, time_ns: u64) -> Option<Self> {
+        let age_s = time_ns.wrapping_sub(self.measured_ns).cast_signed() as f64 * 1e-9;
+        let moved = self.obstacle.moved(age_s);
+        let (radius_m, velocity_m_s) = (moved.radius_m(), moved.velocity_m_s());
+        let obstacle = Obstacle::new(*moved.shape(), radius_m, velocity_m_s).ok()?;
+        self.is_known_at(time_ns).then_some(Self {
+            obstacle,
+            measured_ns: time_ns,
+            ..*self
+        })
+    }
+}
+
+/// There is no room for another obstacle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{OBSTACLES_MAX} obstacles are known, and no more fit; remove some first")]
+pub struct SetIsFull;
+
+/// Obstacles by their ids, at most [`OBSTACLES_MAX`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ObstacleSet {
+    slots: [Option<KnownObstacle>; OBSTACLES_MAX],
+}
+
+impl Default for ObstacleSet {
+    fn default() -> Self {
+        Self {
+            slots: [None; OBSTACLES_MAX],
+        }
+    }
+}
+
+impl ObstacleSet {
+    /// Inserts an obstacle, or replaces the one of its id.
+    ///
+    /// # Errors
+    /// [`SetIsFull`]; the set is as before.
+    pub fn upsert(&mut self, obstacle: KnownObstacle) -> Result<(), SetIsFull> {
+        let same = |slot: &Option<KnownObstacle>| slot.is_some_and(|known| known.id == obstacle.id);
+        let at = self.slots.iter().position(same);
+        let at = at.or_else(|| self.slots.iter().position(Option::is_none));
+        self.slots[at.ok_or(SetIsFull)?] = Some(obstacle);
+        Ok(())
+    }
+
+    /// Removes the obstacle of this id, if there is one.
+    pub fn remove(&mut self, id: u32) {
+        self.retain(|known| known.id != id);
+    }
+
+    /// Removes those that are forgotten at `time_ns`.
+    pub fn expire(&mut self, time_ns: u64) {
+        self.retain(|known| known.is_known_at(time_ns));
+    }
+
+    fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
+        for slot in &mut self.slots {
+            *slot = slot.filter(&keep);
+        }
+    }
+
+    /// The set at `time_ns`: each obstacle where it is then, without those that [`KnownObstacle::at`]
+    /// leaves out.
+    #[must_use]
+    pub fn at(&self, time_ns: u64) -> Self {
+        Self {
+            slots: self
+                .slots
+                .map(|slot| slot.and_then(|known| known.at(time_ns))),
+        }
+    }
+
+    /// The obstacles, always in the same order.
+    pub fn iter(&self) -> impl Iterator<Item = &KnownObstacle> {
+        self.slots.iter().flatten()
+    }
+
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        self.iter().count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::robot::Shape;
+    use nalgebra::Vector3;
+
+    use super::*;
+
+    const MS: u64 = 1_000_000;
+
+    fn ball(id: u32, lifetime_ms: Option<u64>) -> KnownObstacle {
+        let shape = Shape::Sphere {
+            centre_m: Vector3::new(0.1, 0.0, 0.3),
+        };
+        KnownObstacle {
+            id,
+            obstacle: Obstacle::new(shape, 0.02, Vector3::new(0.5, 0.0, -0.25)).unwrap(),
+            measured_ns: 1000 * MS,
+            expires_ns: lifetime_ms.map(|ms| (1000 + ms) * MS),
+        }
+    }
+
+    fn ids(set: &ObstacleSet) -> Vec<u32> {
+        set.iter().map(|known| known.id).collect()
+    }
+
+    #[test]
+    fn an_id_is_known_once_and_removed_once() {
+        let mut set = ObstacleSet::default();
+        for id in [7, 8, 7, 9] {
+            set.upsert(ball(id, None)).unwrap();
+        }
+        assert_eq!(ids(&set), [7, 8, 9]);
+        set.remove(8);
+        set.remove(8);
+        assert_eq!((ids(&set), set.count()), (vec![7, 9], 2));
+    }
+
+    #[test]
+    fn a_full_set_replaces_but_takes_no_more() {
+        let mut set = ObstacleSet::default();
+        for id in 0..64 {
+            set.upsert(ball(id, None)).unwrap();
+        }
+        let before = set;
+        assert_eq!(set.upsert(ball(64, None)), Err(SetIsFull));
+        assert_eq!(set, before);
+        set.upsert(ball(3, Some(1))).unwrap();
+        set.remove(10);
+        set.upsert(ball(64, None)).unwrap();
+        assert_eq!(set.count(), 64);
+    }
+
+    #[test]
+    fn lifetimes_count_from_the_stamp() {
+        let mut set = ObstacleSet::default();
+        set.upsert(ball(1, Some(30))).unwrap();
+        set.upsert(ball(2, None)).unwrap();
+        assert_eq!(ids(&set.at(1030 * MS - 1)), [1, 2]);
+        assert_eq!(ids(&set.at(1030 * MS)), [2]);
+        set.expire(1030 * MS);
+        assert_eq!(ids(&set), [2]);
+        assert_eq!(ids(&set.at(u64::MAX / 4)), [0; 0], "gone to far away");
+    }
+
+    #[test]
+    fn obstacles_move_from_their_stamp_to_the_release() {
+        let known = ball(1, None);
+        let centre = |time_ns| match known.at(time_ns).unwrap().obstacle.shape() {
+            Shape::Sphere { centre_m } => *centre_m,
+            Shape::Capsule { .. } => panic!("a ball"),
+        };
+        let later = centre(1200 * MS) - Vector3::new(0.2, 0.0, 0.25);
+        let earlier = centre(999 * MS) - Vector3::new(0.0995, 0.0, 0.30025);
+        assert!(later.norm() < 1e-15 && earlier.norm() < 1e-15);
+        assert_eq!(known.at(1200 * MS).unwrap().measured_ns, 1200 * MS);
+    }
+}
