@@ -298,6 +298,83 @@ fn limits_on_bend_stroke_and_cable_speed_shape_the_plan() {
     }
 }
 
+/// Obstacles around a body, some in reach within the horizon, some not, some moving.
+fn crowd(robot: &Robot, at: &Configuration) -> Vec<Obstacle> {
+    let sections = robot.section_count();
+    (0..40)
+        .map(|i| {
+            let (turn, s) = (2.4 * f64::from(i), f64::from(i) / 40.0);
+            let body_m = robot.body_point(at, i as usize % sections, s);
+            let aside_m = Vector3::new(turn.cos(), turn.sin(), 0.3) * (0.03 + 0.004 * f64::from(i));
+            let start_m = body_m + aside_m;
+            let shape = if i % 3 == 0 {
+                let end_m = start_m + Vector3::new(0.05, 0.1, -0.05);
+                Shape::Capsule { start_m, end_m }
+            } else {
+                Shape::Sphere { centre_m: start_m }
+            };
+            let velocity_m_s = Vector3::new(-0.2, 0.1, 0.0) * f64::from(i % 2);
+            Obstacle::new(shape, 0.002, velocity_m_s).unwrap()
+        })
+        .collect()
+}
+
+#[test]
+fn culling_leaves_the_cost_as_it_is() {
+    // The cost of a plan, by the solver with its culling and lanes, and by the definition: every obstacle
+    // at every step with the exact clearance of the whole body.
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let at = Configuration::from_slice(&[0.5, 0.1, -0.4, 0.3, 0.2, 0.6]).unwrap();
+    let obstacles = crowd(&robot, &at);
+    let goal = sample(robot.tip_position(at.as_slice()), Orientation::Free);
+    let settings = NmpcSettings {
+        solver: SolverKind::Kpso,
+        horizon_steps: 12,
+        safe_distance_m: 0.02,
+        obstacle_square_penalty: 1e3,
+        swarm_iterations: 0,
+        ..NmpcSettings::default()
+    };
+    let mut hit = 0;
+    for index in 0_u32..40 {
+        let wave = |i: u32| (f64::from(7 * index + i) * 1.7).sin();
+        let rates: Vec<_> = (0..6).map(|i| 2.0 * wave(i)).collect();
+        let plan: Vec<_> = rates.iter().copied().cycle().take(72).collect();
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        assert!(nmpc.restore_plan(&plan));
+        let input = SolveInput {
+            configuration: &at,
+            previous_rates: &BendRates::zero(3),
+            reference: &[goal],
+            obstacles: &obstacles,
+            elapsed_periods: 0,
+            seed: 1,
+        };
+        let (_, report) = nmpc.solve(&input, &mut Budget::unlimited());
+
+        let rates = BendRates::from_slice(&rates).unwrap();
+        let (mut bends, mut cost) = (at, 0.0);
+        for step in 1..=12 {
+            bends = bends.advanced(&rates, PERIOD_S);
+            let tip_m = robot.tip_position(bends.as_slice());
+            cost += (tip_m - goal.position_m).norm_squared();
+            for obstacle in &obstacles {
+                let now = obstacle.moved(f64::from(step) * PERIOD_S);
+                let depth_m = settings.safe_distance_m - robot.clearance_m(&bends, &now);
+                if depth_m > 0.0 {
+                    hit += 1;
+                    cost += settings.obstacle_step_penalty
+                        + settings.obstacle_slope_penalty * depth_m
+                        + settings.obstacle_square_penalty * depth_m * depth_m;
+                }
+            }
+        }
+        let relative = (report.warm_cost - cost).abs() / cost;
+        assert!(relative < 1e-12, "{index}: {} {cost}", report.warm_cost);
+    }
+    assert!(hit > 100, "{hit} hits");
+}
+
 #[test]
 fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
     let mut parameters = RobotParameters::paper(3);

@@ -1,7 +1,7 @@
 //! Obstacles over the horizon: culled once per solve, then a penalty on every step too near to one.
 
 use super::motion::Motion;
-use super::{NmpcSettings, OBSTACLES_MAX};
+use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
 use crate::optimizer::{Budget, Judged};
 use crate::robot::{COORDINATES_MAX, Obstacle, Robot, SECTIONS_MAX, Shape};
 use crate::wide::Wide;
@@ -15,6 +15,8 @@ const CAPSULE_NS: u32 = 300;
 /// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
 /// leaves away does not break the distance itself.
 const MARGIN_M: f64 = 1e-6;
+/// What the distance of culling may be off by rounding \[m\].
+const ROUNDING_M: f64 = 1e-9;
 /// Weight of a Gauss-Newton step's constraint against the tip's position: a metre for a micrometre.
 const CONSTRAINT_SCALE: f64 = 1e3;
 
@@ -24,17 +26,34 @@ pub(super) struct Obstacles {
     near: Vec<Near>,
 }
 
-/// An obstacle, and the sections (a bit each) that can meet it.
+/// An obstacle, and the sections (a bit each) that can meet it by the end of each step.
 #[derive(Debug, Clone, Copy)]
 struct Near {
     obstacle: Obstacle,
-    sections: u8,
+    sections: [u8; HORIZON_STEPS_MAX],
+}
+
+/// The end of a step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Instant {
+    /// Step, 0-based.
+    pub step: usize,
+    /// Time since the release \[s\].
+    pub time_s: f64,
 }
 
 /// A linearised distance h + A Δb ≥ 0 on bend vectors.
 pub(super) struct ClearanceRow {
     pub h: f64,
     pub derivatives: [f64; COORDINATES_MAX],
+}
+
+/// The first step (0-based) by whose end something can come `distance_m` nearer, at `per_step_m` a step; 0 when either is
+/// not a number.
+fn first_step(distance_m: f64, per_step_m: f64) -> usize {
+    let steps = (distance_m - ROUNDING_M) / per_step_m;
+    // A cast saturates: infinite is never, NaN is at once.
+    (steps.ceil() - 1.0) as usize
 }
 
 /// Nominal time of one section against this obstacle \[ns\].
@@ -68,17 +87,26 @@ impl Obstacles {
         if obstacles.is_empty() {
             return;
         }
-        let horizon_s = motion.period_s() * motion.horizon().steps() as f64;
+        let steps = motion.horizon().steps();
         let body = robot.body(motion.start_rad());
-        let travel_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * horizon_s));
+        // What body and obstacle can do in one period; over k periods at most k times as much.
+        let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
             if !budget.spend(section_ns(obstacle) * robot.section_count() as u32) {
                 return;
             }
-            let own_m = obstacle.velocity_m_s().norm() * horizon_s;
-            let reach_m = travel_m.map(|travel| travel + own_m + safe_distance_m);
-            let sections = body.sections_in_reach(obstacle, &reach_m);
-            if sections != 0 {
+            let own_m = obstacle.velocity_m_s().norm() * motion.period_s();
+            let per_step_m = per_step_m.map(|travel_m| travel_m + own_m);
+            let reach_m = per_step_m.map(|travel_m| travel_m * steps as f64 + safe_distance_m);
+            let clearances_m = body.clearances_in_reach(obstacle, &reach_m);
+            let mut sections = [0; HORIZON_STEPS_MAX];
+            for (j, clearance_m) in clearances_m.into_iter().enumerate() {
+                let first = first_step(clearance_m - safe_distance_m, per_step_m[j]);
+                for later in sections[..steps].iter_mut().skip(first) {
+                    *later |= 1 << j;
+                }
+            }
+            if sections[steps - 1] != 0 {
                 self.near.push(Near {
                     obstacle: *obstacle,
                     sections,
@@ -91,25 +119,38 @@ impl Obstacles {
         !self.near.is_empty()
     }
 
-    /// Penalties at the end of `step`. None: the budget was spent.
+    /// Whether any can be met by the end of `step`.
+    #[inline(always)]
+    fn matter_at(&self, step: usize) -> bool {
+        self.near.iter().any(|near| near.sections[step] != 0)
+    }
+
+    /// Penalties at the end of a step. None: the budget was spent.
     #[inline(always)]
     pub(super) fn judge<const W: usize, F: FnMut() -> bool>(
         &self,
         robot: &Robot,
         settings: &NmpcSettings,
-        time_s: f64,
+        at: Instant,
         bend_rad: &[Wide<W>; COORDINATES_MAX],
         judged: &mut Judged<W>,
         budget: &mut Budget<F>,
     ) -> Option<()> {
+        if !self.matter_at(at.step) {
+            return Some(());
+        }
         let body = robot.body_wide(|i| bend_rad[i]);
         let (zero, enough_m) = (Wide::splat(0.0), settings.safe_distance_m);
         for near in &self.near {
-            if !budget.spend(section_ns(&near.obstacle) * near.sections.count_ones()) {
+            let sections = near.sections[at.step];
+            if sections == 0 {
+                continue;
+            }
+            if !budget.spend(section_ns(&near.obstacle) * sections.count_ones()) {
                 return None;
             }
-            let obstacle = near.obstacle.moved(time_s);
-            let clearance_m = body.clearance_below(&obstacle, enough_m, near.sections);
+            let obstacle = near.obstacle.moved(at.time_s);
+            let clearance_m = body.clearance_below(&obstacle, enough_m, sections);
             let depth_m = Wide::splat(enough_m) - clearance_m;
             let inside = zero.less(depth_m);
             let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
@@ -128,12 +169,12 @@ impl Obstacles {
         &self,
         robot: &Robot,
         settings: &NmpcSettings,
-        time_s: f64,
+        at: Instant,
         bend_rad: &[f64],
         budget: &mut Budget<F>,
         mut push: impl FnMut(ClearanceRow),
     ) -> bool {
-        if self.near.is_empty() {
+        if !self.matter_at(at.step) {
             return true;
         }
         let body = robot.body(bend_rad);
@@ -141,10 +182,13 @@ impl Obstacles {
         let kept_m = settings.safe_distance_m + MARGIN_M;
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
         for near in &self.near {
+            if near.sections[at.step] == 0 {
+                continue;
+            }
             if !budget.spend(2 * section_ns(&near.obstacle) * robot.section_count() as u32) {
                 return false;
             }
-            let nearest = body.nearest(&near.obstacle.moved(time_s));
+            let nearest = body.nearest(&near.obstacle.moved(at.time_s));
             robot.body_point_jacobian(bend_rad, nearest.section, nearest.s, &mut jacobian);
             let mut derivatives = [0.0; COORDINATES_MAX];
             for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {

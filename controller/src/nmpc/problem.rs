@@ -1,6 +1,6 @@
 use super::limits::{LimitRow, Limits};
 use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
-use super::obstacles::{ClearanceRow, Obstacles};
+use super::obstacles::{ClearanceRow, Instant, Obstacles};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{Budget, Judged, LinearModel, Problem};
@@ -84,9 +84,13 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// Time from the release to the end of `step` \[s\].
-    fn time_s(&self, step: usize) -> f64 {
-        self.motion.period_s() * (step + 1) as f64
+    /// The end of `step`.
+    #[inline(always)]
+    fn instant(&self, step: usize) -> Instant {
+        Instant {
+            step,
+            time_s: self.motion.period_s() * (step + 1) as f64,
+        }
     }
 
     /// Eq. 5 for W plans side by side, in the coordinates that P stands for. `FREE` is whether neither
@@ -120,11 +124,10 @@ impl<'a> TrackingProblem<'a> {
                 before = bends.bend_rad;
             }
             if self.obstacles.matter() {
-                let time_s = self.time_s(step);
                 self.obstacles.judge(
                     self.robot,
                     self.settings,
-                    time_s,
+                    self.instant(step),
                     &bends.bend_rad,
                     &mut judged,
                     budget,
@@ -243,14 +246,14 @@ impl<'a> TrackingProblem<'a> {
         model: &mut LinearModel,
         budget: &mut Budget<F>,
     ) -> bool {
-        let time_s = self.time_s(at.index);
+        let instant = self.instant(at.index);
         let push = |row: ClearanceRow| {
             if let Some(into) = model.push_constraint(row.h) {
                 self.spread(at.bends, row.derivatives, at.block_periods, into);
             }
         };
         self.obstacles
-            .rows(self.robot, self.settings, time_s, bend_rad, budget, push)
+            .rows(self.robot, self.settings, instant, bend_rad, budget, push)
     }
 
     /// Nominal time of one step of [`Problem::judge`] without obstacles.

@@ -64,7 +64,7 @@ impl Solver {
 
         let mut refinement = GaussNewtonOutcome::default();
         let mut iterations = 0;
-        if task.problem.is_posed() && !budget.is_over() {
+        if task.problem.is_posed() && budget.left() {
             self.knowledge.gather(task.problem, task.bounds, warm_plan);
             if task.settings.solver.searches() {
                 iterations = self.search(task, budget);

@@ -5,7 +5,8 @@ use super::lanes::{Frame, WideVector};
 use super::obstacle::Obstacle;
 use super::tube::{Tube, ball};
 use super::{Robot, SECTIONS_MAX, SectionParameters};
-use crate::wide::{Wide, all};
+use crate::wide::{Wide, all, either};
+use core::f64::consts::PI;
 
 /// The bodies of W configurations, prepared for many obstacles. Fixed arrays, no heap.
 ///
@@ -27,7 +28,16 @@ struct SectionWide<const W: usize> {
     end: Frame<W>,
     centre_m: WideVector<W>,
     radius_m: Wide<W>,
+    /// From start to end.
+    chord_m: WideVector<W>,
+    /// One over its square; 0 where it has no length.
+    per_chord_1_m2: Wide<W>,
+    /// How far the arc is from its chord at most (m).
+    bulge_m: Wide<W>,
 }
+
+/// A chord shorter than the root of this (m²) is a point.
+const POINT_M2: f64 = 1e-30;
 
 impl<const W: usize> SectionWide<W> {
     #[inline(always)]
@@ -37,6 +47,14 @@ impl<const W: usize> SectionWide<W> {
         let w = u * u + v * v;
         let (start_m, end_m) = (&start.position_m, &end.position_m);
         let (centre_m, radius_m) = ball(start_m, end_m, parameters.length_m, w);
+        let chord_m = *end_m - *start_m;
+        let (square_m2, zero) = (chord_m.norm_squared(), Wide::splat(0.0));
+        let is_point = square_m2.less(Wide::splat(POINT_M2));
+        let per_chord_1_m2 = zero.select(Wide::splat(1.0) / square_m2, is_point);
+        // ℓ (1 - cos(θ/2))/θ ≤ ℓ θ/8 up to θ = π; any curve stays within half its length of one of its ends.
+        let up_to_half_a_circle = w.less_or_equal(Wide::splat(PI * PI));
+        let bulge_m = (w.sqrt() * (0.125 * parameters.length_m))
+            .select(Wide::splat(0.5 * parameters.length_m), up_to_half_a_circle);
         Self {
             parameters: *parameters,
             bend_rad,
@@ -44,7 +62,18 @@ impl<const W: usize> SectionWide<W> {
             end,
             centre_m,
             radius_m,
+            chord_m,
+            per_chord_1_m2,
+            bulge_m,
         }
+    }
+
+    /// Squared distance from a point to the chord (m²).
+    #[inline(always)]
+    fn chord_square_m2(&self, point_m: &WideVector<W>) -> Wide<W> {
+        let after_start = *point_m - self.start.position_m;
+        let share = (after_start.dot(&self.chord_m) * self.per_chord_1_m2).clamp(0.0, 1.0);
+        (after_start - self.chord_m * share).norm_squared()
     }
 }
 
@@ -73,10 +102,20 @@ impl<const W: usize> BodyWide<W> {
                 continue;
             }
             let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
-            let reach_m = (section.radius_m + (radii_m + enough_m + margin_m)).max(zero);
-            let far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
+            let kept_m = radii_m + enough_m + margin_m;
+            let reach_m = (section.radius_m + kept_m).max(zero);
+            let mut far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
             if all(far) {
                 continue;
+            }
+            if axis.is_point() {
+                // Nearer than the ball, by the distance from the chord.
+                let reach_m = (section.bulge_m + kept_m).max(zero);
+                let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
+                far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
+                if all(far) {
+                    continue;
+                }
             }
             let (_, distance_m) = section.tube().nearest(&axis);
             let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();

@@ -102,17 +102,30 @@ impl Body {
     /// certainly above that. First by balls, then by the exact distance; a NaN sets the bit. Ask with the safe distance plus all
     /// that the section ([`Robot::travel_m`]) and the obstacle can move.
     pub fn sections_in_reach(&self, obstacle: &Obstacle, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
+        let clearances_m = self.clearances_in_reach(obstacle, travel_m);
+        let bit = |j: usize| u8::from(clearances_m[j] != f64::INFINITY) << j;
+        (0..self.section_count).map(bit).sum()
+    }
+
+    /// The clearance of each section (m), infinite for those that [`Self::sections_in_reach`] leaves away, and after the last.
+    pub fn clearances_in_reach(
+        &self,
+        obstacle: &Obstacle,
+        travel_m: &[f64; SECTIONS_MAX],
+    ) -> [f64; SECTIONS_MAX] {
         let axis = obstacle.shape().axis();
-        let mut sections = 0;
+        let mut clearances_m = [f64::INFINITY; SECTIONS_MAX];
         for (j, tube) in self.tubes().iter().enumerate() {
             let least_m = clearance_min_m(tube, &axis, obstacle.radius_m());
-            let is_beyond = is_beyond(least_m, &axis, travel_m[j]) || {
-                let clearance_m = self.closest_of(j, obstacle, &axis).clearance_m;
-                is_beyond(clearance_m, &axis, travel_m[j])
-            };
-            sections |= u8::from(!is_beyond) << j;
+            if is_beyond(least_m, &axis, travel_m[j]) {
+                continue;
+            }
+            let clearance_m = self.closest_of(j, obstacle, &axis).clearance_m;
+            if !is_beyond(clearance_m, &axis, travel_m[j]) {
+                clearances_m[j] = clearance_m;
+            }
         }
-        sections
+        clearances_m
     }
 
     fn tubes(&self) -> &[Tube<1>] {
