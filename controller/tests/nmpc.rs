@@ -152,7 +152,7 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
 }
 
 #[test]
-fn without_a_reference_the_plan_is_the_warm_start() {
+fn without_a_reference_the_rates_are_zero() {
     let robot = paper(1);
     let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);
     let input = SolveInput {
@@ -163,8 +163,17 @@ fn without_a_reference_the_plan_is_the_warm_start() {
         elapsed_periods: 1,
         seed: 1,
     };
+    // A plan from before counts for nothing.
+    let goal = [inside(Vector3::new(0.1, 0.0, 0.25))];
+    let tracking = SolveInput {
+        reference: &goal,
+        ..input
+    };
+    let (moving, _) = nmpc.solve(&tracking, &mut Budget::unlimited());
+    assert_ne!(moving, BendRates::zero(1));
     let (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
     assert_eq!(rates, BendRates::zero(1));
+    assert!(nmpc.plan().iter().all(|rate| *rate == 0.0));
 }
 
 #[test]

@@ -133,6 +133,30 @@ fn a_stuck_robot_leaves_along_an_eigenvector() {
 }
 
 #[test]
+fn bend_angles_leave_straight_in_any_direction() {
+    // A straight section has no direction φ, and no rate of φ gives it one: it bends towards its goal.
+    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+    let there = Configuration::from_bend_angles(&[[0.4, 1.9]]);
+    let goal = sample(robot.tip_position(there.as_slice()), Orientation::Free);
+    for solver in [
+        SolverKind::GaussNewton,
+        SolverKind::Kpso,
+        SolverKind::KpsoRefined,
+    ] {
+        let settings = NmpcSettings {
+            solver,
+            coordinates: Coordinates::BendAngles,
+            ..NmpcSettings::default()
+        };
+        let mut control = Loop::new(&robot, Configuration::straight(1), settings);
+        for _ in 0..200 {
+            control.step(|_| goal, |_| vec![]);
+        }
+        assert!(control.error_m(&goal) < 1e-6, "{solver:?}");
+    }
+}
+
+#[test]
 fn a_full_orientation_is_reached_and_kept() {
     // Six sections can place and turn their tip freely; the goal is a shape that exists.
     let robot = Robot::new(&RobotParameters::paper(4)).unwrap();
@@ -183,12 +207,13 @@ fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
     let centre_m = circle(std::f64::consts::FRAC_PI_2).position_m;
     let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.0, Vector3::zeros()).unwrap();
     for coordinates in COORDINATES {
-        for safe_distance_m in [0.01, 0.04] {
+        for safe_distance_m in [0.01, 0.02, 0.04] {
             let settings = NmpcSettings {
                 coordinates,
                 safe_distance_m,
                 horizon_steps: 20,
                 swarm_iterations: 5,
+                refinement_steps: 6,
                 ..NmpcSettings::default()
             };
             let from_s = 1.2;
@@ -206,7 +231,7 @@ fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
                 "{coordinates:?}, D = {safe_distance_m}: {nearest_m}"
             );
             assert!(
-                farthest_m <= 1.5 * safe_distance_m,
+                farthest_m <= 1.25 * safe_distance_m,
                 "{coordinates:?}, D = {safe_distance_m}: {farthest_m}"
             );
         }

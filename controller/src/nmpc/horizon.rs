@@ -15,7 +15,7 @@ pub struct Horizon {
 }
 
 impl Horizon {
-    /// The horizon of validated settings; M = 0 stands for M = N.
+    /// The horizon of validated settings; M = 0 stands for M = N, up to [`CONTROL_BLOCKS_MAX`].
     pub fn new(settings: &NmpcSettings) -> Self {
         let steps = (settings.horizon_steps as usize).clamp(1, HORIZON_STEPS_MAX);
         let wished = match settings.control_blocks as usize {

@@ -20,8 +20,6 @@ const ESCAPE_SHARES: [f64; 8] = [
 ];
 /// Candidates at most: warm start, previous command, zero, least squares, ways out.
 const CANDIDATES_MAX: usize = 4 + ESCAPE_SHARES.len() * escape::DIRECTIONS_MAX;
-/// Nominal time of one column of the Hessian \[ns\].
-const HESSIAN_COLUMN_NS: u32 = 400;
 
 impl Knowledge {
     pub(super) fn with_capacity(dimension: usize) -> Self {
@@ -100,13 +98,8 @@ impl Knowledge {
         base: &mut [f64],
     ) {
         let width = problem.motion.width();
-        for _ in 0..width {
-            if !budget.spend(HESSIAN_COLUMN_NS) {
-                return;
-            }
-        }
         base.copy_from_slice(incumbent.z());
-        let directions = escape::directions(problem, base);
+        let directions = escape::directions(problem, base, budget);
         for direction in &directions.vectors[..directions.count] {
             let mut controls = [0.0; COORDINATES_MAX];
             let controls = &mut controls[..width];

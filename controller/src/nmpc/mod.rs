@@ -213,6 +213,7 @@ impl Nmpc {
             &self.horizon,
             input.configuration,
             input.previous_rates,
+            input.reference.first().map(|sample| sample.position_m),
         );
         motion.set_bounds(&self.robot, &mut self.bounds);
         self.horizon
@@ -245,6 +246,7 @@ impl Nmpc {
             &motion,
             limits,
             &self.obstacles,
+            &self.bounds,
             input,
         );
         let task = solver::Task {
@@ -257,7 +259,8 @@ impl Nmpc {
         self.plan.copy_from_slice(self.solver.best());
         let rates = match report.status {
             SolveStatus::NonFinite => None,
-            _ => problem.motion.first_rates(&self.robot, &self.plan),
+            _ if !problem.is_posed() => None,
+            _ => motion.first_rates(&self.robot, &self.plan),
         };
         let rates = rates.unwrap_or_else(|| {
             self.plan.fill(0.0);

@@ -1,8 +1,12 @@
 //! How the controls bend the robot over the horizon: Eq. 4, in either choice of coordinates.
 
+use nalgebra::Vector3;
+
 use super::{Coordinates, Horizon};
 use crate::optimizer::Bounds;
-use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX, rotate_wide};
+use crate::robot::{
+    BendRates, COORDINATES_MAX, Configuration, Jacobian, Robot, SECTIONS_MAX, rotate_wide,
+};
 use crate::wide::Wide;
 
 /// Below this bend a section has no direction of its own \[rad\].
@@ -11,8 +15,8 @@ const STRAIGHT_RAD: f64 = 1e-9;
 /// The start of a horizon, and the rule by which controls move it on.
 ///
 /// With bend vectors a control is a rate (u̇, v̇), with bend angles a rate (θ̇, φ̇); either is held over a
-/// block. The angles of the start are θ ≥ 0 and the direction of the bend; a straight section takes the
-/// direction of its last rates, or x.
+/// block. The angles of the start are θ ≥ 0 and the direction of the bend. A straight section has none: it
+/// takes that of its last rates, at rest that in which the tip comes nearer to its goal, or else x.
 #[derive(Debug, Clone)]
 pub(super) struct Motion<'a> {
     coordinates: Coordinates,
@@ -55,13 +59,18 @@ impl<'a> Motion<'a> {
         horizon: &'a Horizon,
         at: &Configuration,
         previous_rates: &BendRates,
+        goal_m: Option<Vector3<f64>>,
     ) -> Self {
         let mut start_rad = [0.0; COORDINATES_MAX];
         let width = robot.coordinate_count();
         start_rad[..width].copy_from_slice(at.as_slice());
         let mut polar = [[0.0, 1.0, 0.0]; SECTIONS_MAX];
-        for (section, polar) in polar[..robot.section_count()].iter_mut().enumerate() {
-            *polar = polar_of(at.section(section), previous_rates.section(section));
+        if coordinates == Coordinates::BendAngles {
+            let towards = directions_to(robot, at, goal_m);
+            for (section, polar) in polar[..robot.section_count()].iter_mut().enumerate() {
+                let rates = previous_rates.section(section);
+                *polar = polar_of(at.section(section), rates, towards[section]);
+            }
         }
         Self {
             coordinates,
@@ -256,8 +265,8 @@ impl<'a> Motion<'a> {
                 previous_rates.section(section),
             );
             let before = [u - elapsed_s * rates[0], v - elapsed_s * rates[1]];
-            let [_, cos_before, sin_before] = polar_of(before, rates);
             let [_, cos, sin] = self.polar[section];
+            let [_, cos_before, sin_before] = polar_of(before, rates, [cos, sin]);
             if cos * cos_before + sin * sin_before < 0.0 {
                 for block in plan.chunks_exact_mut(self.width) {
                     block[2 * section] = -block[2 * section];
@@ -267,18 +276,39 @@ impl<'a> Motion<'a> {
     }
 }
 
-/// (θ, cos φ, sin φ) of one section.
-fn polar_of([u, v]: [f64; 2], rates: [f64; 2]) -> [f64; 3] {
-    let theta = u.hypot(v);
-    if theta > STRAIGHT_RAD {
-        return [theta, u / theta, v / theta];
+/// (θ, cos φ, sin φ) of one section; if it is straight, φ is that of its rates, and without rates as given.
+fn polar_of(bend: [f64; 2], rates: [f64; 2], otherwise: [f64; 2]) -> [f64; 3] {
+    let (theta, direction) = unit(bend);
+    let [cos, sin] = direction.or(unit(rates).1).unwrap_or(otherwise);
+    [theta, cos, sin]
+}
+
+/// Length and direction; no direction when it is too short for one.
+fn unit([x, y]: [f64; 2]) -> (f64, Option<[f64; 2]>) {
+    let length = (x * x + y * y).sqrt();
+    let direction = (length > STRAIGHT_RAD).then(|| [x / length, y / length]);
+    (length, direction)
+}
+
+/// The direction in which a bend of each section brings the tip nearest to the goal; x where none does.
+fn directions_to(
+    robot: &Robot,
+    at: &Configuration,
+    goal_m: Option<Vector3<f64>>,
+) -> [[f64; 2]; SECTIONS_MAX] {
+    let mut towards = [[1.0, 0.0]; SECTIONS_MAX];
+    let Some(goal_m) = goal_m else {
+        return towards;
+    };
+    let mut jacobian = Jacobian::default();
+    let tip = robot.tip_jacobian(at.as_slice(), &mut jacobian);
+    let wanted_m = goal_m - tip.position_m;
+    let (pairs, _) = jacobian.columns().as_chunks::<2>();
+    for (towards, pair) in towards.iter_mut().zip(pairs) {
+        let along = pair.map(|column| Vector3::new(column[0], column[1], column[2]).dot(&wanted_m));
+        *towards = unit(along).1.unwrap_or(*towards);
     }
-    let speed = rates[0].hypot(rates[1]);
-    if speed > STRAIGHT_RAD {
-        [theta, rates[0] / speed, rates[1] / speed]
-    } else {
-        [theta, 1.0, 0.0]
-    }
+    towards
 }
 
 #[cfg(test)]
@@ -301,6 +331,7 @@ mod tests {
             horizon,
             at,
             rates,
+            None,
         )
     }
 

@@ -3,8 +3,8 @@ use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
 use super::obstacles::{ClearanceRow, Instant, Obstacles};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
-use crate::optimizer::{Budget, Judged, LinearModel, Problem};
-use crate::reference::{ReferenceSample, ReferenceState};
+use crate::optimizer::{Bounds, Budget, Judged, LinearModel, Problem};
+use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Jacobian, Robot};
 use crate::wide::Wide;
 
@@ -17,11 +17,16 @@ pub(super) struct TrackingProblem<'a> {
     settings: &'a NmpcSettings,
     limits: Limits<'a>,
     obstacles: &'a Obstacles,
+    bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
 }
 
 /// Nominal time of one section at W points side by side \[ns\].
 const SECTION_NS: u32 = 15;
+/// Nominal time of the limits of one section, likewise \[ns\].
+const LIMITS_NS: u32 = 20;
+/// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
+const ROW_NS: u32 = 1;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -30,6 +35,7 @@ impl<'a> TrackingProblem<'a> {
         motion: &'a Motion<'a>,
         limits: Limits<'a>,
         obstacles: &'a Obstacles,
+        bounds: &'a Bounds,
         input: &SolveInput<'a>,
     ) -> Self {
         let mut previous = [0.0; COORDINATES_MAX];
@@ -42,6 +48,7 @@ impl<'a> TrackingProblem<'a> {
             settings,
             limits,
             obstacles,
+            bounds,
             reference: input.reference,
         }
     }
@@ -188,16 +195,9 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// Writes derivatives with respect to the bends at the end of a step into a row: block by block, times
-    /// the periods for which each block has moved them.
-    fn spread(
-        &self,
-        bends: &Bent,
-        mut derivatives: [f64; COORDINATES_MAX],
-        block_periods: &[f64],
-        row: &mut [f64],
-    ) {
-        self.motion.by_controls(bends, &mut derivatives);
+    /// Writes derivatives with respect to controls held since the start into a row: block by block, times
+    /// the periods for which each block was in force.
+    fn spread(&self, derivatives: &[f64; COORDINATES_MAX], block_periods: &[f64], row: &mut [f64]) {
         for (block, &periods) in row.chunks_exact_mut(self.width()).zip(block_periods) {
             let factor = self.motion.period_s() * periods;
             for (target, derivative) in block.iter_mut().zip(derivatives) {
@@ -211,31 +211,68 @@ impl<'a> TrackingProblem<'a> {
             let mut jacobian = Jacobian::default();
             let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
             let weights = self.weights(at.index);
-            pose_error::residuals(&tip, &jacobian, target, &weights, &mut |row: Row| {
+            pose_error::residuals(&tip, &jacobian, target, &weights, &mut |mut row: Row| {
+                self.motion.by_controls(at.bends, &mut row.derivatives);
                 let into = model.push(row.residual);
-                self.spread(at.bends, row.derivatives, at.block_periods, into);
+                self.spread(&row.derivatives, at.block_periods, into);
             });
         }
     }
 
-    fn push_limit_rows(&self, before: &Bent, at: &Step, model: &mut LinearModel) {
-        if !self.limits.matter() {
-            return;
+    /// A constraint on the bends at the end of a step, unless no step in the box can break it.
+    fn push_constraint(
+        &self,
+        h: f64,
+        mut derivatives: [f64; COORDINATES_MAX],
+        bends: &Bent,
+        block_periods: &[f64],
+        model: &mut LinearModel,
+    ) {
+        self.motion.by_controls(bends, &mut derivatives);
+        // The box is the same for every block.
+        let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
+        let widths = upper.iter().zip(lower).map(|(upper, lower)| upper - lower);
+        let per_s: f64 = derivatives
+            .iter()
+            .zip(widths)
+            .map(|(d, width)| d.abs() * width)
+            .sum();
+        let most = per_s * self.motion.period_s() * block_periods.iter().sum::<f64>();
+        if h <= most
+            && let Some(into) = model.push_constraint(h)
+        {
+            self.spread(&derivatives, block_periods, into);
         }
+    }
+
+    /// False: the budget was spent.
+    fn push_limit_rows<F: FnMut() -> bool>(
+        &self,
+        before: &Bent,
+        at: &Step,
+        model: &mut LinearModel,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        if !self.limits.matter() {
+            return true;
+        }
+        let mut is_left = true;
         let block = self.motion.horizon().block_of(at.index);
         let mut this_step = [0.0; CONTROL_BLOCKS_MAX];
         this_step[block] = 1.0;
         self.limits
             .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
+                is_left = is_left && budget.spend(ROW_NS * self.dimension() as u32);
                 let periods = if row.of_step {
                     &this_step[..=block]
                 } else {
                     at.block_periods
                 };
-                if let Some(into) = model.push_constraint(row.h) {
-                    self.spread(at.bends, row.derivatives, periods, into);
+                if is_left {
+                    self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
                 }
             });
+        is_left
     }
 
     /// False: the budget was spent.
@@ -248,9 +285,8 @@ impl<'a> TrackingProblem<'a> {
     ) -> bool {
         let instant = self.instant(at.index);
         let push = |row: ClearanceRow| {
-            if let Some(into) = model.push_constraint(row.h) {
-                self.spread(at.bends, row.derivatives, at.block_periods, into);
-            }
+            let periods = at.block_periods;
+            self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
         };
         self.obstacles
             .rows(self.robot, self.settings, instant, bend_rad, budget, push)
@@ -259,12 +295,18 @@ impl<'a> TrackingProblem<'a> {
     /// Nominal time of one step of [`Problem::judge`] without obstacles.
     #[inline(always)]
     fn step_ns(&self) -> u32 {
-        SECTION_NS * self.robot.section_count() as u32
+        let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
+        (SECTION_NS + limits_ns) * self.robot.section_count() as u32
     }
 
-    /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and three rows.
-    fn linearise_step_ns(&self) -> u32 {
-        3 * self.step_ns() + self.dimension() as u32
+    /// Nominal time of one step of [`Problem::linearise`]: the Jacobian, and up to twelve rows.
+    fn linearise_step_ns(&self, step: usize) -> u32 {
+        let rows = match self.target(step).map(|target| target.orientation) {
+            None | Some(Orientation::Free) => 3,
+            Some(Orientation::Axis(_)) => 6,
+            Some(Orientation::Full(_)) => 12,
+        };
+        3 * self.step_ns() + rows * ROW_NS * self.dimension() as u32 / 3
     }
 }
 
@@ -307,7 +349,7 @@ impl Problem for TrackingProblem<'_> {
             self.motion.advance_one(&mut bends, z, step);
             let block = self.motion.horizon().block_of(step);
             block_periods[block] += 1.0;
-            if !budget.spend(self.linearise_step_ns()) {
+            if !budget.spend(self.linearise_step_ns(step)) {
                 return false;
             }
             let all = bends.scalar();
@@ -318,8 +360,9 @@ impl Problem for TrackingProblem<'_> {
                 block_periods: &block_periods[..=block],
             };
             self.push_pose_rows(&at, bend_rad, model);
-            self.push_limit_rows(&before, &at, model);
-            if !self.push_clearance_rows(&at, bend_rad, model, budget) {
+            if !self.push_limit_rows(&before, &at, model, budget)
+                || !self.push_clearance_rows(&at, bend_rad, model, budget)
+            {
                 return false;
             }
         }

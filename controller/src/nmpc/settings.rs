@@ -50,7 +50,7 @@ pub struct NmpcSettings {
     pub coordinates: Coordinates,
     /// Prediction steps N.
     pub horizon_steps: u32,
-    /// Control blocks M ≤ N; 0: one for each step.
+    /// Control blocks M ≤ N, at most [`CONTROL_BLOCKS_MAX`]; 0: one for each step, as far as that goes.
     pub control_blocks: u32,
     /// Particles.
     pub swarm_size: u32,
@@ -165,8 +165,6 @@ pub mod ranges {
     pub const DAMPING: RangeInclusive<f64> = 1e-20..=1.0;
     /// Weights.
     pub const WEIGHT: RangeInclusive<f64> = 0.0..=1e12;
-    /// Slope of an obstacle's penalty beside a step without a square.
-    pub const SLOPE_BESIDE_STEP: RangeInclusive<f64> = 1e-12..=1e12;
     /// Orientation error that costs nothing \[rad\].
     pub const ORIENTATION_TOLERANCE_RAD: RangeInclusive<f64> = 0.0..=1.0;
     /// Distance kept from obstacles \[m\].
@@ -279,14 +277,13 @@ impl NmpcSettings {
         Ok(())
     }
 
-    /// A constant penalty alone collides, so it is not allowed: where there is a step and no square,
-    /// there must be a slope.
+    /// A constant penalty alone collides, so it is not allowed: at a depth of a millimetre, slope and square
+    /// together must be a millionth of the step at least.
     fn slope_range(&self) -> std::ops::RangeInclusive<f64> {
-        if self.obstacle_step_penalty > 0.0 && self.obstacle_square_penalty == 0.0 {
-            ranges::SLOPE_BESIDE_STEP
-        } else {
-            ranges::WEIGHT
-        }
+        const DEPTH_M: f64 = 1e-3;
+        let square = self.obstacle_square_penalty * DEPTH_M * DEPTH_M;
+        let least = (1e-6 * self.obstacle_step_penalty - square).max(0.0) / DEPTH_M;
+        least..=*ranges::WEIGHT.end()
     }
 
     pub(super) fn kpso(&self) -> KpsoSettings {

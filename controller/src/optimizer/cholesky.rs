@@ -11,10 +11,7 @@ pub(super) fn solve_in_place<F: FnMut() -> bool>(
     b: &mut [f64],
     budget: &mut Budget<F>,
 ) -> bool {
-    factorise(a, order, budget) && {
-        substitute(a, order, b);
-        true
-    }
+    factorise(a, order, budget) && substitute(a, order, b, budget)
 }
 
 fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budget<F>) -> bool {
@@ -40,8 +37,16 @@ fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budge
     true
 }
 
-fn substitute(factor: &[f64], order: usize, b: &mut [f64]) {
+fn substitute<F: FnMut() -> bool>(
+    factor: &[f64],
+    order: usize,
+    b: &mut [f64],
+    budget: &mut Budget<F>,
+) -> bool {
     for row in 0..order {
+        if !budget.spend(row as u32) {
+            return false;
+        }
         let mut sum = b[row];
         for k in 0..row {
             sum -= factor[row * order + k] * b[k];
@@ -49,12 +54,16 @@ fn substitute(factor: &[f64], order: usize, b: &mut [f64]) {
         b[row] = sum / factor[row * order + row];
     }
     for row in (0..order).rev() {
+        if !budget.spend((order - row) as u32) {
+            return false;
+        }
         let mut sum = b[row];
         for k in row + 1..order {
             sum -= factor[k * order + row] * b[k];
         }
         b[row] = sum / factor[row * order + row];
     }
+    true
 }
 
 #[cfg(test)]

@@ -37,6 +37,8 @@ pub struct GaussNewtonOutcome {
 pub struct GaussNewton {
     model: LinearModel,
     gradient: Vec<f64>,
+    /// Half the norm that the gradient would have if all residuals pulled one way.
+    gradient_scale: f64,
     /// Unknowns that the gradient presses on a bound: they stay there.
     pressed: Vec<bool>,
     /// Unknowns that the linear system solves for.
@@ -72,6 +74,7 @@ impl GaussNewton {
         Self {
             model: LinearModel::with_capacity(rows, constraints, dimension),
             gradient: vec![0.0; dimension],
+            gradient_scale: 0.0,
             pressed: vec![false; dimension],
             free: Vec::with_capacity(dimension),
             step: vec![0.0; dimension],
@@ -159,7 +162,11 @@ impl GaussNewton {
         if !problem.linearise(z, &mut self.model, budget) {
             return false;
         }
-        self.model.gradient(&mut self.gradient[..dimension]);
+        let gradient = &mut self.gradient[..dimension];
+        let Some(scale) = self.model.gradient(gradient, budget) else {
+            return false;
+        };
+        self.gradient_scale = scale;
         for i in 0..dimension {
             let at_lower = z[i] <= bounds.lower()[i] && self.gradient[i] > 0.0;
             let at_upper = z[i] >= bounds.upper()[i] && self.gradient[i] < 0.0;
@@ -184,7 +191,7 @@ impl GaussNewton {
     }
 
     fn is_stuck(&self, gradient_norm: f64) -> bool {
-        gradient_norm <= VANISHED_SHARE * 2.0 * self.model.gradient_scale()
+        gradient_norm <= VANISHED_SHARE * 2.0 * self.gradient_scale
     }
 
     /// Norm of the gradient 2 Jᵀr without what presses on bounds.
@@ -215,7 +222,8 @@ impl GaussNewton {
             if !self.find_step_in_box(bounds, z, damping, budget) {
                 return false;
             }
-            if !self.model.meet_constraints(&self.step[..z.len()]) {
+            let step = &self.step[..z.len()];
+            if self.model.meet_constraints(step, budget).is_none() {
                 break;
             }
         }
@@ -308,9 +316,17 @@ impl GaussNewton {
             self.step[i] = 0.0;
         }
         let rows = self.model.rows();
+        // What the fixed unknowns do already.
+        let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);
         for row in 0..rows {
-            let moved = dot(self.model.row(row), &self.step[..dimension]);
-            self.residuals[row] = self.model.residual(row) + moved;
+            self.residuals[row] = self.model.residual(row);
+            if at_rest {
+                continue;
+            }
+            if !budget.spend(dimension as u32) {
+                return false;
+            }
+            self.residuals[row] += dot(self.model.row(row), &self.step[..dimension]);
         }
         if rows <= self.free.len() {
             self.solve_in_residual_space(rows, damping, budget)
@@ -345,6 +361,9 @@ impl GaussNewton {
         );
         if solved {
             for row in 0..rows {
+                if !budget.spend(self.free.len() as u32) {
+                    return false;
+                }
                 let weight = self.right_side[row];
                 for &i in &self.free {
                     self.step[i] -= self.model.row(row)[i] * weight;

@@ -1,5 +1,7 @@
 //! A problem near one point: residuals, their derivatives, and constraints that a step may meet.
 
+use super::Budget;
+
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
 ///
 /// A constraint that a step would break becomes a residual of its own, so the step ends on it. Each is
@@ -93,11 +95,18 @@ impl LinearModel {
         self.met.fill(false);
     }
 
-    /// Makes residuals of the constraints that `step` breaks. False when it breaks none that were not
-    /// met before.
-    pub(super) fn meet_constraints(&mut self, step: &[f64]) -> bool {
+    /// Makes residuals of the constraints that `step` breaks. None when it breaks none that were not met
+    /// before, or the budget was spent.
+    pub(super) fn meet_constraints<F: FnMut() -> bool>(
+        &mut self,
+        step: &[f64],
+        budget: &mut Budget<F>,
+    ) -> Option<()> {
         let before = self.rows();
         for (index, h) in self.constraints.iter().enumerate() {
+            if !budget.spend(self.columns as u32) {
+                return None;
+            }
             let row = &self.constraint_jacobian[index * self.columns..][..self.columns];
             if !self.met[index] && h + dot(row, step) < 0.0 {
                 self.met[index] = true;
@@ -105,23 +114,30 @@ impl LinearModel {
                 self.jacobian.extend_from_slice(row);
             }
         }
-        self.rows() > before
+        (self.rows() > before).then_some(())
     }
 
-    /// Half the gradient of the cost, Jᵀr.
-    pub(super) fn gradient(&self, into: &mut [f64]) {
+    /// Half the gradient of the cost, Jᵀr, and what its norm would be if all rows pulled one way: the Frobenius
+    /// norm of J times the norm of r. None: the budget was spent.
+    pub(super) fn gradient<F: FnMut() -> bool>(
+        &self,
+        into: &mut [f64],
+        budget: &mut Budget<F>,
+    ) -> Option<f64> {
         into.fill(0.0);
+        let (mut jacobian, mut residuals) = (0.0, 0.0);
         for (index, residual) in self.residuals.iter().enumerate() {
-            for (sum, derivative) in into.iter_mut().zip(self.row(index)) {
+            if !budget.spend(self.columns as u32) {
+                return None;
+            }
+            let row = self.row(index);
+            for (sum, derivative) in into.iter_mut().zip(row) {
                 *sum += derivative * residual;
             }
+            jacobian += dot(row, row);
+            residuals += residual * residual;
         }
-    }
-
-    /// Frobenius norm of J times the norm of r: what the gradient would be if all rows pulled one way.
-    pub(super) fn gradient_scale(&self) -> f64 {
-        let square = |values: &[f64]| values.iter().map(|value| value * value).sum::<f64>();
-        (square(&self.jacobian) * square(&self.residuals)).sqrt()
+        Some(f64::sqrt(jacobian * residuals))
     }
 }
 
