@@ -8,12 +8,14 @@
 //! | [`zone`] | which samples of the circle count as tracking |
 //! | [`simulation`] | an experiment run with several seeds, and the row that sums it up |
 //! | [`solver`], [`growth`] | solve times on every path, and how they grow |
+//! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`table`], [`mod@csv`] | rows for people and for programs |
 //! | [`mod@figures`], [`mod@page`], [`folder`] | the paper's figures, the page around them, the files |
 //!
 //! A time here says how long a solve takes on this machine, back to back, nothing else; what a daemon
 //! adds is measured by `cdcrctl demo`.
 
+pub mod budget;
 pub mod closed_loop;
 pub mod csv;
 pub mod experiment;

@@ -4,6 +4,7 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
+use cdcr_bench::budget;
 use cdcr_bench::csv::csv;
 use cdcr_bench::folder::{self, Document};
 use cdcr_bench::growth::{Growth, growth};
@@ -35,6 +36,17 @@ enum Command {
         /// How to print the result.
         #[arg(long, value_enum, default_value_t = Format::Text)]
         format: Format,
+    },
+    /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
+    /// worse than the warm start.
+    #[command(after_help = "Example: cdcr-bench budget --format json > budget.json")]
+    Budget {
+        /// How to print the result.
+        #[arg(long, value_enum, default_value_t = Format::Text)]
+        format: Format,
+        /// Solves of each case with each budget, 1 to 1000000.
+        #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+        solves: u64,
     },
 }
 
@@ -70,6 +82,7 @@ fn main() -> Result<()> {
     match Cli::parse().command {
         Command::Paper(args) => paper(&args),
         Command::Solver { format } => solver(format),
+        Command::Budget { format, solves } => budget(format, solves),
     }
 }
 
@@ -142,6 +155,31 @@ fn solver(format: Format) -> Result<()> {
             serde_json::to_string(&all)? + "\n"
         }
         Format::Csv => csv(&cases)?,
+    })
+}
+
+/// The cases with every budget.
+#[derive(Serialize)]
+struct Budgets<'a> {
+    cases: &'a [budget::Row],
+}
+
+fn budget(format: Format, solves: u64) -> Result<()> {
+    let cases = budget::cases()?;
+    let count = cases.len() * budget::BUDGETS_US.len();
+    let bar = progress(count as u64, "{pos}/{len} budgets")?;
+    let mut rows = Vec::new();
+    for case in &cases {
+        for budget_us in budget::BUDGETS_US {
+            rows.push(case.measure(budget_us, solves)?);
+            bar.inc(1);
+        }
+    }
+    bar.finish_and_clear();
+    show(&match format {
+        Format::Text => table::budgets(&rows).text(),
+        Format::Json => serde_json::to_string(&Budgets { cases: &rows })? + "\n",
+        Format::Csv => csv(&rows)?,
     })
 }
 

@@ -113,7 +113,7 @@ pub fn sizes() -> Vec<Size> {
 
 impl Size {
     /// As in the paper.
-    fn paper(task: Task, solver: Solver) -> Self {
+    pub(crate) fn paper(task: Task, solver: Solver) -> Self {
         let settings = experiment(task, solver).settings();
         Self {
             task,
@@ -125,7 +125,7 @@ impl Size {
         }
     }
 
-    fn settings(&self) -> NmpcSettings {
+    pub(crate) fn settings(&self) -> NmpcSettings {
         NmpcSettings {
             horizon_steps: self.horizon,
             swarm_size: self.swarm,
@@ -134,7 +134,7 @@ impl Size {
         }
     }
 
-    fn scene(&self) -> Result<Scene> {
+    pub(crate) fn scene(&self) -> Result<Scene> {
         let scene = self.task.scene()?;
         let obstacles = obstacles(
             &scene.robot,

@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use cdcr_controller::nmpc::Coordinates;
 
+use crate::budget;
 use crate::growth::Growth;
 use crate::simulation::{LineFigures, Outcome, Simulation};
 use crate::solver::Case;
@@ -272,5 +273,40 @@ pub fn growth(growths: &[Growth]) -> Table {
         ],
         words: 3,
         rows: growths.iter().map(cells).collect(),
+    }
+}
+
+/// All budgets of all cases.
+pub fn budgets(rows: &[budget::Row]) -> Table {
+    let cells = |row: &budget::Row| {
+        let (over, bare) = (row.over_us, row.bare_over_us);
+        let mut cells = vec![
+            row.case.into(),
+            row.budget_us.to_string(),
+            row.solves.to_string(),
+            format!("{:.1}", 100.0 * row.ended_by_budget_share),
+        ];
+        let times_us = [over.p50, over.p99, over.max, bare.p50, bare.p99, bare.max];
+        cells.extend(times_us.map(|us| format!("{us:.2}")));
+        cells.push(row.worse_than_warm_start.to_string());
+        cells
+    };
+    Table {
+        title: "How much later than its budget a solve ends, beside a loop without work",
+        heads: vec![
+            "case",
+            "budget µs",
+            "solves",
+            "ended by it %",
+            "over p50 µs",
+            "p99 µs",
+            "max µs",
+            "bare p50 µs",
+            "p99 µs",
+            "max µs",
+            "worse than warm start",
+        ],
+        words: 1,
+        rows: rows.iter().map(cells).collect(),
     }
 }

@@ -3,6 +3,7 @@
 use cdcr_bench::experiment::{Experiment, Solver, Task};
 use cdcr_bench::folder::{self, Document};
 use cdcr_bench::simulation::{Effort, Outcome, run, run_all};
+use cdcr_controller::nmpc::Coordinates;
 use serde_json::Value;
 
 const QUICK: Effort = Effort {
@@ -150,7 +151,7 @@ fn the_line_keeps_the_tip_vertical_and_near() {
             rate_limit_rad_s: 8.0,
         },
         solver: Solver::KpsoRefined,
-        coordinates: cdcr_controller::nmpc::Coordinates::BendVector,
+        coordinates: Coordinates::BendVector,
     };
     let effort = Effort {
         seeds: 1,
@@ -163,4 +164,56 @@ fn the_line_keeps_the_tip_vertical_and_near() {
         line.max_theta_rad <= 1e-2 && line.max_psi_rad <= 1e-2,
         "{line:?}"
     );
+}
+
+/// The whole of one simulation with one seed.
+fn whole(task: Task, solver: Solver) -> Outcome {
+    let experiment = Experiment {
+        task,
+        solver,
+        coordinates: Coordinates::BendVector,
+    };
+    let effort = Effort {
+        seeds: 1,
+        cycles_max: u64::MAX,
+    };
+    run(experiment, effort, || ()).expect("the simulation runs")
+}
+
+#[test]
+fn the_spiral_is_at_least_as_exact_as_in_the_paper() {
+    for (sections, paper_mm) in [(1, 5e-9), (2, 7e-4), (3, 5e-3)] {
+        let task = Task::Spiral { sections };
+        let bounds = [
+            (Solver::Kpso, paper_mm),
+            (Solver::GaussNewton, 1e-10),
+            (Solver::KpsoRefined, 1e-10),
+        ];
+        for (solver, bound_mm) in bounds {
+            let error_mm = whole(task, solver).row.mean_error_mm;
+            assert!(error_mm <= bound_mm, "{sections}, {solver:?}: {error_mm}");
+        }
+    }
+}
+
+#[test]
+fn the_line_keeps_its_orientation_and_its_error_below_what_the_rates_allow() {
+    for (rate_limit_rad_s, bound_mm) in [(2.0, 2.6e-3), (8.0, 2e-4)] {
+        let row = whole(Task::Line { rate_limit_rad_s }, Solver::KpsoRefined).row;
+        assert!(row.mean_error_mm <= bound_mm, "{row:?}");
+        let line = row.line.expect("figures of a line");
+        assert!(line.max_theta_rad <= 1e-2 && line.max_psi_rad <= 1e-2);
+    }
+}
+
+#[test]
+fn the_circle_keeps_its_distance_without_a_wide_detour() {
+    for safe_distance_m in [0.01, 0.02, 0.04] {
+        let row = whole(Task::Circle { safe_distance_m }, Solver::GaussNewton).row;
+        let circle = row.circle.expect("figures of a circle");
+        assert!(circle.min_clearance_mm >= circle.safe_distance_mm - 0.01);
+        assert!(circle.mean_error_outside_mm.expect("it arrives") <= 8e-3);
+        let peak_mm = circle.peak_error_mm.expect("it arrives");
+        assert!(peak_mm <= 1.25 * circle.safe_distance_mm, "{circle:?}");
+    }
 }

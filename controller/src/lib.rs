@@ -37,7 +37,7 @@
 //! | q̇ | [`BendRates`](robot::BendRates): what is commanded | rad/s |
 //! | x | tip pose in the base frame, [`Pose`](robot::Pose); base z along the straight robot | m |
 //! | T | period | s |
-//! | N, M | steps of the horizon, blocks in which the rates are held | |
+//! | N, M | steps of the horizon (up to 50), blocks in which the rates are held (up to N and to 20) | |
 //! | z | the plan: controls of all blocks, 2 n M unknowns: rates of bend vectors, or of (θ, φ) | rad/s |
 //! | Φ, Θ, Ψ | angles of the tip, [`ZyxAngles`](robot::ZyxAngles) (Eq. 1) | rad |
 //! | J | [`Jacobian`](robot::Jacobian) of the tip (Eq. 2-3) | m/rad, rad/rad |

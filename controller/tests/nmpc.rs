@@ -6,7 +6,7 @@
 )]
 
 use cdcr_controller::nmpc::{Coordinates, Nmpc, NmpcSettings, SolveInput, SolveStatus, SolverKind};
-use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::optimizer::{Budget, VelocityRule, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::{Unit, UnitQuaternion, Vector3};
@@ -17,6 +17,12 @@ const SOLVERS: [SolverKind; 3] = [
     SolverKind::Kpso,
     SolverKind::GaussNewton,
     SolverKind::KpsoRefined,
+];
+
+const RULES: [VelocityRule; 3] = [
+    VelocityRule::Inertia,
+    VelocityRule::Constriction,
+    VelocityRule::Verbatim,
 ];
 
 fn paper(sections: usize) -> Robot {
@@ -236,6 +242,7 @@ fn settings_that_are_refused_change_nothing() {
 /// Any legal state, reference and settings.
 #[derive(Debug, Clone)]
 struct Case {
+    robot: Robot,
     bends: Vec<f64>,
     rates: Vec<f64>,
     target: ReferenceSample,
@@ -259,6 +266,27 @@ fn orientations() -> impl Strategy<Value = Orientation> {
     ]
 }
 
+/// Sections that differ, with limits that may be tight.
+fn robots(sections: usize) -> impl Strategy<Value = Robot> {
+    let section = (0.05..0.5_f64, 0.3..3.1_f64, 0.5..8.0_f64, 0.0..0.03_f64);
+    let limits = (0.01..0.5_f64, 0.005..0.3_f64);
+    (prop::collection::vec(section, sections), limits).prop_map(move |(drawn, limits)| {
+        let mut parameters = RobotParameters::paper(sections);
+        for (section, drawn) in parameters.sections.iter_mut().zip(drawn) {
+            let (length_m, bend_max_rad, rate_max_rad_s, body_radius_m) = drawn;
+            section.length_m = length_m;
+            section.bend_max_rad = bend_max_rad;
+            section.rate_max_rad_s = rate_max_rad_s;
+            section.body_radius_m = body_radius_m;
+        }
+        (
+            parameters.cable_speed_max_m_s,
+            parameters.cable_stroke_max_m,
+        ) = limits;
+        Robot::new(&parameters).unwrap()
+    })
+}
+
 /// Up to five spheres and capsules, some of them across the body.
 fn obstacle_sets() -> impl Strategy<Value = Vec<Obstacle>> {
     let point = || prop::array::uniform3(-0.8..0.8_f64).prop_map(Vector3::from);
@@ -276,16 +304,18 @@ fn cases() -> impl Strategy<Value = Case> {
     (1_usize..=6).prop_flat_map(move |n| {
         let settings = (
             0_usize..3,
-            1_u32..=8,
-            0_u32..=8,
+            1_u32..=24,
+            0_u32..=20,
             1_u32..=20,
             0_u32..=20,
             0.0..1e-3,
             prop::bool::ANY,
             prop_oneof![Just(0.0), 0.0..0.2_f64],
+            (0_usize..3, prop_oneof![Just(1.0), 0.0..100.0_f64]),
         );
         let target = (prop::array::uniform3(-2.0..2.0), orientations());
         (
+            robots(n),
             vector(n, -1.5..1.5),
             vector(n, -2.0..2.0),
             target,
@@ -295,10 +325,11 @@ fn cases() -> impl Strategy<Value = Case> {
             any::<u64>(),
         )
             .prop_map(
-                |(bends, rates, target, obstacles, settings, quanta, seed)| {
+                |(robot, bends, rates, target, obstacles, settings, quanta, seed)| {
                     let (solver, horizon_steps, blocks, swarm_size, swarm_iterations, ..) =
                         settings;
-                    let (.., weight, angles, orientation_tolerance_rad) = settings;
+                    let (.., weight, angles, orientation_tolerance_rad, (rule, terminal_weight)) =
+                        settings;
                     let settings = NmpcSettings {
                         solver: SOLVERS[solver],
                         horizon_steps,
@@ -313,9 +344,12 @@ fn cases() -> impl Strategy<Value = Case> {
                             Coordinates::BendVector
                         },
                         orientation_tolerance_rad,
+                        velocity_rule: RULES[rule],
+                        terminal_weight,
                         ..NmpcSettings::default()
                     };
                     Case {
+                        robot,
                         bends,
                         rates,
                         target: ReferenceSample {
@@ -336,8 +370,7 @@ fn solve_case(
     case: &Case,
     quanta: u32,
 ) -> (BendRates, cdcr_controller::nmpc::SolveReport, Vec<u64>) {
-    let robot = paper(case.bends.len() / 2);
-    let mut nmpc = Nmpc::new(robot, PERIOD_S, case.settings).unwrap();
+    let mut nmpc = Nmpc::new(case.robot.clone(), PERIOD_S, case.settings).unwrap();
     let input = SolveInput {
         configuration: &Configuration::from_slice(&case.bends).unwrap(),
         previous_rates: &BendRates::from_slice(&case.rates).unwrap(),
@@ -357,7 +390,12 @@ proptest! {
     #[test]
     fn the_result_is_finite_inside_the_box_and_never_worse_than_the_warm_start(case in cases()) {
         let (rates, report, _) = solve_case(&case, u32::MAX);
-        prop_assert!(rates.as_slice().iter().all(|rate| rate.abs() <= 2.0));
+        let (pairs, _) = rates.as_slice().as_chunks::<2>();
+        for (pair, section) in pairs.iter().zip(case.robot.sections()) {
+            // Bend angles are brought back to the border by a factor, which rounds.
+            let most = section.rate_max_rad_s * (1.0 + 1e-15);
+            prop_assert!(pair.iter().all(|rate| rate.abs() <= most), "{pair:?} of {most}");
+        }
         prop_assert!(report.cost.is_finite() && report.cost <= report.warm_cost);
     }
 

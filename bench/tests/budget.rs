@@ -1,0 +1,55 @@
+//! What `cdcr-bench budget` hands over, from a few solves.
+
+use std::process::Command;
+
+use cdcr_bench::budget::BUDGETS_US;
+use serde_json::Value;
+
+const CASES: [&str; 3] = ["default", "tip-axis", "obstacles"];
+
+fn run(format: &str) -> String {
+    let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
+        .args(["budget", "--solves", "5", "--format", format])
+        .output()
+        .expect("the program runs");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    String::from_utf8(output.stdout).expect("a text")
+}
+
+#[test]
+fn every_case_has_every_budget_and_no_plan_is_worse_than_the_warm_start() {
+    let document: Value = serde_json::from_str(&run("json")).expect("one object");
+    let rows = document["cases"].as_array().expect("a list");
+    let all = CASES
+        .iter()
+        .flat_map(|case| BUDGETS_US.map(|us| (*case, us)));
+    assert_eq!(rows.len(), all.clone().count());
+    for (row, (case, budget_us)) in rows.iter().zip(all) {
+        assert_eq!(row["case"], case);
+        assert_eq!(row["budget_us"], budget_us);
+        assert_eq!(row["solves"], 5);
+        assert_eq!(row["worse_than_warm_start"], 0);
+        for key in ["over_us", "bare_over_us"] {
+            let [p50, p99, max] = ["p50", "p99", "max"].map(|q| row[key][q].as_f64().expect(q));
+            assert!(0.0 <= p50 && p50 <= p99 && p99 <= max, "{row}");
+        }
+        let share = row["ended_by_budget_share"].as_f64().expect("a share");
+        assert!((0.0..=1.0).contains(&share), "{row}");
+        // Without any time there is always work left.
+        assert!(budget_us > 0 || share == 1.0, "{row}");
+    }
+}
+
+#[test]
+fn csv_has_a_line_for_each_row_and_text_a_title() {
+    let csv = run("csv");
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let heads = reader.headers().expect("heads").clone();
+    for name in ["case", "budget_us", "over_us_p99", "bare_over_us_p99"] {
+        assert!(heads.iter().any(|head| head == name), "{name} in {heads:?}");
+    }
+    assert_eq!(reader.records().count(), CASES.len() * BUDGETS_US.len());
+    let text = run("text");
+    assert!(text.starts_with("How much later"), "{text}");
+}
