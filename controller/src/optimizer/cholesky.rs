@@ -1,6 +1,7 @@
 //! Cholesky factorisation in place, in memory of the caller.
 
 use super::Budget;
+use super::linear_model::dot;
 
 /// Solves A x = b for symmetric positive definite A (`order`², row-major, only the lower triangle is
 /// read and it is overwritten by the factor); `b` becomes x. Answers false, leaving `b` undefined,
@@ -21,10 +22,9 @@ fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budge
             if !budget.spend(column as u32 / 2) {
                 return false;
             }
-            let mut sum = a[row * order + column];
-            for k in 0..column {
-                sum -= a[row * order + k] * a[column * order + k];
-            }
+            let (row_so_far, column_so_far) =
+                (&a[row * order..][..column], &a[column * order..][..column]);
+            let sum = a[row * order + column] - dot(row_so_far, column_so_far);
             if row > column {
                 a[row * order + column] = sum / a[column * order + column];
             } else if sum > 0.0 && sum.is_finite() {

@@ -48,6 +48,8 @@ pub struct GaussNewton {
     residuals: Vec<f64>,
     right_side: Vec<f64>,
     matrix: Vec<f64>,
+    /// The columns of the free unknowns, when there are at most as many rows.
+    columns: Vec<f64>,
     /// JᵀJ of the cost's rows, made when it is first needed.
     gram: Vec<f64>,
     gram_is_current: bool,
@@ -82,6 +84,7 @@ impl GaussNewton {
             residuals: vec![0.0; all_rows],
             right_side: vec![0.0; order],
             matrix: vec![0.0; order * order],
+            columns: vec![0.0; order * dimension],
             gram: vec![0.0; dimension * dimension],
             gram_is_current: false,
         }
@@ -335,6 +338,26 @@ impl GaussNewton {
         }
     }
 
+    /// The columns of the free unknowns, row by row, side by side in memory.
+    fn gather_free_columns<F: FnMut() -> bool>(
+        &mut self,
+        rows: usize,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let width = self.free.len();
+        for row in 0..rows {
+            if !budget.spend(width as u32) {
+                return false;
+            }
+            let source = self.model.row(row);
+            let target = &mut self.columns[row * width..][..width];
+            for (target, &i) in target.iter_mut().zip(&self.free) {
+                *target = source[i];
+            }
+        }
+        true
+    }
+
     /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
     fn solve_in_residual_space<F: FnMut() -> bool>(
         &mut self,
@@ -342,13 +365,17 @@ impl GaussNewton {
         damping: f64,
         budget: &mut Budget<F>,
     ) -> bool {
+        let width = self.free.len();
+        if !self.gather_free_columns(rows, budget) {
+            return false;
+        }
         for a in 0..rows {
             for b in 0..=a {
-                if !budget.spend(self.free.len() as u32) {
+                if !budget.spend(width as u32 / 4) {
                     return false;
                 }
-                let (row_a, row_b) = (self.model.row(a), self.model.row(b));
-                let product: f64 = self.free.iter().map(|&i| row_a[i] * row_b[i]).sum();
+                let [row_a, row_b] = [a, b].map(|row| &self.columns[row * width..][..width]);
+                let product = dot(row_a, row_b);
                 self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
             }
         }
