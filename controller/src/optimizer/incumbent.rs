@@ -6,7 +6,8 @@ pub enum Candidate {
     /// The warm start: the previous plan, moved on in time.
     #[default]
     WarmStart,
-    /// The previous command, held.
+    /// The previous command, held: the first block of the previous solution, which the warm start has moved on
+    /// from.
     Previous,
     /// Zero rates.
     Zero,

@@ -585,7 +585,7 @@ mod tests {
                 [
                     "line 2",
                     "controller.obstacle_slope_penalty",
-                    "0.000000000001 to",
+                    "allowed is 1 to 1000000000000",
                 ],
             ),
             (
