@@ -13,7 +13,7 @@ use cdcr_controller::robot::BendRates;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::closed_loop::{self, ClosedLoop, histogram};
+use crate::closed_loop::{self, ClosedLoop, histogram, quantile_us};
 use crate::experiment::{Solver, Task};
 use crate::scene::Scene;
 use crate::solver::Size;
@@ -53,7 +53,7 @@ pub struct Overrun {
 
 impl Overrun {
     fn of(times_ns: &Histogram<u64>) -> Self {
-        let us = |quantile| times_ns.value_at_quantile(quantile) as f64 * 1e-3;
+        let us = |quantile| quantile_us(times_ns, quantile);
         Self {
             p50: us(0.5),
             p99: us(0.99),

@@ -160,6 +160,11 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
+/// A quantile of times in nanoseconds \[µs\].
+pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
+    times_ns.value_at_quantile(quantile) as f64 * 1e-3
+}
+
 /// Solve times from 1 ns to a minute, three digits.
 ///
 /// # Errors

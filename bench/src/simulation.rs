@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{self, Sample};
+use crate::closed_loop::{self, Sample, quantile_us};
 use crate::experiment::{Experiment, PaperFigures, Solver, Task};
 use crate::scene::Scene;
 use crate::zone::Zone;
@@ -27,7 +27,7 @@ pub struct SolveTimes {
 
 impl SolveTimes {
     fn of(times_ns: &Histogram<u64>) -> Self {
-        let us = |quantile| times_ns.value_at_quantile(quantile) as f64 * 1e-3;
+        let us = |quantile| quantile_us(times_ns, quantile);
         Self {
             mean: times_ns.mean() * 1e-3,
             p50: us(0.5),

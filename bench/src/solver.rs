@@ -14,7 +14,7 @@ use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{ClosedLoop, histogram};
+use crate::closed_loop::{ClosedLoop, histogram, quantile_us};
 use crate::experiment::{Experiment, Solver, Task};
 use crate::scene::Scene;
 
@@ -197,10 +197,9 @@ pub fn measure(size: &Size) -> Result<Vec<Case>> {
         runners.push((path, nmpc, histogram()?));
     }
     race(&scene, settings, &mut runners)?;
-    let us = |times: &Histogram<u64>, quantile| times.value_at_quantile(quantile) as f64 * 1e-3;
     let scalar_us = runners
         .first()
-        .map_or(f64::NAN, |(_, _, times)| us(times, 0.5));
+        .map_or(f64::NAN, |(_, _, times)| quantile_us(times, 0.5));
     let case = |(path, _, times): &Runner| Case {
         solver: size.solver,
         curve: size.task.name(),
@@ -210,9 +209,9 @@ pub fn measure(size: &Size) -> Result<Vec<Case>> {
         swarm: size.swarm,
         iterations: size.iterations,
         obstacles: size.obstacles,
-        p50_us: us(times, 0.5),
-        p99_us: us(times, 0.99),
-        speedup_vs_scalar: scalar_us / us(times, 0.5),
+        p50_us: quantile_us(times, 0.5),
+        p99_us: quantile_us(times, 0.99),
+        speedup_vs_scalar: scalar_us / quantile_us(times, 0.5),
     };
     Ok(runners.iter().map(case).collect())
 }

@@ -19,7 +19,7 @@ const SPEED_WEIGHT: f64 = 1e6;
 pub(super) const LIMITS: usize = 1;
 
 /// The limits of a robot that matter in one solve.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub(super) struct Limits<'a> {
     robot: &'a Robot,
     period_s: f64,
@@ -27,6 +27,8 @@ pub(super) struct Limits<'a> {
     bend: bool,
     stroke: bool,
     speed: bool,
+    /// By how much a unit of each bend coordinate shortens each cable (m/rad), where cables matter.
+    units_m_rad: [[f64; CABLES_MAX]; COORDINATES_MAX],
 }
 
 /// A linearised limit h + A Δb ≥ 0 on bend vectors, in a scale in which it outweighs the tip.
@@ -59,13 +61,23 @@ impl<'a> Limits<'a> {
         let longest_m = strokes
             .iter()
             .fold(0.0_f64, |most, s| most.max(s.0[0].abs()));
+        let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m();
+        let speed = fastest_m_s > robot.cable_speed_max_m_s();
+        let mut units_m_rad = [[0.0; CABLES_MAX]; COORDINATES_MAX];
+        if stroke || speed {
+            for (i, unit) in units_m_rad[..motion.width()].iter_mut().enumerate() {
+                let only = |k: usize| Wide([f64::from(u8::from(k == i))]);
+                *unit = robot.cable_shortening_wide(only).map(|one| one.0[0]);
+            }
+        }
         Self {
             robot,
             period_s,
             weight,
             bend,
-            stroke: longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m(),
-            speed: fastest_m_s > robot.cable_speed_max_m_s(),
+            stroke,
+            speed,
+            units_m_rad,
         }
     }
 
@@ -163,8 +175,7 @@ impl<'a> Limits<'a> {
         }
     }
 
-    /// Rows of |shortening of every cable| ≤ most. Shortening is linear in the bends: its derivatives are
-    /// those of unit bends.
+    /// Rows of |shortening of every cable| ≤ most. Shortening is linear in the bends.
     fn cable_rows(
         &self,
         bends: &[f64; COORDINATES_MAX],
@@ -174,20 +185,13 @@ impl<'a> Limits<'a> {
         of_step: bool,
         push: &mut impl FnMut(LimitRow),
     ) {
-        let width = self.robot.coordinate_count();
-        let mut units = [[Wide([0.0]); CABLES_MAX]; COORDINATES_MAX];
-        for (i, unit) in units[..width].iter_mut().enumerate() {
-            *unit = self
-                .robot
-                .cable_shortening_wide(|k| Wide([f64::from(u8::from(k == i))]));
-        }
         let values = self.robot.cable_shortening_wide(|i| Wide([bends[i]]));
         for cable in 0..self.robot.cable_count() {
             let value = values[cable].0[0];
             let towards = -scale * per_bend * value.signum();
             let mut derivatives = [0.0; COORDINATES_MAX];
-            for (derivative, unit) in derivatives.iter_mut().zip(&units) {
-                *derivative = towards * unit[cable].0[0];
+            for (derivative, unit) in derivatives.iter_mut().zip(&self.units_m_rad) {
+                *derivative = towards * unit[cable];
             }
             push(LimitRow {
                 h: scale * (most - value.abs()),

@@ -244,7 +244,7 @@ impl Nmpc {
             &self.robot,
             &self.settings,
             &motion,
-            limits,
+            &limits,
             &self.obstacles,
             &self.bounds,
             input,

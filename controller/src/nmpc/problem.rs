@@ -15,7 +15,7 @@ pub(super) struct TrackingProblem<'a> {
     /// Controls of the last command.
     pub previous: [f64; COORDINATES_MAX],
     settings: &'a NmpcSettings,
-    limits: Limits<'a>,
+    limits: &'a Limits<'a>,
     obstacles: &'a Obstacles,
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
@@ -33,7 +33,7 @@ impl<'a> TrackingProblem<'a> {
         robot: &'a Robot,
         settings: &'a NmpcSettings,
         motion: &'a Motion<'a>,
-        limits: Limits<'a>,
+        limits: &'a Limits<'a>,
         obstacles: &'a Obstacles,
         bounds: &'a Bounds,
         input: &SolveInput<'a>,

@@ -1,6 +1,8 @@
 //! The last word about obstacles: a command never brings the body nearer to one than is allowed.
 
-use crate::robot::{BendRates, Body, COORDINATES_MAX, Configuration, Obstacle, Robot};
+use crate::robot::{
+    BendRates, Body, COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX,
+};
 
 use super::limit;
 
@@ -112,17 +114,16 @@ impl Step<'_> {
     }
 
     /// What no point of the body can move by in this period \[m\], at these rates or any others inside
-    /// the limits: a bend rate turns all that comes after it, and its lever is at most the backbone
-    /// from the start of its section.
+    /// the limits.
     fn travel_m(&self, rates: &BendRates) -> f64 {
-        let (pairs, _) = rates.as_slice().as_chunks::<2>();
-        let (mut lever_m, mut speed_m_s) = (0.0, 0.0);
-        for (section, [u, v]) in self.robot.sections().iter().zip(pairs).rev() {
-            lever_m += section.length_m;
+        let mut change_rad = [0.0; SECTIONS_MAX];
+        for (j, section) in self.robot.sections().iter().enumerate() {
+            let [u, v] = rates.section(j);
             let largest = core::f64::consts::SQRT_2 * section.rate_max_rad_s;
-            speed_m_s += lever_m * largest.max(u.hypot(*v));
+            change_rad[j] = self.period_s * largest.max(u.hypot(v));
         }
-        speed_m_s * self.period_s
+        let travel_m = self.robot.travel_m(&change_rad);
+        travel_m.into_iter().fold(0.0, f64::max)
     }
 }
 
