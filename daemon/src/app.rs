@@ -18,6 +18,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use crate::config::{LinkKind, RealtimeMode, Validated, ns};
 use crate::cycle::Cycle;
 use crate::exchange::{Exchange, services};
+use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
 use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
@@ -151,11 +152,14 @@ fn arm(validated: &Validated, threads: [&Started; 2]) -> Result<u32> {
             .filter(|(bit, _, _)| missing & bit != 0)
             .map(|(_, name, remedy)| format!("  {name} is missing: {remedy}"))
             .collect();
-        bail!(
-            "realtime.mode is \"require\", but the system does not grant it:\n{}\n\
-             or set realtime.mode = \"prefer\" to run without",
-            lines.join("\n")
-        );
+        bail!(Ended {
+            cause: ExitCause::NotRealtime,
+            message: format!(
+                "realtime.mode is \"require\", but the system does not grant it:\n{}\n\
+                 or set realtime.mode = \"prefer\" to run without",
+                lines.join("\n")
+            ),
+        });
     }
     Ok(missing)
 }
@@ -342,7 +346,10 @@ impl Started {
         drop(self.starter);
         match self.handle.join() {
             Ok(()) => Ok(()),
-            Err(_) => bail!("the thread {} panicked", self.name),
+            Err(_) => bail!(Ended {
+                cause: ExitCause::Panicked,
+                message: format!("the thread {} panicked", self.name),
+            }),
         }
     }
 }

@@ -14,12 +14,16 @@
 //! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
 //! | [`rt`] | clock, grid, hand-over, privileges | the robot |
 //! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |
+//! | [`exit`] | why the process ends | what happens before |
 //! | [`app`] | every concrete type | nothing is hidden from it |
+//! | [`cli`] | the command line | anything about a cycle |
 
 pub mod app;
+pub mod cli;
 pub mod config;
 pub mod cycle;
 pub mod exchange;
+pub mod exit;
 pub mod instance;
 pub mod link;
 pub mod obstacles;

@@ -33,6 +33,8 @@ pub struct Config {
     pub cycle: CycleConfig,
     /// Motions that the daemon makes by itself.
     pub motion: MotionConfig,
+    /// What counts as a fault of the robot, its sensors or its surroundings.
+    pub safety: SafetyConfig,
     /// The reference and its lease.
     pub reference: ReferenceConfig,
     /// The optimal control problem and its solver.
@@ -119,6 +121,8 @@ pub struct CycleConfig {
     pub deadline_ms: f64,
     /// A start later than this after the release counts as a late start \[ms\].
     pub late_start_ms: f64,
+    /// Longest time of one solve \[ms\]; 0: all that is left until the deadline, less the margin.
+    pub budget_ms: f64,
     /// Time that the solver leaves for what follows it \[ms\]; 0: a tenth of the period.
     pub budget_margin_ms: f64,
     /// How long before the release inputs are gathered \[ms\].
@@ -126,6 +130,8 @@ pub struct CycleConfig {
     /// Level of the leaky bucket (+1 for each miss and each skipped period, -1 for each good cycle)
     /// at which the robot is stopped.
     pub miss_limit: u32,
+    /// The process ends when a real-time thread makes no progress for this long \[ms\].
+    pub watchdog_ms: f64,
 }
 
 impl Default for CycleConfig {
@@ -134,9 +140,11 @@ impl Default for CycleConfig {
             period_ms: 5.0,
             deadline_ms: 0.0,
             late_start_ms: 1.0,
+            budget_ms: 0.0,
             budget_margin_ms: 0.0,
             gather_lead_ms: 0.2,
             miss_limit: 40,
+            watchdog_ms: 1000.0,
         }
     }
 }
@@ -175,6 +183,33 @@ impl Default for MotionConfig {
         Self {
             deceleration_rad_s2: 40.0,
             home_rate_rad_s: 0.5,
+        }
+    }
+}
+
+/// What counts as a fault of the robot, its sensors or its surroundings.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct SafetyConfig {
+    /// A clearance below this is a fault \[m\]; 0: contact of body and obstacle.
+    pub clearance_fault_m: f64,
+    /// A measurement may differ from the one before by this much, beyond what the largest rates can do
+    /// \[rad\].
+    pub measurement_jump_rad: f64,
+    /// So many implausible measurements in a row are a fault; fewer are left out.
+    pub measurement_jump_limit: u32,
+    /// A measurement that does not change at all while the robot is commanded to move this far is a fault
+    /// \[rad\].
+    pub measurement_frozen_rad: f64,
+}
+
+impl Default for SafetyConfig {
+    fn default() -> Self {
+        Self {
+            clearance_fault_m: 0.0,
+            measurement_jump_rad: 0.2,
+            measurement_jump_limit: 3,
+            measurement_frozen_rad: 0.05,
         }
     }
 }
@@ -218,6 +253,10 @@ pub struct RealtimeConfig {
     pub cycle_priority: i32,
     /// `SCHED_FIFO` priority of the exchange thread, below that of the cycle.
     pub exchange_priority: i32,
+    /// The cycle thread wakes up this long before each release and spins \[µs\]; 0: it sleeps to the release.
+    pub spin_us: f64,
+    /// Keep the processor out of deep sleep, by `/dev/cpu_dma_latency`, as far as the system grants it.
+    pub no_deep_sleep: bool,
 }
 
 impl Default for RealtimeConfig {
@@ -227,6 +266,8 @@ impl Default for RealtimeConfig {
             core: -1,
             cycle_priority: 80,
             exchange_priority: 70,
+            spin_us: 0.0,
+            no_deep_sleep: true,
         }
     }
 }
@@ -321,12 +362,13 @@ impl Config {
             link,
             cycle,
             motion,
+            safety,
             reference,
             realtime,
             ..
         } = self;
         let period_ms = cycle.period_ms;
-        let checks: [(&str, f64, RangeInclusive<f64>); 12] = [
+        let checks: [(&str, f64, RangeInclusive<f64>); 19] = [
             (
                 "link.measurement_timeout_ms",
                 link.measurement_timeout_ms,
@@ -351,6 +393,37 @@ impl Config {
                 0.02..=0.5 * period_ms,
             ),
             ("cycle.miss_limit", f64::from(cycle.miss_limit), 1.0..=1e6),
+            ("cycle.budget_ms", cycle.budget_ms, 0.0..=period_ms),
+            (
+                "cycle.watchdog_ms",
+                cycle.watchdog_ms,
+                50.0_f64.max(10.0 * period_ms)..=60_000.0,
+            ),
+            (
+                "safety.clearance_fault_m",
+                safety.clearance_fault_m,
+                -10.0..=10.0,
+            ),
+            (
+                "safety.measurement_jump_rad",
+                safety.measurement_jump_rad,
+                1e-6..=1e3,
+            ),
+            (
+                "safety.measurement_jump_limit",
+                f64::from(safety.measurement_jump_limit),
+                1.0..=1e6,
+            ),
+            (
+                "safety.measurement_frozen_rad",
+                safety.measurement_frozen_rad,
+                1e-6..=1e3,
+            ),
+            (
+                "realtime.spin_us",
+                realtime.spin_us,
+                0.0..=(500.0 * period_ms).min(1000.0),
+            ),
             (
                 "motion.deceleration_rad_s2",
                 motion.deceleration_rad_s2,

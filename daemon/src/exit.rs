@@ -1,0 +1,132 @@
+//! Why the process ends, as the number that a service manager sees.
+//!
+//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 and 81 are our own. The
+//! table in `docs/faults.md` says what to do about each.
+
+use std::process::ExitCode;
+
+use crate::config::ConfigError;
+use crate::exchange::services::ServiceError;
+use crate::instance::InstanceError;
+
+/// Why the process ends.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ExitCause {
+    /// It was asked to, and the robot came to rest.
+    Asked,
+    /// Something that has no number of its own.
+    Other,
+    /// The command line is wrong.
+    Usage,
+    /// Another daemon controls this robot already.
+    AlreadyRuns,
+    /// A thread panicked: a mistake in the program.
+    Panicked,
+    /// Shared memory cannot be used: it is full, or holds services of another version.
+    SharedMemory,
+    /// The root folder cannot be used or belongs to another user.
+    Root,
+    /// Real time is required and not granted.
+    NotRealtime,
+    /// The configuration is wrong.
+    Configuration,
+    /// The cycle thread made no progress.
+    CycleHung,
+    /// The exchange thread made no progress.
+    ExchangeHung,
+}
+
+impl ExitCause {
+    /// Every cause.
+    pub const ALL: [Self; 11] = [
+        Self::Asked,
+        Self::Other,
+        Self::Usage,
+        Self::AlreadyRuns,
+        Self::Panicked,
+        Self::SharedMemory,
+        Self::Root,
+        Self::NotRealtime,
+        Self::Configuration,
+        Self::CycleHung,
+        Self::ExchangeHung,
+    ];
+
+    /// The exit status.
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Asked => 0,
+            Self::Other => 1,
+            Self::Usage => 2,
+            Self::AlreadyRuns => 69,
+            Self::Panicked => 70,
+            Self::SharedMemory => 71,
+            Self::Root => 73,
+            Self::NotRealtime => 77,
+            Self::Configuration => 78,
+            Self::CycleHung => 80,
+            Self::ExchangeHung => 81,
+        }
+    }
+
+    /// The cause of an error, found anywhere in its chain.
+    pub fn of(error: &anyhow::Error) -> Self {
+        let known = error.chain().find_map(|cause| {
+            if let Some(ended) = cause.downcast_ref::<Ended>() {
+                return Some(ended.cause);
+            }
+            match cause.downcast_ref::<InstanceError>() {
+                Some(InstanceError::Runs { .. }) => return Some(Self::AlreadyRuns),
+                Some(InstanceError::ForeignRoot { .. } | InstanceError::File { .. }) => {
+                    return Some(Self::Root);
+                }
+                None => {}
+            }
+            if cause.is::<ConfigError>() {
+                return Some(Self::Configuration);
+            }
+            cause.is::<ServiceError>().then_some(Self::SharedMemory)
+        });
+        known.unwrap_or(Self::Other)
+    }
+}
+
+impl From<ExitCause> for ExitCode {
+    fn from(cause: ExitCause) -> Self {
+        Self::from(cause.code())
+    }
+}
+
+/// An end whose cause no other error type tells.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct Ended {
+    /// Why.
+    pub cause: ExitCause,
+    /// In words, with a remedy.
+    pub message: String,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_cause_has_a_number_of_its_own() {
+        for (index, cause) in ExitCause::ALL.iter().enumerate() {
+            let earlier = &ExitCause::ALL[..index];
+            assert!(earlier.iter().all(|other| other.code() != cause.code()));
+        }
+    }
+
+    #[test]
+    fn a_cause_is_found_under_its_context() {
+        let ended = Ended {
+            cause: ExitCause::CycleHung,
+            message: "hung".to_owned(),
+        };
+        let error = anyhow::Error::new(ended).context("ending");
+        assert_eq!(ExitCause::of(&error), ExitCause::CycleHung);
+        assert_eq!(ExitCause::of(&anyhow::anyhow!("?")), ExitCause::Other);
+    }
+}
