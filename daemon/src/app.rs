@@ -16,7 +16,7 @@ use cdcr_shared_types::codes::realtime;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::config::{LinkKind, RealtimeMode, Validated, ns};
-use crate::cycle::Cycle;
+use crate::cycle::{Cycle, Settings};
 use crate::exchange::{Exchange, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
@@ -24,8 +24,9 @@ use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
 use crate::rt::clock::MonotonicClock;
 use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
-use crate::rt::privileges::{ThreadPlan, choose_core, lock_memory};
+use crate::rt::privileges::{ThreadPlan, choose_core, keep_awake, lock_memory};
 use crate::rt::schedule::Schedule;
+use crate::rt::scheduler::this_thread;
 use crate::supervisor::Supervisor;
 
 /// How long a thread may take to get ready.
@@ -81,9 +82,10 @@ fn run_with<L: RobotLink + Send + 'static>(
 ) -> Result<()> {
     let daemon_id = random_id();
     let shared = Arc::new(Shared::default());
-    let (cycle_ends, exchange_ends, summaries) = channels(validated.config.controller);
+    let (cycle_ends, exchange_ends, supervisor_ends) = channels(Settings::new(&validated.config));
+    let clock = MonotonicClock;
     let node = services::node(&validated.location)?;
-    let mut supervisor = Supervisor::new(&node, validated, summaries, daemon_id)?;
+    let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
     let exchange = spawn_exchange(validated, exchange_ends, &shared, daemon_id)?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
@@ -101,12 +103,14 @@ fn run_with<L: RobotLink + Send + 'static>(
     };
     let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
     let core = choose_core(&validated.config.realtime).filter(|_| pinned);
-    supervisor.set_realtime(missing, core);
-    let clock = MonotonicClock;
+    supervisor.set_realtime(missing, core, &clock);
+    // Held open for the whole run: closing it gives the processor its sleep back.
+    let _awake = keep_awake(&validated.config.realtime);
     let schedule = Schedule::new(
         clock.now_ns() + START_DELAY_NS,
         ns(validated.config.cycle.period_ms),
-    );
+    )
+    .with_spin(ns(validated.config.realtime.spin_us * 1e-3));
     shared.set_origin_ns(schedule.release_ns(0));
     exchange.go(&schedule);
     cycle.go(&schedule);
@@ -118,7 +122,7 @@ fn run_with<L: RobotLink + Send + 'static>(
             shared.set_cycle_ended();
         }
         cycle.handle.is_finished() && exchange.handle.is_finished()
-    });
+    })?;
     cycle.join()?;
     exchange.join()?;
     tracing::info!("ended");
@@ -223,6 +227,7 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
         .name(name.to_owned())
         .stack_size(STACK_BYTES)
         .spawn(move || {
+            shared.set_cycle_thread(this_thread());
             if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up()) {
                 let clock = MonotonicClock;
                 watch(&mut || {
@@ -267,6 +272,7 @@ pub fn run_cycles<L: RobotLink>(
                 cycles_to_rest - 1
             };
         }
+        shared.beat_cycle();
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
         if ends.records.push(record).is_err() {

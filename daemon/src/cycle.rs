@@ -15,8 +15,8 @@ use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
 use cdcr_controller::safety::{
-    Guarded, LeaseState, Limited, LimitsHit, Mode, ModeMachine, Observation, Reason, Request,
-    guard, homing_rates, limit, ramp_to_zero,
+    Guarded, LeaseState, Limited, LimitsHit, MeasurementWatch, Mode, ModeMachine, Observation,
+    Plausibility, PlausibilityRules, Reason, Refusal, guard, homing_rates, limit, ramp_to_zero,
 };
 use nalgebra::Vector3;
 
@@ -47,6 +47,10 @@ pub struct Policy {
     pub measurement_timeout_ns: u64,
     /// Level at which the leaky bucket stops the robot.
     pub miss_limit: u32,
+    /// A smaller clearance is a fault \[m\].
+    pub clearance_fault_m: f64,
+    /// Which measurements are taken for true.
+    pub plausibility: PlausibilityRules,
 }
 
 impl Policy {
@@ -58,8 +62,46 @@ impl Policy {
             late_start_ns: ns(config.cycle.late_start_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
             miss_limit: config.cycle.miss_limit,
+            clearance_fault_m: config.safety.clearance_fault_m,
+            plausibility: PlausibilityRules {
+                jump_rad: config.safety.measurement_jump_rad,
+                jump_limit: config.safety.measurement_jump_limit,
+                frozen_rad: config.safety.measurement_frozen_rad,
+            },
         }
     }
+}
+
+/// What can be changed while the loop runs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Settings {
+    /// The optimal control problem and its solver.
+    pub nmpc: NmpcSettings,
+    /// Longest time of one solve \[ns\]; 0: all that is left until the deadline, less the margin.
+    pub budget_ns: u64,
+}
+
+impl Settings {
+    /// Those that the configuration begins with.
+    pub fn new(config: &Config) -> Self {
+        Self {
+            nmpc: config.controller,
+            budget_ns: ns(config.cycle.budget_ms),
+        }
+    }
+}
+
+/// What became of the measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeasurementUse {
+    /// There was none yet.
+    None,
+    /// It corrected the estimate.
+    Used,
+    /// It is the one of the cycle before: the estimate was predicted.
+    Repeated,
+    /// It was left out: no robot moves like that.
+    Implausible,
 }
 
 /// Everything of one cycle: what it used, what it did, when.
@@ -75,8 +117,12 @@ pub struct CycleRecord {
     pub handed_over_ns: u64,
     /// Time since the release of the previous cycle \[ns\].
     pub elapsed_ns: u64,
+    /// Longest time between two looks at the clock until the solver was done \[ns\].
+    pub longest_gap_ns: u64,
     /// Whether it was late.
     pub verdict: Verdict,
+    /// Whether it used the inputs of the cycle before again.
+    pub stale_inputs: bool,
     /// Counts including this cycle.
     pub totals: Totals,
     /// Level of the leaky bucket after this cycle.
@@ -95,8 +141,10 @@ pub struct CycleRecord {
     pub lease: LeaseState,
     /// The fixed rules.
     pub policy: Policy,
-    /// The measurement used.
+    /// The newest measurement.
     pub measurement: Option<TimedMeasurement>,
+    /// What became of it.
+    pub measurement_use: MeasurementUse,
     /// Estimated state at the release.
     pub configuration: Configuration,
     /// Tip at the release.
@@ -107,8 +155,8 @@ pub struct CycleRecord {
     pub reference: ReferenceSample,
     /// The obstacles, where they are at the release.
     pub obstacles: ObstacleSet,
-    /// Settings of the solver.
-    pub settings: NmpcSettings,
+    /// Settings in force.
+    pub settings: Settings,
     /// What the solver did.
     pub report: SolveReport,
     /// Scalars used of the two plans; 0: the solver did not run.
@@ -136,13 +184,21 @@ pub struct Cycle<L> {
     link: L,
     estimator: Estimator,
     modes: ModeMachine,
+    watch: MeasurementWatch,
     nmpc: Nmpc,
+    budget_ns: u64,
     accounting: Accounting,
     policy: Policy,
     period_ns: u64,
     budget_margin_ns: u64,
     settings_revision: u64,
+    last_gather: Option<u64>,
     last_measured_ns: u64,
+    /// What the measurement of this cycle shows.
+    measurement_fault: Option<Reason>,
+    /// Clearance in the cycle before \[m\].
+    clearance_m: f64,
+    longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
     /// Those of this cycle, where they are at its release.
@@ -166,11 +222,14 @@ impl<L: RobotLink> Cycle<L> {
         } = validated;
         let period_ns = ns(config.cycle.period_ms);
         let policy = Policy::new(config);
+        let settings = Settings::new(config);
         Ok(Self {
             link,
             estimator: Estimator::new(*initial),
             modes: ModeMachine::default(),
-            nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, config.controller)?,
+            watch: MeasurementWatch::new(policy.plausibility),
+            nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, settings.nmpc)?,
+            budget_ns: settings.budget_ns,
             accounting: Accounting::new(Limits {
                 deadline_ns: policy.deadline_ns,
                 late_start_ns: policy.late_start_ns,
@@ -180,7 +239,11 @@ impl<L: RobotLink> Cycle<L> {
             period_ns,
             budget_margin_ns: config.cycle.budget_margin_ns(),
             settings_revision: 0,
+            last_gather: None,
             last_measured_ns: 0,
+            measurement_fault: None,
+            clearance_m: f64::INFINITY,
+            longest_gap_ns: 0,
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
             obstacles: Vec::with_capacity(OBSTACLES_MAX),
@@ -236,29 +299,28 @@ impl<L: RobotLink> Cycle<L> {
         clock: &impl Clock,
     ) -> CycleRecord {
         let elapsed_ns = self.elapsed_ns(&release);
+        let stale_inputs = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
         self.take_settings(inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
-        self.estimate(measurement, &release, elapsed_ns);
+        let measurement_use = self.estimate(measurement, &release, elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.at(release.cycle);
         let seen = self.observe(measurement, &reference, inputs, &release);
         self.modes.observe(&seen);
-        if inputs.stop {
-            // Never refused.
-            let _ = self.modes.request(Request::Stop, &seen);
-        }
-        let answers = self.answer(next_request, &seen);
+        let answers = self.answer(next_request, inputs.stop, &seen);
 
         let previous_rates = self.rates;
         let configuration = *self.estimator.configuration();
         let solve_start_ns = clock.now_ns();
+        self.longest_gap_ns = solve_start_ns - release.start_ns;
         let (wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
         let solve_end_ns = clock.now_ns();
 
         let limited = self.limit(&wish);
         let guarded = self.keep_clear(&limited.rates);
         self.rates = guarded.rates;
+        self.clearance_m = guarded.clearance_m;
         self.link.command(release.release_ns, &guarded.rates);
         let handed_over_ns = clock.now_ns();
         let verdict = self.accounting.judge(&release, handed_over_ns);
@@ -269,7 +331,9 @@ impl<L: RobotLink> Cycle<L> {
             solve_end_ns,
             handed_over_ns,
             elapsed_ns,
+            longest_gap_ns: self.longest_gap_ns,
             verdict,
+            stale_inputs,
             totals: *self.accounting.totals(),
             miss_bucket: self.accounting.bucket().level(),
             mode: self.modes.mode(),
@@ -280,12 +344,13 @@ impl<L: RobotLink> Cycle<L> {
             lease: inputs.lease,
             policy: self.policy,
             measurement,
+            measurement_use,
             tip: self.robot.tip_pose(&configuration),
             configuration,
             previous_rates,
             reference,
             obstacles,
-            settings: *self.nmpc.settings(),
+            settings: self.settings(),
             report,
             plan_length: 0,
             warm_plan: [0.0; PLAN_MAX],
@@ -310,28 +375,53 @@ impl<L: RobotLink> Cycle<L> {
         if inputs.settings_revision != self.settings_revision {
             self.settings_revision = inputs.settings_revision;
             // Refused settings leave the old ones in force, and the record shows which those are.
-            let _ = self.nmpc.configure(inputs.settings);
+            if self.nmpc.configure(inputs.settings.nmpc).is_ok() {
+                self.budget_ns = inputs.settings.budget_ns;
+            }
         }
     }
 
+    fn settings(&self) -> Settings {
+        Settings {
+            nmpc: *self.nmpc.settings(),
+            budget_ns: self.budget_ns,
+        }
+    }
+
+    /// Predicts where the robot is, and corrects that by a new measurement that it can have.
     fn estimate(
         &mut self,
         measurement: Option<TimedMeasurement>,
         release: &Release,
         elapsed_ns: u64,
-    ) {
-        self.estimator
-            .predict(&self.rates, elapsed_ns as f64 * 1e-9);
-        if let Some(TimedMeasurement {
+    ) -> MeasurementUse {
+        let elapsed_s = elapsed_ns as f64 * 1e-9;
+        self.estimator.predict(&self.rates, elapsed_s);
+        self.watch.commanded(&self.rates, elapsed_s);
+        self.measurement_fault = None;
+        let Some(TimedMeasurement {
             measurement,
             measured_ns,
         }) = measurement
-            && measured_ns > self.last_measured_ns
-        {
-            self.last_measured_ns = measured_ns;
-            let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
-            self.estimator.correct(&self.robot, &measurement, age_s);
+        else {
+            return MeasurementUse::None;
+        };
+        if measured_ns <= self.last_measured_ns {
+            return MeasurementUse::Repeated;
         }
+        self.last_measured_ns = measured_ns;
+        match self.watch.judge(&self.robot, &measurement, measured_ns) {
+            Plausibility::Jump => return MeasurementUse::Implausible,
+            Plausibility::Lost => {
+                self.measurement_fault = Some(Reason::MeasurementJump);
+                return MeasurementUse::Implausible;
+            }
+            Plausibility::Frozen => self.measurement_fault = Some(Reason::MeasurementFrozen),
+            Plausibility::Good => {}
+        }
+        let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
+        self.estimator.correct(&self.robot, &measurement, age_s);
+        MeasurementUse::Used
     }
 
     /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
@@ -370,6 +460,12 @@ impl<L: RobotLink> Cycle<L> {
         if release.start_ns.saturating_sub(measured_ns) > self.policy.measurement_timeout_ns {
             return Some(Reason::MeasurementLost);
         }
+        if self.measurement_fault.is_some() {
+            return self.measurement_fault;
+        }
+        if self.clearance_m < self.policy.clearance_fault_m {
+            return Some(Reason::ClearanceBroken);
+        }
         let estimate = self.estimator.configuration();
         if !estimate.is_finite() {
             return Some(Reason::NonFinite);
@@ -388,14 +484,20 @@ impl<L: RobotLink> Cycle<L> {
     fn answer(
         &mut self,
         mut next_request: impl FnMut() -> Option<CycleRequest>,
+        stop_at_once: bool,
         seen: &Observation,
     ) -> [Option<CycleAnswer>; REQUESTS_PER_CYCLE] {
-        [(); REQUESTS_PER_CYCLE].map(|()| {
-            next_request().map(|CycleRequest { ticket, request }| CycleAnswer {
+        let asked = [(); REQUESTS_PER_CYCLE].map(|()| next_request());
+        let requests = asked.map(|asked| asked.map(|asked| asked.request));
+        let outcomes = self.modes.requests(&requests, stop_at_once, seen);
+        let mut answers = [None; REQUESTS_PER_CYCLE];
+        for (answer, (asked, outcome)) in answers.iter_mut().zip(asked.iter().zip(outcomes)) {
+            *answer = asked.map(|CycleRequest { ticket, .. }| CycleAnswer {
                 ticket,
-                outcome: self.modes.request(request, seen),
-            })
-        })
+                outcome: outcome.unwrap_or(Err(Refusal::WrongMode)),
+            });
+        }
+        answers
     }
 
     /// The rates that the mode wants.
@@ -441,9 +543,20 @@ impl<L: RobotLink> Cycle<L> {
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };
+        let mut looked_ns = clock.now_ns();
         let deadline_ns = release.release_ns + self.accounting.limits().deadline_ns;
-        let end_ns = deadline_ns.saturating_sub(self.budget_margin_ns);
-        let mut budget = Budget::new(|| clock.now_ns() >= end_ns);
+        let left_ns = deadline_ns.saturating_sub(self.budget_margin_ns);
+        let end_ns = match self.budget_ns {
+            0 => left_ns,
+            budget_ns => left_ns.min(looked_ns + budget_ns),
+        };
+        let longest_gap_ns = &mut self.longest_gap_ns;
+        let mut budget = Budget::new(|| {
+            let now_ns = clock.now_ns();
+            *longest_gap_ns = (*longest_gap_ns).max(now_ns - looked_ns);
+            looked_ns = now_ns;
+            now_ns >= end_ns
+        });
         let (rates, report) = self.nmpc.solve(&input, &mut budget);
         if report.status == SolveStatus::NonFinite {
             self.modes.fault(Reason::NonFinite);

@@ -77,8 +77,14 @@ impl ExitCause {
             }
             match cause.downcast_ref::<InstanceError>() {
                 Some(InstanceError::Runs { .. }) => return Some(Self::AlreadyRuns),
-                Some(InstanceError::ForeignRoot { .. } | InstanceError::File { .. }) => {
-                    return Some(Self::Root);
+                Some(
+                    InstanceError::ForeignRoot { .. }
+                    | InstanceError::ForeignLink { .. }
+                    | InstanceError::OpenRoot { .. }
+                    | InstanceError::File { .. },
+                ) => return Some(Self::Root),
+                Some(InstanceError::ForeignMemory { .. } | InstanceError::Memory(_)) => {
+                    return Some(Self::SharedMemory);
                 }
                 None => {}
             }

@@ -1,11 +1,17 @@
-//! One daemon per robot and location.
+//! One daemon per robot and location, and a location that no other user can disturb.
 
-use std::fs::{DirBuilder, File, OpenOptions, TryLockError};
+mod memory;
+mod root;
+
+use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use cdcr_shared_types::Location;
+use iceoryx2::prelude::{Node, ipc};
+
+use crate::exchange::services::{self, ServiceError};
 
 /// The right to be the daemon of one robot at one location: a locked file in the root folder. The
 /// kernel gives the lock back when the process ends, however it ends.
@@ -13,6 +19,8 @@ use cdcr_shared_types::Location;
 pub struct Instance {
     path: PathBuf,
     location: Location,
+    /// As long as it is there, no client that leaves tidies the location up.
+    node: Option<Node<ipc::Service>>,
     _locked: File,
 }
 
@@ -34,7 +42,7 @@ pub enum InstanceError {
         /// Root folder.
         root: String,
     },
-    /// The root folder belongs to another user, or is open to others.
+    /// The root folder belongs to another user.
     #[error(
         "the root folder {root} belongs to user id {owner}, not to {user}\nchoose another with --root"
     )]
@@ -46,6 +54,44 @@ pub enum InstanceError {
         /// Who we are.
         user: u32,
     },
+    /// Another user has put a link where the root folder should be.
+    #[error(
+        "the root folder {root} is a symbolic link that belongs to user id {owner}, not to {user}\n\
+         name the folder itself with --root, or choose another"
+    )]
+    ForeignLink {
+        /// Root folder.
+        root: String,
+        /// Who owns the link.
+        owner: u32,
+        /// Who we are.
+        user: u32,
+    },
+    /// Other users may write to the root folder.
+    #[error(
+        "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
+         daemon\nlook what is in it, close it with `chmod go-w {root}`, or choose another with --root"
+    )]
+    OpenRoot {
+        /// Root folder.
+        root: String,
+        /// Its permissions.
+        mode: u32,
+    },
+    /// Another user has put a file where ours will be.
+    #[error(
+        "{path} belongs to user id {owner} and has a name that this daemon needs\n\
+         let that user or root remove it, or choose another --root or --prefix"
+    )]
+    ForeignMemory {
+        /// The file.
+        path: String,
+        /// Who owns it.
+        owner: u32,
+    },
+    /// Shared memory cannot be used.
+    #[error(transparent)]
+    Memory(#[from] ServiceError),
     /// The lock file cannot be used.
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
     File {
@@ -62,27 +108,29 @@ impl Instance {
     /// # Errors
     /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(location: &Location, robot: &str) -> Result<Self, InstanceError> {
-        let root = location.root();
-        DirBuilder::new()
-            .recursive(true)
-            .mode(0o750)
-            .create(root)
-            .map_err(|cause| file_error(root, cause))?;
-        check_owner(root)?;
-        let path = root.join(format!("{}{robot}.lock", location.prefix()));
-        let mut file = lock(&path, location, robot)?;
-        write_process_id(&mut file).map_err(|cause| file_error(&path, cause))?;
-        Ok(Self {
+        root::prepare(location.root())?;
+        let name = format!("{}{robot}.lock", location.prefix());
+        let path = location.root().join(name);
+        let mut locked = lock(&path, location, robot)?;
+        write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
+        memory::check_owners(location).inspect_err(|_| remove_if_there(&path))?;
+        // From here on, what fails takes its files with it.
+        let mut instance = Self {
             path,
             location: location.clone(),
-            _locked: file,
-        })
+            node: None,
+            _locked: locked,
+        };
+        instance.node = Some(services::node(location)?);
+        memory::close_management_file(location)?;
+        Ok(instance)
     }
 }
 
 impl Drop for Instance {
     /// Removes what iceoryx2 keeps for the location when its last node is gone, and last the lock file.
     fn drop(&mut self) {
+        drop(self.node.take());
         self.location.tidy();
         remove_if_there(&self.path);
     }
@@ -120,21 +168,6 @@ fn is_file_at(file: &File, path: &Path) -> bool {
     let opened = file.metadata().map(|file| (file.dev(), file.ino()));
     let there = std::fs::metadata(path).map(|file| (file.dev(), file.ino()));
     matches!((opened, there), (Ok(opened), Ok(there)) if opened == there)
-}
-
-fn check_owner(root: &Path) -> Result<(), InstanceError> {
-    let owner = std::fs::metadata(root)
-        .map_err(|cause| file_error(root, cause))?
-        .uid();
-    let user = rustix::process::geteuid().as_raw();
-    if owner == user {
-        return Ok(());
-    }
-    Err(InstanceError::ForeignRoot {
-        root: root.display().to_string(),
-        owner,
-        user,
-    })
 }
 
 fn file_error(path: &Path, cause: std::io::Error) -> InstanceError {

@@ -13,7 +13,10 @@
 //! | [`ports`] | what the cycle needs | who provides it |
 //! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
 //! | [`rt`] | clock, grid, hand-over, privileges | the robot |
+//! | [`service_manager`] | what systemd is told | how a cycle is computed |
+//! | [`log`] | where the log goes, how much of it | what is logged |
 //! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |
+//! | [`doctor`] | the machine: files of the kernel, what it grants | how it is printed |
 //! | [`exit`] | why the process ends | what happens before |
 //! | [`app`] | every concrete type | nothing is hidden from it |
 //! | [`cli`] | the command line | anything about a cycle |
@@ -22,11 +25,14 @@ pub mod app;
 pub mod cli;
 pub mod config;
 pub mod cycle;
+pub mod doctor;
 pub mod exchange;
 pub mod exit;
 pub mod instance;
 pub mod link;
+pub mod log;
 pub mod obstacles;
 pub mod ports;
 pub mod rt;
+pub mod service_manager;
 pub mod supervisor;

@@ -31,6 +31,11 @@ macro_rules! wire_enum {
             }
         }
 
+        /// The first value: that of a message whose bytes are zero, if it has the code 0.
+        impl Default for $name {
+            fn default() -> Self { Self::ALL[0] }
+        }
+
         impl TryFrom<u32> for $name {
             type Error = UnknownCode;
             fn try_from(code: u32) -> Result<Self, UnknownCode> {
@@ -182,6 +187,10 @@ wire_enum! {
         Shutdown = 10: "the daemon ends",
         /// The lease was given back.
         LeaseReleased = 11: "the reference lease was released",
+        /// The measurement jumped farther than the robot can move.
+        MeasurementJump = 12: "the measurement jumps",
+        /// The measurement did not change although the robot was commanded to move.
+        MeasurementFrozen = 13: "the measurement is frozen",
     }
 }
 
@@ -204,6 +213,8 @@ wire_enum! {
         ReleaseLease = 7: "release the lease",
         /// Change the solver's settings.
         Settings = 8: "change settings",
+        /// Begin the statistics of the status anew.
+        ResetStatistics = 9: "reset the statistics",
     }
 }
 
@@ -250,6 +261,8 @@ wire_enum! {
         Stale = 18: "the message is older than one already seen",
         /// A sections count is not the robot's.
         WrongRobot = 19: "the message belongs to another robot",
+        /// A stop came in the same cycle, and stop wins.
+        Overruled = 20: "a stop came in the same cycle",
     }
 }
 
@@ -290,6 +303,38 @@ wire_enum! {
         Held = 1: "held",
         /// Its holder fell silent.
         Expired = 2: "expired",
+    }
+}
+
+wire_enum! {
+    /// What a cycle made of the measurement.
+    MeasurementState {
+        /// There was none yet.
+        None = 0: "none",
+        /// A new one, which corrected the estimate.
+        Used = 1: "used",
+        /// Nothing newer than in the cycle before: the estimate was predicted.
+        Repeated = 2: "repeated",
+        /// A new one that no robot can follow; it was left out.
+        Implausible = 3: "implausible",
+    }
+}
+
+wire_enum! {
+    /// What made a cycle late: the largest part of its lateness.
+    LateCause {
+        /// It was in time.
+        None = 0: "in time",
+        /// The wake-up itself came late, with the core free: timer, firmware or hypervisor.
+        Platform = 1: "wake-up by platform",
+        /// Another task had the core.
+        Load = 2: "another task had the core",
+        /// Memory was not there when it was touched.
+        PageFault = 3: "page fault",
+        /// The processor stood still in the middle of the computation: interrupt, firmware or hypervisor.
+        Stall = 4: "stall of the processor",
+        /// The cycle itself computed for too long.
+        Compute = 5: "compute",
     }
 }
 
@@ -381,6 +426,8 @@ pub mod timing {
     pub const LATE_START: u32 = 1;
     /// The command was handed over after the deadline.
     pub const DEADLINE_MISS: u32 = 1 << 1;
+    /// No gather came between the cycle before and this one: it used the same inputs again.
+    pub const STALE_INPUTS: u32 = 1 << 2;
 }
 
 /// Bits of [`Telemetry::guard_flags`](crate::Telemetry::guard_flags).
@@ -456,7 +503,7 @@ mod tests {
         }
         assert_eq!(
             Outcome::try_from(Outcome::COUNT as u32),
-            Err(UnknownCode { code: 20 })
+            Err(UnknownCode { code: 21 })
         );
         assert_eq!(Mode::text_of(77), "unknown code");
     }

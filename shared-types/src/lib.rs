@@ -13,6 +13,7 @@
 //! | `command` | publish-subscribe | daemon → driver | [`Command`] |
 //! | `telemetry` | publish-subscribe | daemon → any | [`Telemetry`] |
 //! | `status` | publish-subscribe, history 1 | daemon → any | [`Status`] |
+//! | `incidents` | publish-subscribe, history 64 | daemon → any | [`Incident`] |
 //! | `control` | request-response | client ↔ daemon | [`Request`] → [`Response`] |
 //!
 //! # Rules that every type here keeps
@@ -35,6 +36,7 @@ pub mod codes;
 mod command;
 mod control;
 mod header;
+mod incident;
 pub mod limits;
 mod measurement;
 mod obstacles;
@@ -47,6 +49,7 @@ mod telemetry;
 pub use command::Command;
 pub use control::{Request, Response};
 pub use header::Header;
+pub use incident::Incident;
 pub use measurement::Measurement;
 pub use obstacles::{Obstacle, ObstacleUpdate};
 pub use reference::{ReferenceChunk, ReferencePoint};
@@ -54,5 +57,5 @@ pub use services::{
     DEFAULT_PREFIX, Location, LocationError, QueueLengths, Service, ServiceNameError,
 };
 pub use settings::SolverSettings;
-pub use status::{LatencySummary, RobotDescription, SectionDescription, Status};
-pub use telemetry::{InputEvent, ReferenceSample, SolverReport, Telemetry};
+pub use status::{LatencySummary, RobotDescription, SectionDescription, Statistics, Status};
+pub use telemetry::{InputEvent, ReferenceSample, SchedulingReport, SolverReport, Telemetry};

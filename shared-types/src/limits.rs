@@ -37,5 +37,8 @@ pub const ITERATIONS_MAX: usize = 1000;
 /// Input events reported in one telemetry record: as many as one gather and its cycle can bring.
 pub const EVENTS_MAX: usize = 24;
 
+/// Bad cycles that are kept whole for whoever asks: 0.9 MB.
+pub const INCIDENTS_MAX: usize = 64;
+
 /// Bytes of a text in a message (robot name, build), UTF-8, padded with zeros.
 pub const TEXT_BYTES: usize = 48;

@@ -6,10 +6,12 @@ use iceoryx2::prelude::{
     SignalHandlingMode, ipc,
 };
 
+use crate::limits::INCIDENTS_MAX;
+
 /// Prefix of every shared-memory file of ours, unless a user chooses another.
 pub const DEFAULT_PREFIX: &str = "cdcr_";
 
-/// The seven services of a daemon.
+/// The eight services of a daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Service {
     /// Reference chunks, client → daemon.
@@ -24,6 +26,8 @@ pub enum Service {
     Telemetry,
     /// Snapshots for late joiners, daemon → any.
     Status,
+    /// The last bad cycles, daemon → any.
+    Incidents,
     /// Requests and answers.
     Control,
 }
@@ -45,13 +49,14 @@ pub struct QueueLengths {
 
 impl Service {
     /// Every service.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Reference,
         Self::Obstacles,
         Self::Measurement,
         Self::Command,
         Self::Telemetry,
         Self::Status,
+        Self::Incidents,
         Self::Control,
     ];
 
@@ -71,6 +76,7 @@ impl Service {
             Self::Command => "command",
             Self::Telemetry => "telemetry",
             Self::Status => "status",
+            Self::Incidents => "incidents",
             Self::Control => "control",
         }
     }
@@ -86,6 +92,7 @@ impl Service {
             // 256 records: 1.28 s at 5 ms.
             Self::Telemetry => (1, 8, 256, 0),
             Self::Status | Self::Control => (1, 16, 2, 1),
+            Self::Incidents => (1, 8, INCIDENTS_MAX, INCIDENTS_MAX),
         };
         QueueLengths {
             publishers,

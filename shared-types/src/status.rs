@@ -1,6 +1,6 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::codes::Outcome;
+use crate::codes::{LateCause, Outcome};
 use crate::limits::{SECTIONS_MAX, TEXT_BYTES};
 use crate::{Header, SolverSettings};
 
@@ -42,7 +42,7 @@ pub struct RobotDescription {
     pub section: [SectionDescription; SECTIONS_MAX],
 }
 
-/// Percentiles of one latency since the start \[ns\].
+/// Percentiles of one latency \[ns\].
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
 #[type_name("cdcr.LatencySummary.v1")]
@@ -59,6 +59,46 @@ pub struct LatencySummary {
     pub p999_ns: u64,
     /// Largest.
     pub max_ns: u64,
+}
+
+/// Counts and latencies of the cycles in one stretch of time.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[type_name("cdcr.Statistics.v1")]
+pub struct Statistics {
+    /// Cycles that ran.
+    pub cycles: u64,
+    /// Cycles that started later than the late-start limit.
+    pub late_starts: u64,
+    /// Cycles whose command was handed over after the deadline.
+    pub deadline_misses: u64,
+    /// Releases that passed without a cycle.
+    pub skipped_periods: u64,
+    /// Most releases in a row that were missed or skipped.
+    pub longest_streak: u64,
+    /// Solves that the time budget ended.
+    pub budget_hits: u64,
+    /// Cycles that used the inputs of the cycle before again, because no gather came between.
+    pub stale_inputs: u64,
+    /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
+    pub stale_measurements: u64,
+    /// Records and events that were lost inside the daemon because a queue was full.
+    pub dropped_records: u64,
+    /// Cycles that started late, missed their deadline or skipped periods, by their
+    /// [`LateCause`]; index = code, so the first is 0.
+    pub causes: [u64; LateCause::COUNT],
+    /// Release to start.
+    pub wake: LatencySummary,
+    /// Taking in what clients and driver sent, shortly before the release.
+    pub gather: LatencySummary,
+    /// Start to hand-over of the command.
+    pub compute: LatencySummary,
+    /// The solver, part of compute.
+    pub solve: LatencySummary,
+    /// Release to hand-over of the command.
+    pub response: LatencySummary,
+    /// Hand-over of the command to its being in the readers' queues.
+    pub publish: LatencySummary,
 }
 
 /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
@@ -91,7 +131,7 @@ pub struct Status {
     /// Deadline D \[ns\] after the release.
     pub deadline_ns: u64,
 
-    /// Cycles run.
+    /// Cycles run since the start, whatever was reset.
     pub cycles: u64,
     /// Cycles that started later than the late-start limit.
     pub late_starts: u64,
@@ -112,12 +152,12 @@ pub struct Status {
     /// Input messages by their [`Outcome`], index = code; 0 counts the accepted ones.
     pub outcomes: [u64; Outcome::COUNT],
 
-    /// Release to start.
-    pub wake: LatencySummary,
-    /// The solver.
-    pub solve: LatencySummary,
-    /// Release to hand-over of the command.
-    pub response: LatencySummary,
+    /// When `since_reset` began \[ns, `CLOCK_MONOTONIC`\]: the start, or the last reset.
+    pub statistics_since_ns: u64,
+    /// Statistics since the start, or since a client reset them.
+    pub since_reset: Statistics,
+    /// Statistics of the last minute, in steps of ten seconds: 50 to 60 s.
+    pub last_minute: Statistics,
 
     /// Holder of the reference lease; 0: nobody.
     pub lease_holder: u64,
@@ -162,9 +202,9 @@ impl Default for Status {
             clearance_guarded: 0,
             obstacles_refused: 0,
             outcomes: [0; Outcome::COUNT],
-            wake: LatencySummary::default(),
-            solve: LatencySummary::default(),
-            response: LatencySummary::default(),
+            statistics_since_ns: 0,
+            since_reset: Statistics::default(),
+            last_minute: Statistics::default(),
             lease_holder: 0,
             reference_end_ns: 0,
             reference_points: 0,

@@ -80,6 +80,28 @@ pub struct SolverReport {
     pub budget_spent: u32,
 }
 
+/// What the system did to the cycle thread between the record before and this one, read by the exchange.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, ZeroCopySend)]
+#[type_name("cdcr.SchedulingReport.v1")]
+pub struct SchedulingReport {
+    /// Time that the thread was ready to run and another had the core \[ns\].
+    pub run_delay_ns: u64,
+    /// Time that it ran \[ns\].
+    pub on_core_ns: u64,
+    /// Longest time between two looks at the clock inside the solver \[ns\]; 0: it did not run. Far longer
+    /// than a quantum of work (a few µs): the processor stood still.
+    pub longest_gap_ns: u64,
+    /// Page faults, minor and major.
+    pub page_faults: u32,
+    /// Times that it lost the core other than by its sleep.
+    pub switches: u32,
+    /// [`codes::LateCause`](crate::codes::LateCause): what made the cycle late.
+    pub late_cause: u32,
+    /// 1 when the numbers above could be read.
+    pub known: u32,
+}
+
 /// Everything of one cycle: inputs as used, outputs, timing, mode, fault.
 ///
 /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
@@ -114,12 +136,14 @@ pub struct Telemetry {
     pub elapsed_ns: u64,
     /// Periods skipped between the previous cycle and this one.
     pub skipped_periods: u32,
-    /// [`codes::timing`](crate::codes::timing) bits: late start, deadline miss.
+    /// [`codes::timing`](crate::codes::timing) bits: late start, deadline miss, stale inputs.
     pub timing_flags: u32,
     /// Deadline misses since the start.
     pub deadline_misses_total: u64,
     /// Skipped periods since the start.
     pub skipped_periods_total: u64,
+    /// What the system did to the cycle thread, and what made the cycle late.
+    pub scheduling: SchedulingReport,
 
     // ---- mode
     /// [`codes::Mode`](crate::codes::Mode) in which the command was made.
@@ -162,6 +186,16 @@ pub struct Telemetry {
     pub late_start_ns: u64,
     /// A measurement older than this is lost \[ns\].
     pub measurement_timeout_ns: u64,
+    /// A clearance below this is a fault \[m\].
+    pub clearance_fault_m: f64,
+    /// How far a measurement may jump \[rad\].
+    pub measurement_jump_rad: f64,
+    /// How far the robot may be commanded while the measurement stands still \[rad\].
+    pub measurement_frozen_rad: f64,
+    /// So many jumps in a row are a fault.
+    pub measurement_jump_limit: u32,
+    /// [`codes::MeasurementState`](crate::codes::MeasurementState).
+    pub measurement_state: u32,
     /// Level at which the leaky bucket stops the robot.
     pub miss_limit: u32,
     /// [`codes::LeaseState`](crate::codes::LeaseState).
@@ -219,6 +253,7 @@ impl Default for Telemetry {
             timing_flags: 0,
             deadline_misses_total: 0,
             skipped_periods_total: 0,
+            scheduling: SchedulingReport::default(),
             mode: 0,
             reason: 0,
             miss_bucket: 0,
@@ -237,6 +272,11 @@ impl Default for Telemetry {
             deadline_ns: 0,
             late_start_ns: 0,
             measurement_timeout_ns: 0,
+            clearance_fault_m: 0.0,
+            measurement_jump_rad: 0.0,
+            measurement_frozen_rad: 0.0,
+            measurement_jump_limit: 0,
+            measurement_state: 0,
             miss_limit: 0,
             lease_state: 0,
             plan_length: 0,

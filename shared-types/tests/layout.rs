@@ -4,9 +4,10 @@
 use std::mem::{align_of, offset_of, size_of};
 
 use cdcr_shared_types::{
-    Command, Header, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
+    Command, Header, Incident, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
     ReferenceChunk, ReferencePoint, ReferenceSample, Request, Response, RobotDescription,
-    SectionDescription, SolverReport, SolverSettings, Status, Telemetry,
+    SchedulingReport, SectionDescription, SolverReport, SolverSettings, Statistics, Status,
+    Telemetry,
 };
 
 #[test]
@@ -25,11 +26,14 @@ fn sizes_are_pinned() {
         ("InputEvent", size_of::<InputEvent>(), 40),
         ("ReferenceSample", size_of::<ReferenceSample>(), 64),
         ("SolverReport", size_of::<SolverReport>(), 72),
-        ("Telemetry", size_of::<Telemetry>(), 13440),
+        ("Telemetry", size_of::<Telemetry>(), 13512),
         ("LatencySummary", size_of::<LatencySummary>(), 48),
         ("SectionDescription", size_of::<SectionDescription>(), 48),
         ("RobotDescription", size_of::<RobotDescription>(), 320),
-        ("Status", size_of::<Status>(), 1064),
+        ("Statistics", size_of::<Statistics>(), 408),
+        ("Status", size_of::<Status>(), 1752),
+        ("SchedulingReport", size_of::<SchedulingReport>(), 40),
+        ("Incident", size_of::<Incident>(), 13552),
     ];
     let changed: Vec<_> = sizes.iter().filter(|(_, is, was)| is != was).collect();
     assert!(changed.is_empty(), "(type, is, was): {changed:?}");
@@ -120,38 +124,66 @@ fn offsets_are_pinned() {
             offset_of!(Telemetry, release_ns),
             32,
         ),
-        ("Telemetry.mode", offset_of!(Telemetry, mode), 120),
-        ("Telemetry.events", offset_of!(Telemetry, events), 152),
+        ("Telemetry.mode", offset_of!(Telemetry, mode), 160),
+        ("Telemetry.events", offset_of!(Telemetry, events), 192),
         (
             "Telemetry.measurement",
             offset_of!(Telemetry, measurement),
-            1112,
+            1152,
         ),
-        ("Telemetry.bend_rad", offset_of!(Telemetry, bend_rad), 1448),
-        ("Telemetry.settings", offset_of!(Telemetry, settings), 1640),
+        ("Telemetry.bend_rad", offset_of!(Telemetry, bend_rad), 1488),
+        ("Telemetry.settings", offset_of!(Telemetry, settings), 1680),
         (
             "Telemetry.obstacles",
             offset_of!(Telemetry, obstacles),
-            2192,
+            2264,
         ),
         (
             "Telemetry.clearance_m",
             offset_of!(Telemetry, clearance_m),
-            12896,
+            12968,
         ),
-        ("Status.clearance_m", offset_of!(Status, clearance_m), 568),
+        ("Status.clearance_m", offset_of!(Status, clearance_m), 1256),
         (
             "Telemetry.warm_plan",
             offset_of!(Telemetry, warm_plan),
-            8848,
+            8920,
         ),
-        ("Telemetry.plan", offset_of!(Telemetry, plan), 10768),
-        ("Telemetry.report", offset_of!(Telemetry, report), 12688),
-        ("Telemetry.command", offset_of!(Telemetry, command), 12904),
+        ("Telemetry.plan", offset_of!(Telemetry, plan), 10840),
+        ("Telemetry.report", offset_of!(Telemetry, report), 12760),
+        ("Telemetry.command", offset_of!(Telemetry, command), 12976),
         ("Status.mode", offset_of!(Status, mode), 124),
         ("Status.cycles", offset_of!(Status, cycles), 168),
         ("Status.outcomes", offset_of!(Status, outcomes), 240),
-        ("Status.robot", offset_of!(Status, robot), 576),
+        ("Status.robot", offset_of!(Status, robot), 1264),
+        ("Status.settings", offset_of!(Status, settings), 1584),
+        (
+            "Status.statistics_since_ns",
+            offset_of!(Status, statistics_since_ns),
+            408,
+        ),
+        ("Status.since_reset", offset_of!(Status, since_reset), 416),
+        ("Status.last_minute", offset_of!(Status, last_minute), 824),
+        ("Statistics.causes", offset_of!(Statistics, causes), 72),
+        ("Statistics.wake", offset_of!(Statistics, wake), 120),
+        ("Statistics.publish", offset_of!(Statistics, publish), 360),
+        (
+            "Telemetry.scheduling",
+            offset_of!(Telemetry, scheduling),
+            120,
+        ),
+        (
+            "SchedulingReport.late_cause",
+            offset_of!(SchedulingReport, late_cause),
+            32,
+        ),
+        (
+            "Telemetry.measurement_state",
+            offset_of!(Telemetry, measurement_state),
+            2244,
+        ),
+        ("Incident.steal_ns", offset_of!(Incident, steal_ns), 24),
+        ("Incident.telemetry", offset_of!(Incident, telemetry), 40),
     ];
     let moved: Vec<_> = offsets.iter().filter(|(_, is, was)| is != was).collect();
     assert!(moved.is_empty(), "(field, is, was): {moved:?}");

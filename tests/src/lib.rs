@@ -5,6 +5,9 @@
 
 #![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
 
+pub mod load;
+pub mod record;
+
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
@@ -190,6 +193,17 @@ impl Daemon {
             );
             std::thread::sleep(Duration::from_millis(10));
         }
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Whether it has not ended.
+    pub fn runs(&mut self) -> bool {
+        let status = self.child.try_wait().expect("it is our child");
+        status.is_none()
     }
 
     /// Sends a signal.

@@ -5,6 +5,7 @@ use crate::optimizer::{KpsoSettings, VelocityRule};
 
 /// How the optimal control problem is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SolverKind {
     /// Knowledge-based particle swarm, as in the paper.
@@ -28,6 +29,7 @@ impl SolverKind {
 
 /// In which rates the optimal control problem is posed. The command is always bend-vector rates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Coordinates {
     /// Rates (u̇, v̇) of each section's bend vector: smooth everywhere.
@@ -42,6 +44,7 @@ pub enum Coordinates {
 /// The default is the paper's swarm (6 × 30, c₁ = c₂ = 1.2, N = 2) with the inertia weight that Eq. 6
 /// lacks, refined by Gauss-Newton.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct NmpcSettings {
     /// The solver.

@@ -8,6 +8,7 @@ use crate::wide::{LANES, Wide};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum VelocityRule {
     /// χ = 1 and the inertia w of the settings (Shi & Eberhart 1998).

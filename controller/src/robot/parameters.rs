@@ -39,6 +39,7 @@ pub mod ranges {
 
 /// One section as a configuration file gives it. Not yet checked: [`Robot::new`] does that.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct SectionParameters {
     /// Length of the backbone, which bends but does not stretch (m), in [`ranges::LENGTH_M`].

@@ -13,7 +13,7 @@ pub struct LimitsHit {
     pub cable_speed: bool,
     /// All rates were scaled down to keep every cable's stroke.
     pub cable_stroke: bool,
-    /// The wish was not finite and became zero.
+    /// The wish, or the state that it starts from, was not finite, and the rates became zero.
     pub non_finite: bool,
 }
 
@@ -29,15 +29,22 @@ pub struct Limited {
 /// The nearest command inside every limit: rates in the box, each bend at most its section's limit
 /// one period later (a bend beyond it may only shrink), cables at most at their speed limit and, one
 /// period later, at most their stroke away from their lengths at the straight robot (a cable beyond it
-/// may only come back).
+/// may only come back). Zero rates where wish or state are not finite.
 pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64) -> Limited {
-    let mut rates = *wish;
-    let mut hit = LimitsHit::default();
-    if !wish.is_finite() {
-        rates = BendRates::zero(robot.section_count());
-        hit.non_finite = true;
+    if !(wish.is_finite() && at.is_finite()) {
+        return Limited {
+            rates: BendRates::zero(robot.section_count()),
+            hit: LimitsHit {
+                non_finite: true,
+                ..LimitsHit::default()
+            },
+        };
     }
-    hit.rate = clamp_rates(robot, &mut rates);
+    let mut rates = *wish;
+    let mut hit = LimitsHit {
+        rate: clamp_rates(robot, &mut rates),
+        ..LimitsHit::default()
+    };
     hit.bend = keep_bends(robot, at, &mut rates, period_s);
     // Keeping a bend that is beyond its limit inside asks for a rate of its own.
     hit.rate |= clamp_rates(robot, &mut rates);

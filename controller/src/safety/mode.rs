@@ -8,7 +8,7 @@
 //!               Homing
 //!
 //!  any but Faulted ── stop, leaky bucket ──► Stopped   latched: rates ramp to zero, until reset
-//!  any ── measurement lost, non-finite, limit ──► Faulted(cause)   latched like Stopped
+//!  any ── measurement lost, jumps or frozen, non-finite, limit, contact ──► Faulted(cause)   latched
 //!  Stopped, Faulted ── reset, cause gone ──► Holding
 //! ```
 
@@ -40,6 +40,12 @@ pub enum Reason {
     Shutdown,
     /// The reference lease was given back.
     LeaseReleased,
+    /// The body is nearer to an obstacle than may ever be.
+    ClearanceBroken,
+    /// The measurement jumped farther than the robot can move, again and again.
+    MeasurementJump,
+    /// The measurement stood still while the robot was commanded to move.
+    MeasurementFrozen,
 }
 
 /// The mode, with what belongs to it.
@@ -115,6 +121,9 @@ pub enum Refusal {
     /// The cause of the fault still stands.
     #[error("the cause of the fault still stands")]
     CauseStands,
+    /// A stop came in the same cycle.
+    #[error("a stop came in the same cycle")]
+    Overruled,
 }
 
 /// The reference lease, as a cycle sees it.
@@ -212,6 +221,28 @@ impl ModeMachine {
             }
             _ => Err(Refusal::WrongMode),
         }
+    }
+
+    /// Carries out the requests of one cycle, in their order; but when a stop is among them, or
+    /// `stop_at_once` says so, nothing but the stop is carried out. Leaves each answer in `answers`.
+    pub fn requests<const N: usize>(
+        &mut self,
+        requests: &[Option<Request>; N],
+        stop_at_once: bool,
+        seen: &Observation,
+    ) -> [Option<Result<(), Refusal>>; N] {
+        let stops = stop_at_once || requests.contains(&Some(Request::Stop));
+        if stops {
+            // Never refused.
+            let _ = self.request(Request::Stop, seen);
+        }
+        requests.map(|asked| {
+            asked.map(|request| match request {
+                Request::Stop => Ok(()),
+                _ if stops => Err(Refusal::Overruled),
+                request => self.request(request, seen),
+            })
+        })
     }
 
     /// A fault found after the observation of this cycle: the solver's result, the command.
@@ -432,6 +463,52 @@ mod tests {
             asked(Mode::Homing, Request::Track, good()),
             Err(Refusal::WrongMode)
         );
+    }
+
+    #[test]
+    fn a_stop_wins_over_every_other_request_of_its_cycle() {
+        let others = [Request::Track, Request::Hold, Request::Home, Request::Reset];
+        let stopped = Mode::Stopped {
+            reason: Reason::Request,
+        };
+        for mode in [
+            HOLDING,
+            Mode::Tracking { begun: true },
+            Mode::Homing,
+            stopped,
+        ] {
+            for other in others {
+                for order in [[other, Request::Stop], [Request::Stop, other]] {
+                    let mut machine = machine(mode);
+                    let asked = order.map(Some);
+                    let answers = machine.requests(&asked, false, &good());
+                    assert_eq!(machine.mode(), stopped);
+                    for (asked, answer) in order.iter().zip(answers) {
+                        let expected = match asked {
+                            Request::Stop => Ok(()),
+                            _ => Err(Refusal::Overruled),
+                        };
+                        assert_eq!(answer, Some(expected));
+                    }
+                }
+                let mut machine = machine(mode);
+                let answers = machine.requests(&[Some(other), None], true, &good());
+                assert_eq!(machine.mode(), stopped);
+                assert_eq!(answers, [Some(Err(Refusal::Overruled)), None]);
+            }
+        }
+    }
+
+    #[test]
+    fn requests_of_one_cycle_are_carried_out_in_their_order() {
+        let mut machine = machine(Mode::Stopped {
+            reason: Reason::Request,
+        });
+        let asked = [Request::Track, Request::Reset, Request::Home, Request::Hold].map(Some);
+        let answers = machine.requests(&asked, false, &good());
+        let expected = [Err(Refusal::WrongMode), Ok(()), Ok(()), Ok(())].map(Some);
+        assert_eq!(answers, expected);
+        assert_eq!(machine.mode().reason(), Reason::Request);
     }
 
     #[test]

@@ -5,6 +5,7 @@ use cdcr_shared_types::{Header, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
 use super::{Exchange, LastChunk};
+use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
 /// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
@@ -18,14 +19,14 @@ const fn drain_limit(service: Service) -> usize {
 
 impl Exchange {
     /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
-    pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {
+    pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64, shared: &Shared) {
         self.gather += 1;
         self.events.begin_gather();
         self.end_silent_lease(now_ns);
         self.take_references(now_ns);
         self.take_obstacles(now_ns);
         self.take_measurements(now_ns);
-        self.take_requests(now_ns);
+        self.take_requests(now_ns, shared);
         self.trajectory
             .forget_before(schedule.release_ns(cycle.saturating_sub(1)));
         self.hand_over(schedule, cycle, now_ns);
@@ -40,7 +41,7 @@ impl Exchange {
             cycle,
             schedule.release_ns(cycle),
             schedule.period_ns(),
-            self.settings.horizon_steps as usize,
+            self.settings.nmpc.horizon_steps as usize,
         );
         inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;

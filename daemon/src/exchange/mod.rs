@@ -16,11 +16,11 @@ mod gather;
 mod lease;
 mod publish;
 mod requests;
+mod room;
 pub mod services;
 
 use std::time::Duration;
 
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::reference::Trajectory;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Header;
@@ -28,10 +28,13 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
 use crate::config::{LinkKind, Validated, ns};
+use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
+use crate::rt::attribution::SchedulerCounts;
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
+use crate::rt::scheduler::SchedulerReader;
 use events::Events;
 use lease::Lease;
 use requests::Waiting;
@@ -53,7 +56,7 @@ pub struct Exchange {
     measurement: Option<TimedMeasurement>,
     obstacles: ObstacleSet,
     obstacles_refused: u64,
-    settings: NmpcSettings,
+    settings: Settings,
     settings_revision: u64,
     gather: u64,
     events: Events,
@@ -65,6 +68,11 @@ pub struct Exchange {
     last_mode: Mode,
     /// A stop that found no room in the ring.
     stop_at_once: bool,
+    /// How long the newest gather took \[ns\].
+    gather_took_ns: u64,
+    incidents_sent: u64,
+    scheduler: Option<SchedulerReader>,
+    scheduler_counts: SchedulerCounts,
 }
 
 /// What one gather and its cycle can bring fits one record: accepted chunks and obstacle updates, refusals,
@@ -103,7 +111,7 @@ impl Exchange {
             measurement: None,
             obstacles: ObstacleSet::default(),
             obstacles_refused: 0,
-            settings: config.controller,
+            settings: Settings::new(config),
             settings_revision: 0,
             gather: 0,
             events: Events::new(),
@@ -114,13 +122,19 @@ impl Exchange {
             last_cycle: 0,
             last_mode: Mode::Starting,
             stop_at_once: false,
+            gather_took_ns: 0,
+            incidents_sent: 0,
+            scheduler: None,
+            scheduler_counts: SchedulerCounts::default(),
         }
     }
 
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
+        self.scheduler = shared.cycle_thread().and_then(SchedulerReader::open);
         loop {
+            shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - self.gather_lead_ns;
             let left_ns = gather_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
@@ -130,7 +144,8 @@ impl Exchange {
             self.publish(clock, shared);
             let now_ns = clock.now_ns();
             if now_ns >= gather_ns {
-                self.gather(schedule, next_cycle, now_ns);
+                self.gather(schedule, next_cycle, now_ns, shared);
+                self.gather_took_ns = clock.now_ns() - now_ns;
                 next_cycle =
                     (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
             }

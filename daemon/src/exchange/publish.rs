@@ -2,31 +2,64 @@
 
 use cdcr_controller::nmpc::SolveStatus;
 use cdcr_shared_types as wire;
+use cdcr_shared_types::codes;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{ZeroCopySend, ipc};
 
 use super::{Exchange, convert};
-use crate::cycle::CycleRecord;
+use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::ports::Clock;
+use crate::rt::attribution::{SchedulerCounts, Scheduling, Timing, attribute};
 use crate::rt::handoff::Shared;
 use crate::supervisor::Summary;
 
 impl Exchange {
     /// Publishes every record that the cycle has handed over.
     pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
+        let mut scheduling = None;
         while let Ok(record) = self.ends.records.pop() {
             let command = self.publish_command(&record, clock.now_ns());
+            let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
+            self.answer_decided(&record, clock.now_ns());
+            // Records that wait together share one reading.
+            let scheduling = scheduling.get_or_insert_with(|| self.read_scheduler());
+            let report = late_report(&record, scheduling.as_ref());
+            let begins_fault = convert::mode(record.mode) == codes::Mode::Faulted
+                && self.last_mode != codes::Mode::Faulted;
             self.last_cycle = record.release.cycle;
             self.last_mode = convert::mode(record.mode);
-            self.answer_decided(&record, clock.now_ns());
-            self.publish_telemetry(&record, &command, clock.now_ns());
-            self.sum_up(&record, clock.now_ns(), shared);
+            let telemetry = self.publish_telemetry(&record, &command, report, clock.now_ns());
+            if report.late_cause != codes::LateCause::None.code() || begins_fault {
+                self.hand_incident_on(&telemetry, shared);
+            }
+            self.sum_up(&record, report, publish_ns, clock.now_ns(), shared);
+        }
+    }
+
+    /// What the system did to the cycle thread since the last reading.
+    fn read_scheduler(&mut self) -> Option<Scheduling> {
+        let counts = self.scheduler.as_ref()?.read()?;
+        let before = core::mem::replace(&mut self.scheduler_counts, counts);
+        // The first reading has none before it.
+        (before != SchedulerCounts::default()).then(|| counts.since(&before))
+    }
+
+    /// A bad cycle goes to the supervisor, which keeps it.
+    fn hand_incident_on(&mut self, telemetry: &wire::Telemetry, shared: &Shared) {
+        self.incidents_sent += 1;
+        let incident = wire::Incident {
+            header: self.header(self.incidents_sent, telemetry.header.sent_ns),
+            telemetry: *telemetry,
+            ..wire::Incident::default()
+        };
+        if self.ends.incidents.push(incident).is_err() {
+            shared.count_dropped_record();
         }
     }
 
     fn publish_command(&mut self, record: &CycleRecord, now_ns: u64) -> wire::Command {
-        // Before the first measurement nobody knows where the robot is, so there is no target to go to.
-        let is_known = record.measurement.is_some();
+        // While nobody knows where the robot is, there is no target to go to.
+        let is_known = record.measurement.is_some() && record.configuration.is_finite();
         self.commands_sent += u64::from(is_known);
         let command = wire::Command {
             header: self.header(self.commands_sent, now_ns),
@@ -38,18 +71,33 @@ impl Exchange {
         command
     }
 
-    fn publish_telemetry(&mut self, record: &CycleRecord, command: &wire::Command, now_ns: u64) {
+    fn publish_telemetry(
+        &mut self,
+        record: &CycleRecord,
+        command: &wire::Command,
+        scheduling: wire::SchedulingReport,
+        now_ns: u64,
+    ) -> wire::Telemetry {
         self.telemetry_sent += 1;
         let mut telemetry = wire::Telemetry {
             header: self.header(self.telemetry_sent, now_ns),
             command: *command,
+            scheduling,
             ..convert::telemetry(record, &self.robot, self.period_ns)
         };
         self.events.report(&mut telemetry);
         send(&self.ports.telemetry, telemetry);
+        telemetry
     }
 
-    fn sum_up(&mut self, record: &CycleRecord, now_ns: u64, shared: &Shared) {
+    fn sum_up(
+        &mut self,
+        record: &CycleRecord,
+        scheduling: wire::SchedulingReport,
+        publish_ns: u64,
+        now_ns: u64,
+        shared: &Shared,
+    ) {
         let due_ns = record.release.due_ns;
         let summary = Summary {
             cycle: record.release.cycle,
@@ -57,7 +105,16 @@ impl Exchange {
             solve_ns: record.solve_end_ns - record.solve_start_ns,
             solved: record.report.status != SolveStatus::Idle,
             budget_hit: record.report.budget_spent,
+            compute_ns: record.handed_over_ns - record.release.start_ns,
             response_ns: record.handed_over_ns - due_ns,
+            gather_ns: self.gather_took_ns,
+            publish_ns,
+            skipped_periods: record.release.skipped,
+            late_cause: scheduling.late_cause,
+            stale_inputs: record.stale_inputs,
+            stale_measurement: self.has_driver
+                && record.measurement_use == MeasurementUse::Repeated,
+            position_error_m: self.tracking_error_m(record),
             verdict: record.verdict,
             totals: record.totals,
             mode: self.last_mode,
@@ -78,6 +135,27 @@ impl Exchange {
             shared.count_dropped_record();
         }
     }
+
+    fn tracking_error_m(&self, record: &CycleRecord) -> Option<f64> {
+        let tracks = self.last_mode == codes::Mode::Tracking;
+        tracks.then(|| (record.tip.position_m - record.reference.position_m).norm())
+    }
+}
+
+/// What the system did during a cycle, and what made it late if it was.
+fn late_report(record: &CycleRecord, scheduling: Option<&Scheduling>) -> wire::SchedulingReport {
+    let CycleRecord {
+        release, verdict, ..
+    } = record;
+    let is_bad = verdict.late_start || verdict.deadline_miss || release.skipped > 0;
+    let timing = Timing {
+        wake_ns: release.start_ns - release.due_ns,
+        compute_ns: record.handed_over_ns - release.start_ns,
+        longest_gap_ns: record.longest_gap_ns,
+        after_solve_ns: record.handed_over_ns - record.solve_end_ns,
+    };
+    let cause = is_bad.then(|| attribute(&timing, scheduling));
+    convert::scheduling(scheduling, record.longest_gap_ns, cause)
 }
 
 /// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no

@@ -9,7 +9,7 @@ use iceoryx2::prelude::ipc;
 use super::convert::{self, Refused};
 use super::{Exchange, convert::mode_request};
 use crate::cycle::CycleRecord;
-use crate::rt::handoff::{CycleAnswer, CycleRequest};
+use crate::rt::handoff::{CycleAnswer, CycleRequest, Shared};
 
 /// A request whose client waits for an answer.
 type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;
@@ -42,7 +42,7 @@ impl Waiting {
 }
 
 impl Exchange {
-    pub(super) fn take_requests(&mut self, now_ns: u64) {
+    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) {
         let mut taken = 0;
         for _ in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {
@@ -53,7 +53,7 @@ impl Exchange {
                 self.pass_stop_on(asked, now_ns);
             } else if taken < REQUESTS_PER_GATHER {
                 taken += 1;
-                self.take_request(asked, now_ns);
+                self.take_request(asked, now_ns, shared);
             } else {
                 self.answer_now(&asked, Outcome::Busy, now_ns);
             }
@@ -72,7 +72,7 @@ impl Exchange {
         }
     }
 
-    fn take_request(&mut self, asked: Asked, now_ns: u64) {
+    fn take_request(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
         let Ok(kind) = RequestKind::try_from(asked.payload().kind) else {
             return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
         };
@@ -84,7 +84,7 @@ impl Exchange {
         if let Some(request) = mode_request(kind) {
             self.pass_on(asked, request, now_ns);
         } else {
-            let outcome = self.carry_out(kind, asked.payload(), now_ns);
+            let outcome = self.carry_out(kind, asked.payload(), now_ns, shared);
             self.answer_now(&asked, outcome, now_ns);
         }
     }
@@ -107,8 +107,14 @@ impl Exchange {
         }
     }
 
-    /// Requests about the lease and the settings are decided here.
-    fn carry_out(&mut self, kind: RequestKind, request: &Request, now_ns: u64) -> Outcome {
+    /// Requests about lease, settings and statistics are decided here.
+    fn carry_out(
+        &mut self,
+        kind: RequestKind,
+        request: &Request,
+        now_ns: u64,
+        shared: &Shared,
+    ) -> Outcome {
         let client = request.header.sender_id;
         match kind {
             RequestKind::AcquireLease if self.lease.acquire(client, now_ns) => Outcome::Accepted,
@@ -126,6 +132,10 @@ impl Exchange {
                 }
                 Err(outcome) => outcome,
             },
+            RequestKind::ResetStatistics => {
+                shared.reset_statistics();
+                Outcome::Accepted
+            }
             _ => Outcome::UnknownCode,
         }
     }

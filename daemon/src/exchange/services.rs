@@ -3,14 +3,16 @@
 use std::fmt::Debug;
 
 use cdcr_shared_types::{
-    Command, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service,
-    Telemetry,
+    Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
+    Service, Telemetry,
 };
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+
+use super::room::{self, MANAGEMENT_BYTES, NoRoom};
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -39,18 +41,46 @@ pub enum ServiceError {
         /// What iceoryx2 says.
         cause: String,
     },
+    /// Shared memory has less room than is needed.
+    #[error(
+        "shared memory (/dev/shm) is full: {what} needs {needed_mb:.1} MB, {free_mb:.1} MB are free\n\
+         remove what is not needed (ls -l /dev/shm), or make it larger \
+         (mount -o remount,size=256M /dev/shm); cdcrd doctor shows how much it should have"
+    )]
+    Full {
+        /// Who needs it.
+        what: String,
+        /// How much \[MB\].
+        needed_mb: f64,
+        /// How much there is \[MB\].
+        free_mb: f64,
+    },
+}
+
+impl ServiceError {
+    pub(super) fn full(what: String, no_room: NoRoom) -> Self {
+        Self::Full {
+            what,
+            needed_mb: no_room.needed_bytes as f64 * 1e-6,
+            free_mb: no_room.free_bytes as f64 * 1e-6,
+        }
+    }
 }
 
 /// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
 ///
 /// # Errors
-/// [`ServiceError::Node`].
+/// [`ServiceError::Node`], and [`ServiceError::Full`] when shared memory has no room for a daemon.
 pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     let error = |cause: String| ServiceError::Node {
         prefix: location.prefix().to_owned(),
         root: location.root().display().to_string(),
         cause,
     };
+    // What a dead daemon left here is removed with it, and what another thread made here is ours.
+    let taken_bytes = room::taken_bytes(&location.file_prefix());
+    room::ask(room::daemon_bytes().saturating_sub(taken_bytes))
+        .map_err(|no_room| ServiceError::full("the daemon".to_owned(), no_room))?;
     let builder = location
         .node_builder()
         .map_err(|cause| error(cause.to_string()))?;
@@ -80,7 +110,7 @@ impl Ports {
     /// Creates every service of `robot`, and our ends.
     ///
     /// # Errors
-    /// [`ServiceError::Service`] with the name of the service.
+    /// [`ServiceError::Service`] or [`ServiceError::Full`] with the name of the service.
     pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
             reference: subscriber(node, Service::Reference, robot)?,
@@ -99,6 +129,25 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
         service: service.clone(),
         cause: format!("{cause:?}"),
     }
+}
+
+/// Creates a port for which `bytes` of shared memory must be free, and takes them for good.
+fn with_room<P>(
+    node: &Node<ipc::Service>,
+    service: Service,
+    robot: &str,
+    bytes: u64,
+    create: impl FnOnce() -> Result<P, ServiceError>,
+) -> Result<P, ServiceError> {
+    let full = |no_room| {
+        let service = format!("the service cdcr/{robot}/{}", service.key());
+        ServiceError::full(service, no_room)
+    };
+    room::ask(bytes + MANAGEMENT_BYTES).map_err(full)?;
+    let port = create()?;
+    let prefix = node.config().global.prefix.to_string();
+    room::take(&prefix).map_err(full)?;
+    Ok(port)
 }
 
 fn topic<T: ZeroCopySend + Debug + 'static>(
@@ -121,20 +170,34 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
         .map_err(|cause| failed(&cause))
 }
 
-/// A publisher that never waits for a reader.
+/// A publisher that never waits for a reader, and whose memory is there.
 ///
 /// # Errors
-/// [`ServiceError::Service`].
+/// [`ServiceError::Service`], [`ServiceError::Full`].
 pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     node: &Node<ipc::Service>,
     service: Service,
     robot: &str,
 ) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
-    topic::<T>(node, service, robot)?
-        .publisher_builder()
-        .backpressure_strategy(BackpressureStrategy::DiscardData)
-        .create()
-        .map_err(|cause| failed(service, robot)(&cause))
+    let bytes = room::writer_bytes(service, size_of::<T>());
+    with_room(node, service, robot, bytes, || {
+        topic::<T>(node, service, robot)?
+            .publisher_builder()
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|cause| failed(service, robot)(&cause))
+    })
+}
+
+/// The publisher of the bad cycles, which late joiners still get.
+///
+/// # Errors
+/// As [`publisher`].
+pub fn incidents(
+    node: &Node<ipc::Service>,
+    robot: &str,
+) -> Result<Publisher<ipc::Service, Incident, ()>, ServiceError> {
+    publisher(node, Service::Incidents, robot)
 }
 
 fn subscriber<T: ZeroCopySend + Debug + 'static>(
@@ -142,10 +205,12 @@ fn subscriber<T: ZeroCopySend + Debug + 'static>(
     service: Service,
     robot: &str,
 ) -> Result<Subscriber<ipc::Service, T, ()>, ServiceError> {
-    topic::<T>(node, service, robot)?
-        .subscriber_builder()
-        .create()
-        .map_err(|cause| failed(service, robot)(&cause))
+    with_room(node, service, robot, 0, || {
+        topic::<T>(node, service, robot)?
+            .subscriber_builder()
+            .create()
+            .map_err(|cause| failed(service, robot)(&cause))
+    })
 }
 
 fn control(
@@ -156,18 +221,21 @@ fn control(
     let name = Service::Control
         .name(robot)
         .map_err(|cause| failed(&cause))?;
-    node.service_builder(&name)
-        .request_response::<Request, Response>()
-        .max_servers(1)
-        .max_clients(Service::CONTROL_CLIENTS)
-        .max_active_requests_per_client(Service::CONTROL_REQUESTS)
-        .enable_safe_overflow_for_requests(true)
-        .enable_safe_overflow_for_responses(true)
-        .max_nodes(Service::NODES)
-        .open_or_create()
-        .map_err(|cause| failed(&cause))?
-        .server_builder()
-        .backpressure_strategy(BackpressureStrategy::DiscardData)
-        .create()
-        .map_err(|cause| failed(&cause))
+    let bytes = room::control_bytes();
+    with_room(node, Service::Control, robot, bytes, || {
+        node.service_builder(&name)
+            .request_response::<Request, Response>()
+            .max_servers(1)
+            .max_clients(Service::CONTROL_CLIENTS)
+            .max_active_requests_per_client(Service::CONTROL_REQUESTS)
+            .enable_safe_overflow_for_requests(true)
+            .enable_safe_overflow_for_responses(true)
+            .max_nodes(Service::NODES)
+            .open_or_create()
+            .map_err(|cause| failed(&cause))?
+            .server_builder()
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|cause| failed(&cause))
+    })
 }

@@ -5,17 +5,18 @@
 //!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
 //!  exchange ◄── CycleRecord (every one: ring, drops counted) ── cycle
 //!  supervisor ◄── Summary (every one: ring, drops counted) ──── exchange
+//!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) exchange
 //! ```
 
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
-use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_controller::safety::{LeaseState, Refusal, Request};
+use cdcr_shared_types::Incident;
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
-use crate::cycle::CycleRecord;
+use crate::cycle::{CycleRecord, Settings};
 use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
 use crate::supervisor::Summary;
@@ -38,14 +39,14 @@ pub struct CycleInputs {
     /// The obstacles, each at its own stamp.
     pub obstacles: ObstacleSet,
     /// The settings in force, checked.
-    pub settings: NmpcSettings,
+    pub settings: Settings,
     /// Grows with each change of the settings.
     pub settings_revision: u64,
 }
 
 impl CycleInputs {
     /// Before the first gather.
-    pub fn new(settings: NmpcSettings) -> Self {
+    pub fn new(settings: Settings) -> Self {
         Self {
             gather: 0,
             gather_ns: 0,
@@ -84,6 +85,8 @@ pub const REQUESTS_PER_CYCLE: usize = 4;
 const RECORDS: usize = 128;
 /// Summaries between exchange and supervisor: 5 s at 5 ms.
 const SUMMARIES: usize = 1024;
+/// Bad cycles between exchange and supervisor.
+const INCIDENTS: usize = 16;
 
 /// Ends of the cycle thread.
 #[derive(Debug)]
@@ -107,14 +110,26 @@ pub struct ExchangeEnds {
     pub records: Consumer<CycleRecord>,
     /// Summaries.
     pub summaries: Producer<Summary>,
+    /// Bad cycles.
+    pub incidents: Producer<Incident>,
+}
+
+/// Ends of the supervisor.
+#[derive(Debug)]
+pub struct SupervisorEnds {
+    /// Summaries.
+    pub summaries: Consumer<Summary>,
+    /// Bad cycles.
+    pub incidents: Consumer<Incident>,
 }
 
 /// The channels between cycle, exchange and supervisor.
-pub fn channels(settings: NmpcSettings) -> (CycleEnds, ExchangeEnds, Consumer<Summary>) {
+pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds) {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(4 * REQUESTS_PER_CYCLE);
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
+    let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
     let cycle = CycleEnds {
         inputs: output,
         requests: request_out,
@@ -125,8 +140,13 @@ pub fn channels(settings: NmpcSettings) -> (CycleEnds, ExchangeEnds, Consumer<Su
         requests: request_in,
         records: record_out,
         summaries: summary_in,
+        incidents: incident_in,
     };
-    (cycle, exchange, summary_out)
+    let supervisor = SupervisorEnds {
+        summaries: summary_out,
+        incidents: incident_out,
+    };
+    (cycle, exchange, supervisor)
 }
 
 /// Flags and counters that all threads see.
@@ -136,9 +156,48 @@ pub struct Shared {
     cycle_ended: AtomicBool,
     dropped_records: AtomicU64,
     origin_ns: AtomicU64,
+    cycle_thread: AtomicU32,
+    cycle_beats: AtomicU64,
+    exchange_beats: AtomicU64,
+    statistics_resets: AtomicU64,
 }
 
 impl Shared {
+    /// The cycle thread says who it is, so that others can read what the scheduler counts of it.
+    pub fn set_cycle_thread(&self, id: u32) {
+        self.cycle_thread.store(id, Ordering::Release);
+    }
+
+    /// Id of the cycle thread, once it has said it.
+    pub fn cycle_thread(&self) -> Option<u32> {
+        Some(self.cycle_thread.load(Ordering::Acquire)).filter(|id| *id != 0)
+    }
+
+    /// The cycle thread lives.
+    pub fn beat_cycle(&self) {
+        self.cycle_beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The exchange thread lives.
+    pub fn beat_exchange(&self) {
+        self.exchange_beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Beats of cycle and exchange so far.
+    pub fn beats(&self) -> [u64; 2] {
+        [&self.cycle_beats, &self.exchange_beats].map(|beats| beats.load(Ordering::Relaxed))
+    }
+
+    /// A client wants the statistics to begin anew.
+    pub fn reset_statistics(&self) {
+        self.statistics_resets.fetch_add(1, Ordering::Release);
+    }
+
+    /// How often that was wanted.
+    pub fn statistics_resets(&self) -> u64 {
+        self.statistics_resets.load(Ordering::Acquire)
+    }
+
     /// Asks every thread to come to an end: the cycle brings the robot to rest first.
     pub fn end(&self) {
         self.ending.store(true, Ordering::Release);

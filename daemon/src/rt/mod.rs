@@ -4,8 +4,10 @@
 //! `unsafe` in it.
 
 pub mod accounting;
+pub mod attribution;
 pub mod clock;
 pub mod handoff;
 pub mod privileges;
 pub mod schedule;
+pub mod scheduler;
 pub mod sys;

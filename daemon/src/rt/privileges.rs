@@ -1,5 +1,8 @@
 //! What makes threads real-time: memory that stays, a core of their own, a priority.
 
+use std::fs::{File, OpenOptions};
+use std::io::Write;
+
 use cdcr_shared_types::codes::realtime;
 use rustix::mm::MlockAllFlags;
 
@@ -77,6 +80,24 @@ pub fn lock_memory(mode: RealtimeMode) -> u32 {
         Err(error) => {
             tracing::warn!(%error, "memory is not locked");
             realtime::LOCKED
+        }
+    }
+}
+
+/// Keeps the processor out of deep sleep for as long as the file lives: `/dev/cpu_dma_latency` with the value
+/// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). None where the configuration does not want
+/// it or the system does not grant it; then wake-ups take longer, and nothing else.
+pub fn keep_awake(config: &RealtimeConfig) -> Option<File> {
+    if config.mode == RealtimeMode::Off || !config.no_deep_sleep {
+        return None;
+    }
+    let opened = OpenOptions::new().write(true).open("/dev/cpu_dma_latency");
+    let held = opened.and_then(|mut file| file.write_all(&0_i32.to_ne_bytes()).map(|()| file));
+    match held {
+        Ok(file) => Some(file),
+        Err(error) => {
+            tracing::info!(%error, "the processor may sleep deeply: /dev/cpu_dma_latency is not granted");
+            None
         }
     }
 }

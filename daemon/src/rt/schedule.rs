@@ -11,6 +11,7 @@ use crate::ports::Clock;
 pub struct Schedule {
     origin_ns: u64,
     period_ns: u64,
+    spin_ns: u64,
     last_cycle: u64,
 }
 
@@ -36,8 +37,15 @@ impl Schedule {
         Self {
             origin_ns,
             period_ns,
+            spin_ns: 0,
             last_cycle: 0,
         }
+    }
+
+    /// The same grid; [`wait`](Self::wait) wakes up `spin_ns` before each release and spins to it.
+    #[must_use]
+    pub fn with_spin(self, spin_ns: u64) -> Self {
+        Self { spin_ns, ..self }
     }
 
     /// Period \[ns\].
@@ -59,8 +67,13 @@ impl Schedule {
     pub fn wait(&mut self, clock: &impl Clock) -> Release {
         let earliest = self.last_cycle + 1;
         let next = earliest.max(self.cycle_at(clock.now_ns()) + 1);
-        clock.sleep_until(self.release_ns(next));
-        let start_ns = clock.now_ns();
+        let due_ns = self.release_ns(next);
+        clock.sleep_until(due_ns.saturating_sub(self.spin_ns));
+        let mut start_ns = clock.now_ns();
+        while start_ns < due_ns {
+            core::hint::spin_loop();
+            start_ns = clock.now_ns();
+        }
         // Slept through whole periods: the newest release counts, the others are skipped.
         let cycle = next.max(self.cycle_at(start_ns));
         let skipped = cycle - earliest;
@@ -68,7 +81,7 @@ impl Schedule {
         Release {
             cycle,
             release_ns: self.release_ns(cycle),
-            due_ns: self.release_ns(next),
+            due_ns,
             start_ns,
             skipped: u32::try_from(skipped).unwrap_or(u32::MAX),
         }
@@ -81,27 +94,48 @@ mod tests {
 
     use super::*;
 
-    /// A clock that stands still but for sleeps, which end late by what the test says.
+    /// A clock that moves when it is read and by sleeps, which end late, both by what the test says \[ns\].
     struct Slow {
-        now_ns: Cell<u64>,
-        late_ns: Cell<u64>,
+        now: Cell<u64>,
+        late: Cell<u64>,
+        tick: Cell<u64>,
     }
 
     impl Clock for Slow {
         fn now_ns(&self) -> u64 {
-            self.now_ns.get()
+            self.now.set(self.now.get() + self.tick.get());
+            self.now.get()
         }
         fn sleep_until(&self, time_ns: u64) {
-            self.now_ns
-                .set(self.now_ns.get().max(time_ns) + self.late_ns.get());
+            self.now.set(self.now.get().max(time_ns) + self.late.get());
         }
     }
 
     fn clock(now_ns: u64) -> Slow {
         Slow {
-            now_ns: Cell::new(now_ns),
-            late_ns: Cell::new(0),
+            now: Cell::new(now_ns),
+            late: Cell::new(0),
+            tick: Cell::new(0),
         }
+    }
+
+    #[test]
+    fn a_thread_that_spins_wakes_early_and_starts_at_its_release() {
+        let (clock, schedule) = (clock(0), Schedule::new(0, 100));
+        clock.tick.set(1);
+        clock.late.set(12);
+        let mut schedule = schedule.with_spin(30);
+        for cycle in 1..=3 {
+            let release = schedule.wait(&clock);
+            assert_eq!((release.cycle, release.due_ns), (cycle, cycle * 100));
+            assert_eq!(
+                release.start_ns, release.due_ns,
+                "12 of 30 ns late is early enough"
+            );
+        }
+        clock.late.set(50);
+        let release = schedule.wait(&clock);
+        assert!((20..30).contains(&(release.start_ns - release.due_ns)));
     }
 
     #[test]
@@ -125,7 +159,7 @@ mod tests {
     #[test]
     fn a_late_wake_up_inside_the_period_is_late_but_skips_nothing() {
         let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
-        clock.late_ns.set(60);
+        clock.late.set(60);
         let release = schedule.wait(&clock);
         assert_eq!(
             (
@@ -141,14 +175,14 @@ mod tests {
     fn a_stall_skips_whole_periods_and_keeps_the_grid() {
         let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
         schedule.wait(&clock);
-        clock.late_ns.set(350);
+        clock.late.set(350);
         let release = schedule.wait(&clock);
         assert_eq!(
             (release.cycle, release.release_ns, release.skipped),
             (5, 500, 3)
         );
         assert_eq!((release.due_ns, release.start_ns), (200, 550));
-        clock.late_ns.set(0);
+        clock.late.set(0);
         assert_eq!(schedule.wait(&clock).cycle, 6);
     }
 
@@ -156,7 +190,7 @@ mod tests {
     fn a_long_computation_skips_too() {
         let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
         schedule.wait(&clock);
-        clock.now_ns.set(330);
+        clock.now.set(330);
         let release = schedule.wait(&clock);
         assert_eq!((release.cycle, release.skipped), (4, 2));
     }

@@ -35,50 +35,75 @@ pub fn keep_freed_memory() {
     }
 }
 
-thread_local! {
-    static COUNTED: Cell<bool> = const { Cell::new(false) };
-    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+/// What the allocator does about the heap operations of a thread.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Watch {
+    Off,
+    Count,
+    Forbid,
 }
 
-/// The system allocator, with a count of what one thread takes and gives back while it is watched.
+thread_local! {
+    static WATCH: Cell<Watch> = const { Cell::new(Watch::Off) };
+    static OPERATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+/// The system allocator, which watches what one thread takes and gives back.
 ///
 /// A test binary installs it with `#[global_allocator]` and watches the cycle thread.
 #[derive(Debug, Default)]
-pub struct CountingAllocator;
+pub struct WatchedAllocator;
 
 /// Heap operations (allocate, grow, free) of the calling thread while `work` runs, and its result.
-/// Zero unless [`CountingAllocator`] is the global allocator.
+/// Zero unless [`WatchedAllocator`] is the global allocator.
 pub fn count_allocations<R>(work: impl FnOnce() -> R) -> (u64, R) {
-    ALLOCATIONS.set(0);
-    COUNTED.set(true);
+    OPERATIONS.set(0);
+    WATCH.set(Watch::Count);
     let result = work();
-    COUNTED.set(false);
-    (ALLOCATIONS.get(), result)
+    WATCH.set(Watch::Off);
+    (OPERATIONS.get(), result)
 }
 
-fn count() {
-    if COUNTED.get() {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+/// Runs `work` and aborts the process at the first heap operation of the calling thread in it, with a
+/// message and the place. Does nothing more than `work` unless [`WatchedAllocator`] is the global allocator.
+pub fn forbid_allocations<R>(work: impl FnOnce() -> R) -> R {
+    WATCH.set(Watch::Forbid);
+    let result = work();
+    WATCH.set(Watch::Off);
+    result
+}
+
+fn watch() {
+    match WATCH.get() {
+        Watch::Off => {}
+        Watch::Count => OPERATIONS.set(OPERATIONS.get() + 1),
+        Watch::Forbid => {
+            // The report may use the heap.
+            WATCH.set(Watch::Off);
+            let place = std::backtrace::Backtrace::force_capture();
+            eprintln!("the heap was used where it is forbidden:\n{place}");
+            std::process::abort();
+        }
     }
 }
 
-// SAFETY: every method counts in a const-initialised thread-local without a destructor, which neither
-// allocates nor unwinds, and hands the call on to the system allocator unchanged.
-unsafe impl GlobalAlloc for CountingAllocator {
+// SAFETY: every method looks at const-initialised thread-locals without a destructor, which neither
+// allocates nor unwinds (or ends the process), and hands the call on to the system allocator unchanged.
+unsafe impl GlobalAlloc for WatchedAllocator {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
+        watch();
         // SAFETY: the caller keeps the contract of `alloc`, which is the same.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, memory: *mut u8, layout: Layout) {
-        count();
+        watch();
         // SAFETY: `memory` came from `System` through `alloc` or `realloc` with this layout.
         unsafe { System.dealloc(memory, layout) }
     }
 
     unsafe fn realloc(&self, memory: *mut u8, layout: Layout, new_size: usize) -> *mut u8 {
-        count();
+        watch();
         // SAFETY: `memory` came from `System` with this layout; the caller vouches for `new_size`.
         unsafe { System.realloc(memory, layout, new_size) }
     }

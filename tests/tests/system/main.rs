@@ -14,6 +14,8 @@ mod lifecycle;
 mod modes;
 mod obstacles;
 mod program;
+mod reconnect;
 mod replay;
 mod silence;
 mod strangers;
+mod timing;

@@ -1,6 +1,7 @@
 //! `cdcrctl` as a user meets it when all is well.
 
 use std::process::Command;
+use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wait_until};
@@ -191,6 +192,136 @@ fn the_status_is_shown_as_text_and_as_json() {
     assert_eq!(status["mode"], "holding");
     assert_eq!(status["period_ns"], 5_000_000);
     assert_eq!(status["robot"]["sections"].as_array().unwrap().len(), 3);
+    let statistics = &status["since_reset"];
+    assert_eq!(statistics["cycles"], status["cycles"]);
+    assert_eq!(statistics["wake"]["count"], status["cycles"]);
+}
+
+#[test]
+fn the_statistics_are_reset_for_all_and_the_stop_stays() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    good(place, &[&["stop"]]);
+    let before = status(place);
+    let said = good(place, &[&["status", "--reset-statistics"]]);
+    assert!(said.contains("begun anew after cycle"), "{said}");
+    let since = |status: &Value| status["statistics_since_ns"].as_u64().unwrap();
+    wait_until("the reset", || since(&status(place)) > since(&before));
+    let after = status(place);
+    let counted = after["since_reset"]["cycles"].as_u64().unwrap();
+    assert!(counted < after["cycles"].as_u64().unwrap(), "{after}");
+    assert_eq!(after["mode"], "stopped");
+}
+
+#[test]
+fn a_watched_status_is_shown_again_and_again() {
+    let daemon = Daemon::start(PATIENT);
+    let arguments = ["status", "--watch", "--format", "json"];
+    let mut watch = Program::start(&mut command(daemon.place(), &[&arguments]));
+    std::thread::sleep(Duration::from_millis(2500));
+    watch.signal(Signal::INT);
+    let output = watch.output();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    let shown = String::from_utf8(output.stdout).unwrap();
+    let cycles = shown.lines().map(|line| {
+        let status: Value = serde_json::from_str(line).unwrap();
+        status["cycles"].as_u64().unwrap()
+    });
+    let cycles: Vec<u64> = cycles.collect();
+    assert!(cycles.len() > 1, "{cycles:?}");
+    assert!(cycles.is_sorted_by(|a, b| a < b), "{cycles:?}");
+}
+
+/// Freezes the daemon for longer than a few periods, which makes a bad cycle.
+fn freeze(daemon: &Daemon) {
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(100));
+    daemon.signal(Signal::CONT);
+}
+
+#[test]
+fn bad_cycles_are_kept_for_whoever_asks_later() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    freeze(&daemon);
+    // With what the daemon kept only, and at most its newest.
+    let frozen = |line: &str| {
+        let incident: Value = serde_json::from_str(line).unwrap();
+        let record = &incident["telemetry"];
+        record["skipped_periods"].as_u64().unwrap() >= 10
+            && record["late_start"] == true
+            && record["scheduling"]["late_cause"] != "in time"
+    };
+    wait_until("the incident", || {
+        let said = good(place, &[&["incidents", "--format", "json"]]);
+        said.lines().any(frozen)
+    });
+    let said = good(place, &[&["incidents", "--count", "1"]]);
+    assert_eq!(said.lines().count(), 2, "a heading and one line: {said}");
+    let said = good(place, &[&["incidents"]]);
+    assert!(said.contains("late start, "), "{said}");
+    assert!(said.contains("skipped "), "{said}");
+
+    let arguments = ["incidents", "--follow", "--count", "0", "--format", "json"];
+    let mut follow = Program::start(&mut command(place, &[&arguments]));
+    std::thread::sleep(Duration::from_secs(1));
+    freeze(&daemon);
+    std::thread::sleep(Duration::from_millis(500));
+    follow.signal(Signal::INT);
+    let output = follow.output();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    let said = String::from_utf8(output.stdout).unwrap();
+    assert!(said.lines().any(frozen), "{said}");
+}
+
+#[test]
+fn settings_are_shown_and_changed_by_their_keys() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    let show = ["settings", "show", "--format", "json"];
+    let shown = || -> Value { serde_json::from_str(&good(place, &[&show])).unwrap() };
+    let before = shown();
+    let table = good(place, &[&["settings"]]);
+    assert!(
+        table.contains("kpso, gauss-newton or kpso-refined"),
+        "{table}"
+    );
+
+    let set = ["settings", "set", "solver=gauss-newton", "budget_ms=2.5"];
+    let said = good(place, &[&set, &["horizon_steps=4"]]);
+    let horizon = before["horizon_steps"].to_string();
+    for part in [
+        "solver: kpso-refined -> gauss-newton",
+        "budget_ms: 0 -> 2.5",
+        &format!("horizon_steps: {horizon} -> 4"),
+        "settings: accepted",
+    ] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    // One after the other at once: none takes back what the one before changed.
+    good(place, &[&["settings", "set", "seed=7"]]);
+    good(place, &[&["settings", "set", "inertia=0.6"]]);
+    let mut expected = before;
+    expected["solver"] = "gauss-newton".into();
+    expected["budget_ms"] = 2.5.into();
+    expected["horizon_steps"] = 4.into();
+    expected["seed"] = 7.into();
+    expected["inertia"] = 0.6.into();
+    assert_eq!(shown(), expected);
+
+    let refused = |change: &str| {
+        let output = place.cdcrctl(&["settings", "set", change]);
+        (output.status.code(), text(&output))
+    };
+    // More blocks than steps: in the range of the key, but not for the daemon.
+    let (code, message) = refused("control_blocks=5");
+    assert_eq!(code, Some(1), "{message}");
+    assert!(message.contains("a value is out of range"), "{message}");
+    assert!(message.contains("at most horizon_steps"), "{message}");
+    let (code, message) = refused("horizon=5");
+    assert_eq!(code, Some(2), "{message}");
+    assert!(message.contains("do you mean horizon_steps?"), "{message}");
+    assert_eq!(shown(), expected, "a refusal changes nothing");
 }
 
 /// Starts an echo, lets `speak` make messages until the echo has enough, and returns its lines.

@@ -41,8 +41,15 @@ const REACH_TOLERANCE_M: f64 = 1e-6;
 /// The clock of a driver, or of who sees obstacles, may be this far ahead \[ns\].
 const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
-/// The points of a chunk, all checked: finite, ahead of `now_ns`, inside the reachable ball, with
-/// increasing times and unit orientations.
+/// References lie at most a day ahead \[ns\].
+const AHEAD_MAX_NS: u64 = 86_400_000_000_000;
+/// Points of a chunk are at least this far apart \[ns\].
+const APART_MIN_NS: u64 = 1_000;
+/// No bend \[rad\], length or position \[m\] of a robot is larger; what is, is no measurement.
+const MEASURED_MAX: f64 = 1e3;
+
+/// The points of a chunk, all checked: finite, ahead of `now_ns` by at most a day, inside the
+/// reachable ball, with unit orientations and at least a microsecond between them.
 ///
 /// # Errors
 /// The first point that is wrong, and what is wrong with it.
@@ -63,7 +70,8 @@ pub fn reference_points<'a>(
     for (index, point) in points.iter().enumerate() {
         reference_point(point, interpolation, robot.reach_m(), now_ns)
             .map_err(|outcome| Refused::at(outcome, index))?;
-        if index > 0 && point.time_ns <= points[index - 1].time_ns {
+        let before = index.checked_sub(1).map(|before| points[before].time_ns);
+        if before.is_some_and(|before| point.time_ns < before.saturating_add(APART_MIN_NS)) {
             return Err(Refused::at(Outcome::TimeNotIncreasing, index));
         }
     }
@@ -89,6 +97,9 @@ fn reference_point(
     }
     if point.time_ns <= now_ns {
         return Err(Outcome::InThePast);
+    }
+    if point.time_ns - now_ns > AHEAD_MAX_NS {
+        return Err(Outcome::OutOfRange);
     }
     if position_m.norm() > reach_m + REACH_TOLERANCE_M {
         return Err(Outcome::OutOfReach);
@@ -147,28 +158,31 @@ pub fn measurement(
     if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
         return Err(Refused::whole(Outcome::OutOfRange));
     }
-    let finite = |values: &[f64]| match values.iter().position(|value| !value.is_finite()) {
-        Some(index) => Err(Refused::at(Outcome::NotFinite, index)),
-        None => Ok(()),
+    let sane = |values: &[f64]| {
+        let refused = |outcome| move |index| Err(Refused::at(outcome, index));
+        let odd = values.iter().position(|value| !value.is_finite());
+        odd.map_or(Ok(()), refused(Outcome::NotFinite))?;
+        let far = values.iter().position(|value| value.abs() > MEASURED_MAX);
+        far.map_or(Ok(()), refused(Outcome::OutOfRange))
     };
     let measurement = match codes::MeasurementKind::try_from(message.kind) {
         Ok(codes::MeasurementKind::Configuration) => {
             let bends = &message.bend_rad[..robot.coordinate_count()];
-            finite(bends)?;
+            sane(bends)?;
             let configuration = Configuration::from_slice(bends);
             configuration
                 .map(Measurement::Configuration)
                 .ok_or(Refused::whole(Outcome::WrongRobot))?
         }
         Ok(codes::MeasurementKind::CableLengths) => {
-            finite(&message.cable_length_m[..robot.cable_count()])?;
+            sane(&message.cable_length_m[..robot.cable_count()])?;
             let mut lengths = [0.0; CABLES_MAX];
             lengths[..robot.cable_count()]
                 .copy_from_slice(&message.cable_length_m[..robot.cable_count()]);
             Measurement::CableLengths(lengths)
         }
         Ok(codes::MeasurementKind::TipPose) => {
-            finite(&message.tip_position_m)?;
+            sane(&message.tip_position_m)?;
             Measurement::TipPosition(Vector3::from(message.tip_position_m))
         }
         Ok(codes::MeasurementKind::None) | Err(_) => {
@@ -246,7 +260,8 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
     still_known.ok_or(Outcome::InThePast)
 }
 
-/// The request of a client that concerns the mode; none for those about lease and settings.
+/// The request of a client that concerns the mode; none for those about lease, settings and
+/// statistics.
 pub fn mode_request(kind: codes::RequestKind) -> Option<Request> {
     match kind {
         codes::RequestKind::Track => Some(Request::Track),
@@ -256,6 +271,7 @@ pub fn mode_request(kind: codes::RequestKind) -> Option<Request> {
         codes::RequestKind::Reset => Some(Request::Reset),
         codes::RequestKind::AcquireLease
         | codes::RequestKind::ReleaseLease
-        | codes::RequestKind::Settings => None,
+        | codes::RequestKind::Settings
+        | codes::RequestKind::ResetStatistics => None,
     }
 }

@@ -10,7 +10,7 @@ pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
-pub use outgoing::{command, mode, reason, refusal, robot, telemetry, text};
+pub use outgoing::{command, mode, reason, refusal, robot, scheduling, telemetry, text};
 pub use settings::{settings_from_wire, settings_to_wire};
 
 #[cfg(test)]
@@ -26,6 +26,7 @@ mod tests {
 
     use super::outgoing::{measurement_to_wire, obstacle_to_wire};
     use super::*;
+    use crate::cycle::Settings;
     use crate::obstacles::ObstacleSet;
     use crate::ports::TimedMeasurement;
 
@@ -66,20 +67,27 @@ mod tests {
                 .map(Iterator::count),
             Some(1)
         );
-        let nan = point(300, [f64::NAN, 0.0, 0.0]);
+        let nan = point(3000, [f64::NAN, 0.0, 0.0]);
         assert_eq!(refusal_of(&chunk(&[good, nan])), (Outcome::NotFinite, 1));
         assert_eq!(
             refusal_of(&chunk(&[point(100, [0.0; 3])])),
             (Outcome::InThePast, 0)
         );
         assert_eq!(
-            refusal_of(&chunk(&[good, point(300, [0.0, 0.2, 0.3])])),
+            refusal_of(&chunk(&[good, point(3000, [0.0, 0.2, 0.3])])),
             (Outcome::OutOfReach, 1)
         );
         assert_eq!(
             refusal_of(&chunk(&[good, good])),
             (Outcome::TimeNotIncreasing, 1)
         );
+        let tight = point(1_199, [0.0, 0.0, 0.3]);
+        assert_eq!(
+            refusal_of(&chunk(&[good, tight])),
+            (Outcome::TimeNotIncreasing, 1)
+        );
+        let far = point(86_400_000_000_101, [0.0, 0.0, 0.3]);
+        assert_eq!(refusal_of(&chunk(&[far])), (Outcome::OutOfRange, 0));
         assert_eq!(refusal_of(&chunk(&[])), (Outcome::CountOutOfRange, 0));
         let many = wire::ReferenceChunk {
             count: 129,
@@ -106,21 +114,28 @@ mod tests {
 
     #[test]
     fn settings_round_trip_and_unsupported_ones_are_refused() {
-        let settings = NmpcSettings {
+        let nmpc = NmpcSettings {
             solver: SolverKind::Kpso,
             seed: 99,
             ..Default::default()
+        };
+        let settings = Settings {
+            nmpc,
+            budget_ns: 400_000,
         };
         assert_eq!(
             settings_from_wire(&settings_to_wire(&settings)),
             Ok(settings)
         );
         let with = |change: fn(&mut wire::SolverSettings)| {
-            let mut message = settings_to_wire(&NmpcSettings::default());
+            let mut message = settings_to_wire(&settings);
             change(&mut message);
             settings_from_wire(&message)
         };
-        assert_eq!(with(|m| m.budget_ns = 1), Err(Outcome::Unsupported));
+        assert_eq!(
+            with(|m| m.budget_ns = 100_000_001),
+            Err(Outcome::OutOfRange)
+        );
         assert_eq!(
             with(|m| m.safe_distance_m = f64::NAN),
             Err(Outcome::OutOfRange)

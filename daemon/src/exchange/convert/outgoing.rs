@@ -10,9 +10,10 @@ use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
 use super::settings::settings_to_wire;
-use crate::cycle::CycleRecord;
+use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::obstacles::KnownObstacle;
 use crate::ports::TimedMeasurement;
+use crate::rt::attribution::{LateCause, Scheduling};
 
 /// A refusal of the mode machine.
 pub fn refusal(refusal: Refusal) -> Outcome {
@@ -21,6 +22,7 @@ pub fn refusal(refusal: Refusal) -> Outcome {
         Refusal::NoLease => Outcome::NoLease,
         Refusal::NoReference => Outcome::NoReference,
         Refusal::CauseStands => Outcome::CauseStands,
+        Refusal::Overruled => Outcome::Overruled,
     }
 }
 
@@ -50,6 +52,9 @@ pub fn reason(reason: Reason) -> codes::Reason {
         Reason::LimitBroken => codes::Reason::LimitBroken,
         Reason::Shutdown => codes::Reason::Shutdown,
         Reason::LeaseReleased => codes::Reason::LeaseReleased,
+        Reason::ClearanceBroken => codes::Reason::ClearanceBroken,
+        Reason::MeasurementJump => codes::Reason::MeasurementJump,
+        Reason::MeasurementFrozen => codes::Reason::MeasurementFrozen,
     }
 }
 
@@ -137,6 +142,11 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         deadline_ns: record.policy.deadline_ns,
         late_start_ns: record.policy.late_start_ns,
         measurement_timeout_ns: record.policy.measurement_timeout_ns,
+        clearance_fault_m: record.policy.clearance_fault_m,
+        measurement_jump_rad: record.policy.plausibility.jump_rad,
+        measurement_frozen_rad: record.policy.plausibility.frozen_rad,
+        measurement_jump_limit: record.policy.plausibility.jump_limit,
+        measurement_state: measurement_state(record.measurement_use).code(),
         miss_limit: record.policy.miss_limit,
         plan_length: record.plan_length as u32,
         warm_plan: record.warm_plan,
@@ -214,18 +224,53 @@ fn copy(from: &[f64], to: &mut [f64]) {
     to[..from.len()].copy_from_slice(from);
 }
 
+/// What the system did to the cycle thread; `None`: it does not tell. `cause` is that of a late cycle.
+pub fn scheduling(
+    scheduling: Option<&Scheduling>,
+    longest_gap_ns: u64,
+    cause: Option<LateCause>,
+) -> wire::SchedulingReport {
+    let Scheduling {
+        on_core_ns,
+        run_delay_ns,
+        switches,
+        page_faults,
+    } = scheduling.copied().unwrap_or_default();
+    wire::SchedulingReport {
+        run_delay_ns,
+        on_core_ns,
+        longest_gap_ns,
+        page_faults,
+        switches,
+        late_cause: match cause {
+            None => codes::LateCause::None,
+            Some(LateCause::Platform) => codes::LateCause::Platform,
+            Some(LateCause::Load) => codes::LateCause::Load,
+            Some(LateCause::PageFault) => codes::LateCause::PageFault,
+            Some(LateCause::Stall) => codes::LateCause::Stall,
+            Some(LateCause::Compute) => codes::LateCause::Compute,
+        }
+        .code(),
+        known: u32::from(scheduling.is_some()),
+    }
+}
+
+fn measurement_state(state: MeasurementUse) -> codes::MeasurementState {
+    match state {
+        MeasurementUse::None => codes::MeasurementState::None,
+        MeasurementUse::Used => codes::MeasurementState::Used,
+        MeasurementUse::Repeated => codes::MeasurementState::Repeated,
+        MeasurementUse::Implausible => codes::MeasurementState::Implausible,
+    }
+}
+
 fn timing_flags(record: &CycleRecord) -> u32 {
-    let late = if record.verdict.late_start {
-        codes::timing::LATE_START
-    } else {
-        0
-    };
-    let miss = if record.verdict.deadline_miss {
-        codes::timing::DEADLINE_MISS
-    } else {
-        0
-    };
-    late | miss
+    let bits = [
+        (record.verdict.late_start, codes::timing::LATE_START),
+        (record.verdict.deadline_miss, codes::timing::DEADLINE_MISS),
+        (record.stale_inputs, codes::timing::STALE_INPUTS),
+    ];
+    sum_of_set(&bits)
 }
 
 fn guard_flags(record: &CycleRecord) -> u32 {
@@ -238,9 +283,12 @@ fn guard_flags(record: &CycleRecord) -> u32 {
         (hit.non_finite, codes::guard::NON_FINITE),
         (record.clearance_hit, codes::guard::CLEARANCE),
     ];
-    bits.iter()
-        .filter(|(set, _)| *set)
-        .fold(0, |flags, (_, bit)| flags | bit)
+    sum_of_set(&bits)
+}
+
+fn sum_of_set(bits: &[(bool, u32)]) -> u32 {
+    let set = bits.iter().filter(|(set, _)| *set);
+    set.fold(0, |flags, (_, bit)| flags | bit)
 }
 
 fn report(report: &SolveReport) -> wire::SolverReport {

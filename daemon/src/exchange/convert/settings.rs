@@ -5,8 +5,17 @@ use cdcr_controller::optimizer::VelocityRule;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
+use crate::cycle::Settings;
+
+/// Longest budget of a solve that can be asked for \[ns\]: the longest period.
+const BUDGET_MAX_NS: u64 = 100_000_000;
+
 /// Settings on the wire. Fields of functions that this build does not have are zero.
-pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
+pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
+    let Settings {
+        nmpc: settings,
+        budget_ns,
+    } = settings;
     wire::SolverSettings {
         solver: match settings.solver {
             SolverKind::Kpso => codes::SolverKind::Kpso,
@@ -45,6 +54,7 @@ pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
         obstacle_step_penalty: settings.obstacle_step_penalty,
         obstacle_slope_penalty: settings.obstacle_slope_penalty,
         obstacle_square_penalty: settings.obstacle_square_penalty,
+        budget_ns: *budget_ns,
         seed: settings.seed,
         ..wire::SolverSettings::default()
     }
@@ -53,10 +63,10 @@ pub fn settings_to_wire(settings: &NmpcSettings) -> wire::SolverSettings {
 /// Settings from the wire, checked. What this build does not have is refused, never ignored.
 ///
 /// # Errors
-/// `Unsupported`, `UnknownCode` or `OutOfRange`.
-pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings, Outcome> {
-    if message.budget_ns != 0 {
-        return Err(Outcome::Unsupported);
+/// `UnknownCode` or `OutOfRange`.
+pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<Settings, Outcome> {
+    if message.budget_ns > BUDGET_MAX_NS {
+        return Err(Outcome::OutOfRange);
     }
     let unknown = |_| Outcome::UnknownCode;
     let settings = NmpcSettings {
@@ -99,5 +109,8 @@ pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<NmpcSettings
         seed: message.seed,
     };
     settings.validate().map_err(|_| Outcome::OutOfRange)?;
-    Ok(settings)
+    Ok(Settings {
+        nmpc: settings,
+        budget_ns: message.budget_ns,
+    })
 }

@@ -1,0 +1,157 @@
+//! Room in shared memory: asked for before it is used, and then taken for good.
+//!
+//! iceoryx2 gives its files a size, and the system looks for memory when a page is first touched. When there is
+//! none left at that moment, the kernel kills whoever touched it (SIGBUS), be it hours later in the middle of a
+//! cycle. So the daemon asks first, and has the memory of its files allocated before it uses them.
+
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::MetadataExt;
+
+use cdcr_shared_types::{Command, Incident, Response, Service, Status, Telemetry};
+use rustix::fs::{FallocateFlags, fallocate, statvfs};
+use rustix::io::Errno;
+
+/// Where the files are.
+const FOLDER: &str = "/dev/shm";
+/// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
+const HELD: usize = 2;
+/// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
+const ANSWERS: usize = 6;
+/// What iceoryx2 needs beside the messages to manage one port and its readers \[bytes\].
+pub(super) const MANAGEMENT_BYTES: u64 = 64 * 1024;
+
+/// Bytes of one writer's messages: as many as all readers together may have, so that it never waits.
+pub(super) const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
+    let queues = service.queues();
+    let messages = queues.subscribers * (queues.queue + HELD) + queues.history + HELD;
+    (messages * message_bytes) as u64
+}
+
+/// Bytes of the answers to all clients.
+pub(super) const fn control_bytes() -> u64 {
+    let answers = Service::CONTROL_CLIENTS * 2 * Service::CONTROL_REQUESTS * ANSWERS;
+    (answers * size_of::<Response>()) as u64
+}
+
+/// All that a daemon takes \[bytes\]. Management adds less than a fiftieth to the messages.
+pub(super) const fn daemon_bytes() -> u64 {
+    let messages = writer_bytes(Service::Command, size_of::<Command>())
+        + writer_bytes(Service::Telemetry, size_of::<Telemetry>())
+        + writer_bytes(Service::Status, size_of::<Status>())
+        + writer_bytes(Service::Incidents, size_of::<Incident>())
+        + control_bytes();
+    messages + messages / 50 + MANAGEMENT_BYTES
+}
+
+/// There is less room than is needed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct NoRoom {
+    pub(super) needed_bytes: u64,
+    pub(super) free_bytes: u64,
+}
+
+/// Whether `needed_bytes` are free. Where the system does not tell, they are.
+pub(super) fn ask(needed_bytes: u64) -> Result<(), NoRoom> {
+    match free_bytes() {
+        Some(free_bytes) if free_bytes < needed_bytes => Err(NoRoom {
+            needed_bytes,
+            free_bytes,
+        }),
+        _ => Ok(()),
+    }
+}
+
+/// Has every page of the files whose names begin with `prefix` allocated; what they hold stays.
+pub(super) fn take(prefix: &str) -> Result<(), NoRoom> {
+    let mut free_before = free_bytes();
+    for file in files(prefix) {
+        let Ok(size) = file.metadata().map(|file| file.len()) else {
+            continue;
+        };
+        if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
+            return Err(NoRoom {
+                needed_bytes: size,
+                free_bytes: free_before.unwrap_or(0),
+            });
+        }
+        free_before = free_bytes();
+    }
+    Ok(())
+}
+
+/// Bytes that these files have in memory.
+pub(super) fn taken_bytes(prefix: &str) -> u64 {
+    let blocks = files(prefix).filter_map(|file| file.metadata().ok());
+    blocks.map(|file| file.blocks() * 512).sum()
+}
+
+/// Free bytes; none when the system does not tell, or sets no limit.
+fn free_bytes() -> Option<u64> {
+    let folder = statvfs(FOLDER).ok()?;
+    (folder.f_blocks > 0).then_some(folder.f_bavail * folder.f_frsize)
+}
+
+/// Files of ours. One that has just gone, or is another user's, is left out.
+fn files(prefix: &str) -> impl Iterator<Item = File> {
+    let entries = std::fs::read_dir(FOLDER).into_iter().flatten().flatten();
+    entries.filter_map(move |entry| {
+        let ours = entry.file_name().to_str()?.starts_with(prefix);
+        let mut options = OpenOptions::new();
+        let open = || options.read(true).write(true).open(entry.path()).ok();
+        ours.then(open).flatten()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use cdcr_shared_types::Location;
+
+    use super::super::services::{Ports, ServiceError, incidents, node, publisher};
+    use super::*;
+
+    #[test]
+    fn a_daemon_takes_what_it_says_and_takes_it_for_good() {
+        let folder = tempfile::tempdir().unwrap();
+        let prefix = format!("cdcrtest_room_{}_", std::process::id());
+        let location = Location::new(&prefix, &folder.path().join("root")).unwrap();
+        {
+            let node = node(&location).unwrap();
+            let _ports = Ports::create(&node, "cdcr").unwrap();
+            let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
+            let _incidents = incidents(&node, "cdcr").unwrap();
+            let sizes: u64 = files(&location.file_prefix())
+                .map(|file| file.metadata().unwrap().len())
+                .sum();
+            let taken_bytes = taken_bytes(&location.file_prefix());
+            assert!(taken_bytes >= sizes, "{taken_bytes} of {sizes}");
+            let said = daemon_bytes();
+            assert!(
+                (taken_bytes..taken_bytes + taken_bytes / 20).contains(&said),
+                "{said} said, {taken_bytes} taken"
+            );
+        }
+        location.tidy();
+    }
+
+    #[test]
+    fn what_nobody_has_is_refused_in_words() {
+        let Some(free_bytes) = free_bytes() else {
+            return;
+        };
+        let refused = ask(u64::MAX).unwrap_err();
+        assert_eq!(refused.needed_bytes, u64::MAX);
+        assert!(ask(0).is_ok());
+        let error = ServiceError::full("the daemon".to_owned(), refused).to_string();
+        assert!(
+            error.contains("/dev/shm") && error.contains("MB"),
+            "{error}"
+        );
+        // Others use it, too: what is free now was about that a moment ago.
+        assert!(refused.free_bytes / 2 < free_bytes, "{error}");
+    }
+}

@@ -1,0 +1,388 @@
+//! Slow and textual: signals, statistics, status, bad cycles, watchdog, service manager, log.
+//!
+//! Invariant: nothing here is in the way of the cycle. It runs at ordinary priority, and learns of the
+//! cycles through rings that never block who fills them.
+
+mod statistics;
+mod steal;
+mod watchdog;
+
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, realtime};
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::{Node, ipc};
+
+use crate::config::{LinkKind, Validated, ns};
+use crate::cycle::Settings;
+use crate::exchange::convert;
+use crate::exchange::services::{incidents, publisher};
+use crate::exit::Ended;
+use crate::ports::Clock;
+use crate::rt::accounting::{Totals, Verdict};
+use crate::rt::handoff::{Shared, SupervisorEnds};
+use crate::service_manager::{ServiceManager, StatusLine};
+use statistics::Statistics;
+use steal::StealReader;
+use watchdog::Watchdog;
+
+/// What the supervisor learns of a cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Summary {
+    /// Number on the grid.
+    pub cycle: u64,
+    /// Release to start \[ns\].
+    pub wake_ns: u64,
+    /// The solver \[ns\].
+    pub solve_ns: u64,
+    /// Whether it ran.
+    pub solved: bool,
+    /// Whether the budget ended it.
+    pub budget_hit: bool,
+    /// Start to hand-over \[ns\].
+    pub compute_ns: u64,
+    /// Release to hand-over \[ns\].
+    pub response_ns: u64,
+    /// The gather before it \[ns\].
+    pub gather_ns: u64,
+    /// Hand-over to the command being in the readers' queues \[ns\].
+    pub publish_ns: u64,
+    /// Releases before it that got no cycle.
+    pub skipped_periods: u32,
+    /// [`wire::codes::LateCause`].
+    pub late_cause: u32,
+    /// Whether it used the inputs of the cycle before again.
+    pub stale_inputs: bool,
+    /// Whether its driver had measured nothing newer.
+    pub stale_measurement: bool,
+    /// Distance of the tip from its reference \[m\], while it follows one.
+    pub position_error_m: Option<f64>,
+    /// Whether the cycle was late.
+    pub verdict: Verdict,
+    /// Counts since the start.
+    pub totals: Totals,
+    /// Mode.
+    pub mode: Mode,
+    /// Why.
+    pub reason: Reason,
+    /// Faults since the start.
+    pub faults: u64,
+    /// Settings of the solver.
+    pub settings: wire::SolverSettings,
+    /// Holder of the lease, 0: nobody.
+    pub lease_holder: u64,
+    /// Last time of the reference \[ns\], 0: none.
+    pub reference_end_ns: u64,
+    /// Points ahead.
+    pub reference_points: u32,
+    /// Obstacles of this cycle.
+    pub obstacle_count: u32,
+    /// Obstacle updates refused since the start.
+    pub obstacles_refused: u64,
+    /// Smallest clearance \[m\].
+    pub clearance_m: f64,
+    /// Whether the clearance guard changed the command.
+    pub clearance_guarded: bool,
+    /// Events that no record took.
+    pub dropped_events: u64,
+    /// Messages by outcome.
+    pub outcomes: [u64; Outcome::COUNT],
+}
+
+/// How often the supervisor looks.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// How often the status is published.
+const STATUS_EVERY: Duration = Duration::from_millis(100);
+/// How often the steal is read while nothing happens \[ns\].
+const STEAL_EVERY_NS: u64 = 1_000_000_000;
+/// Over how long cycles are counted for the service manager.
+const RATE_EVERY: Duration = Duration::from_secs(1);
+/// Watches the threads, and tells the world.
+#[derive(Debug)]
+pub struct Supervisor {
+    ends: SupervisorEnds,
+    publisher: Publisher<ipc::Service, wire::Status, ()>,
+    incidents: Publisher<ipc::Service, wire::Incident, ()>,
+    status: wire::Status,
+    statistics: Statistics,
+    resets: u64,
+    budget_hits: u64,
+    steal: Option<StealReader>,
+    steal_read: (u64, u64),
+    watchdog: Watchdog,
+    manager: ServiceManager,
+    rate: Rate,
+    newest: Summary,
+    logged_misses: u64,
+    logged: Instant,
+}
+
+/// How many cycles run in a second.
+#[derive(Debug)]
+struct Rate {
+    cycles: u64,
+    since: Instant,
+    hertz: f64,
+}
+
+impl Supervisor {
+    /// A supervisor that publishes the status and the bad cycles of a daemon.
+    ///
+    /// # Errors
+    /// When a service cannot be created.
+    pub fn new(
+        node: &Node<ipc::Service>,
+        validated: &Validated,
+        ends: SupervisorEnds,
+        daemon_id: u64,
+        clock: &impl Clock,
+    ) -> anyhow::Result<Self> {
+        let name = &validated.config.robot.name;
+        let now = Instant::now();
+        Ok(Self {
+            ends,
+            publisher: publisher(node, wire::Service::Status, name)?,
+            incidents: incidents(node, name)?,
+            status: first_status(validated, daemon_id),
+            statistics: Statistics::new(clock.now_ns())?,
+            resets: 0,
+            budget_hits: 0,
+            steal: None,
+            steal_read: (0, 0),
+            watchdog: Watchdog::new(
+                Duration::from_nanos(ns(validated.config.cycle.watchdog_ms)),
+                now,
+            ),
+            manager: ServiceManager::from_environment(),
+            rate: Rate {
+                cycles: 0,
+                since: now,
+                hertz: 0.0,
+            },
+            newest: Summary::default(),
+            logged_misses: 0,
+            logged: now,
+        })
+    }
+
+    /// Says what the system did not grant, and on which core the real-time threads run.
+    pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
+        self.status.realtime_missing = missing;
+        self.status.core = core.map_or(u32::MAX, |core| core as u32);
+        self.steal = StealReader::open(core);
+        self.read_steal(clock);
+        if missing == 0 {
+            tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
+        }
+        for (_, name, remedy) in realtime::ALL
+            .iter()
+            .filter(|(bit, _, _)| missing & bit != 0)
+        {
+            tracing::warn!("not real time: {name} is missing; {remedy}");
+        }
+    }
+
+    /// Watches until `is_over` says that the threads are done; asks them to end when `should_end`.
+    ///
+    /// # Errors
+    /// A thread hangs. Nobody can wait for it, so the process has to end.
+    pub fn run(
+        &mut self,
+        clock: &impl Clock,
+        shared: &Shared,
+        mut should_end: impl FnMut() -> bool,
+        mut is_over: impl FnMut() -> bool,
+    ) -> Result<(), Ended> {
+        let mut next_status = Instant::now();
+        loop {
+            let over = is_over();
+            self.take_summaries();
+            self.take_incidents(clock);
+            self.tell_manager(shared);
+            if over || Instant::now() >= next_status {
+                next_status = Instant::now() + STATUS_EVERY;
+                self.publish(clock, shared);
+            }
+            if over {
+                return Ok(());
+            }
+            if !shared.is_ending() && should_end() {
+                tracing::info!("ending: the robot comes to rest first");
+                self.manager.stopping();
+                shared.end();
+            }
+            if !shared.has_cycle_ended() {
+                self.watchdog.look(shared.beats(), Instant::now())?;
+            }
+            std::thread::sleep(LOOK_EVERY);
+        }
+    }
+
+    fn take_summaries(&mut self) {
+        while let Ok(summary) = self.ends.summaries.pop() {
+            self.statistics.record(&summary);
+            self.budget_hits += u64::from(summary.budget_hit);
+            self.status.clearance_guarded += u64::from(summary.clearance_guarded);
+            self.log(&summary);
+            if !summary.verdict.deadline_miss {
+                self.manager.ready();
+            }
+            self.newest = summary;
+        }
+    }
+
+    /// Publishes bad cycles; the service keeps the last ones for whoever asks later.
+    fn take_incidents(&mut self, clock: &impl Clock) {
+        while let Ok(incident) = self.ends.incidents.pop() {
+            let (steal_ns, steal_window_ns) = self.read_steal(clock);
+            let incident = wire::Incident {
+                steal_ns,
+                steal_window_ns,
+                ..incident
+            };
+            if let Err(error) = self.incidents.send_copy(incident) {
+                tracing::warn!(%error, "a bad cycle could not be published");
+            }
+        }
+        if clock.now_ns().saturating_sub(self.steal_read.0) > STEAL_EVERY_NS {
+            self.read_steal(clock);
+        }
+        // Late joiners get what is kept.
+        if let Err(error) = self.incidents.update_connections() {
+            tracing::warn!(%error, "a reader of the bad cycles could not be connected");
+        }
+    }
+
+    /// Steal since the last reading, and how long ago that was \[ns\]; (0, 0): it cannot be read.
+    fn read_steal(&mut self, clock: &impl Clock) -> (u64, u64) {
+        let Some(total_ns) = self.steal.as_mut().and_then(StealReader::read_ns) else {
+            return (0, 0);
+        };
+        let now_ns = clock.now_ns();
+        let (read_ns, before_ns) = core::mem::replace(&mut self.steal_read, (now_ns, total_ns));
+        (total_ns.saturating_sub(before_ns), now_ns - read_ns)
+    }
+
+    fn tell_manager(&mut self, shared: &Shared) {
+        let since = self.rate.since.elapsed();
+        if since >= RATE_EVERY {
+            let cycles = self.newest.totals.cycles;
+            self.rate = Rate {
+                hertz: (cycles - self.rate.cycles) as f64 / since.as_secs_f64(),
+                cycles,
+                since: Instant::now(),
+            };
+        }
+        self.manager.feed_watchdog(shared.beats()[0]);
+        if self.newest.totals.cycles > 0 && !shared.is_ending() {
+            self.manager.tell(&StatusLine {
+                mode: self.newest.mode,
+                reason: self.newest.reason,
+                rate_hz: self.rate.hertz,
+                deadline_misses: self.newest.totals.deadline_misses,
+                skipped_periods: self.newest.totals.skipped_periods,
+                tracking_error_m: self.newest.position_error_m,
+            });
+        }
+    }
+
+    /// Mode changes one by one; late cycles at most once a second.
+    fn log(&mut self, summary: &Summary) {
+        if summary.mode != self.newest.mode {
+            let (mode, reason) = (summary.mode.text(), summary.reason.text());
+            if summary.mode == Mode::Faulted {
+                tracing::error!(cycle = summary.cycle, reason, "{mode}");
+            } else {
+                tracing::info!(cycle = summary.cycle, reason, "{mode}");
+            }
+        }
+        let misses = summary.totals.deadline_misses + summary.totals.skipped_periods;
+        if misses > self.logged_misses && self.logged.elapsed() >= Duration::from_secs(1) {
+            self.logged = Instant::now();
+            self.logged_misses = misses;
+            tracing::warn!(
+                cycle = summary.cycle,
+                wake_us = summary.wake_ns / 1000,
+                response_us = summary.response_ns / 1000,
+                cause = LateCause::text_of(summary.late_cause),
+                deadline_misses = summary.totals.deadline_misses,
+                skipped_periods = summary.totals.skipped_periods,
+                "late"
+            );
+        }
+    }
+
+    fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
+        let now_ns = clock.now_ns();
+        let dropped = shared.dropped_records() + self.newest.dropped_events;
+        self.statistics.advance(now_ns);
+        self.statistics
+            .dropped(dropped.saturating_sub(self.status.dropped_records));
+        let resets = shared.statistics_resets();
+        if resets != self.resets {
+            self.resets = resets;
+            self.statistics.reset(now_ns);
+            tracing::info!("the statistics begin anew");
+        }
+        self.status.header.sequence += 1;
+        self.status.header.sent_ns = now_ns;
+        self.status.origin_ns = shared.origin_ns();
+        self.status.dropped_records = dropped;
+        self.status.budget_hits = self.budget_hits;
+        if self.newest.totals.cycles > 0 {
+            take_over(&mut self.status, &self.newest);
+        }
+        self.statistics.report(&mut self.status);
+        if let Err(error) = self.publisher.send_copy(self.status) {
+            tracing::warn!(%error, "the status could not be published");
+        }
+    }
+}
+
+/// Copies what the newest cycle says into a status.
+fn take_over(status: &mut wire::Status, summary: &Summary) {
+    status.mode = summary.mode.code();
+    status.reason = summary.reason.code();
+    status.cycles = summary.totals.cycles;
+    status.late_starts = summary.totals.late_starts;
+    status.deadline_misses = summary.totals.deadline_misses;
+    status.skipped_periods = summary.totals.skipped_periods;
+    status.faults = summary.faults;
+    status.outcomes = summary.outcomes;
+    status.lease_holder = summary.lease_holder;
+    status.reference_end_ns = summary.reference_end_ns;
+    status.reference_points = summary.reference_points;
+    status.obstacle_count = summary.obstacle_count;
+    status.obstacles_refused = summary.obstacles_refused;
+    status.clearance_m = summary.clearance_m;
+    status.settings = summary.settings;
+}
+
+/// What is known of the daemon before its first cycle.
+fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
+    let config = &validated.config;
+    let period_ns = ns(config.cycle.period_ms);
+    wire::Status {
+        header: wire::Header {
+            sender_id: daemon_id,
+            ..wire::Header::default()
+        },
+        robot_name: convert::text(&config.robot.name),
+        build: convert::text(env!("CARGO_PKG_VERSION")),
+        process_id: std::process::id(),
+        mode: Mode::Starting.code(),
+        link: match config.link.kind {
+            LinkKind::Simulated => wire::codes::RobotLink::Simulated,
+            LinkKind::Driver => wire::codes::RobotLink::Driver,
+        }
+        .code(),
+        period_ns,
+        deadline_ns: config.cycle.deadline_ns(),
+        robot: convert::robot(&validated.robot),
+        settings: convert::settings_to_wire(&Settings::new(config)),
+        clearance_m: f64::INFINITY,
+        ..wire::Status::default()
+    }
+}

@@ -1,0 +1,340 @@
+use std::time::Duration;
+
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::LateCause;
+use hdrhistogram::Histogram;
+
+use super::Summary;
+
+/// Latencies above this are counted as this \[ns\].
+const LATENCY_MAX_NS: u64 = 10_000_000_000;
+/// Length of a slice of the last minute.
+const SLICE: Duration = Duration::from_secs(10);
+/// Slices that make the last minute, the one that fills included.
+const SLICES: usize = 6;
+/// Digits that a percentile since the start has.
+const DIGITS_SINCE: u8 = 3;
+/// Digits that a percentile of the last minute has.
+const DIGITS_SLICE: u8 = 2;
+
+/// The statistics of the cycles: since the start or the last reset, and of the last minute.
+///
+/// All memory is taken at the start, about 3 MB.
+#[derive(Debug)]
+pub(super) struct Statistics {
+    since_reset: Window,
+    since_ns: u64,
+    slices: [Window; SLICES],
+    filling: usize,
+    slice_began_ns: u64,
+    last_minute: Window,
+}
+
+/// Counts and latencies of one stretch of time.
+#[derive(Debug)]
+struct Window {
+    counts: wire::Statistics,
+    wake: Histogram<u64>,
+    gather: Histogram<u64>,
+    compute: Histogram<u64>,
+    solve: Histogram<u64>,
+    response: Histogram<u64>,
+    publish: Histogram<u64>,
+    streak: u64,
+}
+
+impl Statistics {
+    /// Nothing was counted yet.
+    pub(super) fn new(now_ns: u64) -> anyhow::Result<Self> {
+        let slice = || Window::new(DIGITS_SLICE);
+        Ok(Self {
+            since_reset: Window::new(DIGITS_SINCE)?,
+            since_ns: now_ns,
+            slices: [slice()?, slice()?, slice()?, slice()?, slice()?, slice()?],
+            filling: 0,
+            slice_began_ns: now_ns,
+            last_minute: slice()?,
+        })
+    }
+
+    /// Counts a cycle.
+    pub(super) fn record(&mut self, summary: &Summary) {
+        self.since_reset.record(summary);
+        self.slices[self.filling].record(summary);
+    }
+
+    /// Counts records that were lost.
+    pub(super) fn dropped(&mut self, records: u64) {
+        self.since_reset.counts.dropped_records += records;
+        self.slices[self.filling].counts.dropped_records += records;
+    }
+
+    /// Begins anew, the last minute too.
+    pub(super) fn reset(&mut self, now_ns: u64) {
+        self.since_reset.clear();
+        self.since_ns = now_ns;
+        for slice in &mut self.slices {
+            slice.clear();
+        }
+        self.slice_began_ns = now_ns;
+    }
+
+    /// Moves on to the slice that `now_ns` lies in.
+    pub(super) fn advance(&mut self, now_ns: u64) {
+        let slice_ns = SLICE.as_nanos() as u64;
+        let passed = now_ns.saturating_sub(self.slice_began_ns) / slice_ns;
+        for _ in 0..passed.min(SLICES as u64) {
+            let streak = self.slices[self.filling].streak;
+            self.filling = (self.filling + 1) % SLICES;
+            self.slices[self.filling].clear();
+            // A streak that goes on over the border is one streak.
+            self.slices[self.filling].streak = streak;
+        }
+        self.slice_began_ns += passed * slice_ns;
+    }
+
+    /// Writes both stretches into a status.
+    pub(super) fn report(&mut self, status: &mut wire::Status) {
+        self.last_minute.clear();
+        for slice in &self.slices {
+            self.last_minute.add(slice);
+        }
+        status.statistics_since_ns = self.since_ns;
+        status.since_reset = self.since_reset.summary();
+        status.last_minute = self.last_minute.summary();
+    }
+}
+
+impl Window {
+    fn new(digits: u8) -> anyhow::Result<Self> {
+        let histogram = || Histogram::new_with_bounds(1, LATENCY_MAX_NS, digits);
+        Ok(Self {
+            counts: wire::Statistics::default(),
+            wake: histogram()?,
+            gather: histogram()?,
+            compute: histogram()?,
+            solve: histogram()?,
+            response: histogram()?,
+            publish: histogram()?,
+            streak: 0,
+        })
+    }
+
+    fn record(&mut self, summary: &Summary) {
+        let counts = &mut self.counts;
+        let (late, missed) = (summary.verdict.late_start, summary.verdict.deadline_miss);
+        let skipped = u64::from(summary.skipped_periods);
+        counts.cycles += 1;
+        counts.late_starts += u64::from(late);
+        counts.deadline_misses += u64::from(missed);
+        counts.skipped_periods += skipped;
+        counts.budget_hits += u64::from(summary.budget_hit);
+        counts.stale_inputs += u64::from(summary.stale_inputs);
+        counts.stale_measurements += u64::from(summary.stale_measurement);
+        let cause = summary.late_cause;
+        if cause != LateCause::None.code()
+            && let Some(count) = counts.causes.get_mut(cause as usize)
+        {
+            *count += 1;
+        }
+        // The skipped releases lie before this cycle.
+        self.streak += skipped;
+        self.streak += u64::from(missed);
+        counts.longest_streak = counts.longest_streak.max(self.streak);
+        if !missed {
+            self.streak = 0;
+        }
+        self.wake.saturating_record(summary.wake_ns);
+        self.gather.saturating_record(summary.gather_ns);
+        self.compute.saturating_record(summary.compute_ns);
+        self.response.saturating_record(summary.response_ns);
+        self.publish.saturating_record(summary.publish_ns);
+        if summary.solved {
+            self.solve.saturating_record(summary.solve_ns);
+        }
+    }
+
+    fn histograms(&self) -> [&Histogram<u64>; 6] {
+        [
+            &self.wake,
+            &self.gather,
+            &self.compute,
+            &self.solve,
+            &self.response,
+            &self.publish,
+        ]
+    }
+
+    fn histograms_mut(&mut self) -> [&mut Histogram<u64>; 6] {
+        [
+            &mut self.wake,
+            &mut self.gather,
+            &mut self.compute,
+            &mut self.solve,
+            &mut self.response,
+            &mut self.publish,
+        ]
+    }
+
+    fn clear(&mut self) {
+        self.counts = wire::Statistics::default();
+        self.streak = 0;
+        for histogram in self.histograms_mut() {
+            histogram.reset();
+        }
+    }
+
+    /// Adds what another window of the same digits counted.
+    fn add(&mut self, other: &Self) {
+        let (counts, more) = (&mut self.counts, &other.counts);
+        counts.cycles += more.cycles;
+        counts.late_starts += more.late_starts;
+        counts.deadline_misses += more.deadline_misses;
+        counts.skipped_periods += more.skipped_periods;
+        counts.longest_streak = counts.longest_streak.max(more.longest_streak);
+        counts.budget_hits += more.budget_hits;
+        counts.stale_inputs += more.stale_inputs;
+        counts.stale_measurements += more.stale_measurements;
+        counts.dropped_records += more.dropped_records;
+        for (count, more) in counts.causes.iter_mut().zip(more.causes) {
+            *count += more;
+        }
+        for (sum, part) in self.histograms_mut().into_iter().zip(other.histograms()) {
+            // The bounds are the same, so every value fits.
+            let _ = sum.add(part);
+        }
+    }
+
+    fn summary(&self) -> wire::Statistics {
+        wire::Statistics {
+            wake: summary(&self.wake),
+            gather: summary(&self.gather),
+            compute: summary(&self.compute),
+            solve: summary(&self.solve),
+            response: summary(&self.response),
+            publish: summary(&self.publish),
+            ..self.counts
+        }
+    }
+}
+
+fn summary(histogram: &Histogram<u64>) -> wire::LatencySummary {
+    wire::LatencySummary {
+        count: histogram.len(),
+        min_ns: if histogram.is_empty() {
+            0
+        } else {
+            histogram.min()
+        },
+        p50_ns: histogram.value_at_quantile(0.5),
+        p99_ns: histogram.value_at_quantile(0.99),
+        p999_ns: histogram.value_at_quantile(0.999),
+        max_ns: histogram.max(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rt::accounting::Verdict;
+
+    const S: u64 = 1_000_000_000;
+
+    fn good() -> Summary {
+        Summary {
+            wake_ns: 30_000,
+            gather_ns: 10_000,
+            compute_ns: 20_000,
+            response_ns: 50_000,
+            publish_ns: 5_000,
+            solved: true,
+            solve_ns: 15_000,
+            ..Summary::default()
+        }
+    }
+
+    fn missed(skipped_periods: u32) -> Summary {
+        Summary {
+            verdict: Verdict {
+                late_start: true,
+                deadline_miss: true,
+            },
+            skipped_periods,
+            late_cause: LateCause::Platform.code(),
+            wake_ns: 6_000_000,
+            ..good()
+        }
+    }
+
+    fn report(statistics: &mut Statistics) -> [wire::Statistics; 2] {
+        let mut status = wire::Status::default();
+        statistics.report(&mut status);
+        [status.since_reset, status.last_minute]
+    }
+
+    #[test]
+    fn counts_and_percentiles_of_both_stretches() {
+        let mut statistics = Statistics::new(0).unwrap();
+        for _ in 0..98 {
+            statistics.record(&good());
+        }
+        statistics.record(&missed(0));
+        statistics.record(&missed(3));
+        statistics.dropped(2);
+        for counts in report(&mut statistics) {
+            assert_eq!((counts.cycles, counts.deadline_misses), (100, 2));
+            assert_eq!((counts.skipped_periods, counts.longest_streak), (3, 5));
+            assert_eq!(counts.causes[LateCause::Platform.code() as usize], 2);
+            assert_eq!(counts.causes.iter().sum::<u64>(), 2);
+            assert_eq!(counts.dropped_records, 2);
+            assert_eq!(counts.wake.count, 100);
+            let close = |is: u64, was: u64| is.abs_diff(was) * 100 <= was;
+            assert!(close(counts.wake.p50_ns, 30_000), "{:?}", counts.wake);
+            assert!(close(counts.wake.max_ns, 6_000_000), "{:?}", counts.wake);
+            assert!(close(counts.solve.p99_ns, 15_000), "{:?}", counts.solve);
+        }
+    }
+
+    #[test]
+    fn the_last_minute_forgets_and_the_rest_remembers() {
+        let mut statistics = Statistics::new(0).unwrap();
+        for second in 0..200 {
+            statistics.advance(second * S);
+            statistics.record(&good());
+        }
+        let [since, minute] = report(&mut statistics);
+        assert_eq!(since.cycles, 200);
+        assert!((50..=60).contains(&minute.cycles), "{}", minute.cycles);
+        // A long silence, and all of it is forgotten.
+        statistics.advance(1_000_000 * S);
+        assert_eq!(report(&mut statistics)[1].cycles, 0);
+        assert_eq!(report(&mut statistics)[0].cycles, 200);
+    }
+
+    #[test]
+    fn a_reset_begins_anew() {
+        let mut statistics = Statistics::new(0).unwrap();
+        statistics.record(&missed(9));
+        statistics.reset(7 * S);
+        statistics.record(&good());
+        for counts in report(&mut statistics) {
+            assert_eq!((counts.cycles, counts.deadline_misses), (1, 0));
+            assert_eq!((counts.longest_streak, counts.wake.count), (0, 1));
+        }
+        let mut status = wire::Status::default();
+        statistics.report(&mut status);
+        assert_eq!(status.statistics_since_ns, 7 * S);
+    }
+
+    #[test]
+    fn a_streak_goes_on_over_the_border_of_a_slice() {
+        let mut statistics = Statistics::new(0).unwrap();
+        statistics.record(&missed(1));
+        statistics.advance(10 * S);
+        statistics.record(&missed(1));
+        assert_eq!(report(&mut statistics)[1].longest_streak, 4);
+        statistics.record(&good());
+        statistics.record(&missed(0));
+        assert_eq!(report(&mut statistics)[1].longest_streak, 4);
+    }
+}

@@ -1,0 +1,104 @@
+use std::time::{Duration, Instant};
+
+use crate::exit::{Ended, ExitCause};
+
+/// Notices a real-time thread that makes no progress.
+///
+/// Only time in which the supervisor itself looked counts, so a process (or machine) that was stopped and
+/// goes on is not taken for a hung thread.
+#[derive(Debug)]
+pub(super) struct Watchdog {
+    timeout: Duration,
+    looked: Instant,
+    threads: [Watched; 2],
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Watched {
+    beats: u64,
+    still: Duration,
+}
+
+/// Of the time between two looks, no more counts than this.
+const LOOK_MAX: Duration = Duration::from_millis(100);
+
+impl Watchdog {
+    /// A watchdog that bites after `timeout`.
+    pub(super) fn new(timeout: Duration, now: Instant) -> Self {
+        Self {
+            timeout,
+            looked: now,
+            threads: [Watched::default(); 2],
+        }
+    }
+
+    /// Looks at the beats of cycle and exchange.
+    ///
+    /// # Errors
+    /// A thread has made no beat for the timeout.
+    pub(super) fn look(&mut self, beats: [u64; 2], now: Instant) -> Result<(), Ended> {
+        let passed = now.duration_since(self.looked).min(LOOK_MAX);
+        self.looked = now;
+        for (thread, beats) in self.threads.iter_mut().zip(beats) {
+            thread.still = if thread.beats == beats {
+                thread.still + passed
+            } else {
+                Duration::ZERO
+            };
+            thread.beats = beats;
+        }
+        let [cycle, exchange] = self.threads.map(|thread| thread.still >= self.timeout);
+        // A cycle that hangs on the core may keep the exchange from it, so it is named first.
+        let (cause, name) = match (cycle, exchange) {
+            (true, _) => (ExitCause::CycleHung, "cycle"),
+            (_, true) => (ExitCause::ExchangeHung, "exchange"),
+            _ => return Ok(()),
+        };
+        Err(Ended {
+            cause,
+            message: format!(
+                "the {name} thread made no progress for {} ms (cycle.watchdog_ms); the process ends, and the \
+                 robot holds when its last command runs out (link.command_valid_ms)",
+                self.timeout.as_millis()
+            ),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn after(looks: u32, every: Duration, beats: impl Fn(u64) -> [u64; 2]) -> Option<ExitCause> {
+        let mut now = Instant::now();
+        let mut watchdog = Watchdog::new(200 * MS, now);
+        for look in 0..looks {
+            now += every;
+            if let Err(ended) = watchdog.look(beats(u64::from(look)), now) {
+                return Some(ended.cause);
+            }
+        }
+        None
+    }
+
+    #[test]
+    fn the_thread_that_stands_still_is_named() {
+        assert_eq!(after(100, 20 * MS, |look| [look, look]), None);
+        let cause = after(100, 20 * MS, |look| [7, look]);
+        assert_eq!(cause, Some(ExitCause::CycleHung));
+        let cause = after(100, 20 * MS, |look| [look, 7]);
+        assert_eq!(cause, Some(ExitCause::ExchangeHung));
+        assert_eq!(after(100, 20 * MS, |_| [0, 0]), Some(ExitCause::CycleHung));
+        // A beat now and then is progress.
+        assert_eq!(after(100, 20 * MS, |look| [look / 5, look]), None);
+    }
+
+    #[test]
+    fn a_long_time_between_two_looks_is_not_the_threads_fault() {
+        let hour = Duration::from_secs(3600);
+        assert_eq!(after(1, hour, |_| [0, 0]), None);
+        assert_eq!(after(2, hour, |_| [0, 0]), Some(ExitCause::CycleHung));
+    }
+}

@@ -1,0 +1,22 @@
+use iceoryx2::prelude::ZeroCopySend;
+
+use crate::{Header, Telemetry};
+
+/// A bad cycle, kept whole: it started late, missed its deadline, skipped periods, or began a fault.
+///
+/// The daemon keeps the newest [`INCIDENTS_MAX`](crate::limits::INCIDENTS_MAX) of them; whoever opens the
+/// service gets these first, oldest first, and then each new one.
+#[repr(C)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
+#[type_name("cdcr.Incident.v1")]
+pub struct Incident {
+    /// The daemon, number of the incident, time of publication.
+    pub header: Header,
+    /// Time that the hypervisor kept our core from the machine within `steal_window_ns` before the
+    /// publication \[ns\], in steps of 10 ms.
+    pub steal_ns: u64,
+    /// Length of that window \[ns\]; 0: it could not be read.
+    pub steal_window_ns: u64,
+    /// The record of the cycle, as its readers got it. `scheduling.late_cause` says what made it late.
+    pub telemetry: Telemetry,
+}

@@ -1,0 +1,50 @@
+//! The system calls that a cycle may make, held by the kernel.
+
+use std::collections::BTreeMap;
+
+use seccompiler::{
+    BpfProgram, SeccompAction, SeccompCmpArgLen, SeccompCmpOp, SeccompCondition, SeccompFilter,
+    SeccompRule, apply_filter,
+};
+
+/// `FUTEX_WAKE | FUTEX_PRIVATE_FLAG` (`futex(2)`): a wake-up inside one process.
+const WAKE: u64 = 1 | 128;
+/// `MADV_DONTNEED` (`madvise(2)`).
+const DONT_NEED: u64 = 4;
+
+/// From now on the calling thread dies of SIGSYS, and the process with it, at any system call but
+///
+/// * its sleep (`clock_nanosleep`), its wake-up of the exchange (`futex`, to wake only), and clock reads, which
+///   are none where the clock is read without the kernel;
+/// * what ends a thread (`exit`, and giving its stacks back: `munmap`, `madvise` to let pages go,
+///   `sigaltstack`, `rt_sigprocmask`), because a filter can never be taken off. Of these, only the heap could
+///   make one in a cycle, and the heap is forbidden, too.
+///
+/// Uses the heap, so it comes before that is forbidden.
+pub(crate) fn forbid_system_calls() {
+    let always = Vec::new;
+    let with = |argument, value| {
+        let is = SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::Eq, value);
+        vec![SeccompRule::new(vec![is.unwrap()]).unwrap()]
+    };
+    let allowed: BTreeMap<i64, Vec<SeccompRule>> = [
+        (libc::SYS_clock_nanosleep, always()),
+        (libc::SYS_clock_gettime, always()),
+        (libc::SYS_futex, with(1, WAKE)),
+        (libc::SYS_madvise, with(2, DONT_NEED)),
+        (libc::SYS_munmap, always()),
+        (libc::SYS_sigaltstack, always()),
+        (libc::SYS_rt_sigprocmask, always()),
+        (libc::SYS_exit, always()),
+    ]
+    .into();
+    let architecture = std::env::consts::ARCH.try_into().unwrap();
+    let filter = SeccompFilter::new(
+        allowed,
+        SeccompAction::Trap,
+        SeccompAction::Allow,
+        architecture,
+    );
+    let program: BpfProgram = filter.unwrap().try_into().unwrap();
+    apply_filter(&program).unwrap();
+}
