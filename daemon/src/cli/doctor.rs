@@ -1,0 +1,130 @@
+//! Prints what `cdcrd doctor` found.
+
+use std::io::{self, Write};
+
+use anstyle::{AnsiColor, Style};
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+
+use super::Source;
+use crate::doctor::{Finding, Report, Verdict, examine};
+
+/// What follows the options in the help.
+pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
+    Takes a second, in which it watches who uses the core of the real-time threads.\n\n\
+    Exit status: 0 all is ok; 10 a warning, or something that cannot be read; 20 a fault: the daemon\n\
+    does not start, or lacks what realtime.mode = \"require\" asks for. With realtime.mode = \"off\",\n\
+    what matters only to real time is shown and never bad.";
+
+/// Options of `doctor`.
+#[derive(Debug, Args)]
+pub(super) struct Options {
+    #[command(flatten)]
+    source: Source,
+    /// How to print it.
+    #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
+    format: Format,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// A line for each thing; why and what to do under those that are not ok.
+    Text,
+    /// One object for programs.
+    Json,
+}
+
+/// Examines this machine, prints the report, and returns its exit status.
+pub(super) fn run(options: &Options) -> Result<u8> {
+    let report = examine(&options.source.load()?);
+    // Colours only on a terminal, and not where NO_COLOR is set.
+    let mut out = anstream::stdout().lock();
+    let written = match options.format {
+        Format::Text => write_text(&mut out, &report),
+        Format::Json => {
+            let text = serde_json::to_string_pretty(&report).context("the report")?;
+            writeln!(out, "{text}")
+        }
+    };
+    match written.and_then(|()| out.flush()) {
+        // The reader has seen enough: `cdcrd doctor | head`.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {}
+        written => written.context("the report cannot be written")?,
+    }
+    Ok(report.worst.exit_status())
+}
+
+fn style(verdict: Verdict) -> Style {
+    let color = match verdict {
+        Verdict::Ok => AnsiColor::Green,
+        Verdict::Unknown => AnsiColor::Cyan,
+        Verdict::Warning => AnsiColor::Yellow,
+        Verdict::Fault => AnsiColor::Red,
+    };
+    color.on_default()
+}
+
+fn write_text(out: &mut impl Write, report: &Report) -> io::Result<()> {
+    let title = |finding: &Finding| finding.title.chars().count();
+    let width = report.findings.iter().map(title).max().unwrap_or(0);
+    for finding in &report.findings {
+        let color = style(finding.verdict);
+        let word = finding.verdict.word();
+        writeln!(
+            out,
+            "{color}{word:<7}{color:#}  {:<width$}  {}",
+            finding.title, finding.value
+        )?;
+        if finding.verdict != Verdict::Ok {
+            writeln!(out, "         why   {}", finding.why)?;
+            writeln!(out, "         mend  {}", finding.mend)?;
+        }
+    }
+    let counts = [
+        (Verdict::Ok, "ok"),
+        (Verdict::Unknown, "unknown"),
+        (Verdict::Warning, "warnings"),
+        (Verdict::Fault, "faults"),
+    ];
+    let counts = counts.map(|(verdict, word)| format!("{} {word}", report.count(verdict)));
+    let color = style(report.worst);
+    writeln!(out, "\n{color}{}{color:#}", counts.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+
+    #[test]
+    fn columns_are_aligned_and_only_what_is_not_ok_is_explained() {
+        let finding = |title, verdict| Finding {
+            key: "key",
+            title,
+            verdict,
+            value: "seen".to_owned(),
+            why: "Because.",
+            mend: "do it".to_owned(),
+        };
+        let report = Report::new(vec![
+            finding("a", Verdict::Ok),
+            finding("longer", Verdict::Fault),
+        ]);
+        let mut bytes = anstream::StripStream::new(Vec::new());
+        write_text(&mut bytes, &report).unwrap();
+        let text = String::from_utf8(bytes.into_inner()).unwrap();
+        let expected = [
+            "ok       a       seen",
+            "fault    longer  seen",
+            "         why   Because.",
+            "         mend  do it",
+            "",
+            "1 ok, 0 unknown, 0 warnings, 1 faults",
+        ];
+        assert_eq!(text.lines().collect::<Vec<_>>(), expected);
+    }
+}

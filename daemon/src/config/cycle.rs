@@ -1,0 +1,61 @@
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::ns;
+
+/// The period and what counts as late.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct CycleConfig {
+    /// Period T \[ms\].
+    pub period_ms: f64,
+    /// Deadline D after the release \[ms\]; 0: the period.
+    pub deadline_ms: f64,
+    /// A start later than this after the release counts as a late start \[ms\].
+    pub late_start_ms: f64,
+    /// Longest time of one solve \[ms\]; 0: all that is left until the deadline, less the margin.
+    pub budget_ms: f64,
+    /// Time that the solver leaves for what follows it \[ms\]; 0: a tenth of the period.
+    pub budget_margin_ms: f64,
+    /// How long before the release inputs are gathered \[ms\].
+    pub gather_lead_ms: f64,
+    /// Level of the leaky bucket (+1 for each miss and each skipped period, -1 for each good cycle)
+    /// at which the robot is stopped.
+    pub miss_limit: u32,
+    /// The process ends when a real-time thread makes no progress for this long \[ms\].
+    pub watchdog_ms: f64,
+}
+
+impl Default for CycleConfig {
+    fn default() -> Self {
+        Self {
+            period_ms: 5.0,
+            deadline_ms: 0.0,
+            late_start_ms: 1.0,
+            budget_ms: 0.0,
+            budget_margin_ms: 0.0,
+            gather_lead_ms: 0.2,
+            miss_limit: 40,
+            watchdog_ms: 1000.0,
+        }
+    }
+}
+
+impl CycleConfig {
+    /// Deadline D after the release \[ns\].
+    pub fn deadline_ns(&self) -> u64 {
+        match ns(self.deadline_ms) {
+            0 => ns(self.period_ms),
+            deadline_ns => deadline_ns,
+        }
+    }
+
+    /// Time that the solver leaves for what follows it \[ns\]. By default a tenth of the period: Linux
+    /// halts real-time threads that use more than 95 % of a core for 50 ms in each second.
+    pub fn budget_margin_ns(&self) -> u64 {
+        match ns(self.budget_margin_ms) {
+            0 => ns(self.period_ms) / 10,
+            margin_ns => margin_ns,
+        }
+    }
+}

@@ -1,0 +1,140 @@
+use super::{Config, LinkKind, RealtimeMode, ns};
+
+/// What is allowed but hardly meant, each with the keys that it is about.
+pub fn doubts(config: &Config) -> Vec<String> {
+    let Config {
+        link,
+        cycle,
+        safety,
+        reference,
+        controller,
+        ..
+    } = config;
+    let deadline_ms = cycle.deadline_ns() as f64 * 1e-6;
+    let left_ms = deadline_ms - cycle.budget_margin_ns() as f64 * 1e-6;
+    let period_ms = cycle.period_ms;
+    let doubts = [
+        (left_ms <= 0.0).then(|| {
+            format!(
+                "cycle.deadline_ms leaves the solver no time: the deadline is {deadline_ms} ms, and \
+                 cycle.budget_margin_ms takes all of it"
+            )
+        }),
+        (left_ms > 0.0 && cycle.budget_ms > left_ms).then(|| {
+            format!(
+                "cycle.budget_ms = {} has no effect: deadline less margin leave {left_ms} ms",
+                cycle.budget_ms
+            )
+        }),
+        (ns(cycle.late_start_ms) > ns(deadline_ms)).then(|| {
+            format!(
+                "cycle.late_start_ms = {} is longer than the deadline of {deadline_ms} ms: a late start is \
+                 a deadline miss before it is counted",
+                cycle.late_start_ms
+            )
+        }),
+        (link.command_valid_ms < period_ms).then(|| {
+            format!(
+                "link.command_valid_ms = {} is shorter than cycle.period_ms = {period_ms}: the robot holds \
+                 before the next command comes",
+                link.command_valid_ms
+            )
+        }),
+        (link.kind == LinkKind::Driver && link.measurement_timeout_ms < period_ms).then(|| {
+            format!(
+                "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver \
+                 that measures once a period is lost at once",
+                link.measurement_timeout_ms
+            )
+        }),
+        (reference.lease_ms < period_ms).then(|| {
+            format!(
+                "reference.lease_ms = {} is shorter than cycle.period_ms = {period_ms}: a lease expires \
+                 before it can be renewed",
+                reference.lease_ms
+            )
+        }),
+        (safety.clearance_fault_m > controller.safe_distance_m).then(|| {
+            format!(
+                "safety.clearance_fault_m = {} is above controller.safe_distance_m = {}: the robot faults \
+                 where the guard still lets it go",
+                safety.clearance_fault_m, controller.safe_distance_m
+            )
+        }),
+        throttled(config),
+    ];
+    doubts.into_iter().flatten().collect()
+}
+
+/// Linux halts real-time threads that use more than 95 % of a core.
+fn throttled(config: &Config) -> Option<String> {
+    let cycle = &config.cycle;
+    let period_ms = cycle.period_ms;
+    let until_ns = cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns());
+    let solve_ms = match cycle.budget_ms {
+        0.0 => until_ns as f64 * 1e-6,
+        budget_ms => budget_ms.min(until_ns as f64 * 1e-6),
+    };
+    let busy_ms = solve_ms + 1e-3 * config.realtime.spin_us;
+    let is_throttled = config.realtime.mode != RealtimeMode::Off && busy_ms > 0.95 * period_ms;
+    is_throttled.then(|| {
+        format!(
+            "solver and spinning may use {busy_ms} ms of each period of {period_ms} ms: by default, Linux \
+             halts real-time threads that use more than 95 % of a core (cycle.budget_margin_ms, \
+             cycle.budget_ms, realtime.spin_us)"
+        )
+    })
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::*;
+    use std::path::Path;
+
+    #[test]
+    fn each_doubt_names_its_key_and_good_configurations_raise_none() {
+        for (text, key) in [
+            (
+                "[cycle]\ndeadline_ms = 0.5\nlate_start_ms = 0.1\n",
+                "leaves the solver no time",
+            ),
+            ("[cycle]\nbudget_ms = 4.9\n", "cycle.budget_ms"),
+            (
+                "[cycle]\ndeadline_ms = 2.0\nlate_start_ms = 3.0\n",
+                "cycle.late_start_ms",
+            ),
+            ("[link]\ncommand_valid_ms = 2.0\n", "link.command_valid_ms"),
+            (
+                "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2.0\n",
+                "link.measurement_timeout_ms",
+            ),
+            (
+                "[cycle]\nperiod_ms = 50\n[reference]\nlease_ms = 20\n",
+                "reference.lease_ms",
+            ),
+            (
+                "[safety]\nclearance_fault_m = 0.02\n",
+                "safety.clearance_fault_m",
+            ),
+            ("[cycle]\nbudget_margin_ms = 0.1\n", "95 %"),
+            ("[realtime]\nspin_us = 400\n", "realtime.spin_us"),
+        ] {
+            let config = Config::parse(text, Path::new("x")).unwrap().config;
+            let doubts = doubts(&config);
+            assert_eq!(doubts.len(), 1, "{text}: {doubts:?}");
+            assert!(doubts[0].contains(key), "{text}: {doubts:?}");
+        }
+        for text in [
+            "",
+            "[realtime]\nmode = \"off\"\nspin_us = 400\n",
+            include_str!("../../../configs/driver.toml"),
+        ] {
+            let config = Config::parse(text, Path::new("x")).unwrap().config;
+            assert_eq!(doubts(&config), Vec::<String>::new());
+        }
+    }
+}

@@ -1,0 +1,73 @@
+use cdcr_controller::robot::{Configuration, Robot};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::{ConfigError, Origins};
+
+/// Which robot is controlled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum LinkKind {
+    /// The ideal kinematic robot inside the daemon.
+    #[default]
+    Simulated,
+    /// A driver process on the measurement and command services.
+    Driver,
+}
+
+/// Where measurements come from and commands go to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct LinkConfig {
+    /// Which robot.
+    pub kind: LinkKind,
+    /// Bend vectors at the start \[rad\], one pair for each section; empty: straight.
+    pub initial_bend_rad: Vec<[f64; 2]>,
+    /// A driver's measurement older than this is lost \[ms\].
+    pub measurement_timeout_ms: f64,
+    /// How long a robot follows the last rates when no newer command comes \[ms\]; then it holds.
+    pub command_valid_ms: f64,
+}
+
+impl Default for LinkConfig {
+    fn default() -> Self {
+        Self {
+            kind: LinkKind::Simulated,
+            initial_bend_rad: Vec::new(),
+            measurement_timeout_ms: 50.0,
+            command_valid_ms: 100.0,
+        }
+    }
+}
+
+impl LinkConfig {
+    /// Where the simulation of `robot`, or its estimate, begins.
+    pub(super) fn initial(
+        &self,
+        robot: &Robot,
+        origins: &Origins,
+    ) -> Result<Configuration, ConfigError> {
+        let (given, key) = (&self.initial_bend_rad, "link.initial_bend_rad");
+        if given.is_empty() {
+            return Ok(Configuration::straight(robot.section_count()));
+        }
+        if given.len() != robot.section_count() {
+            let (is, should) = (given.len(), robot.section_count());
+            let message = format!("{is} pairs are given, but the robot has {should} sections");
+            return Err(origins.error(&[key], &message));
+        }
+        for (index, (pair, section)) in given.iter().zip(robot.sections()).enumerate() {
+            let bend_rad = pair[0].hypot(pair[1]);
+            if !(0.0..=section.bend_max_rad).contains(&bend_rad) {
+                let message = format!(
+                    "section {}: a bend of {bend_rad} rad is out of range: allowed is 0 to {}",
+                    index + 1,
+                    section.bend_max_rad
+                );
+                return Err(origins.error(&[key], &message));
+            }
+        }
+        let flat: Vec<f64> = given.iter().flatten().copied().collect();
+        Configuration::from_slice(&flat).ok_or_else(|| origins.error(&[key], "too many sections"))
+    }
+}

@@ -1,0 +1,46 @@
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How much real time is asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum RealtimeMode {
+    /// Refuse to start without all of it.
+    Require,
+    /// Take what the system grants, and say what is missing.
+    #[default]
+    Prefer,
+    /// Ordinary threads.
+    Off,
+}
+
+/// Threads, priorities, memory.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(default, deny_unknown_fields)]
+pub struct RealtimeConfig {
+    /// How much real time is asked for.
+    pub mode: RealtimeMode,
+    /// Core of the real-time threads; -1: the last one that the process may use.
+    pub core: i64,
+    /// `SCHED_FIFO` priority of the cycle thread.
+    pub cycle_priority: i32,
+    /// `SCHED_FIFO` priority of the exchange thread, below that of the cycle.
+    pub exchange_priority: i32,
+    /// The cycle thread wakes up this long before each release and spins \[µs\]; 0: it sleeps to the release.
+    pub spin_us: f64,
+    /// Keep the processor out of deep sleep, by `/dev/cpu_dma_latency`, as far as the system grants it.
+    pub no_deep_sleep: bool,
+}
+
+impl Default for RealtimeConfig {
+    fn default() -> Self {
+        Self {
+            mode: RealtimeMode::Prefer,
+            core: -1,
+            cycle_priority: 80,
+            exchange_priority: 70,
+            spin_us: 0.0,
+            no_deep_sleep: true,
+        }
+    }
+}

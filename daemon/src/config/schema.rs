@@ -1,0 +1,151 @@
+use cdcr_controller::robot::ranges::SECTION_COUNT;
+use schemars::generate::SchemaSettings;
+use serde_json::{Map, Value, json};
+
+use super::{Config, keys, manual, ranges};
+
+/// A JSON schema of the configuration (draft 2020-12): types and defaults of the structs, ranges that are
+/// checked, descriptions from the comments of `configs/default.toml`.
+pub fn schema() -> Value {
+    let mut settings = SchemaSettings::draft2020_12().for_deserialize();
+    settings.inline_subschemas = true;
+    let generator = settings.into_generator();
+    let mut schema = generator.into_root_schema_for::<Config>().to_value();
+    schema["title"] = json!("Configuration of cdcrd");
+    for key in keys::all() {
+        if let Some(node) = node_mut(&mut schema, key) {
+            complete(node, key);
+        }
+    }
+    schema
+}
+
+/// The schema of one key or table.
+pub(super) fn node<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
+    key.split('.').try_fold(schema, |node, part| {
+        let node = node.get("items").unwrap_or(node);
+        node.get("properties")?.get(part)
+    })
+}
+
+fn node_mut<'a>(schema: &'a mut Value, key: &str) -> Option<&'a mut Map<String, Value>> {
+    let mut node = schema;
+    for part in key.split('.') {
+        if node.get("items").is_some() {
+            node = node.get_mut("items")?;
+        }
+        node = node.get_mut("properties")?.get_mut(part)?;
+    }
+    node.as_object_mut()
+}
+
+/// Adds what only the comments and the table of ranges know.
+fn complete(node: &mut Map<String, Value>, key: &str) {
+    if let Some(comment) = manual::comment(key) {
+        node.insert("description".to_owned(), json!(comment.replace('\n', " ")));
+    }
+    if let Some(range) = ranges::of(key) {
+        let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
+        let limit = |limit: f64| {
+            if is_whole {
+                json!(limit as i64)
+            } else {
+                json!(limit)
+            }
+        };
+        node.insert("minimum".to_owned(), limit(range.low));
+        node.insert("maximum".to_owned(), limit(range.high));
+    }
+    if key == "robot.sections" {
+        node.insert("minItems".to_owned(), json!(SECTION_COUNT.start()));
+        node.insert("maxItems".to_owned(), json!(SECTION_COUNT.end()));
+    }
+    if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
+        // What Rust calls one table of a list is nothing to people.
+        items.remove("description");
+    }
+    if node.contains_key("properties") {
+        // The defaults are with the keys.
+        node.remove("default");
+    }
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::*;
+
+    fn leaves(node: &Value, path: &str, found: &mut Vec<String>) {
+        let node = node.get("items").unwrap_or(node);
+        let Some(properties) = node.get("properties").and_then(Value::as_object) else {
+            return;
+        };
+        for (name, below) in properties {
+            let dot = if path.is_empty() { "" } else { "." };
+            let key = format!("{path}{dot}{name}");
+            leaves(below, &key, found);
+            found.push(key);
+        }
+    }
+
+    #[test]
+    fn the_schema_has_every_key_and_no_other() {
+        let schema = schema();
+        assert_eq!(
+            schema["$schema"],
+            "https://json-schema.org/draft/2020-12/schema"
+        );
+        assert_eq!(schema["additionalProperties"], false);
+        let mut found = Vec::new();
+        leaves(&schema, "", &mut found);
+        let mut known = keys::all().to_vec();
+        found.sort();
+        known.sort();
+        assert_eq!(found, known);
+        assert!(
+            !schema.to_string().contains("$ref"),
+            "editors follow no links"
+        );
+    }
+
+    #[test]
+    fn every_key_is_described_as_in_the_default_file_and_has_its_default() {
+        let schema = schema();
+        for key in keys::all() {
+            let node = node(&schema, key).unwrap();
+            let description = node["description"].as_str().unwrap();
+            assert_eq!(
+                Some(description),
+                manual::comment(key)
+                    .map(|c| c.replace('\n', " "))
+                    .as_deref()
+            );
+            if let Some(default) = keys::settable().get(key) {
+                let default = serde_json::to_value(default).unwrap();
+                assert_eq!(node["default"], default, "{key}");
+            }
+        }
+    }
+
+    #[test]
+    fn numbers_have_limits_of_their_type() {
+        let schema = schema();
+        for range in &ranges::RANGES {
+            let node = node(&schema, range.key).unwrap();
+            assert_eq!(node["minimum"].as_f64(), Some(range.low), "{}", range.key);
+            assert_eq!(node["maximum"].as_f64(), Some(range.high), "{}", range.key);
+            let is_whole = node["type"] == "integer";
+            assert_eq!(node["maximum"].is_i64(), is_whole, "{}: {node}", range.key);
+        }
+        for (key, default) in keys::settable() {
+            let is_limited = ranges::of(key).is_some() || key == "controller.seed";
+            let is_number = default.is_float() || default.is_integer();
+            assert_eq!(is_limited, is_number, "{key}");
+        }
+        let solver = node(&schema, "controller.solver").unwrap();
+        assert_eq!(solver["oneOf"].as_array().unwrap().len(), 3, "{solver}");
+    }
+}

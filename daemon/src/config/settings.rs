@@ -1,0 +1,51 @@
+use super::{Config, ConfigError, Origins, Validated, keys, ranges, rules};
+
+/// A typed configuration, not yet checked, and where its values come from.
+#[derive(Debug, Clone, Default)]
+pub struct Settings {
+    /// The values.
+    pub config: Config,
+    /// Where they come from.
+    pub origins: Origins,
+}
+
+impl From<Config> for Settings {
+    fn from(config: Config) -> Self {
+        Self {
+            config,
+            origins: Origins::default(),
+        }
+    }
+}
+
+impl Settings {
+    /// Checks every value and every rule between values.
+    ///
+    /// # Errors
+    /// [`ConfigError`] for the first that is not allowed.
+    pub fn validate(self) -> Result<Validated, ConfigError> {
+        let Self { config, origins } = self;
+        ranges::check(&config, &origins)?;
+        rules::check(&config, &origins)?;
+        let robot = config.robot.robot(&origins)?;
+        let initial = config.link.initial(&robot, &origins)?;
+        let location = config.transport.location(&origins)?;
+        Ok(Validated {
+            config,
+            robot,
+            initial,
+            location,
+        })
+    }
+
+    /// The values in force that differ from the default: key, value as TOML, origin as words.
+    pub fn changed(&self) -> Vec<(&'static str, String, String)> {
+        let values = keys::values(&self.config);
+        let changed = keys::settable().iter().filter_map(|(key, default)| {
+            let value = keys::value(&values, key)?;
+            let origin = self.origins.of(key).to_string();
+            (value != default).then(|| (key.as_str(), value.to_string(), origin))
+        });
+        changed.collect()
+    }
+}

@@ -1,0 +1,99 @@
+//! Sets of cores, as the kernel writes them.
+
+use std::collections::BTreeSet;
+use std::fmt;
+
+/// No machine has more cores. A bound for lists that say `all`, or nonsense.
+const CORES_MAX: usize = 8192;
+
+/// A set of cores.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct CoreSet(BTreeSet<usize>);
+
+impl CoreSet {
+    /// Reads a list such as `0-3,8`. `all` is every core; parts that are no numbers (`(null)`, the flags of
+    /// `isolcpus=`) are left out.
+    pub fn parse(list: &str) -> Self {
+        let parts = list.split(',').map(str::trim);
+        Self(parts.flat_map(range_of).collect())
+    }
+
+    /// Whether `core` is in it.
+    pub fn contains(&self, core: usize) -> bool {
+        self.0.contains(&core)
+    }
+
+    /// How many.
+    pub fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    /// The set without `core`.
+    #[must_use]
+    pub fn without(&self, core: usize) -> Self {
+        Self(self.iter().filter(|other| *other != core).collect())
+    }
+
+    /// The cores, smallest first.
+    pub fn iter(&self) -> impl Iterator<Item = usize> {
+        self.0.iter().copied()
+    }
+}
+
+fn range_of(part: &str) -> std::ops::Range<usize> {
+    if part == "all" {
+        return 0..CORES_MAX;
+    }
+    let (first, last) = part.split_once('-').unwrap_or((part, part));
+    match (first.parse::<usize>(), last.parse::<usize>()) {
+        (Ok(first), Ok(last)) if last < CORES_MAX => first..last + 1,
+        _ => 0..0,
+    }
+}
+
+/// As the kernel writes it; the empty set is `none`.
+impl fmt::Display for CoreSet {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mut runs: Vec<(usize, usize)> = Vec::new();
+        for core in self.iter() {
+            match runs.last_mut() {
+                Some((_, last)) if *last + 1 == core => *last = core,
+                _ => runs.push((core, core)),
+            }
+        }
+        if runs.is_empty() {
+            return f.write_str("none");
+        }
+        for (index, (first, last)) in runs.iter().enumerate() {
+            let comma = if index == 0 { "" } else { "," };
+            if first == last {
+                write!(f, "{comma}{first}")?;
+            } else {
+                write!(f, "{comma}{first}-{last}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_are_read_as_the_kernel_writes_them() {
+        for list in ["0", "0-3", "0-3,8", "1,3,5-7"] {
+            assert_eq!(CoreSet::parse(list).to_string(), list);
+        }
+        assert_eq!(CoreSet::parse("2,3 ,4\n").to_string(), "2-4");
+        assert!(CoreSet::parse("managed_irq,domain,2").contains(2));
+        assert!(CoreSet::parse("all").contains(5));
+    }
+
+    #[test]
+    fn nonsense_is_the_empty_set() {
+        for list in ["", "\n", "(null)", "-", "3-", "9-2", "0-99999999999", "x-y"] {
+            assert_eq!(CoreSet::parse(list).count(), 0, "{list:?}");
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The core of the real-time threads: whom it is kept from, with whom it shares, how fast it wakes up.
+
+use super::{Check, Concern, CoreSet, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[
+    Check {
+        key: "cores",
+        title: "number of cores",
+        why: "On a single core everything else runs between the cycles, on what they leave.",
+        concern: Concern::RealTime,
+        judge: count,
+    },
+    Check {
+        key: "isolation",
+        title: "isolated core",
+        why: "The system puts ordinary threads on every core that is not isolated.",
+        concern: Concern::RealTime,
+        judge: isolation,
+    },
+    Check {
+        key: "tick",
+        title: "timer tick",
+        why: "The tick and deferred work of the kernel cost every core microseconds, hundreds of times a \
+              second.",
+        concern: Concern::RealTime,
+        judge: tick,
+    },
+    Check {
+        key: "siblings",
+        title: "hyper-threads",
+        why: "Two threads on one physical core slow each other down to about half.",
+        concern: Concern::RealTime,
+        judge: siblings,
+    },
+    Check {
+        key: "governor",
+        title: "frequency governor",
+        why: "A governor that saves power slows the core down between cycles, and a solve then takes longer.",
+        concern: Concern::RealTime,
+        judge: governor,
+    },
+    Check {
+        key: "deep_sleep",
+        title: "deep sleep",
+        why: "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.",
+        concern: Concern::RealTime,
+        judge: deep_sleep,
+    },
+];
+
+/// From this period on, the tick is small beside the period.
+const PERIOD_MS_TICK: f64 = 1.0;
+/// A sibling with less load is idle.
+const SIBLING_SHARE: f64 = 0.05;
+/// A sleep with a shorter way out is not deep \[µs\].
+const EXIT_US: i64 = 20;
+
+fn count(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let online = scene.system.online()?;
+    let allowed = CoreSet::parse(&scene.system.own_status("Cpus_allowed_list")?);
+    let value = format!("{} online, {} allowed", online.count(), allowed.count());
+    Ok(if online.count().min(allowed.count()) > 1 {
+        Judgement::ok(value)
+    } else {
+        Judgement::warning(
+            value,
+            "use a machine, or a control group, with two cores or more",
+        )
+    })
+}
+
+fn isolation(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    let isolated = CoreSet::parse(&scene.system.read("/sys/devices/system/cpu/isolated")?);
+    if isolated.contains(core) {
+        return Ok(Judgement::ok(format!("core {core} is isolated")));
+    }
+    if let Some(better) = isolated.iter().next() {
+        return Ok(Judgement::warning(
+            format!("core {core} is not isolated, but {isolated} is"),
+            format!("set realtime.core = {better}"),
+        ));
+    }
+    if scene.system.online()?.count() < 2 {
+        let value = "the only core cannot be isolated";
+        return Ok(Judgement::warning(
+            value,
+            "use a machine with two cores or more",
+        ));
+    }
+    Ok(Judgement::warning(
+        format!("core {core} is open to everybody"),
+        format!(
+            "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
+             realtime.core = {core}"
+        ),
+    ))
+}
+
+fn tick(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    let quiet = scene
+        .system
+        .read_if_there("/sys/devices/system/cpu/nohz_full")?;
+    let has_no_tick = CoreSet::parse(&quiet.unwrap_or_default()).contains(core);
+    let callbacks = scene.system.boot_option("rcu_nocbs")?;
+    // A core without the tick is freed from callbacks, too.
+    let has_no_callbacks =
+        has_no_tick || CoreSet::parse(&callbacks.unwrap_or_default()).contains(core);
+    let word = |is_gone: bool| if is_gone { "gone" } else { "stays" };
+    let value = format!(
+        "nohz_full: tick {}; rcu_nocbs: callbacks {}",
+        word(has_no_tick),
+        if has_no_callbacks { "gone" } else { "stay" }
+    );
+    Ok(if has_no_tick || scene.plan.period_ms >= PERIOD_MS_TICK {
+        Judgement::ok(value)
+    } else {
+        let value = format!("{value}; the period is {} ms", scene.plan.period_ms);
+        Judgement::warning(
+            value,
+            format!("boot with nohz_full={core} rcu_nocbs={core}"),
+        )
+    })
+}
+
+fn siblings(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    let path = format!("/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list");
+    let siblings = CoreSet::parse(&scene.system.read(&path)?).without(core);
+    let Some(sibling) = siblings.iter().next() else {
+        return Ok(Judgement::ok(format!("core {core} has its hardware alone")));
+    };
+    let loads = &scene.load()?.cores;
+    let busy = siblings.iter().filter_map(|core| loads.get(&core));
+    let busy = busy.map(|load| load.busy).fold(0.0, f64::max);
+    let value = format!(
+        "shared with core {siblings}, busy for {:.0} % of this second",
+        100.0 * busy
+    );
+    Ok(if busy < SIBLING_SHARE {
+        Judgement::ok(value)
+    } else {
+        Judgement::warning(
+            value,
+            format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
+        )
+    })
+}
+
+fn governor(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    let path = format!("/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor");
+    Ok(match scene.system.read_if_there(&path)?.as_deref() {
+        None => Judgement::ok("none: the system does not choose the frequency"),
+        Some("performance") => Judgement::ok("performance"),
+        Some(other) => Judgement::warning(other, format!("echo performance | sudo tee {path}")),
+    })
+}
+
+fn deep_sleep(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    let Some((name, exit_us)) = deepest_sleep(scene, core)? else {
+        return Ok(Judgement::ok(
+            "none: the system does not choose how to sleep",
+        ));
+    };
+    let value = format!("{name}, {exit_us} µs to wake up");
+    if exit_us <= EXIT_US {
+        return Ok(Judgement::ok(value));
+    }
+    Ok(
+        match (&scene.probe.deep_sleep_lock, scene.plan.no_deep_sleep) {
+            (Ok(()), true) => Judgement::ok(format!("{value}; the daemon keeps it away")),
+            (_, false) => Judgement::warning(
+                format!("{value}; realtime.no_deep_sleep is false"),
+                "set realtime.no_deep_sleep = true",
+            ),
+            (Err(refusal), true) => Judgement::warning(
+                format!("{value}; /dev/cpu_dma_latency cannot be opened: {refusal}"),
+                "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency",
+            ),
+        },
+    )
+}
+
+/// Name and longest way out \[µs\] of the deepest sleep that is allowed.
+fn deepest_sleep(scene: &Scene, core: usize) -> Result<Option<(String, i64)>, Unreadable> {
+    let folder = format!("/sys/devices/system/cpu/cpu{core}/cpuidle");
+    let mut deepest: Option<(String, i64)> = None;
+    for state in scene.system.names(&folder) {
+        let path = |file: &str| format!("{folder}/{state}/{file}");
+        let is_off = scene.system.read_if_there(&path("disable"))?;
+        if !state.starts_with("state") || is_off.is_some_and(|flag| flag != "0") {
+            continue;
+        }
+        let exit_us = scene.system.number(&path("latency"))?;
+        if deepest.as_ref().is_none_or(|(_, known)| *known < exit_us) {
+            deepest = Some((scene.system.read(&path("name"))?, exit_us));
+        }
+    }
+    Ok(deepest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::fake::Fake;
+    use super::super::{CoreLoad, Load};
+
+    const CPU: &str = "/sys/devices/system/cpu";
+
+    #[test]
+    fn one_core_is_too_few() {
+        let fake = |online: &str, allowed: &str| {
+            Fake::new(&[
+                ("/sys/devices/system/cpu/online", online),
+                (
+                    "/proc/self/status",
+                    &format!("Cpus_allowed_list: {allowed}"),
+                ),
+            ])
+        };
+        fake("0-3", "2-3").expect("cores", Good, &["4 online, 2 allowed"]);
+        fake("0", "0").expect("cores", Warning, &["1 online"]);
+        fake("0-3", "3").expect("cores", Warning, &["1 allowed"]);
+        Fake::new(&[]).expect("cores", Unknown, &["online"]);
+    }
+
+    #[test]
+    fn an_isolated_core_is_good_and_a_wasted_one_is_named() {
+        let fake = |isolated: &str| {
+            Fake::new(&[
+                ("/sys/devices/system/cpu/online", "0-3"),
+                ("/sys/devices/system/cpu/isolated", isolated),
+            ])
+        };
+        fake("1-2").expect("isolation", Good, &["core 1"]);
+        fake("3").expect("isolation", Warning, &["realtime.core = 3"]);
+        fake("\n").expect("isolation", Warning, &["isolcpus=managed_irq,domain,1"]);
+        Fake::new(&[]).expect("isolation", Unknown, &[]);
+    }
+
+    #[test]
+    fn the_tick_matters_to_short_periods() {
+        let mut fake = Fake::new(&[("/proc/cmdline", "quiet")]);
+        fake.write(&format!("{CPU}/nohz_full"), "(null)");
+        fake.expect("tick", Good, &["tick stays"]);
+        fake.scene.plan.period_ms = 0.5;
+        fake.expect("tick", Warning, &["nohz_full=1"]);
+        fake.write("/proc/cmdline", "rcu_nocbs=all");
+        fake.expect("tick", Warning, &["callbacks gone"]);
+        fake.write(&format!("{CPU}/nohz_full"), "1-3");
+        fake.expect("tick", Good, &["tick gone"]);
+    }
+
+    #[test]
+    fn a_sibling_at_work_is_bad() {
+        let path = format!("{CPU}/cpu1/topology/thread_siblings_list");
+        let mut fake = Fake::new(&[(&path, "1")]);
+        fake.expect("siblings", Good, &["alone"]);
+        fake.write(&path, "1,3");
+        let mut load = Load::default();
+        let busy = |busy| CoreLoad {
+            busy,
+            ..CoreLoad::default()
+        };
+        load.cores.insert(3, busy(0.01));
+        fake.scene.load = Ok(load.clone());
+        fake.expect("siblings", Good, &["core 3"]);
+        load.cores.insert(3, busy(0.5));
+        fake.scene.load = Ok(load);
+        fake.expect("siblings", Warning, &["50 %", "cpu3/online"]);
+    }
+
+    #[test]
+    fn a_governor_that_saves_is_bad() {
+        let path = format!("{CPU}/cpu1/cpufreq/scaling_governor");
+        let fake = Fake::new(&[]);
+        fake.expect("governor", Good, &["none"]);
+        fake.write(&path, "performance\n");
+        fake.expect("governor", Good, &["performance"]);
+        fake.write(&path, "powersave\n");
+        fake.expect("governor", Warning, &["powersave", "echo performance"]);
+    }
+
+    #[test]
+    fn deep_sleep_is_kept_away_where_it_can_be() {
+        let mut fake = Fake::new(&[]);
+        fake.expect("deep_sleep", Good, &["none"]);
+        for (state, name, latency) in [(0, "POLL", "0"), (1, "C1", "2"), (2, "C6", "133")] {
+            let folder = format!("{CPU}/cpu1/cpuidle/state{state}");
+            fake.write(&format!("{folder}/name"), name);
+            fake.write(&format!("{folder}/latency"), latency);
+            fake.write(&format!("{folder}/disable"), "0");
+        }
+        fake.expect("deep_sleep", Good, &["C6, 133 µs", "keeps it away"]);
+        fake.scene.plan.no_deep_sleep = false;
+        fake.expect("deep_sleep", Warning, &["no_deep_sleep = true"]);
+        fake.scene.plan.no_deep_sleep = true;
+        fake.scene.probe.deep_sleep_lock = Err("permission denied".to_owned());
+        fake.expect("deep_sleep", Warning, &["permission denied", "chmod"]);
+        fake.write(&format!("{CPU}/cpu1/cpuidle/state2/disable"), "1");
+        fake.expect("deep_sleep", Good, &["C1, 2 µs"]);
+        fake.write(&format!("{CPU}/cpu1/cpuidle/state1/latency"), "soon");
+        fake.expect("deep_sleep", Unknown, &["soon"]);
+    }
+}

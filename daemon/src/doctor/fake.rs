@@ -1,0 +1,88 @@
+//! A scene of its own for each test.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+use tempfile::TempDir;
+
+use super::{Judgement, Load, Plan, Probe, Scene, System, Verdict, checks};
+use crate::config::RealtimeMode;
+
+/// A scene over a folder that plays the system.
+pub(super) struct Fake {
+    folder: TempDir,
+    /// The scene. Everything that is tried works, nothing happens on core 1, real time is preferred.
+    pub(super) scene: Scene,
+}
+
+impl Fake {
+    /// A system with these files.
+    pub(super) fn new(files: &[(&str, &str)]) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let root = std::path::PathBuf::from("/run/cdcr");
+        let fake = Self {
+            scene: Scene {
+                system: System::at(folder.path()),
+                plan: Plan {
+                    mode: RealtimeMode::Prefer,
+                    core: Some(1),
+                    cycle_priority: 80,
+                    exchange_priority: 70,
+                    period_ms: 5.0,
+                    core_share_max: 0.9,
+                    no_deep_sleep: true,
+                    lock_file: root.join("cdcr_cdcr.lock"),
+                    root,
+                },
+                probe: Probe {
+                    fifo: Ok(()),
+                    pinned: true,
+                    memory_lock: Ok(()),
+                    rtprio_max: Some(80),
+                    memlock_max_bytes: None,
+                    deep_sleep_lock: Ok(()),
+                    shared_memory_bytes: Ok((1 << 30, 1 << 29)),
+                    user_id: rustix::process::geteuid().as_raw(),
+                },
+                load: Ok(Load::default()),
+            },
+            folder,
+        };
+        for (path, text) in files {
+            fake.write(path, text);
+        }
+        fake
+    }
+
+    /// Writes a file of the system.
+    pub(super) fn write(&self, path: &str, text: &str) {
+        let path = self.scene.system.path(path);
+        assert!(path.starts_with(self.folder.path()));
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    }
+
+    /// What the check with this key says.
+    pub(super) fn judge(&self, key: &str) -> Judgement {
+        let check = checks().find(|check| check.key == key).unwrap();
+        let finding = check.finding(&self.scene);
+        Judgement::new(finding.verdict, finding.value, finding.mend)
+    }
+
+    /// How bad it is.
+    pub(super) fn verdict(&self, key: &str) -> Verdict {
+        self.judge(key).verdict
+    }
+
+    /// Asserts a verdict, and that what was seen and how to mend it hold these words.
+    pub(super) fn expect(&self, key: &str, verdict: Verdict, words: &[&str]) {
+        let judgement = self.judge(key);
+        assert_eq!(judgement.verdict, verdict, "{key}: {judgement:?}");
+        let text = format!("{} | {}", judgement.value, judgement.mend);
+        for word in words {
+            assert!(text.contains(word), "{key}: {word:?} is not in {text:?}");
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! The root folder in which daemon and clients find each other.
+
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::path::Path;
+
+use rustix::fs::{Access, access};
+
+use super::{Check, Concern, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[Check {
+    key: "root_folder",
+    title: "root folder",
+    why: "Whoever may write here can disturb the robot; where the daemon may not, it does not start.",
+    concern: Concern::Always,
+    judge: root_folder,
+}];
+
+const ANOTHER: &str = "choose a folder of your own: --root DIR, or transport.root";
+
+#[allow(clippy::unnecessary_wraps, reason = "every check has this signature")]
+fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let shown = scene.plan.root.display().to_string();
+    let path = scene.system.path(&shown);
+    let folder = match std::fs::metadata(&path) {
+        Ok(folder) => folder,
+        Err(cause) if cause.kind() == std::io::ErrorKind::NotFound => {
+            return Ok(not_there_yet(&shown, &path));
+        }
+        Err(cause) => {
+            return Ok(Judgement::fault(format!("{shown}: {cause}"), ANOTHER));
+        }
+    };
+    if !folder.is_dir() {
+        return Ok(Judgement::fault(format!("{shown} is no folder"), ANOTHER));
+    }
+    let (owner, user) = (folder.uid(), scene.probe.user_id);
+    if owner != user {
+        let value = format!("{shown} belongs to user id {owner}, not to {user}");
+        return Ok(Judgement::fault(value, ANOTHER));
+    }
+    let mode = folder.permissions().mode() & 0o7777;
+    let value = format!("{shown}, owner {owner}, mode {mode:o}");
+    Ok(if mode & 0o022 == 0 {
+        Judgement::ok(value)
+    } else {
+        let value = format!("{value}: others may write");
+        Judgement::warning(value, format!("chmod 750 '{shown}'"))
+    })
+}
+
+/// The daemon creates the folder, with all above it, if the first one that is there lets it.
+fn not_there_yet(shown: &str, path: &Path) -> Judgement {
+    let above = path.ancestors().skip(1).find(|folder| folder.exists());
+    let is_writable = above.is_some_and(|folder| {
+        folder.is_dir() && access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok()
+    });
+    if is_writable {
+        Judgement::ok(format!("{shown}, created at the first start"))
+    } else {
+        Judgement::fault(
+            format!("{shown} is not there and cannot be created"),
+            ANOTHER,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use std::fs::{Permissions, set_permissions};
+
+    use super::super::Verdict::{Fault, Ok as Good, Warning};
+    use super::super::fake::Fake;
+    use super::*;
+
+    #[test]
+    fn a_folder_that_can_be_created_is_good() {
+        let fake = Fake::new(&[]);
+        fake.expect("root_folder", Good, &["/run/cdcr", "created"]);
+        // A file where a folder would have to be.
+        fake.write("/run", "");
+        assert_eq!(fake.verdict("root_folder"), Fault);
+    }
+
+    #[test]
+    fn a_folder_must_be_ours_alone() {
+        let mut fake = Fake::new(&[("/run/cdcr/x", "")]);
+        let path = fake.scene.system.path("/run/cdcr");
+        set_permissions(&path, Permissions::from_mode(0o750)).unwrap();
+        fake.expect("root_folder", Good, &["mode 750"]);
+        set_permissions(&path, Permissions::from_mode(0o777)).unwrap();
+        fake.expect("root_folder", Warning, &["others may write", "chmod 750"]);
+        fake.scene.probe.user_id += 1;
+        fake.expect("root_folder", Fault, &["belongs to", "--root"]);
+    }
+
+    #[test]
+    fn a_file_is_no_folder() {
+        let fake = Fake::new(&[("/run/cdcr", "")]);
+        fake.expect("root_folder", Fault, &["is no folder"]);
+    }
+}

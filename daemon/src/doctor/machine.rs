@@ -1,0 +1,150 @@
+//! What kind of machine this is.
+
+use super::{Check, Concern, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[
+    Check {
+        key: "clock_source",
+        title: "clock source",
+        why: "The loop reads the clock thousands of times a second; the slow ones cost microseconds each time.",
+        concern: Concern::RealTime,
+        judge: clock_source,
+    },
+    Check {
+        key: "virtual_machine",
+        title: "virtual machine",
+        why: "A hypervisor may halt a core for milliseconds at any time, and nothing inside can prevent it.",
+        concern: Concern::RealTime,
+        judge: virtual_machine,
+    },
+];
+
+/// Clocks that are read without a system call.
+const FAST: [&str; 9] = [
+    "tsc",
+    "kvm-clock",
+    "hyperv_clocksource_tsc_page",
+    "xen",
+    "arch_sys_counter",
+    "riscv_clocksource",
+    "timebase",
+    "tod",
+    "stp",
+];
+/// Clocks that are read from a device, or count ticks.
+const SLOW: [&str; 6] = [
+    "hpet",
+    "acpi_pm",
+    "jiffies",
+    "refined-jiffies",
+    "pit",
+    "hyperv_clocksource_msr",
+];
+
+fn clock_source(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let folder = "/sys/devices/system/clocksource/clocksource0";
+    let current = scene
+        .system
+        .read(&format!("{folder}/current_clocksource"))?;
+    if FAST.contains(&&*current) {
+        return Ok(Judgement::ok(current));
+    }
+    if !SLOW.contains(&&*current) {
+        let value = format!("{current}: its speed is not known here");
+        let mend = format!("cat {folder}/available_clocksource");
+        return Ok(Judgement::unknown(value, mend));
+    }
+    let available = scene
+        .system
+        .read(&format!("{folder}/available_clocksource"))?;
+    let better = available
+        .split_whitespace()
+        .find(|name| FAST.contains(name));
+    Ok(match better {
+        Some(better) => Judgement::warning(
+            format!("{current}, though {better} is there"),
+            format!("echo {better} | sudo tee {folder}/current_clocksource"),
+        ),
+        None => Judgement::warning(
+            format!("{current}; there is no fast one"),
+            "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable",
+        ),
+    })
+}
+
+fn virtual_machine(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let system = &scene.system;
+    let processor = system.read("/proc/cpuinfo")?;
+    let has_flag = processor
+        .lines()
+        .filter(|line| line.starts_with("flags"))
+        .any(|line| line.split_whitespace().any(|flag| flag == "hypervisor"));
+    let product = ["sys_vendor", "product_name"].map(|name| {
+        let path = format!("/sys/class/dmi/id/{name}");
+        system
+            .read_if_there(&path)
+            .ok()
+            .flatten()
+            .unwrap_or_default()
+    });
+    let product = product.join(" ").trim().to_owned();
+    let known = [
+        "KVM",
+        "QEMU",
+        "VMware",
+        "VirtualBox",
+        "Virtual Machine",
+        "Xen",
+    ];
+    if !has_flag && !known.iter().any(|name| product.contains(name)) {
+        return Ok(Judgement::ok("no"));
+    }
+    let kind = if product.is_empty() {
+        "of unknown make".to_owned()
+    } else {
+        product
+    };
+    Ok(Judgement::warning(
+        format!("yes, {kind}"),
+        "run on the machine itself, or pin this virtual machine to cores of its own",
+    ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::fake::Fake;
+
+    #[test]
+    fn slow_clocks_are_bad_and_a_faster_one_is_named() {
+        let fake = |current: &str, available: &str| {
+            let folder = "/sys/devices/system/clocksource/clocksource0";
+            Fake::new(&[
+                (&format!("{folder}/current_clocksource"), current),
+                (&format!("{folder}/available_clocksource"), available),
+            ])
+        };
+        fake("tsc\n", "").expect("clock_source", Good, &["tsc"]);
+        fake("kvm-clock", "").expect("clock_source", Good, &[]);
+        fake("hpet", "tsc hpet acpi_pm").expect("clock_source", Warning, &["echo tsc"]);
+        fake("acpi_pm", "acpi_pm").expect("clock_source", Warning, &["tsc=reliable"]);
+        fake("sundial", "").expect("clock_source", Unknown, &["sundial"]);
+        Fake::new(&[]).expect("clock_source", Unknown, &["current_clocksource"]);
+    }
+
+    #[test]
+    fn virtual_machines_are_told_by_flag_or_product() {
+        let fake = |flags: &str| Fake::new(&[("/proc/cpuinfo", flags)]);
+        fake("model name\t: hypervisor\nflags\t\t: fpu sse2\n").expect(
+            "virtual_machine",
+            Good,
+            &[],
+        );
+        fake("flags\t\t: fpu hypervisor lm\n").expect("virtual_machine", Warning, &["pin"]);
+        let arm = fake("Features : fp asimd\n");
+        arm.expect("virtual_machine", Good, &[]);
+        arm.write("/sys/class/dmi/id/product_name", "KVM Virtual Machine\n");
+        arm.expect("virtual_machine", Warning, &["KVM"]);
+        Fake::new(&[]).expect("virtual_machine", Unknown, &[]);
+    }
+}

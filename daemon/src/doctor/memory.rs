@@ -1,0 +1,202 @@
+//! Memory: shared, huge, swapped.
+
+use cdcr_shared_types::{
+    Command, Incident, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service, Status,
+    Telemetry,
+};
+
+use super::system::chosen_of;
+use super::{Check, Concern, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[
+    Check {
+        key: "shared_memory",
+        title: "shared memory",
+        why: "The daemon and its clients meet in /dev/shm; when it is full, nobody can connect.",
+        concern: Concern::Always,
+        judge: shared_memory,
+    },
+    Check {
+        key: "huge_pages",
+        title: "transparent huge pages",
+        why: "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile.",
+        concern: Concern::RealTime,
+        judge: huge_pages,
+    },
+    Check {
+        key: "swap",
+        title: "swap",
+        why: "Memory that is not locked may be on a disk when the cycle needs it.",
+        concern: Concern::RealTime,
+        judge: swap,
+    },
+];
+
+/// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
+const HELD: usize = 2;
+/// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
+const ANSWERS: usize = 6;
+
+/// Bytes of one writer's messages: as many as all readers together may have, so that it never waits.
+const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
+    let queues = service.queues();
+    let messages = queues.subscribers * (queues.queue + HELD) + queues.history + HELD;
+    (messages * message_bytes) as u64
+}
+
+/// What the daemon itself takes \[bytes\]. Management adds less than a fiftieth.
+const fn daemon_bytes() -> u64 {
+    let answers = Service::CONTROL_CLIENTS * 2 * Service::CONTROL_REQUESTS * ANSWERS;
+    let messages = writer_bytes(Service::Command, size_of::<Command>())
+        + writer_bytes(Service::Telemetry, size_of::<Telemetry>())
+        + writer_bytes(Service::Status, size_of::<Status>())
+        + writer_bytes(Service::Incidents, size_of::<Incident>())
+        + (answers * size_of::<Response>()) as u64;
+    messages + messages / 50
+}
+
+/// What one client and one driver add that write everything they can \[bytes\].
+const fn client_bytes() -> u64 {
+    writer_bytes(Service::Reference, size_of::<ReferenceChunk>())
+        + writer_bytes(Service::Obstacles, size_of::<ObstacleUpdate>())
+        + writer_bytes(Service::Measurement, size_of::<Measurement>())
+}
+
+fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let (size, free) = scene
+        .probe
+        .shared_memory_bytes
+        .clone()
+        .map_err(|cause| Unreadable::new("/dev/shm", cause))?;
+    // A daemon that runs has taken its part.
+    let daemon = if scene.daemon_runs() {
+        0
+    } else {
+        daemon_bytes()
+    };
+    let both = daemon + client_bytes();
+    let mb = |bytes: u64| bytes as f64 * 1e-6;
+    let value = format!(
+        "{:.0} MB of {:.0} MB free; still needed {:.0} MB",
+        mb(free),
+        mb(size),
+        mb(both)
+    );
+    let enough_bytes = (size + both).next_multiple_of(1 << 26) >> 20;
+    let mend = format!(
+        "sudo mount -o remount,size={enough_bytes}M /dev/shm   (a container: --shm-size={enough_bytes}m)"
+    );
+    Ok(if free < daemon {
+        Judgement::fault(value, mend)
+    } else if free < both {
+        Judgement::warning(value, mend)
+    } else {
+        Judgement::ok(value)
+    })
+}
+
+fn huge_pages(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let path = "/sys/kernel/mm/transparent_hugepage/enabled";
+    let Some(text) = scene.system.read_if_there(path)? else {
+        return Ok(Judgement::ok("the kernel has none"));
+    };
+    let chosen = chosen_of(&text, ['[', ']'])
+        .ok_or_else(|| Unreadable::new(path, format!("{text:?} has no choice in brackets")))?;
+    if chosen != "always" {
+        return Ok(Judgement::ok(chosen));
+    }
+    // A service manager, or prctl(PR_SET_THP_DISABLE) before the start, exempts a process and its children.
+    if scene
+        .system
+        .own_status("THP_enabled")
+        .is_ok_and(|flag| flag == "0")
+    {
+        return Ok(Judgement::ok("always, but not for this process"));
+    }
+    Ok(Judgement::warning(
+        "always, also for the daemon",
+        format!("echo madvise | sudo tee {path}"),
+    ))
+}
+
+fn swap(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let areas = scene
+        .system
+        .read_if_there("/proc/swaps")?
+        .unwrap_or_default();
+    // The first line is the head.
+    let count = areas
+        .lines()
+        .skip(1)
+        .filter(|line| !line.trim().is_empty())
+        .count();
+    Ok(if count == 0 {
+        Judgement::ok("none")
+    } else if scene.probe.memory_lock.is_ok() {
+        Judgement::ok(format!("{count} in use, and memory can be locked"))
+    } else {
+        let value = format!("{count} in use, and memory is not locked");
+        Judgement::warning(value, "sudo swapoff -a, or let the daemon lock its memory")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
+    use super::super::fake::Fake;
+    use super::*;
+
+    #[test]
+    fn shared_memory_must_hold_a_daemon_and_a_client() {
+        let mut fake = Fake::new(&[]);
+        let mut with_free = |bytes: u64| {
+            fake.scene.probe.shared_memory_bytes = Ok((1 << 26, bytes));
+            fake.judge("shared_memory").verdict
+        };
+        assert_eq!(with_free(daemon_bytes() - 1), Fault);
+        assert_eq!(with_free(daemon_bytes()), Warning);
+        assert_eq!(with_free(daemon_bytes() + client_bytes()), Good);
+        fake.scene.probe.shared_memory_bytes = Ok((1 << 26, 0));
+        fake.expect(
+            "shared_memory",
+            Fault,
+            &["0 MB of 67 MB", "remount,size=", "--shm-size"],
+        );
+        fake.scene.probe.shared_memory_bytes = Err("no such file".to_owned());
+        fake.expect("shared_memory", Unknown, &["/dev/shm", "no such file"]);
+    }
+
+    #[test]
+    fn a_daemon_that_runs_has_taken_its_part() {
+        let mut fake = Fake::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
+        fake.scene.probe.shared_memory_bytes = Ok((1 << 26, client_bytes()));
+        assert_eq!(fake.verdict("shared_memory"), Fault);
+        fake.write("/proc/12/stat", "");
+        assert_eq!(fake.verdict("shared_memory"), Good);
+    }
+
+    #[test]
+    fn huge_pages_for_everybody_are_bad() {
+        let path = "/sys/kernel/mm/transparent_hugepage/enabled";
+        let fake = Fake::new(&[]);
+        fake.expect("huge_pages", Good, &["none"]);
+        fake.write(path, "always [madvise] never\n");
+        fake.expect("huge_pages", Good, &["madvise"]);
+        fake.write(path, "[always] madvise never\n");
+        fake.expect("huge_pages", Warning, &["echo madvise"]);
+        fake.write("/proc/self/status", "THP_enabled:\t0\n");
+        fake.expect("huge_pages", Good, &["not for this process"]);
+        fake.write(path, "perhaps");
+        fake.expect("huge_pages", Unknown, &["perhaps"]);
+    }
+
+    #[test]
+    fn swap_is_bad_for_memory_that_is_not_locked() {
+        let mut fake = Fake::new(&[("/proc/swaps", "Filename Type Size Used Priority\n")]);
+        fake.expect("swap", Good, &["none"]);
+        fake.write("/proc/swaps", "Filename Type\n/dev/sda2 partition 1 0 -2\n");
+        fake.expect("swap", Good, &["can be locked"]);
+        fake.scene.probe.memory_lock = Err("no".to_owned());
+        fake.expect("swap", Warning, &["swapoff"]);
+    }
+}

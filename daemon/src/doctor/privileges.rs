@@ -1,0 +1,182 @@
+//! Privileges: priority, core, locked memory.
+
+use super::{Check, Concern, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[
+    Check {
+        key: "fifo",
+        title: "SCHED_FIFO",
+        why: "Without a real-time priority every other program may keep the cycle waiting for many periods.",
+        concern: Concern::RealTime,
+        judge: fifo,
+    },
+    Check {
+        key: "pin",
+        title: "pinned to a core",
+        why: "A thread that moves between cores meets cold caches and whoever is there.",
+        concern: Concern::RealTime,
+        judge: pin,
+    },
+    Check {
+        key: "memory_lock",
+        title: "locked memory",
+        why: "A page that was given away must be fetched again in the middle of a cycle.",
+        concern: Concern::RealTime,
+        judge: memory_lock,
+    },
+];
+
+/// A daemon had 179 to 215 MB locked; each client that connects adds what it shares.
+const LOCKED_BYTES: u64 = 512 << 20;
+
+const CAP_IPC_LOCK: u32 = 14;
+const CAP_SYS_NICE: u32 = 23;
+
+const GRANT: &str = "sudo setcap cap_sys_nice,cap_ipc_lock+ep \"$(command -v cdcrd)\"";
+
+/// Whether this process has a capability.
+fn is_capable(scene: &Scene, capability: u32) -> Result<bool, Unreadable> {
+    let field = scene.system.own_status("CapEff")?;
+    let bits = u64::from_str_radix(&field, 16)
+        .map_err(|_| Unreadable::new("CapEff", format!("{field:?} is no number")))?;
+    Ok(bits >> capability & 1 == 1)
+}
+
+/// Whether the kernel's rules for processes allow the cycle's priority.
+pub(super) fn may_have_priority(scene: &Scene) -> Result<bool, Unreadable> {
+    let asked = u64::try_from(scene.plan.cycle_priority).unwrap_or(0);
+    let limit_is_enough = scene.probe.rtprio_max.is_none_or(|limit| limit >= asked);
+    Ok(limit_is_enough || is_capable(scene, CAP_SYS_NICE)?)
+}
+
+fn fifo(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let priority = scene.plan.cycle_priority;
+    let refusal = match &scene.probe.fifo {
+        Ok(()) => return Ok(Judgement::ok(format!("granted at priority {priority}"))),
+        Err(refusal) => refusal,
+    };
+    if may_have_priority(scene)? {
+        return Ok(scene.plan.missing(
+            format!("refused at priority {priority}, in spite of the privilege: {refusal}"),
+            "in a systemd unit: RestrictRealtime=no; else see `RT group` below",
+        ));
+    }
+    let limit = scene.probe.rtprio_max.unwrap_or(u64::MAX);
+    Ok(scene.plan.missing(
+        format!(
+            "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
+        ),
+        format!(
+            "{GRANT}   (or `rtprio {priority}` in /etc/security/limits.conf, and log in again)"
+        ),
+    ))
+}
+
+fn pin(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let core = scene.core()?;
+    if scene.probe.pinned {
+        return Ok(Judgement::ok(format!("core {core}")));
+    }
+    let allowed = scene.system.own_status("Cpus_allowed_list")?;
+    Ok(scene.plan.missing(
+        format!("core {core} is refused; allowed are {allowed}"),
+        format!("set realtime.core to one of {allowed}, or start cdcrd with `taskset -c {core}`"),
+    ))
+}
+
+fn memory_lock(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let limit = scene.probe.memlock_max_bytes;
+    let limit_text = limit.map_or("unlimited".to_owned(), |limit| {
+        format!("{:.1} MB", limit as f64 * 1e-6)
+    });
+    let remedy = format!(
+        "{GRANT}   (or `memlock unlimited` in /etc/security/limits.conf, and log in again)"
+    );
+    if let Err(refusal) = &scene.probe.memory_lock {
+        let value = format!("refused: {refusal}; RLIMIT_MEMLOCK is {limit_text}");
+        return Ok(scene.plan.missing(value, remedy));
+    }
+    let is_enough = limit.is_none_or(|limit| limit >= LOCKED_BYTES);
+    if is_enough || is_capable(scene, CAP_IPC_LOCK)? {
+        return Ok(Judgement::ok("granted"));
+    }
+    let value = format!("RLIMIT_MEMLOCK is {limit_text}; a daemon with clients may need 512 MiB");
+    Ok(scene.plan.missing(value, remedy))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict;
+    use super::super::fake::Fake;
+    use crate::config::RealtimeMode;
+
+    const NO_CAPABILITY: (&str, &str) = (
+        "/proc/self/status",
+        "CapEff:\t0000000000000000\nCpus_allowed_list:\t0-1\n",
+    );
+
+    /// The verdict in each mode: require, prefer, off.
+    fn verdicts(fake: &mut Fake, key: &str) -> [Verdict; 3] {
+        [
+            RealtimeMode::Require,
+            RealtimeMode::Prefer,
+            RealtimeMode::Off,
+        ]
+        .map(|mode| {
+            fake.scene.plan.mode = mode;
+            fake.verdict(key)
+        })
+    }
+
+    const MISSING: [Verdict; 3] = [Verdict::Fault, Verdict::Warning, Verdict::Ok];
+
+    #[test]
+    fn a_priority_that_is_refused_is_as_bad_as_it_was_asked_for() {
+        let mut fake = Fake::new(&[NO_CAPABILITY]);
+        assert_eq!(verdicts(&mut fake, "fifo"), [Verdict::Ok; 3]);
+        fake.scene.probe.fifo = Err("not permitted".to_owned());
+        fake.scene.probe.rtprio_max = Some(0);
+        assert_eq!(verdicts(&mut fake, "fifo"), MISSING);
+        fake.scene.plan.mode = RealtimeMode::Prefer;
+        fake.expect(
+            "fifo",
+            Verdict::Warning,
+            &["RLIMIT_RTPRIO is 0", "setcap", "rtprio 80"],
+        );
+    }
+
+    #[test]
+    fn a_refusal_in_spite_of_the_privilege_has_another_remedy() {
+        let mut fake = Fake::new(&[("/proc/self/status", "CapEff:\t0000000000800000\n")]);
+        fake.scene.probe.fifo = Err("not permitted".to_owned());
+        fake.scene.probe.rtprio_max = Some(0);
+        fake.expect("fifo", Verdict::Warning, &["in spite", "RestrictRealtime"]);
+        fake.write("/proc/self/status", "CapEff:\tnonsense\n");
+        fake.expect("fifo", Verdict::Unknown, &["nonsense"]);
+    }
+
+    #[test]
+    fn a_core_that_is_refused_is_named() {
+        let mut fake = Fake::new(&[NO_CAPABILITY]);
+        assert_eq!(verdicts(&mut fake, "pin"), [Verdict::Ok; 3]);
+        fake.scene.probe.pinned = false;
+        fake.scene.plan.core = Some(7);
+        assert_eq!(verdicts(&mut fake, "pin"), MISSING);
+        fake.scene.plan.mode = RealtimeMode::Prefer;
+        fake.expect("pin", Verdict::Warning, &["core 7", "0-1"]);
+    }
+
+    #[test]
+    fn memory_needs_a_grant_that_suffices() {
+        let mut fake = Fake::new(&[NO_CAPABILITY]);
+        assert_eq!(verdicts(&mut fake, "memory_lock"), [Verdict::Ok; 3]);
+        fake.scene.probe.memlock_max_bytes = Some(8 << 20);
+        assert_eq!(verdicts(&mut fake, "memory_lock"), MISSING);
+        fake.write("/proc/self/status", "CapEff:\t0000000000004000\n");
+        assert_eq!(verdicts(&mut fake, "memory_lock"), [Verdict::Ok; 3]);
+        fake.scene.probe.memory_lock = Err("cannot allocate memory".to_owned());
+        assert_eq!(verdicts(&mut fake, "memory_lock"), MISSING);
+        fake.scene.plan.mode = RealtimeMode::Prefer;
+        fake.expect("memory_lock", Verdict::Warning, &["8.4 MB", "memlock"]);
+    }
+}

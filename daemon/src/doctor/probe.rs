@@ -1,0 +1,79 @@
+//! What no file tells: it is tried, and undone.
+
+use std::path::Path;
+
+use rustix::fs::statvfs;
+use rustix::mm::{MlockAllFlags, mlockall, munlockall};
+use rustix::process::{Resource, geteuid, getrlimit};
+
+use super::plan::Plan;
+use super::system::System;
+use crate::rt::sys;
+
+/// What was tried.
+#[derive(Debug, Clone)]
+pub struct Probe {
+    /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; what the kernel said.
+    pub fifo: Result<(), String>,
+    /// Whether that thread could be pinned to the core.
+    pub pinned: bool,
+    /// All memory of this process locked, and unlocked again; what the kernel said.
+    pub memory_lock: Result<(), String>,
+    /// `RLIMIT_RTPRIO`; none: unlimited.
+    pub rtprio_max: Option<u64>,
+    /// `RLIMIT_MEMLOCK` \[bytes\]; none: unlimited.
+    pub memlock_max_bytes: Option<u64>,
+    /// `/dev/cpu_dma_latency` opened for writing, without a request.
+    pub deep_sleep_lock: Result<(), String>,
+    /// Size and free space of `/dev/shm` \[bytes\].
+    pub shared_memory_bytes: Result<(u64, u64), String>,
+    /// Effective user id.
+    pub user_id: u32,
+}
+
+impl Probe {
+    /// Tries everything.
+    pub fn new(system: &System, plan: &Plan) -> Self {
+        let (fifo, pinned) = try_thread(plan);
+        Self {
+            fifo,
+            pinned,
+            memory_lock: try_memory_lock(),
+            rtprio_max: getrlimit(Resource::Rtprio).current,
+            memlock_max_bytes: getrlimit(Resource::Memlock).current,
+            deep_sleep_lock: try_deep_sleep_lock(&system.path("/dev/cpu_dma_latency")),
+            shared_memory_bytes: shared_memory_bytes(&system.path("/dev/shm")),
+            user_id: geteuid().as_raw(),
+        }
+    }
+}
+
+/// What the cycle thread will do first, on a thread that ends right after it.
+fn try_thread(plan: &Plan) -> (Result<(), String>, bool) {
+    let (priority, core) = (plan.cycle_priority, plan.core);
+    let trial = std::thread::spawn(move || {
+        let fifo = sys::set_fifo(priority).map_err(|error| error.to_string());
+        let pin = |id| core_affinity::set_for_current(core_affinity::CoreId { id });
+        (fifo, core.is_some_and(pin))
+    });
+    let panicked = || (Err("the trial thread panicked".to_owned()), false);
+    trial.join().unwrap_or_else(|_| panicked())
+}
+
+fn try_memory_lock() -> Result<(), String> {
+    mlockall(MlockAllFlags::CURRENT)
+        .and_then(|()| munlockall())
+        .map_err(|error| error.to_string())
+}
+
+/// A request would only be made by writing a number, so that opening changes nothing.
+fn try_deep_sleep_lock(path: &Path) -> Result<(), String> {
+    let opened = std::fs::OpenOptions::new().write(true).open(path);
+    opened.map(|_| ()).map_err(|error| error.to_string())
+}
+
+fn shared_memory_bytes(path: &Path) -> Result<(u64, u64), String> {
+    let sizes = statvfs(path).map_err(|error| error.to_string())?;
+    let bytes = |blocks: u64| blocks.saturating_mul(sizes.f_frsize);
+    Ok((bytes(sizes.f_blocks), bytes(sizes.f_bavail)))
+}

@@ -1,0 +1,274 @@
+//! The kernel's scheduler: pre-emption, and what it takes from real-time threads.
+
+use super::privileges::may_have_priority;
+use super::system::chosen_of;
+use super::{Check, Concern, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[
+    Check {
+        key: "preemption",
+        title: "pre-emption model",
+        why: "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.",
+        concern: Concern::RealTime,
+        judge: preemption,
+    },
+    Check {
+        key: "rt_throttling",
+        title: "RT throttling",
+        why: "The kernel halts real-time threads beyond their share of a second; without a limit a hung one \
+              keeps its core for ever.",
+        concern: Concern::RealTime,
+        judge: throttling,
+    },
+    Check {
+        key: "rt_group",
+        title: "RT group",
+        why: "In a control group without real-time runtime, SCHED_FIFO is refused even to root.",
+        concern: Concern::RealTime,
+        judge: group,
+    },
+];
+
+/// From this period on, a kernel that can be interrupted everywhere is good enough without `PREEMPT_RT`.
+const PERIOD_MS_FULL: f64 = 1.0;
+
+fn preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let system = &scene.system;
+    let version = system.read("/proc/sys/kernel/version")?;
+    let flag = system.read_if_there("/sys/kernel/realtime")?;
+    if version.contains("PREEMPT_RT") || flag.as_deref() == Some("1") {
+        return Ok(Judgement::ok("PREEMPT_RT"));
+    }
+    if version.contains("PREEMPT_DYNAMIC") {
+        return dynamic_preemption(scene);
+    }
+    Ok(if version.contains("PREEMPT") {
+        of_model(scene, "full", "PREEMPT")
+    } else {
+        of_model(
+            scene,
+            "none",
+            "none or voluntary, fixed when the kernel was built",
+        )
+    })
+}
+
+/// The model can be chosen at run time; the file that tells it is readable for root only.
+fn dynamic_preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let told = scene.system.read("/sys/kernel/debug/sched/preempt");
+    let chosen = told
+        .as_deref()
+        .ok()
+        .and_then(|text| chosen_of(text, ['(', ')']));
+    if let Some(model) = chosen {
+        return Ok(of_model(scene, model, &format!("dynamic, {model}")));
+    }
+    if let Some(model) = scene.system.boot_option("preempt")? {
+        let value = format!("dynamic, {model} at boot");
+        return Ok(of_model(scene, &model, &value));
+    }
+    Ok(Judgement::unknown(
+        "dynamic, the model in force cannot be read",
+        "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt",
+    ))
+}
+
+fn of_model(scene: &Scene, model: &str, value: &str) -> Judgement {
+    // A lazy kernel is lazy towards ordinary threads only.
+    let is_full = matches!(model, "full" | "lazy");
+    if is_full && scene.plan.period_ms >= PERIOD_MS_FULL {
+        return Judgement::ok(value);
+    }
+    if is_full {
+        return Judgement::warning(
+            format!("{value}; the period is {} ms", scene.plan.period_ms),
+            "install a kernel with PREEMPT_RT",
+        );
+    }
+    Judgement::warning(
+        value,
+        "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
+         kernel with PREEMPT_RT",
+    )
+}
+
+fn throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let runtime_us = scene
+        .system
+        .number("/proc/sys/kernel/sched_rt_runtime_us")?;
+    let period_us = scene.system.number("/proc/sys/kernel/sched_rt_period_us")?;
+    if runtime_us < 0 {
+        return Ok(Judgement::warning(
+            "off: nothing guards the core from a hung loop",
+            "sudo sysctl kernel.sched_rt_runtime_us=950000",
+        ));
+    }
+    let share = runtime_us as f64 / period_us.max(1) as f64;
+    let needed = scene.plan.core_share_max;
+    let value = format!(
+        "at {:.1} % of {} s; the cycle uses {:.1} % at most",
+        100.0 * share,
+        period_us as f64 * 1e-6,
+        100.0 * needed
+    );
+    Ok(if share > needed {
+        Judgement::ok(value)
+    } else {
+        Judgement::warning(
+            value,
+            "sudo sysctl kernel.sched_rt_runtime_us=950000; set cycle.budget_ms below that share of the period",
+        )
+    })
+}
+
+fn group(scene: &Scene) -> Result<Judgement, Unreadable> {
+    if let Some((file, runtime_us)) = group_runtime_us(scene)? {
+        return Ok(if runtime_us == 0 {
+            scene.plan.missing(
+                "this control group has no real-time runtime",
+                format!("echo 950000 | sudo tee {file}   (and first in the groups above it)"),
+            )
+        } else {
+            Judgement::ok(format!("{runtime_us} µs"))
+        });
+    }
+    if scene.probe.fifo.is_err() && may_have_priority(scene)? {
+        return Ok(scene.plan.missing(
+            "SCHED_FIFO is refused in spite of the privilege: probably CONFIG_RT_GROUP_SCHED",
+            "boot with rt_group_sched=0, or start cdcrd in the root control group",
+        ));
+    }
+    Ok(Judgement::ok("no limit of a group"))
+}
+
+/// The file and the real-time runtime of this process's group, where the kernel has version 1 of control
+/// groups with real-time groups.
+fn group_runtime_us(scene: &Scene) -> Result<Option<(String, i64)>, Unreadable> {
+    let system = &scene.system;
+    let (groups, mounts) = (
+        system.read("/proc/self/cgroup")?,
+        system.read("/proc/mounts")?,
+    );
+    let (Some(group), Some(mount)) = (cpu_group(&groups), cpu_mount(&mounts)) else {
+        return Ok(None);
+    };
+    // In a container the mount is the group itself.
+    for folder in [format!("{mount}{group}"), mount.to_owned()] {
+        let file = format!("{}/cpu.rt_runtime_us", folder.trim_end_matches('/'));
+        if system.read_if_there(&file)?.is_some() {
+            let runtime_us = system.number(&file)?;
+            return Ok(Some((file, runtime_us)));
+        }
+    }
+    Ok(None)
+}
+
+/// Lines `1:cpu,cpuacct:/group`.
+fn cpu_group(groups: &str) -> Option<&str> {
+    groups.lines().find_map(|line| {
+        let (controllers, group) = line.split_once(':')?.1.split_once(':')?;
+        controllers
+            .split(',')
+            .any(|name| name == "cpu")
+            .then_some(group)
+    })
+}
+
+/// Lines `cgroup /sys/fs/cgroup/cpu cgroup rw,cpu 0 0`.
+fn cpu_mount(mounts: &str) -> Option<&str> {
+    mounts.lines().find_map(|line| {
+        let mut words = line.split_whitespace().skip(1);
+        let (folder, kind, options) = (words.next()?, words.next()?, words.next()?);
+        let is_cpu = kind == "cgroup" && options.split(',').any(|option| option == "cpu");
+        is_cpu.then_some(folder)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
+    use super::super::fake::Fake;
+    use crate::config::RealtimeMode;
+
+    fn kernel(version: &str) -> Fake {
+        Fake::new(&[
+            ("/proc/sys/kernel/version", version),
+            ("/proc/cmdline", "quiet"),
+        ])
+    }
+
+    #[test]
+    fn the_kernels_own_words_tell_the_model() {
+        kernel("#1 SMP PREEMPT_RT Debian").expect("preemption", Good, &["PREEMPT_RT"]);
+        kernel("#1 SMP PREEMPT Mon").expect("preemption", Good, &["PREEMPT"]);
+        kernel("#1 SMP Mon").expect("preemption", Warning, &["preempt=full"]);
+        Fake::new(&[]).expect("preemption", Unknown, &["/proc/sys/kernel/version"]);
+        let patched = kernel("#1 SMP PREEMPT");
+        patched.write("/sys/kernel/realtime", "1\n");
+        patched.expect("preemption", Good, &["PREEMPT_RT"]);
+    }
+
+    #[test]
+    fn a_dynamic_kernel_tells_what_is_in_force() {
+        let fake = kernel("#1 SMP PREEMPT_DYNAMIC");
+        fake.expect("preemption", Unknown, &["debugfs"]);
+        fake.write("/proc/cmdline", "preempt=none x preempt=full");
+        fake.expect("preemption", Good, &["full at boot"]);
+        // What is in force wins over what was asked for at boot.
+        fake.write("/sys/kernel/debug/sched/preempt", "none (voluntary) full\n");
+        fake.expect("preemption", Warning, &["voluntary", "preempt=full"]);
+        fake.write("/sys/kernel/debug/sched/preempt", "none full (lazy)\n");
+        fake.expect("preemption", Good, &["lazy"]);
+    }
+
+    #[test]
+    fn a_short_period_wants_the_real_time_kernel() {
+        let mut fake = kernel("#1 SMP PREEMPT");
+        fake.scene.plan.period_ms = 0.5;
+        fake.expect("preemption", Warning, &["0.5 ms", "PREEMPT_RT"]);
+    }
+
+    #[test]
+    fn throttling_leaves_the_cycle_what_it_needs() {
+        let fake = |runtime: &str| {
+            Fake::new(&[
+                ("/proc/sys/kernel/sched_rt_runtime_us", runtime),
+                ("/proc/sys/kernel/sched_rt_period_us", "1000000"),
+            ])
+        };
+        fake("950000").expect("rt_throttling", Good, &["95.0 %", "90.0 %"]);
+        fake("500000").expect("rt_throttling", Warning, &["budget_ms"]);
+        fake("-1").expect("rt_throttling", Warning, &["off", "sysctl"]);
+        fake("many").expect("rt_throttling", Unknown, &["no number"]);
+        let mut spinning = fake("950000");
+        spinning.scene.plan.core_share_max = 1.0;
+        spinning.expect("rt_throttling", Warning, &["100.0 %"]);
+    }
+
+    #[test]
+    fn a_group_without_runtime_is_found() {
+        let mut fake = Fake::new(&[
+            ("/proc/self/cgroup", "4:memory:/a\n1:cpuacct,cpu:/a/b\n0::/"),
+            (
+                "/proc/mounts",
+                "proc /proc proc rw 0 0\ncgroup /sys/fs/cgroup/cpu cgroup rw,cpuacct,cpu 0 0\n",
+            ),
+        ]);
+        fake.expect("rt_group", Good, &["no limit"]);
+        let file = "/sys/fs/cgroup/cpu/a/b/cpu.rt_runtime_us";
+        fake.write(file, "0\n");
+        fake.expect("rt_group", Warning, &["no real-time runtime", file]);
+        fake.scene.plan.mode = RealtimeMode::Require;
+        fake.expect("rt_group", Fault, &[]);
+        fake.write(file, "950000\n");
+        fake.expect("rt_group", Good, &["950000"]);
+    }
+
+    #[test]
+    fn a_refusal_that_nothing_else_explains_is_the_groups() {
+        let mut fake = Fake::new(&[("/proc/self/cgroup", "0::/x"), ("/proc/mounts", "")]);
+        fake.expect("rt_group", Good, &[]);
+        fake.scene.probe.fifo = Err("not permitted".to_owned());
+        fake.expect("rt_group", Warning, &["rt_group_sched=0"]);
+    }
+}

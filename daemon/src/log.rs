@@ -1,0 +1,249 @@
+//! Where the log goes, and how much of it.
+//!
+//! Started by systemd, the standard error is the journal (`JOURNAL_STREAM` of `systemd.exec(5)` says so),
+//! and the lines go there with their fields: `reason` becomes `CDCR_REASON`. Anywhere else they are text on
+//! the standard error. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
+//! left out is counted and said. Counters in status and telemetry never pass through here.
+
+use std::collections::HashMap;
+use std::io::IsTerminal;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use rustix::fs::fstat;
+use tracing::callsite::Identifier;
+use tracing::{Event, Subscriber};
+use tracing_journald::{Priority, PriorityMappings};
+use tracing_subscriber::layer::{Context, SubscriberExt};
+use tracing_subscriber::registry::LookupSpan;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
+
+/// How often one place in the program may log within [`INTERVAL`].
+pub const LINES_MAX: u32 = 20;
+/// Time in which lines are counted.
+pub const INTERVAL: Duration = Duration::from_secs(10);
+
+/// Sets the log of the process up. `RUST_LOG` chooses what is logged; without it, `info` and above.
+pub fn start() {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let log = tracing_subscriber::registry()
+        .with(filter)
+        .with(RateLimit::new(LINES_MAX, INTERVAL));
+    let stream = std::env::var("JOURNAL_STREAM").ok();
+    if !stream.is_some_and(|stream| is_standard_error(&stream)) {
+        return log.with(text()).init();
+    }
+    match journal() {
+        Ok(journal) => log.with(journal).init(),
+        Err(error) => {
+            log.with(text()).init();
+            tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
+        }
+    }
+}
+
+/// Whether the standard error is the file that `stream` (device:inode) names.
+fn is_standard_error(stream: &str) -> bool {
+    let Ok(file) = fstat(std::io::stderr()) else {
+        return false;
+    };
+    device_and_inode(stream) == Some((file.st_dev, file.st_ino))
+}
+
+fn device_and_inode(stream: &str) -> Option<(u64, u64)> {
+    let (device, inode) = stream.split_once(':')?;
+    Some((device.parse().ok()?, inode.parse().ok()?))
+}
+
+fn journal() -> std::io::Result<tracing_journald::Layer> {
+    let priorities = PriorityMappings {
+        info: Priority::Informational,
+        debug: Priority::Debug,
+        ..PriorityMappings::new()
+    };
+    Ok(tracing_journald::layer()?
+        .with_field_prefix(Some("CDCR".to_owned()))
+        .with_priority_mappings(priorities))
+}
+
+fn text<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
+    tracing_subscriber::fmt::layer()
+        .with_writer(std::io::stderr)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_target(false)
+}
+
+/// Lets each place in the program log so often, and says how much it left out before the next line that it
+/// lets pass.
+#[derive(Debug)]
+struct RateLimit {
+    limit: Limit,
+    places: Mutex<HashMap<Identifier, Place>>,
+}
+
+/// How often one place may log.
+#[derive(Debug, Clone, Copy)]
+struct Limit {
+    lines_max: u32,
+    interval: Duration,
+}
+
+/// What one place in the program logged in the current interval.
+#[derive(Debug)]
+struct Place {
+    since: Instant,
+    lines: u32,
+    left_out: u64,
+}
+
+/// What happens to a line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Verdict {
+    Pass,
+    /// It passes, as the first one after some that did not.
+    PassAfter {
+        left_out: u64,
+    },
+    LeaveOut,
+}
+
+impl RateLimit {
+    fn new(lines_max: u32, interval: Duration) -> Self {
+        Self {
+            limit: Limit {
+                lines_max,
+                interval,
+            },
+            places: Mutex::default(),
+        }
+    }
+
+    fn judge(&self, place: Identifier, now: Instant) -> Verdict {
+        // The counts are right even if a thread panicked while it held them.
+        let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = places.entry(place).or_insert_with(|| Place::since(now));
+        place.count(self.limit, now)
+    }
+}
+
+impl Place {
+    fn since(now: Instant) -> Self {
+        Self {
+            since: now,
+            lines: 0,
+            left_out: 0,
+        }
+    }
+
+    fn count(&mut self, limit: Limit, now: Instant) -> Verdict {
+        let left_out = self.left_out;
+        if now.duration_since(self.since) >= limit.interval {
+            *self = Self::since(now);
+        }
+        if self.lines == limit.lines_max {
+            self.left_out += 1;
+            return Verdict::LeaveOut;
+        }
+        self.lines += 1;
+        if self.lines == 1 && left_out > 0 {
+            Verdict::PassAfter { left_out }
+        } else {
+            Verdict::Pass
+        }
+    }
+}
+
+impl<S: Subscriber> Layer<S> for RateLimit {
+    fn event_enabled(&self, event: &Event<'_>, _: Context<'_, S>) -> bool {
+        let metadata = event.metadata();
+        if metadata.module_path() == Some(module_path!()) {
+            return true;
+        }
+        let verdict = self.judge(metadata.callsite(), Instant::now());
+        if let Verdict::PassAfter { left_out } = verdict {
+            // The lock is free again: this line comes through here, too.
+            tracing::warn!(left_out, "{left_out} lines like the next were left out");
+        }
+        verdict != Verdict::LeaveOut
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use std::process::Command;
+
+    use super::*;
+
+    #[test]
+    fn so_many_lines_pass_and_the_rest_is_counted_and_said() {
+        let limit = Limit {
+            lines_max: 20,
+            interval: INTERVAL,
+        };
+        let begin = Instant::now();
+        let mut place = Place::since(begin);
+        let mut count = |now| place.count(limit, now);
+        for line in 0..20 {
+            assert_eq!(count(begin + INTERVAL / 20 * line), Verdict::Pass);
+        }
+        let end = begin + INTERVAL;
+        for _ in 0..1000 {
+            assert_eq!(count(begin + INTERVAL / 20 * 19), Verdict::LeaveOut);
+        }
+        assert_eq!(count(end), Verdict::PassAfter { left_out: 1000 });
+        assert_eq!(count(end), Verdict::Pass, "it is said once");
+        assert_eq!(count(end + INTERVAL), Verdict::Pass);
+    }
+
+    /// The test runs itself: a process has one log.
+    #[test]
+    fn every_line_is_either_there_or_counted() {
+        const CHILD: &str = "CDCR_TEST_FLOODS";
+        let interval = Duration::from_millis(300);
+        if std::env::var_os(CHILD).is_some() {
+            let log = tracing_subscriber::registry().with(RateLimit::new(3, interval));
+            log.with(text()).init();
+            for lines in [50, 50, 1] {
+                for line in 0..lines {
+                    tracing::info!(line, "flood");
+                }
+                tracing::info!("a line of another place");
+                std::thread::sleep(interval);
+            }
+            return;
+        }
+        let output = Command::new(std::env::current_exe().unwrap())
+            .args([
+                "--exact",
+                "log::tests::every_line_is_either_there_or_counted",
+            ])
+            .arg("--nocapture")
+            .env(CHILD, "1")
+            .output()
+            .unwrap();
+        let text = String::from_utf8(output.stderr).unwrap();
+        let count = |what: &str| text.lines().filter(|line| line.contains(what)).count();
+        assert_eq!(count("a line of another place"), 3, "{text}");
+        let left_out: usize = text
+            .lines()
+            .filter_map(|line| line.split_once("left_out=")?.1.trim().parse::<usize>().ok())
+            .sum();
+        assert!(left_out > 0, "{text}");
+        assert_eq!(count("flood") + left_out, 101, "{text}");
+    }
+
+    #[test]
+    fn the_journal_is_known_by_device_and_inode() {
+        assert_eq!(device_and_inode("8:123456"), Some((8, 123_456)));
+        for wrong in ["", "8", "8:", ":1", "8:-1", "a:b"] {
+            assert_eq!(device_and_inode(wrong), None, "{wrong:?}");
+        }
+        assert!(!is_standard_error("0:0"));
+    }
+}

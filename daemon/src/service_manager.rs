@@ -1,0 +1,440 @@
+//! What a service manager is told: that the loop runs, how it does, that it lives, that it ends.
+//!
+//! The protocol is that of `sd_notify(3)`: a datagram of text lines to the socket that `NOTIFY_SOCKET`
+//! names. systemd is one who listens; without the variable, nothing is said to nobody.
+//!
+//! Invariant: nothing here waits. The socket does not block, and a message that it did not take is told
+//! once in the log and tried again at the next call.
+
+use std::ffi::{OsStr, OsString};
+use std::fmt::{self, Display, Formatter};
+use std::io;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::ffi::OsStrExt;
+use std::os::unix::net::{SocketAddr, UnixDatagram};
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::codes::{Mode, Reason};
+use sd_notify::NotifyState;
+
+/// Between two status lines of the same mode and reason: a person reads them.
+const TELL_EVERY: Duration = Duration::from_secs(1);
+
+/// What `systemctl status` shows in one line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StatusLine {
+    /// Mode of the robot.
+    pub mode: Mode,
+    /// Why it is in that mode.
+    pub reason: Reason,
+    /// Cycles in a second, as counted \[Hz\].
+    pub rate_hz: f64,
+    /// Cycles that were late, since the start.
+    pub deadline_misses: u64,
+    /// Releases that got no command, since the start.
+    pub skipped_periods: u64,
+    /// Distance of the tip from its reference \[m\]; none while it follows none.
+    pub tracking_error_m: Option<f64>,
+}
+
+impl Display for StatusLine {
+    /// `tracking (asked for): 200.0 Hz, 3 misses, 1 skipped period, error 0.012 mm`
+    fn fmt(&self, f: &mut Formatter<'_>) -> fmt::Result {
+        let Self {
+            deadline_misses: misses,
+            skipped_periods: skipped,
+            ..
+        } = self;
+        write!(
+            f,
+            "{} ({}): {:.1} Hz, {misses} {}, {skipped} {}",
+            self.mode,
+            self.reason,
+            self.rate_hz,
+            if *misses == 1 { "miss" } else { "misses" },
+            if *skipped == 1 {
+                "skipped period"
+            } else {
+                "skipped periods"
+            },
+        )?;
+        match self.tracking_error_m {
+            Some(error_m) => write!(f, ", error {:.3} mm", error_m * 1e3),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The service manager that started us, or nobody.
+#[derive(Debug)]
+pub struct ServiceManager {
+    listener: Option<Listener>,
+    watchdog: Option<Watchdog>,
+    told: Option<(StatusLine, Instant)>,
+    said_ready: bool,
+    said_stopping: bool,
+    complained: bool,
+}
+
+/// Where the messages go.
+#[derive(Debug)]
+struct Listener {
+    socket: UnixDatagram,
+    address: SocketAddr,
+    name: OsString,
+}
+
+/// What is known of the watchdog.
+#[derive(Debug)]
+struct Watchdog {
+    period: Duration,
+    fed: Option<Instant>,
+    cycles: u64,
+}
+
+impl ServiceManager {
+    /// The one that the environment names: `NOTIFY_SOCKET`, `WATCHDOG_USEC` and `WATCHDOG_PID`. A socket
+    /// that cannot be used is told in the log, and then there is nobody.
+    pub fn from_environment() -> Self {
+        let Some(name) = std::env::var_os("NOTIFY_SOCKET").filter(|name| !name.is_empty()) else {
+            return Self::nobody();
+        };
+        Self::at(&name, sd_notify::watchdog_enabled()).unwrap_or_else(|error| {
+            tracing::warn!(socket = ?name, %error, "no service manager can be told: NOTIFY_SOCKET is unusable");
+            Self::nobody()
+        })
+    }
+
+    /// Nobody: everything that is said is lost.
+    pub fn nobody() -> Self {
+        Self {
+            listener: None,
+            watchdog: None,
+            told: None,
+            said_ready: false,
+            said_stopping: false,
+            complained: false,
+        }
+    }
+
+    /// One that listens at `socket` (a path, or `@name` for a name in the abstract space) and expects a
+    /// sign of life every `watchdog_period`.
+    ///
+    /// # Errors
+    /// When `socket` is no address of a socket, or the process has no socket left.
+    pub fn at(socket: &OsStr, watchdog_period: Option<Duration>) -> io::Result<Self> {
+        let watchdog = watchdog_period
+            .filter(|period| !period.is_zero())
+            .map(|period| Watchdog {
+                period,
+                fed: None,
+                cycles: 0,
+            });
+        Ok(Self {
+            listener: Some(Listener::at(socket)?),
+            watchdog,
+            ..Self::nobody()
+        })
+    }
+
+    /// How long the service manager waits for a sign of life, if it does.
+    pub fn watchdog_period(&self) -> Option<Duration> {
+        self.watchdog.as_ref().map(|watchdog| watchdog.period)
+    }
+
+    /// Says that the loop runs: to be called after a good cycle. It is said once; later calls do nothing.
+    pub fn ready(&mut self) {
+        if !self.said_ready {
+            self.said_ready = self.say(&NotifyState::Ready);
+        }
+    }
+
+    /// Says how the loop does: at once when mode or reason changed, else at most once a second.
+    pub fn tell(&mut self, line: &StatusLine) {
+        self.tell_at(line, Instant::now());
+    }
+
+    /// Feeds the watchdog if `cycles`, the number of cycles since the start, is not that of the call
+    /// before, and half of the watchdog's period went by since it was fed. So a loop that hangs starves the
+    /// watchdog, however alive the caller is.
+    pub fn feed_watchdog(&mut self, cycles: u64) {
+        self.feed_watchdog_at(cycles, Instant::now());
+    }
+
+    /// Says that we end. It is said once; later calls do nothing.
+    pub fn stopping(&mut self) {
+        if !self.said_stopping {
+            self.said_stopping = self.say(&NotifyState::Stopping);
+        }
+    }
+
+    fn tell_at(&mut self, line: &StatusLine, now: Instant) {
+        let is_news = self.told.is_none_or(|(told, when)| {
+            let same_state = (told.mode, told.reason) == (line.mode, line.reason);
+            !same_state || (told != *line && now.duration_since(when) >= TELL_EVERY)
+        });
+        if is_news && self.say(&NotifyState::Status(&line.to_string())) {
+            self.told = Some((*line, now));
+        }
+    }
+
+    fn feed_watchdog_at(&mut self, cycles: u64, now: Instant) {
+        let Some(watchdog) = &mut self.watchdog else {
+            return;
+        };
+        let advanced = cycles != std::mem::replace(&mut watchdog.cycles, cycles);
+        let half = watchdog.period / 2;
+        let due = watchdog
+            .fed
+            .is_none_or(|fed| now.duration_since(fed) >= half);
+        if advanced
+            && due
+            && self.say(&NotifyState::Watchdog)
+            && let Some(watchdog) = &mut self.watchdog
+        {
+            watchdog.fed = Some(now);
+        }
+    }
+
+    /// Whether it was heard, or nobody listens.
+    fn say(&mut self, state: &NotifyState<'_>) -> bool {
+        let Some(listener) = &self.listener else {
+            return true;
+        };
+        let Err(error) = listener.send(&format!("{state}\n")) else {
+            return true;
+        };
+        if !self.complained {
+            self.complained = true;
+            let socket = &listener.name;
+            tracing::warn!(?socket, %error, "the service manager could not be told; this is said once");
+        }
+        false
+    }
+}
+
+impl Listener {
+    fn at(name: &OsStr) -> io::Result<Self> {
+        let address = match name.as_bytes() {
+            [b'@', name @ ..] => SocketAddr::from_abstract_name(name)?,
+            [b'/', ..] => SocketAddr::from_pathname(name)?,
+            _ => {
+                let what = "it is neither an absolute path nor @ and an abstract name";
+                return Err(io::Error::new(io::ErrorKind::InvalidInput, what));
+            }
+        };
+        let socket = UnixDatagram::unbound()?;
+        socket.set_nonblocking(true)?;
+        Ok(Self {
+            socket,
+            address,
+            name: name.to_owned(),
+        })
+    }
+
+    fn send(&self, message: &str) -> io::Result<()> {
+        // A datagram goes whole or not at all.
+        self.socket
+            .send_to_addr(message.as_bytes(), &self.address)
+            .map(|_| ())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+    use tempfile::TempDir;
+
+    const HOUR: Duration = Duration::from_secs(3600);
+
+    /// A service manager of our own, on a real socket.
+    struct Manager {
+        socket: UnixDatagram,
+        folder: TempDir,
+    }
+
+    impl Manager {
+        fn start() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
+            socket.set_nonblocking(true).unwrap();
+            Self { socket, folder }
+        }
+
+        fn told_by(&self, watchdog_period: Option<Duration>) -> ServiceManager {
+            let path = self.folder.path().join("notify");
+            ServiceManager::at(path.as_os_str(), watchdog_period).unwrap()
+        }
+
+        /// What was said since the last call. Datagrams between local sockets are there when sent.
+        fn heard(&self) -> Vec<String> {
+            let mut heard = Vec::new();
+            let mut buffer = [0; 1024];
+            while let Ok(length) = self.socket.recv(&mut buffer) {
+                heard.push(String::from_utf8(buffer[..length].to_vec()).unwrap());
+            }
+            heard
+        }
+    }
+
+    fn line(mode: Mode, deadline_misses: u64) -> StatusLine {
+        StatusLine {
+            mode,
+            reason: Reason::try_from(0).unwrap(),
+            rate_hz: 200.0,
+            deadline_misses,
+            skipped_periods: 1,
+            tracking_error_m: Some(12.3e-6),
+        }
+    }
+
+    #[test]
+    fn ready_and_stopping_are_said_once() {
+        let manager = Manager::start();
+        let mut service = manager.told_by(None);
+        for _ in 0..3 {
+            service.ready();
+        }
+        assert_eq!(manager.heard(), ["READY=1\n"]);
+        for _ in 0..3 {
+            service.stopping();
+        }
+        assert_eq!(manager.heard(), ["STOPPING=1\n"]);
+    }
+
+    #[test]
+    fn a_status_is_one_line_with_mode_rate_misses_and_error() {
+        let manager = Manager::start();
+        let mut service = manager.told_by(None);
+        let line = line(Mode::Tracking, 3);
+        service.tell(&line);
+        let reason = line.reason;
+        assert_eq!(
+            manager.heard(),
+            [format!(
+                "STATUS=tracking ({reason}): 200.0 Hz, 3 misses, 1 skipped period, error 0.012 mm\n"
+            )]
+        );
+    }
+
+    #[test]
+    fn a_new_mode_is_told_at_once_and_new_numbers_once_a_second() {
+        let manager = Manager::start();
+        let mut service = manager.told_by(None);
+        let begin = Instant::now();
+        service.tell_at(&line(Mode::Holding, 0), begin);
+        service.tell_at(&line(Mode::Tracking, 0), begin);
+        assert_eq!(manager.heard().len(), 2, "two modes");
+        service.tell_at(&line(Mode::Tracking, 1), begin + TELL_EVERY / 2);
+        assert!(manager.heard().is_empty(), "too early");
+        service.tell_at(&line(Mode::Tracking, 2), begin + TELL_EVERY);
+        assert_eq!(manager.heard().len(), 1);
+        service.tell_at(&line(Mode::Tracking, 2), begin + HOUR);
+        assert!(manager.heard().is_empty(), "no news");
+    }
+
+    #[test]
+    fn the_watchdog_is_fed_every_half_period_while_cycles_advance() {
+        let manager = Manager::start();
+        let mut service = manager.told_by(Some(HOUR));
+        assert_eq!(service.watchdog_period(), Some(HOUR));
+        let begin = Instant::now();
+        let quarter = HOUR / 4;
+        let fed = |service: &mut ServiceManager, cycles, quarters| {
+            service.feed_watchdog_at(cycles, begin + quarter * quarters);
+            manager.heard() == ["WATCHDOG=1\n"]
+        };
+        assert!(!fed(&mut service, 0, 0), "no cycle yet");
+        assert!(fed(&mut service, 1, 0));
+        assert!(!fed(&mut service, 2, 1), "too early");
+        assert!(fed(&mut service, 3, 2));
+        assert!(!fed(&mut service, 3, 4), "the loop hangs");
+        assert!(!fed(&mut service, 3, 9), "and still");
+        assert!(fed(&mut service, 4, 10), "it goes on");
+    }
+
+    #[test]
+    fn without_a_watchdog_nothing_is_fed() {
+        let manager = Manager::start();
+        for period in [None, Some(Duration::ZERO)] {
+            let mut service = manager.told_by(period);
+            service.feed_watchdog(1);
+            assert_eq!(
+                (service.watchdog_period(), manager.heard().len()),
+                (None, 0)
+            );
+        }
+    }
+
+    #[test]
+    fn what_was_not_heard_is_said_again() {
+        let manager = Manager::start();
+        let path = manager.folder.path().join("notify");
+        let away = manager.folder.path().join("away");
+        std::fs::rename(&path, &away).unwrap();
+        let mut service = ServiceManager::at(path.as_os_str(), Some(HOUR)).unwrap();
+        service.ready();
+        service.feed_watchdog(1);
+        assert!(service.complained && manager.heard().is_empty());
+        std::fs::rename(&away, &path).unwrap();
+        service.ready();
+        service.feed_watchdog(2);
+        assert_eq!(manager.heard(), ["READY=1\n", "WATCHDOG=1\n"]);
+    }
+
+    #[test]
+    fn a_listener_that_does_not_read_does_not_hold_us_up() {
+        let manager = Manager::start();
+        let mut service = manager.told_by(None);
+        let begin = Instant::now();
+        // Far more than a socket keeps: a blocking send would never return.
+        for index in 0..10_000 {
+            service.tell_at(
+                &line(Mode::Tracking, u64::from(index)),
+                begin + HOUR * index,
+            );
+        }
+        assert!(service.complained);
+        let kept = manager.heard().len();
+        assert!((1..10_000).contains(&kept), "{kept}");
+    }
+
+    #[test]
+    fn an_abstract_name_is_an_address_too() {
+        let name = format!("cdcr-test-{}", std::process::id());
+        let address = SocketAddr::from_abstract_name(&name).unwrap();
+        let socket = UnixDatagram::bind_addr(&address).unwrap();
+        let mut service = ServiceManager::at(OsStr::new(&format!("@{name}")), None).unwrap();
+        service.ready();
+        let mut buffer = [0; 64];
+        let length = socket.recv(&mut buffer).unwrap();
+        assert_eq!(&buffer[..length], b"READY=1\n");
+    }
+
+    #[test]
+    fn what_is_no_address_is_refused() {
+        let too_long = format!("/{}", "x".repeat(200));
+        for name in ["notify", "vsock:2:1234", &too_long] {
+            assert!(
+                ServiceManager::at(OsStr::new(name), None).is_err(),
+                "{name}"
+            );
+        }
+    }
+
+    #[test]
+    fn nobody_is_told_nothing_and_nothing_fails() {
+        let mut nobody = ServiceManager::nobody();
+        nobody.ready();
+        nobody.tell(&line(Mode::Holding, 0));
+        nobody.feed_watchdog(1);
+        nobody.stopping();
+        assert!(!nobody.complained);
+        assert_eq!(nobody.watchdog_period(), None);
+    }
+}
