@@ -1,11 +1,11 @@
-use std::cell::RefCell;
+use std::cell::{Cell, RefCell};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{
-    Location, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service, SolverSettings,
-    Status,
+    Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service,
+    SolverSettings, Status,
 };
 
 use crate::connect_error::Place;
@@ -29,6 +29,12 @@ const STATUS_FRESH: Duration = Duration::from_secs(1);
 /// stay usable on their own, but drop them before the connection: when it goes as the last user of its
 /// location, it removes what iceoryx2 would leave. A connection stays on the thread that opened it; a
 /// second thread opens a second connection.
+///
+/// It outlives its daemon, however that ended: when another one is started at the same place, everything
+/// goes on with it. Streams, requests, [`Driver`] and [`ObstacleSender`] need nothing. What the daemon kept
+/// for its clients is gone with it: the obstacles, the reference, and the lease, whose holder is told by
+/// [`RequestError::Restarted`] or [`FeedError::Restarted`] and may acquire or feed again. `header.sender_id`
+/// tells one daemon from the next.
 #[derive(Debug)]
 pub struct Connection {
     place: Place,
@@ -36,6 +42,8 @@ pub struct Connection {
     sender: Sender,
     control: Control,
     status: RefCell<StatusReader>,
+    /// Number of the newest lease; a new one that was given back counts, too.
+    leases: Cell<u64>,
     /// The last field, because it must be dropped after everything that holds the node.
     _departure: Departure,
 }
@@ -84,6 +92,7 @@ impl Connection {
             services,
             sender,
             control,
+            leases: Cell::new(0),
             _departure: departure,
         };
         match connection.status(STATUS_FRESH) {
@@ -133,7 +142,19 @@ impl Connection {
         self.status.borrow_mut().fresh_within(timeout)
     }
 
-    /// Asks the daemon for something and waits for the answer, at most 1 s.
+    /// The settings of the solver that the newest cycle used; waits for it, at most 1 s.
+    ///
+    /// # Errors
+    /// [`LinkError::Silent`] when no cycle came, [`LinkError::Port`] when the telemetry has as many readers
+    /// as it allows.
+    pub fn settings(&self) -> Result<SolverSettings, LinkError> {
+        let record = self.telemetry()?.next_within(REQUEST_TIMEOUT)?;
+        let silent = || LinkError::silent(Service::Telemetry, REQUEST_TIMEOUT);
+        record.map(|record| record.settings).ok_or_else(silent)
+    }
+
+    /// Asks the daemon for something and waits for the answer, at most 1 s. A daemon that takes the place
+    /// of another meanwhile gets the request, too.
     ///
     /// # Errors
     /// A refusal is an error, with the reason and a remedy; so is silence.
@@ -153,7 +174,15 @@ impl Connection {
         self.control.ask(kind, SolverSettings::default(), timeout)
     }
 
-    /// Changes the settings of the solver. Start from those of [`status`](Self::status).
+    /// Begins the statistics of the status anew, for all clients.
+    ///
+    /// # Errors
+    /// As [`request`](Self::request).
+    pub fn reset_statistics(&self) -> Result<Response, RequestError> {
+        self.request(RequestKind::ResetStatistics)
+    }
+
+    /// Changes the settings of the solver. Start from those of [`settings`](Self::settings).
     ///
     /// # Errors
     /// As [`request`](Self::request).
@@ -230,6 +259,15 @@ impl Connection {
         Stream::open(&self.services.status)
     }
 
+    /// The last bad cycles, at most 64, oldest first, and each new one from now on. The old ones arrive
+    /// within a moment, about when the next status does.
+    ///
+    /// # Errors
+    /// When the service has as many readers as it allows.
+    pub fn incidents(&self) -> Result<Stream<Incident>, LinkError> {
+        Stream::open(&self.services.incidents)
+    }
+
     /// What all clients send as reference from now on.
     ///
     /// # Errors
@@ -252,6 +290,16 @@ impl Connection {
     /// When the service has as many readers as it allows.
     pub fn measurements(&self) -> Result<Stream<Measurement>, LinkError> {
         Stream::open(&self.services.measurement)
+    }
+
+    /// A number for a lease that begins, or instead of one that ends.
+    pub(crate) fn number_lease(&self) -> u64 {
+        self.leases.set(self.leases.get() + 1);
+        self.leases.get()
+    }
+
+    pub(crate) fn newest_lease(&self) -> u64 {
+        self.leases.get()
     }
 }
 

@@ -14,6 +14,9 @@ use crate::{CommandStream, LinkError};
 /// the robot is bent: a driver that waits for a command before it measures waits for ever. A driver must
 /// hold the robot still before the first command, and when the newest one is older than its
 /// `valid_for_ns`, counted from `header.sent_ns`.
+///
+/// A driver goes on measuring while the daemon is away: the next one begins with its measurements, and its
+/// commands arrive here.
 #[derive(Debug)]
 pub struct Driver {
     measurements: Outlet<Measurement>,

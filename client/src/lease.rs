@@ -1,8 +1,8 @@
 use std::cell::Cell;
 use std::time::Duration;
 
-use cdcr_shared_types::Response;
 use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::{Header, Response};
 
 use crate::{Connection, RequestError, monotonic_ns};
 
@@ -13,14 +13,32 @@ const RELEASE_TIMEOUT: Duration = Duration::from_millis(300);
 ///
 /// The daemon takes it back some time after the last renewal or accepted chunk; a robot that tracks then
 /// holds. The daemon's configuration says how long that is, 20 ms to a minute; [`left`](Self::left) is
-/// what it told. One client at a time has it.
+/// what it told. One client at a time has it. It ends with the daemon that gave it: the next
+/// [`renew`](Self::renew) says so.
 #[derive(Debug)]
 pub struct Lease<'c> {
     connection: &'c Connection,
-    held: bool,
+    /// Number of this lease among those of the connection.
+    number: u64,
+    grant: Grant,
     /// When the last renewal was asked for, and how long the daemon said that it runs.
     renewed_ns: Cell<u64>,
     left: Cell<Duration>,
+}
+
+/// Which daemon gave a lease, and when it was asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Grant {
+    pub(crate) daemon_id: u64,
+    /// \[ns, `CLOCK_MONOTONIC`\].
+    pub(crate) asked_ns: u64,
+}
+
+impl Grant {
+    /// Whether a message with this header comes from that daemon.
+    pub(crate) fn is_from(&self, header: &Header) -> bool {
+        header.sender_id == self.daemon_id
+    }
 }
 
 impl<'c> Lease<'c> {
@@ -29,7 +47,11 @@ impl<'c> Lease<'c> {
         let response = connection.request(RequestKind::AcquireLease)?;
         Ok(Self {
             connection,
-            held: true,
+            number: connection.number_lease(),
+            grant: Grant {
+                daemon_id: response.header.sender_id,
+                asked_ns,
+            },
             renewed_ns: Cell::new(asked_ns),
             left: Cell::new(Duration::from_nanos(response.lease_left_ns)),
         })
@@ -41,6 +63,10 @@ impl<'c> Lease<'c> {
         self.left.get()
     }
 
+    pub(crate) fn grant(&self) -> Grant {
+        self.grant
+    }
+
     /// When it should be renewed \[ns, `CLOCK_MONOTONIC`\].
     pub(crate) fn renewal_due_ns(&self) -> u64 {
         renewal_due_ns(self.renewed_ns.get(), self.left())
@@ -49,10 +75,16 @@ impl<'c> Lease<'c> {
     /// Makes it run for its full time again.
     ///
     /// # Errors
-    /// When it was lost to another client, or the daemon does not answer.
+    /// When it was lost to another client, or the daemon does not answer, or another daemon took its place
+    /// ([`RequestError::Restarted`]): what was fed to the one before is lost.
     pub fn renew(&self) -> Result<Response, RequestError> {
         let asked_ns = monotonic_ns();
-        let response = self.connection.request(RequestKind::AcquireLease)?;
+        let kind = RequestKind::AcquireLease;
+        let response = self.connection.request(kind)?;
+        if !self.grant.is_from(&response.header) {
+            self.give_back();
+            return Err(RequestError::Restarted { kind });
+        }
         self.renewed_ns.set(asked_ns);
         self.left.set(Duration::from_nanos(response.lease_left_ns));
         Ok(response)
@@ -62,20 +94,27 @@ impl<'c> Lease<'c> {
     ///
     /// # Errors
     /// When the daemon refuses or does not answer.
-    pub fn release(mut self) -> Result<Response, RequestError> {
-        self.held = false;
+    pub fn release(self) -> Result<Response, RequestError> {
+        // The drop that follows finds that another lease is the newest.
+        self.connection.number_lease();
         self.connection.request(RequestKind::ReleaseLease)
     }
-}
 
-impl Drop for Lease<'_> {
-    fn drop(&mut self) {
-        if self.held {
+    /// The lease is the connection's: a newer one on it must not go with this one.
+    fn give_back(&self) {
+        if self.connection.newest_lease() == self.number {
+            self.connection.number_lease();
             // A daemon that is gone takes the lease back by itself.
             let _ = self
                 .connection
                 .request_within(RequestKind::ReleaseLease, RELEASE_TIMEOUT);
         }
+    }
+}
+
+impl Drop for Lease<'_> {
+    fn drop(&mut self) {
+        self.give_back();
     }
 }
 

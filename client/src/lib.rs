@@ -14,7 +14,8 @@
 //!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; [`FileTrajectory`] reads CSV; your
 //!   own type may implement the trait.
 //! * [`Connection::telemetry`] is a [`Stream`] of one record per cycle, which counts what was lost;
-//!   [`Connection::status`] is the newest snapshot.
+//!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
+//!   kept whole.
 //! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
 //!   programs that do more than feed a curve.
 //!
@@ -54,7 +55,8 @@
 //! SI units; times are nanoseconds of `CLOCK_MONOTONIC` ([`monotonic_ns`]), the clock of all messages
 //! on one machine. Every message carries this connection's identity and a running number. Writers
 //! never wait for readers: who does not keep up loses messages, and can see how many. Freshness is
-//! judged from stamps, because shared memory does not tell that a process was killed.
+//! judged from stamps, because shared memory does not tell that a process was killed. A daemon that is
+//! started again finds its old clients, and they find it: see [`Connection`].
 //!
 //! Invariant: nothing here computes control or creates a service.
 

@@ -1,7 +1,8 @@
 use core::fmt::Debug;
 
 use cdcr_shared_types::{
-    Command, Header, Measurement, ObstacleUpdate, ReferenceChunk, Service, Status, Telemetry,
+    Command, Header, Incident, Measurement, ObstacleUpdate, ReferenceChunk, Service, Status,
+    Telemetry,
 };
 use iceoryx2::prelude::ZeroCopySend;
 
@@ -46,4 +47,5 @@ messages! {
     Command => Command,
     Telemetry => Telemetry,
     Status => Status,
+    Incident => Incidents,
 }

@@ -11,6 +11,8 @@ use crate::services::Channel;
 ///
 /// [`TelemetryStream::verdict_on`](crate::TelemetryStream::verdict_on) tells what became of a message.
 /// Keep the sender until then: with it goes what the daemon has not yet taken in.
+///
+/// A daemon that is started again knows no obstacle; the sender reaches it as it is.
 #[derive(Debug)]
 pub struct ObstacleSender {
     outlet: Outlet<ObstacleUpdate>,

@@ -37,6 +37,15 @@ pub enum RequestError {
         /// How long it was waited for.
         waited: Duration,
     },
+    /// Another daemon answered than the one that gave the lease.
+    #[error(
+        "cannot {kind} again: the daemon was started again, and the lease ended with the one before. \
+         Acquire a new one"
+    )]
+    Restarted {
+        /// What was asked for.
+        kind: RequestKind,
+    },
     /// The request or its answer could not be carried.
     #[error("cannot {kind}: {cause}")]
     Link {
@@ -72,39 +81,59 @@ impl Control {
         Ok(Self { client, sender })
     }
 
-    /// Asks, waits for the answer, and returns it when it says accepted.
+    /// Asks, waits for the answer, and returns it when it says accepted. When the daemon that has the
+    /// request ends without an answer, or there is none at the moment, the next one gets it: within
+    /// `timeout` a request is never lost.
     pub(crate) fn ask(
         &self,
         kind: RequestKind,
         settings: SolverSettings,
         timeout: Duration,
     ) -> Result<Response, RequestError> {
-        let header = self.sender.next_header(Service::Control);
-        let request = Request {
-            header,
-            kind: kind.code(),
-            reserved: 0,
-            settings,
-        };
+        let deadline = Instant::now() + timeout;
+        loop {
+            let request = Request {
+                header: self.sender.next_header(Service::Control),
+                kind: kind.code(),
+                reserved: 0,
+                settings,
+            };
+            if let Some(response) = self.ask_once(kind, request, deadline)? {
+                return judge(kind, response);
+            }
+            if Instant::now() >= deadline {
+                let waited = timeout;
+                return Err(RequestError::Timeout { kind, waited });
+            }
+            thread::sleep(LOOK_AGAIN);
+        }
+    }
+
+    /// Sends `request` to the daemon of this moment. `None` when no answer will come from it, or none came
+    /// until `deadline`.
+    fn ask_once(
+        &self,
+        kind: RequestKind,
+        request: Request,
+        deadline: Instant,
+    ) -> Result<Option<Response>, RequestError> {
         let link = |cause: String| RequestError::Link { kind, cause };
         let pending = self
             .client
             .send_copy(request)
             .map_err(|cause| link(format!("{cause:?}")))?;
-        let deadline = Instant::now() + timeout;
         loop {
+            // Before the look for the answer: a daemon answers first and then lets the request go.
+            let is_open = pending.is_connected();
             let answer = pending
                 .receive()
                 .map_err(|cause| link(format!("{cause:?}")))?;
             match answer {
-                Some(answer) if answer.payload().request_sequence == header.sequence => {
-                    return judge(kind, *answer.payload());
+                Some(answer) if answer.payload().request_sequence == request.header.sequence => {
+                    return Ok(Some(*answer.payload()));
                 }
                 Some(_) => {}
-                None if Instant::now() >= deadline => {
-                    let waited = timeout;
-                    return Err(RequestError::Timeout { kind, waited });
-                }
+                None if !is_open || Instant::now() >= deadline => return Ok(None),
                 None => thread::sleep(LOOK_AGAIN),
             }
         }

@@ -2,8 +2,8 @@ use std::io;
 use std::os::unix::fs::MetadataExt;
 
 use cdcr_shared_types::{
-    Command, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service,
-    Status, Telemetry,
+    Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
+    Service, Status, Telemetry,
 };
 use iceoryx2::prelude::{Node, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
@@ -27,6 +27,7 @@ pub(crate) struct Services {
     pub(crate) command: Channel<Command>,
     pub(crate) telemetry: Channel<Telemetry>,
     pub(crate) status: Channel<Status>,
+    pub(crate) incidents: Channel<Incident>,
     pub(crate) control: ControlChannel,
 }
 
@@ -47,6 +48,7 @@ impl Services {
             measurement: opener.channel()?,
             command: opener.channel()?,
             telemetry: opener.channel()?,
+            incidents: opener.channel()?,
             control: opener.control()?,
         })
     }

@@ -16,6 +16,9 @@ const LOOK_AGAIN: Duration = Duration::from_millis(1);
 ///
 /// A reader that is away for longer than the service's queue lasts (telemetry: 256 records, 1.28 s
 /// at 5 ms) loses the oldest messages; [`lost`](Self::lost) tells how many.
+///
+/// A stream outlives its daemon: when another one is started at the same place, its messages follow, with
+/// another `sender_id` and numbers from 1. That is no loss.
 #[derive(Debug)]
 pub struct Stream<T: Message> {
     subscriber: Subscriber<ipc::Service, T, ()>,
@@ -71,20 +74,23 @@ impl<T: Message> Stream<T> {
         }
     }
 
-    /// The newest waiting message, or `None`; older ones are thrown away.
+    /// The newest waiting message by its time of sending, or `None`; older ones are thrown away.
     ///
     /// # Errors
     /// As [`try_next`](Self::try_next).
     pub fn newest(&mut self) -> Result<Option<T>, LinkError> {
-        let mut newest = None;
+        let mut newest: Option<T> = None;
         while let Some(message) = self.try_next()? {
-            newest = Some(message);
+            // What a writer that was killed left in the queue may come after what its successor sent.
+            if newest.is_none_or(|newest| newest.header().sent_ns <= message.header().sent_ns) {
+                newest = Some(message);
+            }
         }
         Ok(newest)
     }
 
     /// Messages that never arrived, by the gaps in their numbers. The first message of each sender
-    /// sets where counting begins.
+    /// sets where counting begins, so a daemon that was started again loses none by that.
     pub fn lost(&self) -> u64 {
         self.gaps.lost
     }

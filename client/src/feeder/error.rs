@@ -46,6 +46,15 @@ pub enum FeedError {
     /// The daemon never said what became of the first chunk.
     #[error("the daemon took no notice of the reference within 1 s; see cdcrctl status")]
     Ignored,
+    /// Another daemon took the place of the one that was fed.
+    #[error(
+        "the daemon was started again after {played_s:.2} s of the reference: the lease and the reference \
+         ended with the one before. Feed it anew"
+    )]
+    Restarted {
+        /// How much of the trajectory was played \[s\].
+        played_s: f64,
+    },
     /// The daemon does not follow the reference any more.
     #[error(
         "the daemon left tracking after {played_s:.2} s of the reference: it is {mode} because {reason}. \

@@ -19,7 +19,8 @@ use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
 use cdcr_shared_types::{Service, Telemetry};
 
 use crate::{
-    Connection, Lease, LinkError, ReferenceFeed, TelemetryStream, Trajectory, monotonic_ns,
+    Connection, Lease, LinkError, ReferenceFeed, RequestError, TelemetryStream, Trajectory,
+    monotonic_ns,
 };
 use schedule::Schedule;
 use watch::Watch;
@@ -134,7 +135,7 @@ impl<'c> Feeder<'c> {
         let now_ns = monotonic_ns();
         let mut state = FeedState {
             schedule: Schedule::new(self.trajectory, &self.options, now_ns)?,
-            watch: Watch::new(self.connection.sender_id()),
+            watch: Watch::new(self.connection.sender_id(), self.lease.grant()),
             heard_ns: now_ns,
             begun_ns: now_ns,
             asked: false,
@@ -145,7 +146,7 @@ impl<'c> Feeder<'c> {
             self.send_due(&mut state)?;
             flow = self.listen(&mut state, &mut observer)?;
             self.track_once(&mut state)?;
-            self.renew()?;
+            self.renew(&state)?;
             state.check_patience(monotonic_ns())?;
             if flow.is_continue() {
                 flow = observer(FeedEvent::Progress(state.progress(self.trajectory)));
@@ -200,11 +201,15 @@ impl<'c> Feeder<'c> {
         Ok(())
     }
 
-    fn renew(&self) -> Result<(), FeedError> {
-        if monotonic_ns() >= self.lease.renewal_due_ns() {
-            self.lease.renew()?;
+    fn renew(&self, state: &FeedState) -> Result<(), FeedError> {
+        if monotonic_ns() < self.lease.renewal_due_ns() {
+            return Ok(());
         }
-        Ok(())
+        match self.lease.renew() {
+            Ok(_) => Ok(()),
+            Err(RequestError::Restarted { .. }) => Err(state.restarted()),
+            Err(error) => Err(FeedError::Request(error)),
+        }
     }
 }
 
@@ -241,6 +246,11 @@ impl FeedState<'_> {
             return Err(FeedError::Ignored);
         }
         Ok(())
+    }
+
+    fn restarted(&self) -> FeedError {
+        let played_s = self.schedule.played_s(monotonic_ns());
+        FeedError::Restarted { played_s }
     }
 
     fn progress(&self, trajectory: &dyn Trajectory) -> FeedProgress {

@@ -3,6 +3,7 @@ use cdcr_shared_types::{InputEvent, Telemetry};
 
 use super::{FeedError, schedule::Schedule};
 use crate::events;
+use crate::lease::Grant;
 
 /// A reference that ended this much before its last point did not reach its end \[ns\].
 const EARLY_END_NS: u64 = 50_000_000;
@@ -11,6 +12,7 @@ const EARLY_END_NS: u64 = 50_000_000;
 #[derive(Debug)]
 pub(super) struct Watch {
     sender_id: u64,
+    grant: Grant,
     /// Sequence number and first point of every chunk that was sent.
     chunks: Vec<(u64, u64)>,
     accepted: bool,
@@ -19,9 +21,11 @@ pub(super) struct Watch {
 }
 
 impl Watch {
-    pub(super) fn new(sender_id: u64) -> Self {
+    /// Watches for the chunks of `sender_id`, which has the lease by `grant`.
+    pub(super) fn new(sender_id: u64, grant: Grant) -> Self {
         Self {
             sender_id,
+            grant,
             chunks: Vec::new(),
             accepted: false,
             tracking: false,
@@ -59,6 +63,9 @@ impl Watch {
         record: &Telemetry,
         schedule: &Schedule,
     ) -> Result<(), FeedError> {
+        if !self.grant.is_from(&record.header) {
+            return self.judge_stranger(record, schedule);
+        }
         for event in events(record) {
             self.judge_chunk(event, schedule)?;
         }
@@ -68,6 +75,15 @@ impl Watch {
             _ => {}
         }
         Ok(())
+    }
+
+    /// A record of another daemon: of an earlier one, or of one that took its place.
+    fn judge_stranger(&self, record: &Telemetry, schedule: &Schedule) -> Result<(), FeedError> {
+        if record.header.sent_ns < self.grant.asked_ns {
+            return Ok(());
+        }
+        let played_s = schedule.played_s(record.release_ns);
+        Err(FeedError::Restarted { played_s })
     }
 
     fn judge_chunk(&mut self, event: &InputEvent, schedule: &Schedule) -> Result<(), FeedError> {
@@ -125,6 +141,13 @@ fn reason_remedy(reason: Reason) -> &'static str {
             "The machine is too busy: see the latencies in cdcrctl status, then cdcrctl reset."
         }
         Reason::MeasurementLost => "See whether the driver runs, then cdcrctl reset.",
+        Reason::MeasurementJump => {
+            "See the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
+             cdcrctl reset."
+        }
+        Reason::MeasurementFrozen => {
+            "See whether the driver still reads the sensors and the robot can move, then cdcrctl reset."
+        }
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",
@@ -136,11 +159,21 @@ fn reason_remedy(reason: Reason) -> &'static str {
 mod tests {
     use super::*;
     use crate::{FeedOptions, Spiral};
+    use cdcr_shared_types::Header;
 
     const ME: u64 = 7;
+    const GRANT: Grant = Grant {
+        daemon_id: 3,
+        asked_ns: 500,
+    };
 
     fn record(mode: Mode, reason: Reason, release_ns: u64) -> Telemetry {
         Telemetry {
+            header: Header {
+                sender_id: GRANT.daemon_id,
+                sent_ns: 1_000,
+                ..Header::default()
+            },
             mode: mode.code(),
             reason: reason.code(),
             release_ns,
@@ -164,7 +197,7 @@ mod tests {
     fn check(test: impl FnOnce(&mut Watch, &Schedule)) {
         let spiral = Spiral::for_sections(&[0.3]);
         let schedule = Schedule::new(&spiral, &FeedOptions::default(), 0).expect("valid");
-        let mut watch = Watch::new(ME);
+        let mut watch = Watch::new(ME, GRANT);
         watch.sent(1, 0);
         watch.sent(2, 128);
         test(&mut watch, &schedule);
@@ -213,6 +246,19 @@ mod tests {
             let ended = record(Mode::Holding, Reason::ReferenceEnded, end_ns);
             watch.look(&ended, schedule).expect("the natural end");
             assert!(watch.is_ended());
+        });
+    }
+
+    #[test]
+    fn another_daemon_ends_the_feed_but_what_an_earlier_one_left_does_not() {
+        check(|watch, schedule| {
+            let mut other = record(Mode::Holding, Reason::Start, 0);
+            other.header.sender_id = 4;
+            other.header.sent_ns = 499;
+            assert!(watch.look(&other, schedule).is_ok());
+            other.header.sent_ns = 501;
+            let error = watch.look(&other, schedule).expect_err("restarted");
+            assert_eq!(error, FeedError::Restarted { played_s: 0.0 });
         });
     }
 

@@ -6,6 +6,8 @@ use super::{Orientation, Trajectory};
 const POSE_COLUMNS: [&str; 4] = ["t_s", "x_m", "y_m", "z_m"];
 /// Columns of the orientation: all of them or none.
 const QUATERNION_COLUMNS: [&str; 4] = ["qx", "qy", "qz", "qw"];
+/// Largest magnitude of a number: seconds since 1970 fit, and two that are a microsecond apart still differ.
+const MAGNITUDE_MAX: f64 = 4e9;
 /// How far from 1 the length of a quaternion may be: written with three decimals it still passes.
 const UNIT_TOLERANCE: f64 = 2e-3;
 
@@ -66,8 +68,11 @@ pub enum TrajectoryFileError {
         /// The column.
         column: String,
     },
-    /// A cell is not a finite number.
-    #[error("{}:{line}: {column} is {text:?}; it must be a finite number", path.display())]
+    /// A cell is not a finite number, or too large.
+    #[error(
+        "{}:{line}: {column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way",
+        path.display()
+    )]
     NotANumber {
         /// The file.
         path: PathBuf,
@@ -292,7 +297,7 @@ impl Columns {
         let number = |index: usize, column: &'static str| {
             let text = record.get(index).unwrap_or("");
             match text.parse::<f64>() {
-                Ok(value) if value.is_finite() => Ok(value),
+                Ok(value) if value.abs() <= MAGNITUDE_MAX => Ok(value),
                 _ => Err(TrajectoryFileError::NotANumber {
                     path: path.to_owned(),
                     line,
@@ -414,7 +419,7 @@ mod tests {
     #[test]
     fn bad_numbers_are_shown_with_their_line() {
         let header = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n";
-        for bad in ["NaN", "inf", "abc", ""] {
+        for bad in ["NaN", "inf", "abc", "", "1e300"] {
             let text = message(&format!("{header}\n# remark\n0.1,0,{bad},0.3\n"));
             assert!(text.starts_with("ref.csv:5: y_m is"), "{text}");
             let windows = format!("{header}0.1,0,{bad},0.3\n").replace('\n', "\r\n");

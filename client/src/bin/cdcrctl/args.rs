@@ -6,12 +6,14 @@ use cdcr_client::Connection;
 use cdcr_shared_types::{DEFAULT_PREFIX, Location};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 
+use crate::settings::Change;
 use crate::value::{self, Vector};
 
 /// Feeds references to cdcrd, the controller of cable-driven continuum robots, asks it for things and
 /// shows what it does.
 #[derive(Debug, Parser)]
 #[command(
+    name = "cdcrctl",
     version,
     max_term_width = 100,
     after_help = "Examples:\n  \
@@ -91,8 +93,27 @@ pub(crate) enum Task {
     #[command(after_help = "Example:\n  cdcrctl reset")]
     Reset,
     /// Show the newest snapshot: mode, counters, latencies, robot, settings
-    #[command(after_help = "Example:\n  cdcrctl status --format json")]
+    #[command(
+        after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                once a second\n  \
+        cdcrctl status --format json          everything, with all percentiles\n  \
+        cdcrctl status --reset-statistics     begin the statistics anew, for all clients"
+    )]
     Status(StatusOptions),
+    /// Show the last bad cycles: late starts, deadline misses, skipped periods, beginnings of faults
+    #[command(
+        after_help = "Examples:\n  cdcrctl incidents\n  cdcrctl incidents --count 5 --format json     the newest 5, whole\n  \
+        cdcrctl incidents --follow                    and each new one, until interrupted\n\n\
+        The daemon keeps 64 of them. Cause is what made the cycle late; waited is how long its thread was \
+        ready to run while another had the core; gap is the longest time between two looks at the clock \
+        inside the solver; steal is what the hypervisor took from the machine about then."
+    )]
+    Incidents(IncidentsOptions),
+    /// Show or change the settings of the solver while the daemon runs
+    #[command(
+        after_help = "Examples:\n  cdcrctl settings\n  cdcrctl settings set solver=gauss-newton horizon_steps=5\n  \
+        cdcrctl settings show --format json"
+    )]
+    Settings(SettingsOptions),
     /// Print messages as they pass
     #[command(
         after_help = "Example:\n  cdcrctl echo telemetry --rate 10\n  cdcrctl echo command --count 1 --format json"
@@ -261,6 +282,64 @@ pub(crate) struct StatusOptions {
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
+    /// Show it anew every second, until interrupted
+    #[arg(long)]
+    pub(crate) watch: bool,
+    /// Begin the statistics anew and show nothing; a stopped robot stays stopped (that is cdcrctl reset)
+    #[arg(long, conflicts_with_all = ["watch", "format"])]
+    pub(crate) reset_statistics: bool,
+}
+
+/// Options of `incidents`.
+#[derive(Debug, Args)]
+pub(crate) struct IncidentsOptions {
+    /// One line for each (text), or each whole as one JSON object on a line
+    #[arg(long, value_enum, default_value = "text")]
+    pub(crate) format: Format,
+    /// Only so many of those that are kept, the newest
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..))]
+    pub(crate) count: Option<u64>,
+    /// Go on with each new one, until interrupted
+    #[arg(long)]
+    pub(crate) follow: bool,
+}
+
+/// Options of `settings`.
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
+pub(crate) struct SettingsOptions {
+    #[command(subcommand)]
+    pub(crate) action: Option<SettingsAction>,
+    #[command(flatten)]
+    pub(crate) show: SettingsShow,
+}
+
+/// What to do with the settings.
+#[derive(Debug, Subcommand)]
+pub(crate) enum SettingsAction {
+    /// Show them with their ranges, as the newest cycle used them
+    #[command(after_help = "Example:\n  cdcrctl settings show --format json")]
+    Show(SettingsShow),
+    /// Change some of them, all at once or not at all, until the daemon ends
+    #[command(
+        after_help = "Examples:\n  cdcrctl settings set position_weight=2 rate_weight=1e-6\n  \
+        cdcrctl settings set budget_ms=2      a solve may take 2 ms; 0: all the time that is left\n\n\
+        The keys are those of the table [controller] of the configuration, where they stay as they are, and \
+        budget_ms."
+    )]
+    Set {
+        /// What to change
+        #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse)]
+        changes: Vec<Change>,
+    },
+}
+
+/// How to show the settings.
+#[derive(Debug, Args)]
+pub(crate) struct SettingsShow {
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    pub(crate) format: Format,
 }
 
 /// Options of `echo`.
@@ -289,6 +368,8 @@ pub(crate) enum Topic {
     Command,
     /// The snapshots, ten a second
     Status,
+    /// The bad cycles: those that are kept, and each new one
+    Incidents,
     /// What clients send as reference
     Reference,
     /// What clients send about obstacles
@@ -357,6 +438,11 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn the_manual_is_what_the_command_line_says() {
+        cdcr_packaging::check(&Arguments::command(), "1").expect("up to date");
     }
 
     #[test]

@@ -9,9 +9,11 @@ mod bar;
 mod demo;
 mod echo;
 mod feed;
+mod incidents;
 mod interrupt;
 mod obstacle;
 mod request;
+mod settings;
 mod show_status;
 mod value;
 
@@ -60,7 +62,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Home => request::run(target, RequestKind::Home),
         Task::Stop => request::run(target, RequestKind::Stop),
         Task::Reset => request::run(target, RequestKind::Reset),
-        Task::Status(options) => show_status::run(target, options.format),
+        Task::Status(options) => show_status::run(target, options),
+        Task::Incidents(options) => incidents::run(target, options),
+        Task::Settings(options) => settings::run(target, options),
         Task::Echo(options) => echo::run(target, options),
         Task::Obstacle(options) => obstacle::run(target, options),
     }

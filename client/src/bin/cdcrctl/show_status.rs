@@ -1,32 +1,78 @@
 use std::fmt::Write as _;
-use std::io::Write as _;
+use std::io::{IsTerminal as _, Write as _};
+use std::thread;
 use std::time::Duration;
 
-use cdcr_client::{realtime_missing, text};
-use cdcr_shared_types::codes::{Mode, Outcome, Reason, RobotLink, SolverKind};
-use cdcr_shared_types::{LatencySummary, Status};
+use cdcr_client::{Connection, monotonic_ns, realtime_missing, text};
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, RobotLink, SolverKind};
+use cdcr_shared_types::{LatencySummary, Statistics, Status};
 
 use crate::Done;
-use crate::args::{Format, Target};
+use crate::args::{Format, StatusOptions, Target};
 use crate::echo::json;
 use crate::echo::line::{clearance_text, latency_text};
+use crate::interrupt::Interrupt;
+
+/// How often `--watch` shows it anew, and how often it looks for an interrupt meanwhile.
+const EVERY: Duration = Duration::from_secs(1);
+const LOOKS: u32 = 10;
+/// What lets a terminal begin anew: home, and clear to the end.
+const CLEAR: &str = "\x1b[H\x1b[2J";
 
 /// `cdcrctl status`
-pub(crate) fn run(target: &Target, format: Format) -> anyhow::Result<Done> {
-    let status = target.connect()?.status(Duration::from_secs(1))?;
-    let shown = match format {
-        Format::Text => table(&status)?,
+pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    if options.reset_statistics {
+        let response = connection.reset_statistics()?;
+        let cycle = response.cycle;
+        writeln!(
+            std::io::stdout(),
+            "statistics: begun anew after cycle {cycle}"
+        )?;
+        return Ok(Done::Good);
+    }
+    if options.watch {
+        return watch(&connection, options.format);
+    }
+    let status = connection.status(EVERY)?;
+    let shown = match options.format {
+        Format::Text => table(&status, monotonic_ns())?,
         Format::Json => serde_json::to_string_pretty(&json::status(&status))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
     Ok(Done::Good)
 }
 
-fn table(status: &Status) -> Result<String, std::fmt::Error> {
+/// Until it is interrupted; a daemon that ends and is started again is waited for.
+fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
+    let interrupt = Interrupt::catch()?;
+    let mut out = std::io::stdout().lock();
+    let clear = match format {
+        Format::Text if out.is_terminal() => CLEAR,
+        _ => "",
+    };
+    while !interrupt.is_raised() {
+        let shown = match (connection.status(EVERY), format) {
+            (Ok(status), Format::Text) => table(&status, monotonic_ns())?,
+            (Ok(status), Format::Json) => json::status(&status).to_string() + "\n",
+            (Err(silent), Format::Text) => format!("{silent}\n"),
+            (Err(_), Format::Json) => String::new(),
+        };
+        write!(out, "{clear}{shown}")?;
+        out.flush()?;
+        for _ in 0..LOOKS {
+            if !interrupt.is_raised() {
+                thread::sleep(EVERY / LOOKS);
+            }
+        }
+    }
+    Ok(Done::Good)
+}
+
+fn table(status: &Status, now_ns: u64) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
     identity(&mut out, status)?;
-    counters(&mut out, status)?;
-    latencies(&mut out, status)?;
+    statistics(&mut out, status, now_ns)?;
     inputs(&mut out, status)?;
     robot(&mut out, status)?;
     Ok(out)
@@ -50,9 +96,11 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
     )?;
     writeln!(
         out,
-        "mode        {} ({})",
+        "mode        {} ({}), {} faults in {} cycles",
         Mode::text_of(status.mode),
-        Reason::text_of(status.reason)
+        Reason::text_of(status.reason),
+        status.faults,
+        status.cycles,
     )?;
     let missing = realtime_missing(status.realtime_missing);
     if missing.is_empty() {
@@ -72,47 +120,68 @@ fn core_text(core: u32) -> String {
     }
 }
 
-fn counters(out: &mut String, status: &Status) -> std::fmt::Result {
+/// Two columns: since the start or the last reset, and the last minute.
+fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Result {
+    let both = [&status.since_reset, &status.last_minute];
+    let since_ns = now_ns.saturating_sub(status.statistics_since_ns);
+    let since = humantime::format_duration(Duration::from_secs(since_ns / 1_000_000_000));
+    let (left, right) = (format!("the last {since}"), "the last minute");
+    writeln!(out, "\n{:<20}{left:>33}   {right:>33}", "")?;
+    let heading = format!("{:>11}{:>11}{:>11}", "p50", "p99", "max");
+    writeln!(out, "{:<20}{heading}   {heading}", "time in µs")?;
+    for (name, of) in LATENCIES {
+        let [left, right] = both.map(|statistics| latency_cells(of(statistics)));
+        writeln!(out, "{name:<20}{left}   {right}")?;
+    }
     writeln!(out)?;
-    for (name, count) in [
-        ("cycles", status.cycles),
-        ("deadline misses", status.deadline_misses),
-        ("skipped periods", status.skipped_periods),
-        ("late starts", status.late_starts),
-        ("budget hits", status.budget_hits),
-        ("dropped records", status.dropped_records),
-        ("faults", status.faults),
-    ] {
-        writeln!(out, "{name:<18}{count:>12}")?;
+    for (name, of) in COUNTERS {
+        count_row(out, name, both.map(of))?;
+    }
+    for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
+        let counts = both.map(|statistics| statistics.causes[index]);
+        if counts != [0, 0] {
+            count_row(out, &format!("  by {cause}"), counts)?;
+        }
     }
     Ok(())
 }
 
-fn latencies(out: &mut String, status: &Status) -> std::fmt::Result {
-    writeln!(
-        out,
-        "\n{:<18}{:>12}{:>12}{:>12}{:>12}",
-        "time in µs", "p50", "p99", "p99.9", "max"
-    )?;
-    for (name, latency) in [
-        ("wake-up", &status.wake),
-        ("solve", &status.solve),
-        ("response", &status.response),
-    ] {
-        latency_row(out, name, latency)?;
-    }
-    Ok(())
-}
+type LatencyOf = fn(&Statistics) -> &LatencySummary;
+type CountOf = fn(&Statistics) -> u64;
 
-fn latency_row(out: &mut String, name: &str, latency: &LatencySummary) -> std::fmt::Result {
-    writeln!(
-        out,
-        "{name:<18}{:>12}{:>12}{:>12}{:>12}",
+const LATENCIES: [(&str, LatencyOf); 6] = [
+    ("wake-up", |s| &s.wake),
+    ("gather", |s| &s.gather),
+    ("compute", |s| &s.compute),
+    ("solve", |s| &s.solve),
+    ("response", |s| &s.response),
+    ("publish", |s| &s.publish),
+];
+
+/// Those of the causes follow the last of them.
+const COUNTERS: [(&str, CountOf); 9] = [
+    ("cycles", |s| s.cycles),
+    ("budget hits", |s| s.budget_hits),
+    ("stale inputs", |s| s.stale_inputs),
+    ("stale measurements", |s| s.stale_measurements),
+    ("dropped records", |s| s.dropped_records),
+    ("longest streak", |s| s.longest_streak),
+    ("skipped periods", |s| s.skipped_periods),
+    ("deadline misses", |s| s.deadline_misses),
+    ("late starts", |s| s.late_starts),
+];
+
+fn latency_cells(latency: &LatencySummary) -> String {
+    format!(
+        "{:>11}{:>11}{:>11}",
         latency_text(latency, |l| l.p50_ns),
         latency_text(latency, |l| l.p99_ns),
-        latency_text(latency, |l| l.p999_ns),
         latency_text(latency, |l| l.max_ns)
     )
+}
+
+fn count_row(out: &mut String, name: &str, [left, right]: [u64; 2]) -> std::fmt::Result {
+    writeln!(out, "{name:<30}{left:>23}   {right:>33}")
 }
 
 fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {
@@ -168,13 +237,21 @@ fn robot(out: &mut String, status: &Status) -> std::fmt::Result {
     }
     writeln!(
         out,
-        "\nsolver      {}, {} steps, {} particles × {} iterations, {} refinements",
+        "\nsolver      {}, {} steps, {} particles × {} iterations, {} refinements, budget {}",
         SolverKind::text_of(status.settings.solver),
         status.settings.horizon_steps,
         status.settings.swarm_size,
         status.settings.swarm_iterations,
-        status.settings.refinement_steps
+        status.settings.refinement_steps,
+        budget_text(status.settings.budget_ns)
     )
+}
+
+fn budget_text(budget_ns: u64) -> String {
+    match budget_ns {
+        0 => "all that is left of the period".to_owned(),
+        ns => format!("{} ms", ns as f64 * 1e-6),
+    }
 }
 
 #[cfg(test)]
@@ -187,30 +264,38 @@ mod tests {
         let mut status = Status {
             mode: Mode::Tracking.code(),
             realtime_missing: realtime::FIFO,
+            core: u32::MAX,
             cycles: 1234,
+            faults: 5,
+            obstacle_count: 2,
+            clearance_m: 0.0105,
+            clearance_guarded: 17,
+            statistics_since_ns: 1_000_000_000,
             ..Status::default()
         };
         status.robot.sections = 2;
         status.outcomes[Outcome::NoLease.code() as usize] = 3;
-        status.wake.count = 1;
-        status.wake.p99_ns = 42_500;
-        status.core = u32::MAX;
-        status.obstacle_count = 2;
-        status.clearance_m = 0.0105;
-        status.clearance_guarded = 17;
-        let table = table(&status).expect("formatted");
+        status.since_reset.wake.count = 1;
+        status.since_reset.wake.p99_ns = 42_500;
+        status.last_minute.deadline_misses = 12;
+        status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
+        let table = table(&status, 124_900_000_000).expect("formatted");
         for expected in [
-            "mode        tracking",
+            "mode        tracking (started), 5 faults in 1234 cycles\n",
             "SCHED_FIFO is missing: run as root",
-            "1234",
-            "42.5",
+            "the last 2m 3s",
+            "wake-up                     0.0       42.5        0.0             -          -          -\n",
+            "solve                         -          -          -             -          -          -\n",
+            &format!("deadline misses{:>38}{:>36}\n", 0, 12),
+            &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
             "obstacles   2, smallest clearance 10.50 mm",
             "the guard changed 17 commands",
-            "solve                        -           -           -           -\n",
             "3  the sender does not hold the reference lease",
+            "budget all that is left of the period\n",
         ] {
             assert!(table.contains(expected), "{expected} in\n{table}");
         }
+        assert!(!table.contains("page fault"), "{table}");
     }
 }

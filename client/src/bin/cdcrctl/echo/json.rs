@@ -2,15 +2,16 @@
 
 use cdcr_client::{events, obstacles as obstacles_of, realtime_missing, text};
 use cdcr_shared_types::codes::{
-    ChunkMode, Constraint, Coordinates, EventKind, Interpolation, LeaseState, MeasurementKind,
-    Mode, ObstacleAction, ObstacleShape, OrientationKind, Outcome, Reason, ReferenceState,
-    RobotLink, SolverKind, SolverStatus, VelocityRule, Winner, guard,
+    ChunkMode, Constraint, Coordinates, EventKind, Interpolation, LateCause, LeaseState,
+    MeasurementKind, MeasurementState, Mode, ObstacleAction, ObstacleShape, OrientationKind,
+    Outcome, Reason, ReferenceState, RobotLink, SolverKind, SolverStatus, VelocityRule, Winner,
+    guard, timing,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, PLAN_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
-    Command, Header, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
-    ReferenceChunk, ReferencePoint, RobotDescription, SolverReport, SolverSettings, Status,
-    Telemetry,
+    Command, Header, Incident, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
+    ReferenceChunk, ReferencePoint, RobotDescription, SchedulingReport, SolverReport,
+    SolverSettings, Statistics, Status, Telemetry,
 };
 use serde_json::{Map, Value, json};
 
@@ -42,8 +43,12 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "elapsed_ns": record.elapsed_ns,
         "skipped_periods": record.skipped_periods,
         "timing_flags": record.timing_flags,
+        "late_start": record.timing_flags & timing::LATE_START != 0,
+        "deadline_miss": record.timing_flags & timing::DEADLINE_MISS != 0,
+        "stale_inputs": record.timing_flags & timing::STALE_INPUTS != 0,
         "deadline_misses_total": record.deadline_misses_total,
         "skipped_periods_total": record.skipped_periods_total,
+        "scheduling": scheduling(&record.scheduling),
         "mode": Mode::text_of(record.mode),
         "reason": Reason::text_of(record.reason),
         "miss_bucket": record.miss_bucket,
@@ -53,6 +58,7 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "gather_ns": record.gather_ns,
         "events": events(record).iter().map(event).collect::<Vec<_>>(),
         "measurement": measurement(&record.measurement),
+        "measurement_state": MeasurementState::text_of(record.measurement_state),
         "bend_rad": &record.bend_rad[..coordinates],
         "previous_rate_rad_s": &record.previous_rate_rad_s[..coordinates],
         "settings": settings(&record.settings),
@@ -63,6 +69,10 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "deadline_ns": record.deadline_ns,
         "late_start_ns": record.late_start_ns,
         "measurement_timeout_ns": record.measurement_timeout_ns,
+        "clearance_fault_m": record.clearance_fault_m,
+        "measurement_jump_rad": record.measurement_jump_rad,
+        "measurement_jump_limit": record.measurement_jump_limit,
+        "measurement_frozen_rad": record.measurement_frozen_rad,
         "miss_limit": record.miss_limit,
         "lease_state": LeaseState::text_of(record.lease_state),
         "obstacles": obstacles_of(record).iter().map(obstacle).collect::<Vec<_>>(),
@@ -88,6 +98,18 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
     joined([when_and_mode, inputs, outputs])
 }
 
+fn scheduling(report: &SchedulingReport) -> Value {
+    json!({
+        "known": report.known != 0,
+        "late_cause": LateCause::text_of(report.late_cause),
+        "run_delay_ns": report.run_delay_ns,
+        "on_core_ns": report.on_core_ns,
+        "longest_gap_ns": report.longest_gap_ns,
+        "page_faults": report.page_faults,
+        "switches": report.switches,
+    })
+}
+
 /// One object with the fields of all.
 fn joined<const N: usize>(parts: [Value; N]) -> Value {
     let fields = parts.into_iter().filter_map(|part| match part {
@@ -111,6 +133,7 @@ fn event(event: &InputEvent) -> Value {
         "kind": EventKind::text_of(event.kind),
         "outcome": Outcome::text_of(event.outcome),
         "detail": event.detail,
+        "gathers_ago": event.gathers_ago,
     })
 }
 
@@ -200,9 +223,9 @@ pub(crate) fn status(status: &Status) -> Value {
         "clearance_guarded": status.clearance_guarded,
         "obstacles_refused": status.obstacles_refused,
         "outcomes": outcomes(status),
-        "wake": latency(&status.wake),
-        "solve": latency(&status.solve),
-        "response": latency(&status.response),
+        "statistics_since_ns": status.statistics_since_ns,
+        "since_reset": statistics(&status.since_reset),
+        "last_minute": statistics(&status.last_minute),
         "lease_holder": status.lease_holder,
         "reference_end_ns": status.reference_end_ns,
         "reference_points": status.reference_points,
@@ -217,6 +240,43 @@ fn outcomes(status: &Status) -> Value {
     let counted = Outcome::ALL.iter().zip(status.outcomes);
     let named = counted.map(|(outcome, count)| (outcome.text().to_owned(), json!(count)));
     Value::Object(named.collect())
+}
+
+fn statistics(statistics: &Statistics) -> Value {
+    json!({
+        "cycles": statistics.cycles,
+        "late_starts": statistics.late_starts,
+        "deadline_misses": statistics.deadline_misses,
+        "skipped_periods": statistics.skipped_periods,
+        "longest_streak": statistics.longest_streak,
+        "budget_hits": statistics.budget_hits,
+        "stale_inputs": statistics.stale_inputs,
+        "stale_measurements": statistics.stale_measurements,
+        "dropped_records": statistics.dropped_records,
+        "causes": causes(statistics),
+        "wake": latency(&statistics.wake),
+        "gather": latency(&statistics.gather),
+        "compute": latency(&statistics.compute),
+        "solve": latency(&statistics.solve),
+        "response": latency(&statistics.response),
+        "publish": latency(&statistics.publish),
+    })
+}
+
+/// Late cycles by their cause; "in time" is none.
+fn causes(statistics: &Statistics) -> Value {
+    let counted = LateCause::ALL.iter().zip(statistics.causes).skip(1);
+    let named = counted.map(|(cause, count)| (cause.text().to_owned(), json!(count)));
+    Value::Object(named.collect())
+}
+
+pub(crate) fn incident(incident: &Incident) -> Value {
+    json!({
+        "header": header(&incident.header),
+        "steal_ns": incident.steal_ns,
+        "steal_window_ns": incident.steal_window_ns,
+        "telemetry": telemetry(&incident.telemetry),
+    })
 }
 
 fn latency(latency: &LatencySummary) -> Value {
@@ -355,5 +415,28 @@ mod tests {
         let value = status(&status_record);
         assert_eq!(value["outcomes"]["a value is not a finite number"], 5);
         assert_eq!(value["realtime"], true);
+    }
+
+    #[test]
+    fn statistics_name_their_causes_and_a_record_says_why_it_was_late() {
+        let mut snapshot = Status::default();
+        snapshot.last_minute.causes[LateCause::Load.code() as usize] = 7;
+        snapshot.since_reset.gather.p99_ns = 8;
+        let value = status(&snapshot);
+        let causes = &value["last_minute"]["causes"];
+        assert_eq!(causes["another task had the core"], 7);
+        assert_eq!(causes.as_object().map(Map::len), Some(LateCause::COUNT - 1));
+        assert_eq!(value["since_reset"]["gather"]["p99_ns"], 8);
+
+        let mut bad = Incident::default();
+        bad.telemetry.scheduling.late_cause = LateCause::PageFault.code();
+        bad.telemetry.timing_flags = timing::DEADLINE_MISS;
+        bad.telemetry.measurement_state = MeasurementState::Repeated.code();
+        let value = incident(&bad);
+        let record = &value["telemetry"];
+        assert_eq!(record["scheduling"]["late_cause"], "page fault");
+        assert_eq!(record["deadline_miss"], true);
+        assert_eq!(record["late_start"], false);
+        assert_eq!(record["measurement_state"], "repeated");
     }
 }

@@ -2,21 +2,24 @@
 
 use cdcr_client::events;
 use cdcr_shared_types::codes::{
-    ChunkMode, Interpolation, Mode, ObstacleAction, ObstacleShape, Outcome, Reason, ReferenceState,
-    SolverStatus,
+    ChunkMode, Interpolation, LateCause, MeasurementState, Mode, ObstacleAction, ObstacleShape,
+    Outcome, Reason, ReferenceState, SolverStatus, timing,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
-    Command, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
+    Command, Incident, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
 };
 
 use super::json::guards;
 
-pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm   \
-    y mm      z mm      error mm   wake µs  solve µs  response µs  obstacles  clearance mm  limited by, refused";
+pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm      \
+    y mm      z mm      error mm   wake µs  waited µs  solve µs  response µs  measurement  obstacles  clearance mm  \
+    late by, limited by, refused";
 pub(super) const COMMAND_HEADING: &str =
     "     cycle  mode        bend rates rad/s (u, v of each section) | cable lengths mm";
 pub(super) const STATUS_HEADING: &str = "    cycles  mode        misses  skipped  response p99 µs  points ahead  obstacles  clearance mm  reason";
+pub(crate) const INCIDENT_HEADING: &str = "  seconds ago      cycle  wake µs  compute µs  response µs  waited µs  faults  switches  gap µs  \
+    steal ms  what (cause)";
 pub(super) const REFERENCE_HEADING: &str =
     "sender            chunk  mode     between  points   first s ahead   last s ahead";
 pub(super) const OBSTACLES_HEADING: &str =
@@ -25,14 +28,16 @@ pub(super) const OBSTACLES_HEADING: &str =
 pub(super) fn telemetry(record: &Telemetry) -> String {
     let [x, y, z] = record.tip_position_m.map(|x| 1e3 * x);
     format!(
-        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>10}{:>13.1}{:>11}{:>14}  {}",
+        "{:>10}  {:<10}  {:<16}{x:>9.4}{y:>10.4}{z:>10.4}{:>14}{:>10.1}{:>11}{:>10}{:>13.1}  {:<11}{:>11}{:>14}  {}",
         record.cycle,
         Mode::text_of(record.mode),
         ReferenceState::text_of(record.reference.state),
         error_text(record.position_error_m),
         us(record.start_ns, record.due_ns),
+        known_text(record, us(record.scheduling.run_delay_ns, 0)),
         solve_text(record),
         us(record.handed_over_ns, record.due_ns),
+        MeasurementState::text_of(record.measurement_state),
         record.obstacle_count,
         clearance_text(record.clearance_m),
         remarks(record),
@@ -41,6 +46,14 @@ pub(super) fn telemetry(record: &Telemetry) -> String {
 
 fn us(to_ns: u64, from_ns: u64) -> f64 {
     to_ns.saturating_sub(from_ns) as f64 * 1e-3
+}
+
+/// One decimal; a dash when the system does not tell it.
+fn known_text(record: &Telemetry, value: f64) -> String {
+    if record.scheduling.known == 0 {
+        return "-".to_owned();
+    }
+    format!("{value:.1}")
 }
 
 /// In µs; a dash in a cycle without a solve.
@@ -69,11 +82,15 @@ pub(crate) fn clearance_text(clearance_m: f64) -> String {
     }
 }
 
-/// Which limits changed the command, and what was refused.
+/// What made it late, which limits changed the command, and what was refused.
 fn remarks(record: &Telemetry) -> String {
+    let late = match LateCause::try_from(record.scheduling.late_cause) {
+        Ok(LateCause::None) => String::new(),
+        _ => format!("late: {}", LateCause::text_of(record.scheduling.late_cause)),
+    };
     let limited = guards(record.guard_flags).join(", ");
     let refused = refusals(record);
-    let parts = [limited, refused];
+    let parts = [late, limited, refused];
     let parts: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
     parts.join("; ")
 }
@@ -84,6 +101,59 @@ fn refusals(record: &Telemetry) -> String {
         .filter(|event| event.outcome != Outcome::Accepted.code())
         .map(|event| format!("refused: {}", Outcome::text_of(event.outcome)));
     refused.collect::<Vec<_>>().join("; ")
+}
+
+pub(super) fn incident(incident: &Incident) -> String {
+    incident_at(incident, incident.header.sent_ns)
+}
+
+/// As someone reads it at `now_ns`.
+pub(crate) fn incident_at(incident: &Incident, now_ns: u64) -> String {
+    let record = &incident.telemetry;
+    let scheduling = &record.scheduling;
+    let whole = |count: u32| match scheduling.known {
+        0 => "-".to_owned(),
+        _ => count.to_string(),
+    };
+    format!(
+        "{:>13.1}{:>11}{:>9.1}{:>12.1}{:>13.1}{:>11}{:>8}{:>10}{:>8.1}{:>10}  {} ({})",
+        us(now_ns, record.due_ns) * 1e-6,
+        record.cycle,
+        us(record.start_ns, record.due_ns),
+        us(record.handed_over_ns, record.start_ns),
+        us(record.handed_over_ns, record.due_ns),
+        known_text(record, us(scheduling.run_delay_ns, 0)),
+        whole(scheduling.page_faults),
+        whole(scheduling.switches),
+        us(scheduling.longest_gap_ns, 0),
+        steal_text(incident),
+        troubles(record),
+        LateCause::text_of(scheduling.late_cause),
+    )
+}
+
+/// In ms; a dash when the system does not tell it.
+fn steal_text(incident: &Incident) -> String {
+    if incident.steal_window_ns == 0 {
+        return "-".to_owned();
+    }
+    format!("{:.0}", incident.steal_ns as f64 * 1e-6)
+}
+
+/// What was bad about a cycle.
+fn troubles(record: &Telemetry) -> String {
+    let flag = |bit: u32, text: &str| (record.timing_flags & bit != 0).then(|| text.to_owned());
+    let skipped =
+        (record.skipped_periods > 0).then(|| format!("skipped {}", record.skipped_periods));
+    let fault = (record.mode == Mode::Faulted.code())
+        .then(|| format!("faulted: {}", Reason::text_of(record.reason)));
+    let parts = [
+        flag(timing::LATE_START, "late start"),
+        flag(timing::DEADLINE_MISS, "deadline miss"),
+        skipped,
+        fault,
+    ];
+    parts.into_iter().flatten().collect::<Vec<_>>().join(", ")
 }
 
 pub(super) fn command(command: &Command) -> String {
@@ -109,7 +179,7 @@ pub(super) fn status(status: &Status) -> String {
         Mode::text_of(status.mode),
         status.deadline_misses,
         status.skipped_periods,
-        latency_text(&status.response, |response| response.p99_ns),
+        latency_text(&status.last_minute.response, |response| response.p99_ns),
         status.reference_points,
         status.obstacle_count,
         clearance_text(status.clearance_m),
@@ -193,12 +263,72 @@ mod tests {
         };
         record.report.status = SolverStatus::Converged.code();
         let line = telemetry(&record);
-        for part in ["   15040.0", "       2.0", "      15060.0"] {
+        for part in ["   15040.0          -", "       2.0", "      15060.0"] {
             assert!(line.contains(part), "{part} in {line}");
         }
         record.report.status = SolverStatus::Idle.code();
+        record.scheduling.known = 1;
+        record.scheduling.run_delay_ns = 12_340;
+        record.scheduling.late_cause = LateCause::Load.code();
+        record.measurement_state = MeasurementState::Implausible.code();
         let line = telemetry(&record);
-        assert!(line.contains("15040.0         -"), "{line}");
+        for part in [
+            "15040.0       12.3         -",
+            "  implausible",
+            "late: another task had the core",
+        ] {
+            assert!(line.contains(part), "{part} in {line}");
+        }
+        assert_eq!(
+            width_of(TELEMETRY_HEADING, "clearance mm"),
+            width_of(&line, " 0.00  ")
+        );
+    }
+
+    /// Characters up to the end of `part`, without the blanks that end it.
+    fn width_of(text: &str, part: &str) -> usize {
+        let at = text.rfind(part).expect("it is there");
+        text[..at + part.trim_end().len()].chars().count()
+    }
+
+    #[test]
+    fn an_incident_tells_when_what_and_why() {
+        let mut bad = Incident {
+            steal_ns: 20_000_000,
+            steal_window_ns: 100_000_000,
+            ..Incident::default()
+        };
+        bad.telemetry = Telemetry {
+            cycle: 4711,
+            due_ns: 10_000_000,
+            start_ns: 11_500_000,
+            handed_over_ns: 16_000_000,
+            skipped_periods: 3,
+            timing_flags: timing::LATE_START | timing::DEADLINE_MISS,
+            mode: Mode::Faulted.code(),
+            reason: Reason::MeasurementFrozen.code(),
+            ..Telemetry::default()
+        };
+        bad.telemetry.scheduling.late_cause = LateCause::Platform.code();
+        let line = incident_at(&bad, 2_510_000_000);
+        for part in [
+            "          2.5       4711   1500.0      4500.0       6000.0          -       -         -     0.0        20  ",
+            "late start, deadline miss, skipped 3, faulted: the measurement is frozen (wake-up by platform)",
+        ] {
+            assert!(line.contains(part), "{part} in {line}");
+        }
+        assert_eq!(
+            width_of(INCIDENT_HEADING, "steal ms"),
+            width_of(&line, "  20  ")
+        );
+        bad.telemetry.scheduling.known = 1;
+        bad.telemetry.scheduling.page_faults = 9;
+        bad.steal_window_ns = 0;
+        let line = incident(&bad);
+        assert!(
+            line.contains("0.0       9         0     0.0         -  "),
+            "{line}"
+        );
     }
 
     #[test]

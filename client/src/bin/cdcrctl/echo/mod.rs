@@ -54,6 +54,14 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             };
             print_all(&connection, connection.statuses()?, options, &look)
         }
+        Topic::Incidents => {
+            let look = Look {
+                heading: line::INCIDENT_HEADING,
+                line: line::incident,
+                json: json::incident,
+            };
+            print_all(&connection, connection.incidents()?, options, &look)
+        }
         Topic::Reference => {
             let look = Look {
                 heading: line::REFERENCE_HEADING,

@@ -1,0 +1,95 @@
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, Stream, monotonic_ns};
+use cdcr_shared_types::Incident;
+use cdcr_shared_types::limits::INCIDENTS_MAX;
+
+use crate::Done;
+use crate::args::{Format, IncidentsOptions, Target};
+use crate::echo::{json, line};
+use crate::interrupt::Interrupt;
+
+/// The kept incidents are there when so many snapshots of the daemon have come: it sees a new reader at
+/// the latest when it publishes the next one.
+const SNAPSHOTS: u64 = 3;
+/// How long these may take; ten a second are published.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// How often a waiting reader looks.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// `cdcrctl incidents`
+pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    let interrupt = Interrupt::catch()?;
+    let mut stream = connection.incidents()?;
+    let kept = kept(&connection, &mut stream)?;
+    let mut out = std::io::stdout().lock();
+    if options.format == Format::Text && (options.follow || !kept.is_empty()) {
+        writeln!(out, "{}", line::INCIDENT_HEADING)?;
+    }
+    for incident in newest(&kept, options.count) {
+        print(&mut out, incident, options.format)?;
+    }
+    if !options.follow {
+        if kept.is_empty() && options.format == Format::Text {
+            writeln!(out, "no bad cycle since the daemon was started")?;
+        }
+        return Ok(Done::Good);
+    }
+    while !interrupt.is_raised() {
+        match stream.next_within(LOOK)? {
+            Some(incident) => print(&mut out, &incident, options.format)?,
+            None => out.flush()?,
+        }
+    }
+    Ok(Done::Good)
+}
+
+/// What the daemon has kept, oldest first.
+fn kept(connection: &Connection, stream: &mut Stream<Incident>) -> anyhow::Result<Vec<Incident>> {
+    let mut snapshots = connection.statuses()?;
+    let deadline = Instant::now() + PATIENCE;
+    for _ in 0..SNAPSHOTS {
+        let left = deadline.saturating_duration_since(Instant::now());
+        if snapshots.next_within(left)?.is_none() {
+            break;
+        }
+    }
+    let mut kept = Vec::with_capacity(INCIDENTS_MAX);
+    while let Some(incident) = stream.try_next()? {
+        kept.push(incident);
+    }
+    Ok(kept)
+}
+
+/// The last `count` of them.
+fn newest(kept: &[Incident], count: Option<u64>) -> &[Incident] {
+    let count = count.map_or(kept.len(), |count| kept.len().min(count as usize));
+    &kept[kept.len() - count..]
+}
+
+fn print(out: &mut impl Write, incident: &Incident, format: Format) -> std::io::Result<()> {
+    match format {
+        Format::Text => writeln!(out, "{}", line::incident_at(incident, monotonic_ns()))?,
+        Format::Json => writeln!(out, "{}", json::incident(incident))?,
+    }
+    out.flush()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_count_leaves_the_newest() {
+        let mut kept = vec![Incident::default(); 3];
+        for (number, incident) in (1..).zip(&mut kept) {
+            incident.header.sequence = number;
+        }
+        let numbers = |count| newest(&kept, count).iter().map(|i| i.header.sequence);
+        assert!(numbers(None).eq([1, 2, 3]));
+        assert!(numbers(Some(2)).eq([2, 3]));
+        assert!(numbers(Some(9)).eq([1, 2, 3]));
+    }
+}

@@ -1,0 +1,92 @@
+//! How many cases are tried, which ones, and how many of them got through.
+
+use std::cell::{Cell, RefCell};
+use std::collections::BTreeMap;
+use std::sync::Once;
+
+use proptest::strategy::Strategy;
+use proptest::test_runner::{Config, RngSeed, TestRunner};
+
+/// Tries `test` on `cases` values of `strategy`, always the same ones. With `CDCR_FUZZ_CASES` (or
+/// `PROPTEST_CASES`) in the environment it tries that many, if they are more, and others each time.
+pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value)) {
+    let asked = asked();
+    let mut config = Config {
+        cases: asked.map_or(cases, |asked| asked.max(cases)),
+        failure_persistence: None,
+        max_shrink_iters: 4096,
+        max_shrink_time: 60_000,
+        ..Config::default()
+    };
+    if asked.is_none() && config.rng_seed == RngSeed::Random {
+        config.rng_seed = RngSeed::Fixed(1);
+    }
+    let outcome = quietly(|| {
+        TestRunner::new(config).run(&strategy, |value| {
+            test(value);
+            Ok(())
+        })
+    });
+    if let Err(failure) = outcome {
+        panic!("{failure}\nkeep the input in tests/corpus, see docs/fuzzing.md");
+    }
+}
+
+/// Runs `work` without a report of each panic: on the way to the smallest input there are thousands of them.
+fn quietly<R>(work: impl FnOnce() -> R) -> R {
+    thread_local!(static QUIET: Cell<bool> = const { Cell::new(false) });
+    static HOOK: Once = Once::new();
+    HOOK.call_once(|| {
+        let report = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            if !QUIET.get() {
+                report(panic);
+            }
+        }));
+    });
+    QUIET.set(true);
+    let result = work();
+    QUIET.set(false);
+    result
+}
+
+/// How many cases the environment asks for.
+pub(crate) fn asked() -> Option<u32> {
+    let names = ["CDCR_FUZZ_CASES", "PROPTEST_CASES"];
+    names.iter().find_map(|name| {
+        let text = std::env::var(name).ok()?;
+        let wrong = |_| panic!("{name} is {text:?}; it must be a whole number of cases");
+        Some(text.parse().unwrap_or_else(wrong))
+    })
+}
+
+/// Counts what became of the cases, so that a target that refuses everything at the first check fails.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    counts: RefCell<BTreeMap<&'static str, [u32; 2]>>,
+}
+
+impl Tally {
+    /// Counts one case of `kind`.
+    pub(crate) fn count(&self, kind: &'static str, accepted: bool) {
+        self.counts.borrow_mut().entry(kind).or_default()[usize::from(accepted)] += 1;
+    }
+
+    /// Of the cases of `kind`, at least this share must have been accepted, and as many refused.
+    pub(crate) fn both_at_least(&self, kind: &'static str, share: f64) {
+        let [refused, accepted] = self.counts.borrow().get(kind).copied().unwrap_or_default();
+        println!("{kind}: {accepted} accepted, {refused} refused");
+        let least = share * f64::from(refused + accepted);
+        assert!(
+            refused + accepted > 0 && f64::from(accepted) >= least && f64::from(refused) >= least,
+            "{kind}: {accepted} accepted and {refused} refused; at least {least} of each are due"
+        );
+    }
+
+    /// At least one case of `kind` was accepted.
+    pub(crate) fn happened(&self, kind: &'static str) {
+        let [_, accepted] = self.counts.borrow().get(kind).copied().unwrap_or_default();
+        println!("{kind}: {accepted} times");
+        assert!(accepted > 0, "{kind} never happened");
+    }
+}

@@ -1,0 +1,322 @@
+//! The daemon is killed at any moment and started again: it is back at once, and the clients that stayed
+//! find it by themselves.
+
+use std::ops::ControlFlow;
+use std::process::Stdio;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::Duration;
+
+use cdcr_client::{
+    Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, ObstacleSender, RequestError,
+    TelemetryStream, monotonic_ns,
+};
+use cdcr_shared_types::codes::{EventKind, MeasurementKind, Mode, Outcome, RequestKind};
+use cdcr_shared_types::{Measurement, Obstacle};
+use cdcr_tests::{PATIENCE, PATIENT, Place, ROBOT, wait_record, wait_status, wait_until};
+
+/// Kills of a daemon that held; others are killed while they start.
+const KILLS: usize = 50;
+/// Demanded is 1 s; the rest is for a machine that stalls and runs other tests meanwhile.
+const RETURN_MAX: Duration = Duration::from_secs(5);
+
+/// A daemon that is killed and reaped when dropped.
+struct Life(std::process::Child);
+
+impl Life {
+    fn begin(place: &Place) -> Self {
+        let config = place.folder().join("robot.toml");
+        let mut command = place.command("cdcrd");
+        command.args(["run", "--config"]).arg(config);
+        let command = command.stdout(Stdio::null()).stderr(Stdio::null());
+        Self(command.spawn().expect("cdcrd starts"))
+    }
+}
+
+impl Drop for Life {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+fn place(configuration: &str) -> Place {
+    let place = Place::new();
+    place.write("robot.toml", configuration);
+    place
+}
+
+fn connect(place: &Place) -> Connection {
+    Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
+}
+
+/// Numbers that look random and are the same in every run (SplitMix64).
+struct Chance(u64);
+
+impl Chance {
+    fn up_to(&mut self, most: Duration) -> Duration {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let z = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        most.mul_f64((z ^ (z >> 31)) as f64 / u64::MAX as f64)
+    }
+}
+
+/// A client that stays through all lives of the daemon.
+struct Old<'c> {
+    connection: &'c Connection,
+    telemetry: TelemetryStream,
+    obstacles: ObstacleSender,
+    /// Identity of the daemon that was waited for last.
+    daemon: u64,
+}
+
+impl<'c> Old<'c> {
+    fn new(connection: &'c Connection) -> Self {
+        Self {
+            connection,
+            telemetry: connection.telemetry().unwrap(),
+            obstacles: connection.obstacle_sender().unwrap(),
+            daemon: 0,
+        }
+    }
+
+    /// Waits until a daemon that began later than `begin_ns` is in `mode`. What an earlier one sent may
+    /// still be in the queue.
+    fn wait_mode(&mut self, mode: Mode, begin_ns: u64) {
+        let record = wait_record(&mut self.telemetry, |record| {
+            record.header.sent_ns > begin_ns && record.mode == mode.code()
+        });
+        self.daemon = record.header.sender_id;
+    }
+
+    /// All that a client can do works with the daemon of this process, which is new.
+    fn use_everything(&mut self, process: u32) {
+        let answer = self
+            .connection
+            .request_within(RequestKind::Hold, PATIENCE)
+            .unwrap();
+        assert_eq!(answer.header.sender_id, self.daemon);
+        wait_status(self.connection, |status| status.process_id == process);
+        let ball = Obstacle {
+            id: 1,
+            start_m: [5.0, 0.0, 0.0],
+            radius_m: 0.01,
+            measured_ns: monotonic_ns(),
+            ..Obstacle::default()
+        };
+        let sent = self.obstacles.upsert(&[ball]).unwrap();
+        let event = self
+            .telemetry
+            .event_on(EventKind::Obstacles, &sent, PATIENCE)
+            .unwrap();
+        assert_eq!(event.outcome, Outcome::Accepted.code());
+        assert_eq!(event.detail, 1, "a new daemon begins without obstacles");
+    }
+}
+
+/// Ends [`keep_asking`], in a panic, too.
+struct Over<'a>(&'a AtomicBool);
+
+impl Drop for Over<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A second old client, always in the middle of something when the daemon is killed. How often it was
+/// answered.
+fn keep_asking(connection: &Connection, over: &AtomicBool) -> u64 {
+    let mut answered = 0;
+    while !over.load(Ordering::Relaxed) {
+        let mut telemetry = connection.telemetry().unwrap();
+        match connection.request_within(RequestKind::Hold, Duration::from_secs(1)) {
+            Ok(_) => answered += 1,
+            // Refused before its first cycle, silent while there is none.
+            Err(RequestError::Refused { .. } | RequestError::Timeout { .. }) => {}
+            Err(error) => panic!("{error}"),
+        }
+        telemetry.try_next().unwrap();
+    }
+    answered
+}
+
+#[test]
+fn fifty_kills_at_any_moment() {
+    let place = place(PATIENT);
+    let mut chance = Chance(1);
+    let mut daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    old.wait_mode(Mode::Holding, 0);
+    let is_over = AtomicBool::new(false);
+    let mut returns = Vec::new();
+    let answered = thread::scope(|scope| {
+        let busy = scope.spawn(|| keep_asking(&connect(&place), &is_over));
+        let over = Over(&is_over);
+        for kill in 0..KILLS {
+            thread::sleep(chance.up_to(Duration::from_millis(100)));
+            drop(daemon);
+            if kill % 2 == 0 {
+                let starting = Life::begin(&place);
+                thread::sleep(chance.up_to(Duration::from_millis(60)));
+                drop(starting);
+            }
+            let begin_ns = monotonic_ns();
+            daemon = Life::begin(&place);
+            old.wait_mode(Mode::Holding, begin_ns);
+            returns.push(Duration::from_nanos(monotonic_ns() - begin_ns));
+            old.use_everything(daemon.0.id());
+        }
+        drop(over);
+        busy.join().unwrap()
+    });
+    returns.sort_unstable();
+    let (median, longest) = (returns[KILLS / 2], returns[KILLS - 1]);
+    println!("start to holding, {KILLS} times: median {median:.1?}, longest {longest:.1?}");
+    assert!(longest < RETURN_MAX, "{returns:?}");
+    assert!(answered > KILLS as u64, "the busy client: {answered}");
+}
+
+#[test]
+fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
+    let place = place(PATIENT);
+    let mut daemon = Some(Life::begin(&place));
+    let connection = connect(&place);
+    let line = Line {
+        duration_s: 0.3,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let long = Line {
+        duration_s: 120.0,
+        velocity_m_s: [0.001, 0.0, -0.001],
+        ..line
+    };
+    let options = FeedOptions {
+        lead: Duration::from_secs(1),
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut kills = 0;
+    let fed = connection.feed(&long, options).unwrap().run(|event| {
+        if let FeedEvent::Progress(progress) = event
+            && progress.tracking
+            && kills == 0
+        {
+            kills += 1;
+            drop(daemon.take());
+            daemon = Some(Life::begin(&place));
+        }
+        ControlFlow::Continue(())
+    });
+    let error = fed.expect_err("its lease died with the daemon");
+    assert!(matches!(error, FeedError::Restarted { .. }), "{error:?}");
+    assert!(error.to_string().contains("Feed it anew"), "{error}");
+
+    // Refused until the new daemon has a robot.
+    let connection_lives = || connection.request(RequestKind::Hold).is_ok();
+    wait_until("the new daemon holds", connection_lives);
+    let feeder = connection.feed(&line, options).unwrap();
+    let report = feeder.run(|_| ControlFlow::Continue(())).unwrap();
+    assert_eq!((report.end, report.tracked), (FeedEnd::Played, true));
+    assert_eq!(report.lost_records, 0);
+}
+
+#[test]
+fn a_lease_ends_with_its_daemon_and_an_old_one_does_not_take_a_new_one_along() {
+    let place = place(PATIENT);
+    let daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let first = connection.acquire_lease().unwrap();
+    first.renew().unwrap();
+    drop(daemon);
+    let _daemon = Life::begin(&place);
+    // The first answer of the new daemon.
+    wait_until("an answer", || {
+        !matches!(first.renew(), Err(RequestError::Timeout { .. }))
+    });
+    wait_status(&connection, |status| status.lease_holder == 0);
+    let error = first.renew().expect_err("another daemon");
+    assert!(matches!(error, RequestError::Restarted { .. }), "{error:?}");
+
+    let second = connection.acquire_lease().unwrap();
+    drop(first);
+    second.renew().unwrap();
+    let other = connect(&place);
+    let refused = other.acquire_lease().expect_err("it is held");
+    let held = Outcome::LeaseHeld;
+    assert!(
+        matches!(refused, RequestError::Refused { outcome, .. } if outcome == held),
+        "{refused:?}"
+    );
+    drop(second);
+    other.acquire_lease().unwrap();
+}
+
+#[test]
+fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
+    let place = place(PATIENT);
+    let daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    old.wait_mode(Mode::Holding, 0);
+    drop(daemon);
+    let short = Duration::from_millis(200);
+    let error = connection.request_within(RequestKind::Stop, short);
+    let error = error.expect_err("nobody is there");
+    assert!(matches!(error, RequestError::Timeout { .. }), "{error:?}");
+
+    let begin_ns = monotonic_ns();
+    thread::scope(|scope| {
+        let next = scope.spawn(|| {
+            thread::sleep(short);
+            Life::begin(&place)
+        });
+        let answer = connection.request_within(RequestKind::Stop, PATIENCE);
+        assert_eq!(answer.unwrap().mode, Mode::Stopped.code());
+        old.wait_mode(Mode::Stopped, begin_ns);
+        next.join().unwrap()
+    });
+}
+
+/// Measures the straight robot every 2 ms; `commanded_by` is the daemon of the newest command.
+fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) {
+    let mut driver = connection.driver().unwrap();
+    while !over.load(Ordering::Relaxed) {
+        let straight = Measurement {
+            kind: MeasurementKind::Configuration.code(),
+            sections: 3,
+            measured_ns: monotonic_ns(),
+            ..Measurement::default()
+        };
+        driver.send(straight).unwrap();
+        if let Some(command) = driver.newest_command().unwrap() {
+            commanded_by.store(command.header.sender_id, Ordering::Relaxed);
+        }
+        thread::sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn a_driver_serves_every_daemon() {
+    let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
+    let place = place(&format!("{PATIENT}{link}"));
+    let mut daemon = Some(Life::begin(&place));
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
+    thread::scope(|scope| {
+        let _over = Over(&is_over);
+        scope.spawn(|| drive(&connect(&place), &commanded_by, &is_over));
+        let mut begin_ns = 0;
+        for _ in 0..4 {
+            old.wait_mode(Mode::Holding, begin_ns);
+            wait_until("a command of this daemon", || {
+                commanded_by.load(Ordering::Relaxed) == old.daemon
+            });
+            drop(daemon.take());
+            begin_ns = monotonic_ns();
+            daemon = Some(Life::begin(&place));
+        }
+    });
+}

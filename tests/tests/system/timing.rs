@@ -1,0 +1,212 @@
+//! Periods, budgets, statistics and bad cycles of a running daemon.
+
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, Stream};
+use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, timing};
+use cdcr_shared_types::limits::INCIDENTS_MAX;
+use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status};
+use rustix::process::Signal;
+
+/// Tracks a short line; the records in which it was tracked.
+fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
+    let line = Line {
+        duration_s,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut records = Vec::new();
+    let report = connection.feed(&line, options).unwrap().run(|event| {
+        if let FeedEvent::Record(record) = event
+            && record.mode == Mode::Tracking.code()
+        {
+            records.push(*record);
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(report.unwrap().tracked);
+    records
+}
+
+#[test]
+fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
+    for (period_ms, lead_ms, duration_s) in [(0.5, 0.1, 0.5), (2.0, 0.2, 0.5), (100.0, 5.0, 3.0)] {
+        let daemon = Daemon::start(&format!(
+            "[cycle]\nperiod_ms = {period_ms}\ngather_lead_ms = {lead_ms}\nmiss_limit = 1000000\n\
+             watchdog_ms = 20000.0\n[reference]\nlease_ms = 60000.0\n"
+        ));
+        let connection = daemon.connect();
+        let records = track(&connection, duration_s);
+        let status = connection.status(PATIENCE).unwrap();
+        let period_ns = (period_ms * 1e6) as u64;
+        assert_eq!(status.period_ns, period_ns);
+        assert!(
+            records.len() > 5,
+            "{period_ms} ms: {} records",
+            records.len()
+        );
+        for record in &records {
+            assert_eq!(
+                record.release_ns,
+                status.origin_ns + record.cycle * period_ns
+            );
+            assert_eq!(record.elapsed_ns % period_ns, 0);
+            assert!(record.start_ns >= record.due_ns);
+        }
+        let last = records.last().unwrap();
+        assert!(last.position_error_m < 1e-3, "{period_ms} ms: {last:?}");
+    }
+}
+
+#[test]
+fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan() {
+    let daemon = Daemon::start(PATIENT);
+    let (connection, feeding) = (daemon.connect(), daemon.connect());
+    let settings = connection.status(PATIENCE).unwrap().settings;
+    assert_eq!(settings.budget_ns, 0);
+    let tight = SolverSettings {
+        budget_ns: 1_000,
+        swarm_size: 64,
+        ..settings
+    };
+    connection.change_settings(tight).unwrap();
+    let records = track(&feeding, 0.5);
+    assert!(records.iter().all(|record| record.settings == tight));
+    let solved: Vec<_> = records
+        .iter()
+        .filter(|record| record.plan_length > 0)
+        .collect();
+    let spent = solved
+        .iter()
+        .filter(|record| record.report.budget_spent == 1);
+    assert!(
+        2 * spent.count() > solved.len(),
+        "1 µs is not enough for 64 particles"
+    );
+    for record in solved {
+        assert!(record.report.cost <= record.report.warm_cost);
+    }
+    connection.change_settings(settings).unwrap();
+    let free = track(&feeding, 0.5);
+    let quanta = |records: &[Telemetry]| records.iter().map(|r| u64::from(r.report.quanta)).max();
+    assert!(quanta(&free) > quanta(&records));
+    let status = connection.status(PATIENCE).unwrap();
+    assert!(status.budget_hits > 0 && status.since_reset.budget_hits > 0);
+}
+
+#[test]
+fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let before = wait_status(&connection, |status| status.since_reset.cycles > 200);
+    assert!(before.last_minute.cycles <= before.since_reset.cycles);
+    for window in [&before.since_reset, &before.last_minute] {
+        for latency in [
+            &window.wake,
+            &window.gather,
+            &window.compute,
+            &window.publish,
+        ] {
+            assert!(
+                latency.count > 0 && latency.p50_ns <= latency.max_ns,
+                "{window:?}"
+            );
+        }
+        // Each part of a cycle lies inside the whole.
+        assert!(window.compute.p50_ns <= window.response.p50_ns);
+        let bad: u64 = window.causes.iter().sum();
+        assert!(bad >= window.deadline_misses.max(window.late_starts));
+    }
+    connection.request(RequestKind::ResetStatistics).unwrap();
+    let after = wait_status(&connection, |status| {
+        status.statistics_since_ns > before.statistics_since_ns
+    });
+    assert!(after.since_reset.cycles < after.cycles - 150, "{after:?}");
+    assert!(after.cycles > before.cycles);
+}
+
+fn kept(connection: &Connection) -> (Stream<Incident>, Vec<Incident>) {
+    let mut stream = connection.incidents().unwrap();
+    let mut incidents = Vec::new();
+    let begin = Instant::now();
+    // What is kept comes at once; what is new, one by one.
+    while begin.elapsed() < Duration::from_millis(300) {
+        incidents.extend(stream.next_within(Duration::from_millis(50)).unwrap());
+    }
+    (stream, incidents)
+}
+
+#[test]
+fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(200));
+    daemon.signal(Signal::CONT);
+    let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
+    let late = daemon.connect();
+    let mut stream = late.incidents().unwrap();
+    let incident = loop {
+        let incident = stream.next_within(PATIENCE).unwrap().expect("it is kept");
+        if incident.telemetry.cycle == bad.cycle {
+            break incident;
+        }
+    };
+    assert_eq!(incident.telemetry.header, bad.header);
+    assert_eq!(incident.telemetry.scheduling, bad.scheduling);
+    let cause = LateCause::try_from(bad.scheduling.late_cause).unwrap();
+    assert_ne!(cause, LateCause::None);
+    let flags = timing::LATE_START | timing::DEADLINE_MISS;
+    assert_eq!(bad.timing_flags & flags, flags);
+    let status = wait_status(&late, |status| status.since_reset.longest_streak > 20);
+    assert!(status.since_reset.causes[cause.code() as usize] >= 1);
+}
+
+#[test]
+fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
+    // Every start is late by this measure.
+    let daemon = Daemon::start("[cycle]\nlate_start_ms = 0.001\nmiss_limit = 1000000\n");
+    let connection = daemon.connect();
+    wait_status(&connection, |status| {
+        status.late_starts > 2 * INCIDENTS_MAX as u64
+    });
+    let (stream, incidents) = kept(&connection);
+    assert_eq!(stream.lost(), 0);
+    assert!(incidents.len() >= INCIDENTS_MAX, "{}", incidents.len());
+    assert!(
+        incidents[0].header.sequence > INCIDENTS_MAX as u64 / 2,
+        "the first ones are gone"
+    );
+    for pair in incidents.windows(2) {
+        assert!(pair[0].telemetry.cycle < pair[1].telemetry.cycle);
+    }
+    for incident in &incidents {
+        assert_ne!(incident.telemetry.timing_flags & timing::LATE_START, 0);
+        assert_ne!(
+            incident.telemetry.scheduling.late_cause,
+            LateCause::None.code()
+        );
+    }
+}
+
+#[test]
+fn a_thread_that_spins_starts_more_punctually() {
+    let median = |spin_us: f64| {
+        let daemon = Daemon::start(&format!("[realtime]\nspin_us = {spin_us}\n{PATIENT}"));
+        let connection = daemon.connect();
+        let status = wait_status(&connection, |status| status.since_reset.cycles > 300);
+        status.since_reset.wake.p50_ns
+    };
+    let (plain_ns, spinning_ns) = (median(0.0), median(500.0));
+    assert!(
+        spinning_ns <= plain_ns,
+        "{spinning_ns} against {plain_ns} ns"
+    );
+}
