@@ -196,3 +196,14 @@ fn show(text: &str) -> Result<()> {
         _ => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_manual_is_what_the_command_line_says() {
+        cdcr_packaging::check(&Cli::command(), "1").expect("up to date");
+    }
+}

@@ -293,23 +293,24 @@ impl Supervisor {
         if summary.mode != self.newest.mode {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
             if summary.mode == Mode::Faulted {
-                tracing::error!(cycle = summary.cycle, reason, "{mode}");
+                tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}");
             } else {
-                tracing::info!(cycle = summary.cycle, reason, "{mode}");
+                tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
         }
         let misses = summary.totals.deadline_misses + summary.totals.skipped_periods;
         if misses > self.logged_misses && self.logged.elapsed() >= Duration::from_secs(1) {
             self.logged = Instant::now();
             self.logged_misses = misses;
+            let cause = LateCause::text_of(summary.late_cause);
             tracing::warn!(
                 cycle = summary.cycle,
                 wake_us = summary.wake_ns / 1000,
                 response_us = summary.response_ns / 1000,
-                cause = LateCause::text_of(summary.late_cause),
+                cause,
                 deadline_misses = summary.totals.deadline_misses,
                 skipped_periods = summary.totals.skipped_periods,
-                "late"
+                "late: {cause}"
             );
         }
     }

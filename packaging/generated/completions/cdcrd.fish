@@ -1,0 +1,65 @@
+# Print an optspec for argparse to handle cmd's options that are independent of any subcommand.
+function __fish_cdcrd_global_optspecs
+    string join \n h/help V/version
+end
+
+function __fish_cdcrd_needs_command
+    # Figure out if the current invocation already has a command.
+    set -l cmd (commandline -opc)
+    set -e cmd[1]
+    argparse -s (__fish_cdcrd_global_optspecs) -- $cmd 2>/dev/null
+    or return
+    if set -q argv[1]
+        # Also print the command, so this can be used to figure out what it is.
+        echo $argv[1]
+        return 1
+    end
+    return 0
+end
+
+function __fish_cdcrd_using_subcommand
+    set -l cmd (__fish_cdcrd_needs_command)
+    test -z "$cmd"
+    and return 1
+    contains -- $cmd[1] $argv
+end
+
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -s V -l version -d 'Print version'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "run" -d 'Run the control loop until SIGINT or SIGTERM'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a configuration and say what would run'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what is in the way of a loop that must be on time, and what mends it'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print configurations'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l format -d 'How to print it' -r -f -a "text\t'A line for each thing; why and what to do under those that are not ok'
+json\t'One object for programs'"
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "default" -d 'Print the default configuration, every key explained'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "schema" -d 'Print the JSON schema of the configuration, for editors and other programs'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "explain" -d 'Say all about one key, or about a table: type, range, default, and the value in force'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from default" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from schema" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -s h -l help -d 'Print help'

@@ -1,0 +1,89 @@
+#!/usr/bin/env bash
+# What each step of docs/realtime.md gains on this machine: the daemon's own statistics with one step more in
+# each run, idle and beside a busy loop on every core. Needs root (it takes privileges away, step by step), python3
+# and setpriv (util-linux).
+#
+# usage: packaging/measure-realtime.sh [SECONDS a run] [ROUNDS]
+set -euo pipefail
+cd "$(dirname "$0")/.."
+seconds=${1:-10}
+rounds=${2:-3}
+cdcrd=./target/release/cdcrd
+cdcrctl=./target/release/cdcrctl
+[ -x "$cdcrd" ] || { echo "build first: cargo build --release" >&2; exit 1; }
+[ "$(id -u)" = 0 ] || { echo "run it as root" >&2; exit 1; }
+folder=$(mktemp -d)
+export CDCR_ROOT=$folder/root CDCR_PREFIX=measure_$$_
+busy=()
+daemon=
+end() {
+  [ -z "$daemon" ] || kill "$daemon" 2>/dev/null || true
+  [ ${#busy[@]} = 0 ] || kill "${busy[@]}" 2>/dev/null || true
+  wait 2>/dev/null || true
+  rm -rf "$folder"
+}
+trap end EXIT
+
+# Name of the step | what the daemon is started through | its options.
+steps=(
+  "nothing||--set realtime.mode=off"
+  "a core of its own|setpriv --bounding-set -sys_nice,-ipc_lock|--set realtime.no_deep_sleep=false"
+  "+ locked memory|setpriv --bounding-set -sys_nice|--set realtime.no_deep_sleep=false"
+  "+ SCHED_FIFO||--set realtime.no_deep_sleep=false"
+  "+ no deep sleep||"
+  "+ 200 µs of spinning||--set realtime.spin_us=200"
+)
+
+run() { # load, step
+  IFS='|' read -r name through options <<<"${steps[$2]}"
+  # shellcheck disable=SC2086
+  $through "$cdcrd" run --set cycle.miss_limit=1000000 $options 2>"$folder/log" &
+  daemon=$!
+  for _ in $(seq 100); do "$cdcrctl" status >/dev/null 2>&1 && break; sleep 0.05; done
+  # Tracked all the time, so that the solver runs.
+  "$cdcrctl" ref line --velocity 0.001,0,-0.001 --duration "$((seconds + 5))s" --lead 1s --track >/dev/null 2>&1 &
+  local feeder=$!
+  sleep 1.5
+  "$cdcrctl" status --reset >/dev/null
+  sleep "$seconds"
+  "$cdcrctl" status --format json >"$folder/$1.$2.$3.json"
+  kill "$daemon"
+  wait "$daemon" || true
+  daemon=
+  kill "$feeder" 2>/dev/null || true
+  wait "$feeder" 2>/dev/null || true
+}
+
+for round in $(seq "$rounds"); do
+  for load in idle busy; do
+    if [ "$load" = busy ]; then
+      for core in $(seq 0 $(($(nproc) - 1))); do
+        taskset -c "$core" sh -c 'while :; do :; done' &
+        busy+=($!)
+      done
+    fi
+    for step in "${!steps[@]}"; do
+      echo "round $round of $rounds, $load, step $((step + 1)) of ${#steps[@]}" >&2
+      run "$load" "$step" "$round"
+    done
+    [ ${#busy[@]} = 0 ] || { kill "${busy[@]}"; wait "${busy[@]}" 2>/dev/null || true; }
+    busy=()
+  done
+done
+
+names=$(printf '%s\n' "${steps[@]}" | cut -d'|' -f1)
+python3 - "$folder" "$rounds" "$names" <<'P'
+import json, statistics, sys
+folder, rounds, names = sys.argv[1], int(sys.argv[2]), sys.argv[3].splitlines()
+for load in ("idle", "busy"):
+    print(f"\n{load}: µs, medians of {rounds} runs; counts are sums\n")
+    print("| step | wake-up p50 | wake-up p99 | response p99 | response max | misses | skipped |")
+    print("|---|--:|--:|--:|--:|--:|--:|")
+    for step, name in enumerate(names):
+        runs = [json.load(open(f"{folder}/{load}.{step}.{r + 1}.json"))["since_reset"] for r in range(rounds)]
+        us = lambda key, q: statistics.median(run[key][q] for run in runs) / 1e3
+        total = lambda key: sum(run[key] for run in runs)
+        print(f"| {name} | {us('wake', 'p50_ns'):.1f} | {us('wake', 'p99_ns'):.1f} | {us('response', 'p99_ns'):.1f} "
+              f"| {max(run['response']['max_ns'] for run in runs) / 1e3:.0f} | {total('deadline_misses')} "
+              f"| {total('skipped_periods')} |")
+P
