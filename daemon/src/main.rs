@@ -11,7 +11,7 @@ fn main() -> ExitCode {
     log::start();
     iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Error);
     match execute(Cli::parse()) {
-        Ok(()) => ExitCause::Asked.into(),
+        Ok(status) => status,
         Err(error) => {
             eprintln!("cdcrd: {error:#}");
             ExitCause::of(&error).into()

@@ -3,11 +3,14 @@
 mod config;
 mod doctor;
 
+use std::process::ExitCode;
+
 use anyhow::{Context, Result, ensure};
 use clap::{Parser, Subcommand};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use crate::app;
+use crate::exit::ExitCause;
 use config::{ConfigCommand, Source};
 
 /// Real-time control daemon for cable-driven continuum robots.
@@ -49,11 +52,12 @@ enum Command {
     Config(ConfigCommand),
 }
 
-/// Carries a command line out.
+/// Carries a command line out, and returns the exit status.
 ///
 /// # Errors
 /// What went wrong; [`ExitCause::of`](crate::exit::ExitCause::of) tells its exit status.
-pub fn execute(cli: Cli) -> Result<()> {
+pub fn execute(cli: Cli) -> Result<ExitCode> {
+    let done = |()| ExitCause::Asked.into();
     match cli.command {
         Command::Run {
             source,
@@ -62,12 +66,11 @@ pub fn execute(cli: Cli) -> Result<()> {
             if let Some(parent) = end_with_parent {
                 end_with_process(parent)?;
             }
-            app::run(&source.load()?)
+            app::run(&source.load()?).map(done)
         }
-        Command::Check(source) => config::check(&source),
-        // Nothing is held here that would have to be given back.
-        Command::Doctor(options) => std::process::exit(doctor::run(&options)?.into()),
-        Command::Config(command) => config::execute(command),
+        Command::Check(source) => config::check(&source).map(done),
+        Command::Doctor(options) => doctor::run(&options).map(ExitCode::from),
+        Command::Config(command) => config::execute(command).map(done),
     }
 }
 

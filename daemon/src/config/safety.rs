@@ -23,7 +23,7 @@ impl Default for SafetyConfig {
             clearance_fault_m: 0.0,
             measurement_jump_rad: 0.2,
             measurement_jump_limit: 3,
-            measurement_frozen_rad: 0.05,
+            measurement_frozen_rad: 0.2,
         }
     }
 }
