@@ -122,7 +122,10 @@ impl Instance {
             _locked: locked,
         };
         instance.node = Some(services::node(location)?);
-        memory::close_management_file(location)?;
+        while !memory::close_management_file(location)? {
+            // A client that left meanwhile has taken it away.
+            instance.node = Some(services::node(location)?);
+        }
         Ok(instance)
     }
 }

@@ -9,6 +9,8 @@ use super::{InstanceError, file_error};
 
 /// Where Linux keeps shared memory that has a name.
 const SHARED_MEMORY: &str = "/dev/shm";
+/// All that group and others may do.
+const OTHERS: u32 = 0o077;
 /// More than iceoryx2's management file has ever needed (16 bytes).
 const MANAGEMENT_BYTES_MAX: u64 = 4096;
 
@@ -33,28 +35,38 @@ pub(super) fn check_owners(location: &Location) -> Result<(), InstanceError> {
 
 /// Closes the one file that iceoryx2 opens to everybody (mode 0666): its management file, which every program
 /// that joins the location has to open. Another user could make it empty, and clients would wait for ever, also
-/// `cdcrctl stop`. It is replaced and not only closed, so that who opened it before has nothing in hand.
-pub(super) fn close_management_file(location: &Location) -> Result<(), InstanceError> {
+/// `cdcrctl stop`. It is replaced and not only closed, so that who opened it before has nothing in hand. False:
+/// there is none.
+pub(super) fn close_management_file(location: &Location) -> Result<bool, InstanceError> {
     let user = rustix::process::geteuid().as_raw();
-    let all = files(location).into_iter();
-    for path in all.filter(|path| path.extension().is_some_and(|end| end == "global_mgmt")) {
-        let file = std::fs::symlink_metadata(&path).map_err(|e| file_error(&path, e))?;
-        if file.mode() & 0o077 == 0 {
-            continue;
-        }
-        if file.uid() != user {
-            tracing::warn!(
-                path = %path.display(),
-                "belongs to root and is open to all users, who can keep clients from connecting; end all \
-                 programs that root runs with this root folder, remove it, and start again"
-            );
-            continue;
-        }
-        let private = format!("{}closing_{}", location.file_prefix(), std::process::id());
-        let private = Path::new(SHARED_MEMORY).join(private);
-        replace(&path, &private).map_err(|cause| file_error(&path, cause))?;
+    let mut all = files(location).into_iter();
+    let Some(path) = all.find(|path| path.extension().is_some_and(|end| end == "global_mgmt"))
+    else {
+        return Ok(false);
+    };
+    let failed = |cause| file_error(&path, cause);
+    let file = match std::fs::symlink_metadata(&path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(false),
+        file => file.map_err(failed)?,
+    };
+    if file.mode() & OTHERS == 0 {
+        return Ok(true);
     }
-    Ok(())
+    if file.uid() != user {
+        tracing::warn!(
+            path = %path.display(),
+            owner = file.uid(),
+            "is open to all users, who can keep clients from connecting; end the programs that its owner runs \
+             with this root folder, remove it, and start again"
+        );
+        return Ok(true);
+    }
+    let private = format!("{}closing_{}", location.file_prefix(), std::process::id());
+    let private = Path::new(SHARED_MEMORY).join(private);
+    match replace(&path, &private) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(false),
+        result => result.map(|()| true).map_err(failed),
+    }
 }
 
 /// Puts a private copy in the place of `path`.

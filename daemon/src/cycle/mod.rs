@@ -7,175 +7,33 @@
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
 //! in the record, so that the cycle can be computed again.
 
+mod policy;
+mod record;
+
 use cdcr_controller::estimator::Estimator;
-use cdcr_controller::nmpc::{
-    Nmpc, NmpcSettings, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus,
-};
+use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose, Robot, Shape};
+use cdcr_controller::robot::{BendRates, Obstacle, Robot, Shape};
 use cdcr_controller::safety::{
-    Guarded, LeaseState, Limited, LimitsHit, MeasurementWatch, Mode, ModeMachine, Observation,
-    Plausibility, PlausibilityRules, Reason, Refusal, guard, homing_rates, limit, ramp_to_zero,
+    Guarded, Limited, MeasurementWatch, Mode, ModeMachine, Observation, Plausibility, Reason,
+    Refusal, guard, homing_rates, limit, ramp_to_zero,
 };
 use nalgebra::Vector3;
 
-use crate::config::{Config, Validated, ns};
+use crate::config::{Validated, ns};
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
-use crate::rt::accounting::{Accounting, Limits, Totals, Verdict};
+use crate::rt::accounting::{Accounting, Limits};
 use crate::rt::handoff::{CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE};
 use crate::rt::schedule::Release;
+pub use policy::{Policy, Settings};
+pub use record::{CycleRecord, MeasurementUse};
 
 /// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
 /// All bends below this count as straight \[rad\].
 const HOME_TOLERANCE_RAD: f64 = 1e-6;
-
-/// The fixed rules of a cycle, from the configuration.
-#[derive(Debug, Clone, Copy)]
-pub struct Policy {
-    /// How fast rates shrink when holding or stopping \[rad/s²\].
-    pub deceleration_rad_s2: f64,
-    /// Rate of the fastest component on the way home \[rad/s\].
-    pub home_rate_rad_s: f64,
-    /// Deadline after the release \[ns\].
-    pub deadline_ns: u64,
-    /// A start later than this is a late start \[ns\].
-    pub late_start_ns: u64,
-    /// A measurement older than this is lost \[ns\].
-    pub measurement_timeout_ns: u64,
-    /// Level at which the leaky bucket stops the robot.
-    pub miss_limit: u32,
-    /// A smaller clearance is a fault \[m\].
-    pub clearance_fault_m: f64,
-    /// Which measurements are taken for true.
-    pub plausibility: PlausibilityRules,
-}
-
-impl Policy {
-    fn new(config: &Config) -> Self {
-        Self {
-            deceleration_rad_s2: config.motion.deceleration_rad_s2,
-            home_rate_rad_s: config.motion.home_rate_rad_s,
-            deadline_ns: config.cycle.deadline_ns(),
-            late_start_ns: ns(config.cycle.late_start_ms),
-            measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
-            miss_limit: config.cycle.miss_limit,
-            clearance_fault_m: config.safety.clearance_fault_m,
-            plausibility: PlausibilityRules {
-                jump_rad: config.safety.measurement_jump_rad,
-                jump_limit: config.safety.measurement_jump_limit,
-                frozen_rad: config.safety.measurement_frozen_rad,
-            },
-        }
-    }
-}
-
-/// What can be changed while the loop runs.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Settings {
-    /// The optimal control problem and its solver.
-    pub nmpc: NmpcSettings,
-    /// Longest time of one solve \[ns\]; 0: all that is left until the deadline, less the margin.
-    pub budget_ns: u64,
-}
-
-impl Settings {
-    /// Those that the configuration begins with.
-    pub fn new(config: &Config) -> Self {
-        Self {
-            nmpc: config.controller,
-            budget_ns: ns(config.cycle.budget_ms),
-        }
-    }
-}
-
-/// What became of the measurement.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MeasurementUse {
-    /// There was none yet.
-    None,
-    /// It corrected the estimate.
-    Used,
-    /// It is the one of the cycle before: the estimate was predicted.
-    Repeated,
-    /// It was left out: no robot moves like that.
-    Implausible,
-}
-
-/// Everything of one cycle: what it used, what it did, when.
-#[derive(Debug, Clone, Copy)]
-pub struct CycleRecord {
-    /// Its release.
-    pub release: Release,
-    /// The solver began \[ns\].
-    pub solve_start_ns: u64,
-    /// The solver ended \[ns\].
-    pub solve_end_ns: u64,
-    /// The command was handed over \[ns\].
-    pub handed_over_ns: u64,
-    /// Time since the release of the previous cycle \[ns\].
-    pub elapsed_ns: u64,
-    /// Longest time between two looks at the clock until the solver was done \[ns\].
-    pub longest_gap_ns: u64,
-    /// Whether it was late.
-    pub verdict: Verdict,
-    /// Whether it used the inputs of the cycle before again.
-    pub stale_inputs: bool,
-    /// Counts including this cycle.
-    pub totals: Totals,
-    /// Level of the leaky bucket after this cycle.
-    pub miss_bucket: u32,
-    /// Mode in which the command was made.
-    pub mode: Mode,
-    /// Faults since the start.
-    pub faults: u64,
-    /// Number of the gather whose inputs were used.
-    pub gather: u64,
-    /// Its time \[ns\].
-    pub gather_ns: u64,
-    /// First cycle of the reference window.
-    pub window_first_cycle: u64,
-    /// The reference lease.
-    pub lease: LeaseState,
-    /// The fixed rules.
-    pub policy: Policy,
-    /// The newest measurement.
-    pub measurement: Option<TimedMeasurement>,
-    /// What became of it.
-    pub measurement_use: MeasurementUse,
-    /// Estimated state at the release.
-    pub configuration: Configuration,
-    /// Tip at the release.
-    pub tip: Pose,
-    /// Rates of the previous command.
-    pub previous_rates: BendRates,
-    /// Reference at the release.
-    pub reference: ReferenceSample,
-    /// The obstacles, where they are at the release.
-    pub obstacles: ObstacleSet,
-    /// Settings in force.
-    pub settings: Settings,
-    /// What the solver did.
-    pub report: SolveReport,
-    /// Scalars used of the two plans; 0: the solver did not run.
-    pub plan_length: usize,
-    /// Warm start of the solver.
-    pub warm_plan: [f64; PLAN_MAX],
-    /// Its solution.
-    pub plan: [f64; PLAN_MAX],
-    /// The command.
-    pub rates: BendRates,
-    /// Which limits changed it.
-    pub limits_hit: LimitsHit,
-    /// Whether the clearance guard changed it.
-    pub clearance_hit: bool,
-    /// Smallest clearance at the release \[m\].
-    pub clearance_m: f64,
-    /// Answers to requests, the first `answer_count`.
-    pub answers: [Option<CycleAnswer>; REQUESTS_PER_CYCLE],
-}
 
 /// The controller of one robot, cycle by cycle.
 #[derive(Debug)]

@@ -1,0 +1,97 @@
+use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
+use cdcr_controller::reference::ReferenceSample;
+use cdcr_controller::robot::{BendRates, Configuration, Pose};
+use cdcr_controller::safety::{LeaseState, LimitsHit, Mode};
+
+use super::{Policy, Settings};
+use crate::obstacles::ObstacleSet;
+use crate::ports::TimedMeasurement;
+use crate::rt::accounting::{Totals, Verdict};
+use crate::rt::handoff::{CycleAnswer, REQUESTS_PER_CYCLE};
+use crate::rt::schedule::Release;
+
+/// What became of the measurement.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MeasurementUse {
+    /// There was none yet.
+    None,
+    /// It corrected the estimate.
+    Used,
+    /// It is the one of the cycle before: the estimate was predicted.
+    Repeated,
+    /// It was left out: no robot moves like that.
+    Implausible,
+}
+
+/// Everything of one cycle: what it used, what it did, when.
+#[derive(Debug, Clone, Copy)]
+pub struct CycleRecord {
+    /// Its release.
+    pub release: Release,
+    /// The solver began \[ns\].
+    pub solve_start_ns: u64,
+    /// The solver ended \[ns\].
+    pub solve_end_ns: u64,
+    /// The command was handed over \[ns\].
+    pub handed_over_ns: u64,
+    /// Time since the release of the previous cycle \[ns\].
+    pub elapsed_ns: u64,
+    /// Longest time between two looks at the clock until the solver was done \[ns\].
+    pub longest_gap_ns: u64,
+    /// Whether it was late.
+    pub verdict: Verdict,
+    /// Whether it used the inputs of the cycle before again.
+    pub stale_inputs: bool,
+    /// Counts including this cycle.
+    pub totals: Totals,
+    /// Level of the leaky bucket after this cycle.
+    pub miss_bucket: u32,
+    /// Mode in which the command was made.
+    pub mode: Mode,
+    /// Faults since the start.
+    pub faults: u64,
+    /// Number of the gather whose inputs were used.
+    pub gather: u64,
+    /// Its time \[ns\].
+    pub gather_ns: u64,
+    /// First cycle of the reference window.
+    pub window_first_cycle: u64,
+    /// The reference lease.
+    pub lease: LeaseState,
+    /// The fixed rules.
+    pub policy: Policy,
+    /// The newest measurement.
+    pub measurement: Option<TimedMeasurement>,
+    /// What became of it.
+    pub measurement_use: MeasurementUse,
+    /// Estimated state at the release.
+    pub configuration: Configuration,
+    /// Tip at the release.
+    pub tip: Pose,
+    /// Rates of the previous command.
+    pub previous_rates: BendRates,
+    /// Reference at the release.
+    pub reference: ReferenceSample,
+    /// The obstacles, where they are at the release.
+    pub obstacles: ObstacleSet,
+    /// Settings in force.
+    pub settings: Settings,
+    /// What the solver did.
+    pub report: SolveReport,
+    /// Scalars used of the two plans; 0: the solver did not run.
+    pub plan_length: usize,
+    /// Warm start of the solver.
+    pub warm_plan: [f64; PLAN_MAX],
+    /// Its solution.
+    pub plan: [f64; PLAN_MAX],
+    /// The command.
+    pub rates: BendRates,
+    /// Which limits changed it.
+    pub limits_hit: LimitsHit,
+    /// Whether the clearance guard changed it.
+    pub clearance_hit: bool,
+    /// Smallest clearance at the release \[m\].
+    pub clearance_m: f64,
+    /// Answers to requests, the first `answer_count`.
+    pub answers: [Option<CycleAnswer>; REQUESTS_PER_CYCLE],
+}
