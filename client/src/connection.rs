@@ -11,7 +11,7 @@ use cdcr_shared_types::{
 use crate::connect_error::Place;
 use crate::request::Control;
 use crate::sender::Sender;
-use crate::services::{Services, check_root};
+use crate::services::{Services, check_owners};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
     ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
@@ -48,14 +48,16 @@ pub struct Connection {
     _departure: Departure,
 }
 
-/// Leaves the location as if nobody had been there, when its last user leaves. To be dropped after the
-/// node is gone.
+/// Leaves the location as if nobody had been there, when its last user leaves and no daemon has it. To be dropped
+/// after the node is gone.
 #[derive(Debug)]
 struct Departure(Location);
 
 impl Drop for Departure {
     fn drop(&mut self) {
-        self.0.tidy();
+        if !self.0.is_claimed() {
+            self.0.tidy();
+        }
     }
 }
 
@@ -72,7 +74,7 @@ impl Connection {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_root(&place)?;
+        check_owners(&place, location)?;
         // Before the services, so that it is dropped after them when something below fails.
         let departure = Departure(location.clone());
         let services = Services::open(location, &place)?;

@@ -32,7 +32,7 @@ pub(crate) struct Services {
 }
 
 impl Services {
-    /// Opens what a daemon has created; creates nothing. [`check_root`] comes first.
+    /// Opens what a daemon has created; creates nothing. [`check_owners`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
         let opener = Opener {
             node: location
@@ -97,9 +97,10 @@ impl Opener<'_> {
     }
 }
 
-/// Looks at the root path before iceoryx2 does. A node would create one that is missing, and would
-/// leave a file of ours in the way of a daemon that runs as another user.
-pub(crate) fn check_root(place: &Place) -> Result<(), ConnectError> {
+/// Looks at the owners of root path and shared memory before iceoryx2 does. A node would create a root path that is
+/// missing, and would leave a file of ours in the way of a daemon that runs as another user; and it would wait for
+/// ever for a file that somebody else has made empty.
+pub(crate) fn check_owners(place: &Place, location: &Location) -> Result<(), ConnectError> {
     let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
         place: place.clone(),
         found: if cause.kind() == io::ErrorKind::PermissionDenied {
@@ -109,16 +110,27 @@ pub(crate) fn check_root(place: &Place) -> Result<(), ConnectError> {
         },
     };
     let root = std::fs::metadata(&place.root).map_err(missing)?;
-    // The files are private to their owner (0600), and to the superuser.
-    let user_id = rustix::process::geteuid();
-    if user_id.is_root() || root.uid() == user_id.as_raw() {
-        return Ok(());
+    // The files are private to their owner (0600). The superuser could open those of a daemon, but the daemon not
+    // those of the superuser: neither would hear the other.
+    let user_id = rustix::process::geteuid().as_raw();
+    if root.uid() != user_id {
+        return Err(ConnectError::OtherUser {
+            place: place.clone(),
+            owner_id: root.uid(),
+            user_id,
+        });
     }
-    Err(ConnectError::OtherUser {
-        place: place.clone(),
-        owner_id: root.uid(),
-        user_id: user_id.as_raw(),
-    })
+    for path in location.memory_files() {
+        // One that is gone meanwhile is in nobody's way.
+        let owner = std::fs::symlink_metadata(&path).map(|file| file.uid());
+        if let Ok(owner_id) = owner
+            && owner_id != user_id
+            && owner_id != 0
+        {
+            return Err(ConnectError::ForeignMemory { path, owner_id });
+        }
+    }
+    Ok(())
 }
 
 fn memory_error(place: &Place, cause: &str) -> ConnectError {

@@ -11,6 +11,7 @@ use std::path::{Path, PathBuf};
 use cdcr_shared_types::Location;
 use iceoryx2::prelude::{Node, ipc};
 
+use crate::exchange::remains;
 use crate::exchange::services::{self, ServiceError};
 
 /// The right to be the daemon of one robot at one location: a locked file in the root folder. The
@@ -109,8 +110,7 @@ impl Instance {
     /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(location: &Location, robot: &str) -> Result<Self, InstanceError> {
         root::prepare(location.root())?;
-        let name = format!("{}{robot}.lock", location.prefix());
-        let path = location.root().join(name);
+        let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
         write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
         memory::check_owners(location).inspect_err(|_| remove_if_there(&path))?;
@@ -121,6 +121,8 @@ impl Instance {
             node: None,
             _locked: locked,
         };
+        // Before our own node is there, because it counts as somebody who lives here.
+        remains::sweep(location);
         instance.node = Some(services::node(location)?);
         while !memory::close_management_file(location)? {
             // A client that left meanwhile has taken it away.

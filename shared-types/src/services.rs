@@ -1,4 +1,5 @@
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use iceoryx2::config::Config;
 use iceoryx2::prelude::{
@@ -230,19 +231,41 @@ impl Location {
         if listed.is_err() || nodes > 0 {
             return;
         }
-        let prefix = self.file_prefix();
-        for entry in std::fs::read_dir("/dev/shm")
-            .into_iter()
-            .flatten()
-            .flatten()
-        {
-            let name = entry.file_name();
-            let ours = name.to_str().and_then(|name| name.strip_prefix(&prefix));
-            if ours.is_some_and(|rest| rest.ends_with(".global_mgmt")) {
+        for path in self.memory_files() {
+            if path.extension().is_some_and(|end| end == "global_mgmt") {
                 // Somebody else may have been faster.
-                let _ = std::fs::remove_file(entry.path());
+                let _ = std::fs::remove_file(path);
             }
         }
+    }
+
+    /// The files of this location in shared memory, whoever made them.
+    pub fn memory_files(&self) -> Vec<PathBuf> {
+        let prefix = self.file_prefix();
+        let entries = std::fs::read_dir("/dev/shm").into_iter().flatten();
+        let paths = entries.flatten().map(|entry| entry.path());
+        paths
+            .filter(|path| {
+                let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+                name.starts_with(prefix.as_bytes())
+            })
+            .collect()
+    }
+
+    /// Name of the file in the root folder that the daemon of `robot` locks while it runs, and removes at a clean
+    /// end.
+    pub fn lock_file(&self, robot: &str) -> PathBuf {
+        self.root.join(format!("{}{robot}.lock", self.prefix))
+    }
+
+    /// Whether a daemon has the location, or was killed in it: then what is there is the daemon's to clean up.
+    pub fn is_claimed(&self) -> bool {
+        let entries = std::fs::read_dir(&self.root).into_iter().flatten();
+        let mut names = entries.flatten().map(|entry| entry.file_name());
+        names.any(|name| {
+            let name = name.as_encoded_bytes();
+            name.starts_with(self.prefix.as_bytes()) && name.ends_with(b".lock")
+        })
     }
 
     /// Root path.
@@ -261,6 +284,8 @@ impl Location {
         let root = IoxPath::new(self.root.as_os_str().as_encoded_bytes())
             .map_err(|_| LocationError::Root(self.root.clone()))?;
         config.global.set_root_path(&root);
+        // A service is made within a millisecond; one that takes longer was left half made.
+        config.global.creation_timeout = Duration::from_millis(250);
         Ok(config)
     }
 

@@ -10,11 +10,11 @@ use cdcr_controller::optimizer::{Budget, Path, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use cdcr_controller::safety::limit;
-use cdcr_daemon::rt::sys::{CountingAllocator, count_allocations};
+use cdcr_daemon::rt::sys::{WatchedAllocator, count_allocations};
 use nalgebra::{UnitQuaternion, Vector3};
 
 #[global_allocator]
-static ALLOCATOR: CountingAllocator = CountingAllocator;
+static ALLOCATOR: WatchedAllocator = WatchedAllocator;
 
 const PERIOD_S: f64 = 0.005;
 const SOLVERS: [SolverKind; 3] = [

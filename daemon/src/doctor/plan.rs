@@ -41,7 +41,6 @@ impl Plan {
             budget_ns => budget_ns,
         };
         let busy_ms = solve_ns as f64 * 1e-6 + realtime.spin_us * 1e-3;
-        let lock_name = format!("{}{}.lock", location.prefix(), config.robot.name);
         Self {
             mode: realtime.mode,
             core: choose_core(realtime),
@@ -51,7 +50,7 @@ impl Plan {
             core_share_max: (busy_ms / cycle.period_ms).min(1.0),
             no_deep_sleep: realtime.no_deep_sleep,
             root: location.root().to_owned(),
-            lock_file: location.root().join(lock_name),
+            lock_file: location.lock_file(&config.robot.name),
         }
     }
 

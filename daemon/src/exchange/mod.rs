@@ -15,6 +15,7 @@ mod events;
 mod gather;
 mod lease;
 mod publish;
+pub mod remains;
 mod requests;
 mod room;
 pub mod services;

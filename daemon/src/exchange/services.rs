@@ -10,8 +10,10 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
+use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::remains;
 use super::room::{self, MANAGEMENT_BYTES, NoRoom};
 
 /// What went wrong with shared memory, and what to do.
@@ -158,16 +160,18 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
     let failed = failed(service, robot);
     let queues = service.queues();
     let name = service.name(robot).map_err(|cause| failed(&cause))?;
-    node.service_builder(&name)
-        .publish_subscribe::<T>()
-        .max_publishers(queues.publishers)
-        .max_subscribers(queues.subscribers)
-        .subscriber_max_buffer_size(queues.queue)
-        .history_size(queues.history)
-        .max_nodes(Service::NODES)
-        .enable_safe_overflow(true)
-        .open_or_create()
-        .map_err(|cause| failed(&cause))
+    remains::make_anew(node, &name, MessagingPattern::PublishSubscribe, || {
+        node.service_builder(&name)
+            .publish_subscribe::<T>()
+            .max_publishers(queues.publishers)
+            .max_subscribers(queues.subscribers)
+            .subscriber_max_buffer_size(queues.queue)
+            .history_size(queues.history)
+            .max_nodes(Service::NODES)
+            .enable_safe_overflow(true)
+            .open_or_create()
+    })
+    .map_err(|cause| failed(&cause))
 }
 
 /// A publisher that never waits for a reader, and whose memory is there.
@@ -223,19 +227,21 @@ fn control(
         .map_err(|cause| failed(&cause))?;
     let bytes = room::control_bytes();
     with_room(node, Service::Control, robot, bytes, || {
-        node.service_builder(&name)
-            .request_response::<Request, Response>()
-            .max_servers(1)
-            .max_clients(Service::CONTROL_CLIENTS)
-            .max_active_requests_per_client(Service::CONTROL_REQUESTS)
-            .enable_safe_overflow_for_requests(true)
-            .enable_safe_overflow_for_responses(true)
-            .max_nodes(Service::NODES)
-            .open_or_create()
-            .map_err(|cause| failed(&cause))?
-            .server_builder()
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(|cause| failed(&cause))
+        remains::make_anew(node, &name, MessagingPattern::RequestResponse, || {
+            node.service_builder(&name)
+                .request_response::<Request, Response>()
+                .max_servers(1)
+                .max_clients(Service::CONTROL_CLIENTS)
+                .max_active_requests_per_client(Service::CONTROL_REQUESTS)
+                .enable_safe_overflow_for_requests(true)
+                .enable_safe_overflow_for_responses(true)
+                .max_nodes(Service::NODES)
+                .open_or_create()
+        })
+        .map_err(|cause| failed(&cause))?
+        .server_builder()
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .create()
+        .map_err(|cause| failed(&cause))
     })
 }

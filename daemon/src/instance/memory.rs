@@ -1,7 +1,7 @@
 use std::fs::{File, OpenOptions};
 use std::io::{Error, ErrorKind, Read, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use cdcr_shared_types::Location;
 
@@ -18,7 +18,7 @@ const MANAGEMENT_BYTES_MAX: u64 = 4096;
 /// iceoryx2 would wait for one that is empty, or use one that looks like its own.
 pub(super) fn check_owners(location: &Location) -> Result<(), InstanceError> {
     let user = rustix::process::geteuid().as_raw();
-    for path in files(location) {
+    for path in location.memory_files() {
         // One that is gone meanwhile is in nobody's way.
         let Ok(file) = std::fs::symlink_metadata(&path) else {
             continue;
@@ -39,7 +39,7 @@ pub(super) fn check_owners(location: &Location) -> Result<(), InstanceError> {
 /// there is none.
 pub(super) fn close_management_file(location: &Location) -> Result<bool, InstanceError> {
     let user = rustix::process::geteuid().as_raw();
-    let mut all = files(location).into_iter();
+    let mut all = location.memory_files().into_iter();
     let Some(path) = all.find(|path| path.extension().is_some_and(|end| end == "global_mgmt"))
     else {
         return Ok(false);
@@ -94,24 +94,10 @@ fn replace(path: &Path, private: &Path) -> std::io::Result<()> {
     replaced
 }
 
-/// The files of `location` in shared memory, whoever made them.
-fn files(location: &Location) -> Vec<PathBuf> {
-    let prefix = location.file_prefix();
-    let entries = std::fs::read_dir(SHARED_MEMORY).into_iter().flatten();
-    entries
-        .flatten()
-        .filter(|entry| {
-            entry
-                .file_name()
-                .as_encoded_bytes()
-                .starts_with(prefix.as_bytes())
-        })
-        .map(|entry| entry.path())
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
+    use std::path::PathBuf;
+
     use super::super::Instance;
     use super::*;
 
@@ -123,16 +109,19 @@ mod tests {
         let first = Instance::claim(&location, "first").expect("nobody is there");
         // A second daemon finds the file closed, and leaves it so.
         let second = Instance::claim(&location, "second").expect("another robot");
-        let all = files(&location);
+        let all = location.memory_files();
         assert!(!all.is_empty());
         for path in &all {
             let mode = std::fs::metadata(path).expect("it is there").mode();
             assert_eq!(mode & 0o077, 0, "{} {mode:o}", path.display());
         }
         drop(first);
-        assert!(!files(&location).is_empty(), "the second still needs it");
+        assert!(
+            !location.memory_files().is_empty(),
+            "the second still needs it"
+        );
         drop(second);
-        assert_eq!(files(&location), Vec::<PathBuf>::new());
+        assert_eq!(location.memory_files(), Vec::<PathBuf>::new());
     }
 
     #[test]

@@ -320,3 +320,24 @@ fn a_driver_serves_every_daemon() {
         }
     });
 }
+
+#[test]
+fn kills_in_the_middle_of_the_start_leave_nothing_that_hinders_the_next_one() {
+    let place = place(PATIENT);
+    let mut chance = Chance(2);
+    let mut starts = Vec::new();
+    for _ in 0..5 {
+        // Nobody else keeps the services: each of these begins to make them.
+        for _ in 0..20 {
+            let starting = Life::begin(&place);
+            thread::sleep(chance.up_to(Duration::from_millis(60)));
+            drop(starting);
+        }
+        let begin_ns = monotonic_ns();
+        let _daemon = Life::begin(&place);
+        let connection = connect(&place);
+        Old::new(&connection).wait_mode(Mode::Holding, begin_ns);
+        starts.push(Duration::from_nanos(monotonic_ns() - begin_ns));
+    }
+    println!("start to holding after 20 broken starts: {starts:.1?}");
+}
