@@ -583,6 +583,13 @@ fn a_file_that_another_user_put_into_shared_memory_is_not_used_and_not_waited_fo
             "remove it",
         ];
         assert_says(&ended(daemon.place()), EXIT_SHARED_MEMORY, &words);
+        // A client that finds no daemon says the same, and does not wait, either.
+        let words = [path.to_str().unwrap(), "belongs to user 65534", "remove it"];
+        for arguments in [&["status"][..], &["stop"]] {
+            let mut client = daemon.place().command("cdcrctl");
+            let output = Program::start(client.args(arguments)).output();
+            assert_says(&output, 1, &words);
+        }
         assert_eq!(fs::read(&path).unwrap(), content);
         assert_eq!(fs::metadata(&path).unwrap().uid(), NOBODY);
         assert_eq!(
