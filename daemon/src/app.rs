@@ -17,7 +17,7 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
 use crate::config::{LinkKind, RealtimeMode, Validated, ns};
 use crate::cycle::{Cycle, Settings};
-use crate::exchange::{Exchange, services};
+use crate::exchange::{Exchange, UnfinishedFiles, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
 use crate::link::{DriverLink, SimulatedRobot};
@@ -199,6 +199,7 @@ fn spawn_exchange(
                 exchange.run(&schedule, &MonotonicClock, &shared);
             }
             drop(exchange);
+            UnfinishedFiles::new(validated.location.file_prefix()).clear();
             drop(node);
         })?;
     Ok(Started {

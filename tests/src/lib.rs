@@ -86,6 +86,16 @@ impl Place {
         shared_memory_files(self.location.prefix())
     }
 
+    /// Files of this place in shared memory that somebody should have removed, once all have left.
+    ///
+    /// Where clients were killed, the small management file of the place may stay: iceoryx2 0.10 cannot clear away
+    /// a node whose process was killed while it opened a service, and keeps the file as long as it knows a node.
+    pub fn leftovers_after_kills(&self) -> Vec<String> {
+        let mut names = self.shared_memory_files();
+        names.retain(|name| !name.ends_with(".global_mgmt"));
+        names
+    }
+
     /// A command of ours that looks at this place.
     pub fn command(&self, name: &str) -> Command {
         let mut command = Command::new(binary(name));

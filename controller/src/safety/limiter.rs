@@ -48,6 +48,8 @@ pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64)
     hit.bend = keep_bends(robot, at, &mut rates, period_s);
     // Keeping a bend that is beyond its limit inside asks for a rate of its own.
     hit.rate |= clamp_rates(robot, &mut rates);
+    // What the box took away from that may have been what kept the bend inside.
+    hit.bend |= shorten_to_bends(robot, at, &mut rates, period_s);
     hit.cable_speed = slow_cables(robot, &mut rates);
     hit.cable_stroke = keep_strokes(robot, at, &mut rates, period_s);
     Limited { rates, hit }
@@ -79,6 +81,36 @@ fn keep_bends(robot: &Robot, at: &Configuration, rates: &mut BendRates, period_s
             rate[1] = (target[1] * shrink - bend[1]) / period_s;
             changed = true;
         }
+    }
+    changed
+}
+
+/// Shortens the rates of each section, in their direction, until its bend one period later is inside its limit; a
+/// bend beyond it may stay as large as it is. Shorter rates stay in the box.
+fn shorten_to_bends(
+    robot: &Robot,
+    at: &Configuration,
+    rates: &mut BendRates,
+    period_s: f64,
+) -> bool {
+    let mut changed = false;
+    let pairs = rates.as_mut_slice().chunks_exact_mut(2);
+    let bends = at.as_slice().chunks_exact(2);
+    for ((rate, bend), section) in pairs.zip(bends).zip(robot.sections()) {
+        let way = [period_s * rate[0], period_s * rate[1]];
+        let radius = section.bend_max_rad.max(bend[0].hypot(bend[1]));
+        if (bend[0] + way[0]).hypot(bend[1] + way[1]) <= radius {
+            continue;
+        }
+        // Where the way leaves the disc: |bend + part · way| = radius.
+        let way_2 = way[0] * way[0] + way[1] * way[1];
+        let outwards = bend[0] * way[0] + bend[1] * way[1];
+        let room = (radius * radius - bend[0] * bend[0] - bend[1] * bend[1]).max(0.0);
+        let part = ((outwards * outwards + way_2 * room).sqrt() - outwards) / way_2;
+        let part = part.clamp(0.0, 1.0);
+        rate[0] *= part;
+        rate[1] *= part;
+        changed = true;
     }
     changed
 }
@@ -179,6 +211,32 @@ mod tests {
 
     fn at(values: [f64; 4]) -> Configuration {
         Configuration::from_slice(&values).expect("two sections")
+    }
+
+    #[test]
+    fn a_bend_that_the_box_would_let_out_is_shortened_onto_its_limit() {
+        let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+        // Along the border, keeping the bend inside asks for more than 2 rad/s in one component.
+        let (mut over, mut cut) = (0.0_f64, 0);
+        for step in 0..20_000 {
+            let angle = f64::from(step) * 1e-3;
+            for inside in [0.0, 1e-9, 1e-3, 0.02] {
+                let size = 2.8 - inside;
+                let at = [size * angle.cos(), size * angle.sin()];
+                let at = Configuration::from_slice(&at).unwrap();
+                for wish in [[2.0, 2.0], [-2.0, 2.0], [1.3, -2.0], [50.0, -3.0]] {
+                    let wish = BendRates::from_slice(&wish).unwrap();
+                    let limited = limit(&robot, &at, &wish, 0.005);
+                    let target = at.advanced(&limited.rates, 0.005);
+                    over = over.max(target.bend_rad(0) - 2.8);
+                    let rates = limited.rates.as_slice();
+                    assert!(rates.iter().all(|rate| rate.abs() <= 2.0), "{rates:?}");
+                    cut += u32::from(limited.hit.bend);
+                }
+            }
+        }
+        assert!(over <= 1e-12, "{over} rad beyond the limit");
+        assert!(cut > 1000, "{cut} cases at the limit");
     }
 
     #[test]

@@ -19,6 +19,7 @@ pub mod remains;
 mod requests;
 mod room;
 pub mod services;
+mod unfinished;
 
 use std::time::Duration;
 
@@ -40,6 +41,8 @@ use events::Events;
 use lease::Lease;
 use requests::Waiting;
 use services::Ports;
+
+pub use unfinished::UnfinishedFiles;
 
 /// The exchange of one daemon.
 #[derive(Debug)]
@@ -67,8 +70,8 @@ pub struct Exchange {
     telemetry_sent: u64,
     last_cycle: u64,
     last_mode: Mode,
-    /// A stop that found no room in the ring.
-    stop_at_once: bool,
+    /// The gather of a stop that found no room in the ring, until a cycle has used its inputs.
+    stop_at_once: Option<u64>,
     /// How long the newest gather took \[ns\].
     gather_took_ns: u64,
     incidents_sent: u64,
@@ -122,7 +125,7 @@ impl Exchange {
             telemetry_sent: 0,
             last_cycle: 0,
             last_mode: Mode::Starting,
-            stop_at_once: false,
+            stop_at_once: None,
             gather_took_ns: 0,
             incidents_sent: 0,
             scheduler: None,

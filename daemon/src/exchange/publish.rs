@@ -19,6 +19,8 @@ impl Exchange {
         let mut scheduling = None;
         while let Ok(record) = self.ends.records.pop() {
             let command = self.publish_command(&record, clock.now_ns());
+            // Newer inputs replace older ones that no cycle has used, so the stop stays in them until one has.
+            self.stop_at_once.take_if(|gather| record.gather >= *gather);
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
             // Records that wait together share one reading.

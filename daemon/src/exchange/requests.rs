@@ -67,7 +67,7 @@ impl Exchange {
         if ring_has_room {
             self.pass_on(asked, ModeRequest::Stop, now_ns);
         } else {
-            self.stop_at_once = true;
+            self.stop_at_once = Some(self.gather);
             self.answer_now(&asked, Outcome::Accepted, now_ns);
         }
     }

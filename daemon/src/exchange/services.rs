@@ -15,6 +15,7 @@ use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::remains;
 use super::room::{self, MANAGEMENT_BYTES, NoRoom};
+use super::unfinished::UnfinishedFiles;
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -79,6 +80,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         root: location.root().display().to_string(),
         cause,
     };
+    UnfinishedFiles::new(location.file_prefix()).clear();
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
     let taken_bytes = room::taken_bytes(&location.file_prefix());
     room::ask(room::daemon_bytes().saturating_sub(taken_bytes))

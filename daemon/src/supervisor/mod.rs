@@ -17,8 +17,8 @@ use iceoryx2::prelude::{Node, ipc};
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
-use crate::exchange::convert;
 use crate::exchange::services::{incidents, publisher};
+use crate::exchange::{UnfinishedFiles, convert};
 use crate::exit::Ended;
 use crate::ports::Clock;
 use crate::rt::accounting::{Totals, Verdict};
@@ -113,6 +113,7 @@ pub struct Supervisor {
     steal_read: (u64, u64),
     watchdog: Watchdog,
     manager: ServiceManager,
+    unfinished: UnfinishedFiles,
     rate: Rate,
     newest: Summary,
     logged_misses: u64,
@@ -156,6 +157,7 @@ impl Supervisor {
                 now,
             ),
             manager: ServiceManager::from_environment(),
+            unfinished: UnfinishedFiles::new(validated.location.file_prefix()),
             rate: Rate {
                 cycles: 0,
                 since: now,
@@ -201,6 +203,7 @@ impl Supervisor {
             self.take_summaries();
             self.take_incidents(clock);
             self.tell_manager(shared);
+            self.unfinished.look();
             if over || Instant::now() >= next_status {
                 next_status = Instant::now() + STATUS_EVERY;
                 self.publish(clock, shared);

@@ -1,0 +1,241 @@
+//! What a daemon has to bear: clients that come and go, floods, changing settings, a driver with faults.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{PoisonError, RwLock};
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, FeedEvent, FeedOptions, ObstacleSender, Spiral, monotonic_ns};
+use cdcr_shared_types::codes::{ChunkMode, Interpolation, MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::{Measurement, Obstacle, ReferencePoint, SolverSettings, Telemetry};
+
+use crate::{PATIENCE, Place, ROBOT};
+
+/// What the load did, so that a test can say that there was one.
+#[derive(Debug, Default)]
+pub struct Done {
+    /// Clients that came and left.
+    pub connections: AtomicU64,
+    /// Reference chunks of the flood.
+    pub chunks: AtomicU64,
+    /// Obstacle updates of the flood.
+    pub updates: AtomicU64,
+    /// Changes of settings that the daemon accepted.
+    pub settings: AtomicU64,
+}
+
+/// Connects as soon as the daemon is up.
+pub fn connect(place: &Place) -> Connection {
+    Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
+}
+
+/// Runs `work` every `period` until the end; what is late is made up for, so that the rate is kept.
+fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
+    let mut next = Instant::now();
+    while !ending.load(Ordering::Relaxed) {
+        work();
+        next += period;
+        let now = Instant::now();
+        if next > now {
+            std::thread::sleep(next - now);
+        } else if now - next > Duration::from_millis(100) {
+            // A machine that stalled for so long need not make up for all of it.
+            next = now;
+        }
+    }
+}
+
+/// Threads that come and go. One alone comes ten times a second: to connect is to wait for a status.
+pub const COMERS: u32 = 5;
+
+/// Clients that connect and leave, 30 times a second in all; every other one opens the telemetry, too.
+/// Who writes to `gate` waits until all have left, and keeps them out meanwhile.
+pub fn come_and_go(place: &Place, gate: &RwLock<()>, ending: &AtomicBool, done: &Done) {
+    let mut turn = 0_u32;
+    every(COMERS * Duration::from_micros(33_333), ending, || {
+        turn += 1;
+        let _inside = gate.read().unwrap_or_else(PoisonError::into_inner);
+        // The daemon may be on its way out.
+        if let Ok(connection) = Connection::open(place.location(), ROBOT) {
+            let telemetry = turn.is_multiple_of(2).then(|| connection.telemetry());
+            done.connections.fetch_add(1, Ordering::Relaxed);
+            drop(telemetry);
+        }
+    });
+}
+
+/// Reference chunks at 10 kHz from a client that holds no lease: all are refused.
+pub fn flood_references(place: &Place, ending: &AtomicBool, done: &Done) {
+    let connection = connect(place);
+    let feed = connection.reference_feed().unwrap();
+    let mut points = [ReferencePoint::default(); 128];
+    every(Duration::from_micros(100), ending, || {
+        let begin_ns = monotonic_ns() + 1_000_000_000;
+        for (index, point) in points.iter_mut().enumerate() {
+            point.time_ns = begin_ns + index as u64 * 1_000_000;
+            point.position_m = [0.0, 0.0, 0.8];
+        }
+        feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)
+            .unwrap();
+        done.chunks.fetch_add(1, Ordering::Relaxed);
+    });
+}
+
+/// Obstacle updates at 10 kHz: a crowd that moves, comes and expires.
+pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
+    let connection = connect(place);
+    let obstacles = connection.obstacle_sender().unwrap();
+    let mut turn = 0_u32;
+    every(Duration::from_micros(100), ending, || {
+        turn = turn.wrapping_add(1);
+        let shift_m = 0.05 * f64::from(turn % 100) / 100.0;
+        let ball = Obstacle {
+            id: turn % 60,
+            start_m: [0.3 + shift_m, 0.2, 0.3],
+            radius_m: 0.02,
+            velocity_m_s: [0.1, 0.0, 0.0],
+            measured_ns: monotonic_ns(),
+            lifetime_ns: 200_000_000,
+            ..Obstacle::default()
+        };
+        obstacles.upsert(&[ball]).unwrap();
+        done.updates.fetch_add(1, Ordering::Relaxed);
+    });
+}
+
+/// A driver that measures now the bends, now the cables, and at times falls silent for long enough to be a
+/// fault.
+pub fn drive(place: &Place, ending: &AtomicBool) {
+    let connection = connect(place);
+    let mut driver = connection.driver().unwrap();
+    let mut measurement = Measurement {
+        sections: 3,
+        kind: MeasurementKind::Configuration.code(),
+        ..Measurement::default()
+    };
+    let mut turn = 0_u32;
+    while !ending.load(Ordering::Relaxed) {
+        turn += 1;
+        if let Some(command) = driver.newest_command().unwrap() {
+            measurement.bend_rad = command.bend_target_rad;
+            measurement.cable_length_m = command.cable_length_m;
+            let kind = if turn.is_multiple_of(2) {
+                MeasurementKind::CableLengths
+            } else {
+                MeasurementKind::Configuration
+            };
+            measurement.kind = kind.code();
+        }
+        measurement.measured_ns = monotonic_ns();
+        driver.send(measurement).unwrap();
+        let pause_ms = if turn.is_multiple_of(2000) { 150 } else { 1 };
+        std::thread::sleep(Duration::from_millis(pause_ms));
+    }
+}
+
+/// Balls and capsules near the tip.
+fn around(record: &Telemetry) -> [Obstacle; 4] {
+    let [x, y, z] = record.tip_position_m;
+    core::array::from_fn(|i| {
+        let id = i as u32;
+        let apart_m = 0.05 + 0.01 * f64::from(id);
+        Obstacle {
+            id: 60 + id,
+            shape: id % 2,
+            start_m: [x + apart_m, y, z],
+            end_m: [x + apart_m, y + 0.1, z],
+            radius_m: 0.02,
+            velocity_m_s: [0.0, 0.01 * f64::from(id), 0.0],
+            measured_ns: monotonic_ns(),
+            lifetime_ns: 50_000_000,
+        }
+    })
+}
+
+/// A client that makes a daemon do everything, turn by turn.
+#[derive(Debug)]
+pub struct Busy {
+    /// Its connection.
+    pub connection: Connection,
+    /// Records of tracking cycles that it saw.
+    pub tracked: u64,
+    settings: SolverSettings,
+    obstacles: ObstacleSender,
+    turn: u64,
+}
+
+impl Busy {
+    /// Connects.
+    pub fn new(place: &Place) -> Self {
+        let connection = connect(place);
+        Self {
+            settings: connection.status(PATIENCE).unwrap().settings,
+            obstacles: connection.obstacle_sender().unwrap(),
+            connection,
+            tracked: 0,
+            turn: 0,
+        }
+    }
+
+    /// Resets, changes settings, tracks a spiral of `duration_s` past obstacles, homes, holds and stops.
+    pub fn turn(&mut self, duration_s: f64, done: &Done) {
+        self.turn += 1;
+        let connection = &self.connection;
+        let _ = connection.request(RequestKind::Reset);
+        let wanted = SolverSettings {
+            swarm_size: if self.turn.is_multiple_of(2) { 6 } else { 20 },
+            budget_ns: self.turn % 3 * 50_000,
+            ..self.settings
+        };
+        // With floods on all sides, one that is told to ask again is no failure.
+        let changed = connection.change_settings(wanted);
+        done.settings
+            .fetch_add(u64::from(changed.is_ok()), Ordering::Relaxed);
+        let spiral = Spiral {
+            duration_s,
+            ..Spiral::for_sections(&[0.3; 3])
+        };
+        let options = FeedOptions {
+            track: true,
+            ..FeedOptions::default()
+        };
+        // A stall of the machine may end a feed early; the next turn feeds again.
+        if let Ok(feed) = connection.feed(&spiral, options) {
+            let _ = feed.run(|event| {
+                if let FeedEvent::Record(record) = event {
+                    self.tracked += u64::from(record.mode == Mode::Tracking.code());
+                    if record.cycle.is_multiple_of(10) {
+                        self.obstacles.upsert(&around(record)).unwrap();
+                    }
+                }
+                ControlFlow::Continue(())
+            });
+        }
+        for kind in [RequestKind::Home, RequestKind::Hold, RequestKind::Stop] {
+            let _ = connection.request(kind);
+        }
+        let _ = connection.request(RequestKind::ResetStatistics);
+    }
+
+    /// Cycles that the daemon has run.
+    pub fn cycles(&self) -> u64 {
+        self.connection.status(PATIENCE).unwrap().cycles
+    }
+}
+
+/// Keeps a daemon busy until it has made `cycles`. Returns its cycles, and the records of tracking cycles.
+pub fn keep_busy(place: &Place, cycles: u64, done: &Done) -> (u64, u64) {
+    let begin = Instant::now();
+    let mut busy = Busy::new(place);
+    while busy.cycles() < cycles {
+        busy.turn(2.0, done);
+        let ran = busy.cycles();
+        assert!(begin.elapsed() < 15 * PATIENCE, "{ran} cycles only");
+    }
+    (busy.cycles(), busy.tracked)
+}

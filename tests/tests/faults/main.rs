@@ -1,0 +1,21 @@
+//! Fault injection: every row of `docs/faults.md` happens here to real processes, and what comes of it is
+//! asserted together with how long it took.
+//!
+//! Times come from the monotonic stamps in the records, because the machine that runs the tests may stall for
+//! longer than a fault takes to be detected. Each test prints what it measured.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+mod measurement;
+mod memory;
+mod obstacles;
+mod processes;
+mod reference;
+mod robot;
+mod table;
+mod threads;
+mod timing;
+mod trail;

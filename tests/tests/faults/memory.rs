@@ -1,0 +1,209 @@
+//! Shared memory that is full, in a place of its own: a private mount of /dev/shm that is as small as it takes.
+
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
+use std::path::Path;
+use std::process::{Child, Command, Output, Stdio};
+
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{Place, Program, binary, text, wait_until};
+use rustix::process::Signal;
+
+/// A private `/dev/shm` of `kilobytes`, for as long as this lives.
+struct SmallMemory {
+    holder: Child,
+    place: Place,
+}
+
+fn is_root() -> bool {
+    rustix::process::geteuid().is_root()
+}
+
+impl SmallMemory {
+    /// None: the system does not let us; it is said why.
+    fn new(kilobytes: u32) -> Option<Self> {
+        let mount =
+            format!("mount -t tmpfs -o size={kilobytes}k tmpfs /dev/shm && echo ready && exec cat");
+        let mut command = Command::new("unshare");
+        if !is_root() {
+            command.arg("--map-root-user");
+        }
+        let holder = command
+            .args(["--mount", "sh", "-c", &mount])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn();
+        let mut holder = match holder {
+            Ok(holder) => holder,
+            Err(cause) => {
+                println!("skipped: no unshare (util-linux): {cause}");
+                return None;
+            }
+        };
+        let mut line = String::new();
+        let said = holder.stdout.as_mut().unwrap();
+        let _ = BufReader::new(said).read_line(&mut line);
+        let memory = Self {
+            holder,
+            place: Place::new(),
+        };
+        if line.trim() == "ready" {
+            return Some(memory);
+        }
+        println!("skipped: the system grants no private mount of /dev/shm");
+        None
+    }
+
+    /// A program that sees this memory.
+    fn command(&self, program: &Path) -> Command {
+        let mut command = Command::new("nsenter");
+        command.args(["--target", &self.holder.id().to_string(), "--mount"]);
+        if !is_root() {
+            command.args(["--user", "--preserve-credentials"]);
+        }
+        let location = self.place.location();
+        command
+            .arg("--")
+            .arg(program)
+            .env_remove("CDCR_CONFIG")
+            .env("CDCR_PREFIX", location.prefix())
+            .env("CDCR_ROOT", location.root())
+            .stdin(Stdio::null());
+        command
+    }
+
+    fn daemon(&self, configuration: &str) -> Command {
+        let path = self.place.write("robot.toml", configuration);
+        let mut command = self.command(&binary("cdcrd"));
+        command.args(["run", "--config"]).arg(path);
+        command
+    }
+
+    fn cdcrctl(&self, arguments: &[&str]) -> Output {
+        let mut command = self.command(&binary("cdcrctl"));
+        command.args(arguments).output().unwrap()
+    }
+
+    fn shell(&self, script: &str) -> Output {
+        let mut command = self.command(Path::new("sh"));
+        command.args(["-c", script]).output().unwrap()
+    }
+
+    /// Takes all that is left but `kilobytes`.
+    fn fill(&self, kilobytes: u32) {
+        let script = format!(
+            "rm -f /dev/shm/fill; free=$(df -k --output=avail /dev/shm | tail -1)\n\
+             head -c $(( (free - {kilobytes}) * 1024 )) /dev/zero > /dev/shm/fill"
+        );
+        let output = self.shell(&script);
+        assert!(output.status.success(), "{}", text(&output));
+    }
+
+    fn status(&self) -> Option<serde_json::Value> {
+        let output = self.cdcrctl(&["status", "--format", "json"]);
+        output
+            .status
+            .success()
+            .then(|| serde_json::from_slice(&output.stdout).unwrap())
+    }
+}
+
+impl Drop for SmallMemory {
+    fn drop(&mut self) {
+        let _ = self.holder.kill();
+        let _ = self.holder.wait();
+    }
+}
+
+#[test]
+fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
+    // Too small by little and by much; the default of many containers is large enough.
+    for kilobytes in [16, 1_000, 30_000] {
+        let Some(memory) = SmallMemory::new(kilobytes) else {
+            return;
+        };
+        let output = memory.daemon("").output().unwrap();
+        assert_eq!(
+            output.status.code(),
+            Some(71),
+            "{:?} {}",
+            output.status,
+            text(&output)
+        );
+        for part in [
+            "/dev/shm",
+            "is full",
+            "MB are free",
+            "remount,size=",
+            "cdcrd doctor",
+        ] {
+            assert!(text(&output).contains(part), "{part}: {}", text(&output));
+        }
+        let left = memory.shell("ls /dev/shm");
+        assert_eq!(text(&left), "", "nothing stays behind");
+    }
+}
+
+/// A daemon in a memory that is filled up behind it.
+fn assert_survives_full_memory(realtime: &str) {
+    let Some(memory) = SmallMemory::new(64_000) else {
+        return;
+    };
+    let configuration =
+        format!("[cycle]\nmiss_limit = 1000000\n[realtime]\nmode = \"{realtime}\"\n");
+    let mut daemon = Program::start(&mut memory.daemon(&configuration));
+    wait_until("the daemon is up", || memory.status().is_some());
+    // Little enough that each client gets stuck somewhere else on its way in.
+    for kilobytes in [0, 8, 24, 40, 200] {
+        memory.fill(kilobytes);
+        for arguments in [
+            &["ref", "line", "--track"][..],
+            &["echo", "telemetry", "--count", "1"],
+        ] {
+            let output = memory.cdcrctl(arguments);
+            let got_in = output.status.success();
+            assert!(!got_in || kilobytes > 8, "{arguments:?}: {}", text(&output));
+            println!(
+                "{kilobytes} kB left, cdcrctl {}: exit {:?}, signal {:?}, {:?}",
+                arguments[0],
+                output.status.code(),
+                output.status.signal(),
+                text(&output).lines().next().unwrap_or_default()
+            );
+            // One that ends by itself says why.
+            let by_itself = output.status.code() == Some(1);
+            assert!(!by_itself || text(&output).starts_with("error: "));
+            assert!(daemon.runs(), "the daemon died of a client without room");
+        }
+    }
+    memory.shell("rm /dev/shm/fill");
+    let mut before = 0;
+    wait_until("two statuses with cycles between them", || {
+        let earlier = before;
+        let cycles = memory.status().and_then(|status| status["cycles"].as_u64());
+        before = cycles.unwrap_or(before);
+        earlier > 0 && before > earlier
+    });
+    let status = memory.status().unwrap();
+    assert_eq!(
+        status["mode"].as_str(),
+        Some(Mode::Holding.text()),
+        "{status}"
+    );
+    // All the time that has passed was cycles.
+    assert!(before > 100, "{before}");
+    daemon.signal(Signal::TERM);
+    let output = daemon.output();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+}
+
+#[test]
+fn memory_that_fills_up_later_keeps_clients_out_and_the_daemon_running() {
+    assert_survives_full_memory("off");
+}
+
+#[test]
+fn memory_that_fills_up_later_does_not_matter_to_locked_memory_either() {
+    assert_survives_full_memory("prefer");
+}

@@ -1,0 +1,163 @@
+//! The records of a daemon, one after the other, each with the one before it.
+
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, TelemetryStream};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::PATIENCE;
+
+/// The core of all the daemons: many may read, one may take it away.
+static CORE: RwLock<()> = RwLock::new(());
+
+/// Waits until nobody else follows a trail, and keeps it so. Never stands in the queue for the lock, because a
+/// test may follow two trails.
+pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
+    let begin = Instant::now();
+    loop {
+        match CORE.try_write() {
+            Ok(guard) => return guard,
+            Err(TryLockError::Poisoned(guard)) => return guard.into_inner(),
+            Err(TryLockError::WouldBlock) => {}
+        }
+        assert!(begin.elapsed() < 15 * PATIENCE, "the core is never free");
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A reader that loses no record, or fails. As long as it lives, no other test takes the daemon's core.
+pub(crate) struct Trail {
+    stream: TelemetryStream,
+    before: Option<Telemetry>,
+    _calm: Option<RwLockReadGuard<'static, ()>>,
+}
+
+impl Trail {
+    pub(crate) fn new(connection: &Connection) -> Self {
+        let calm = CORE.read().unwrap_or_else(PoisonError::into_inner);
+        Self {
+            _calm: Some(calm),
+            ..Self::new_alone(connection)
+        }
+    }
+
+    /// For who is [`alone`].
+    pub(crate) fn new_alone(connection: &Connection) -> Self {
+        Self {
+            stream: connection.telemetry().unwrap(),
+            before: None,
+            _calm: None,
+        }
+    }
+
+    /// The next record if one waits.
+    pub(crate) fn next_waiting(&mut self) -> Option<Telemetry> {
+        let record = self.stream.try_next().unwrap()?;
+        if let Some(before) = &self.before {
+            let expected = before.cycle + 1 + u64::from(record.skipped_periods);
+            assert_eq!(record.cycle, expected, "a record was lost");
+        }
+        self.before = Some(record);
+        Some(record)
+    }
+
+    /// The first record that satisfies `is_it`, and the one before it. `meanwhile` is called again and again
+    /// until then, at least every other millisecond.
+    pub(crate) fn until_while(
+        &mut self,
+        what: &str,
+        mut meanwhile: impl FnMut(),
+        mut is_it: impl FnMut(&Telemetry) -> bool,
+    ) -> (Telemetry, Telemetry) {
+        let begin = Instant::now();
+        loop {
+            meanwhile();
+            let before = self.before;
+            match self.next_waiting() {
+                Some(record) if is_it(&record) => return (before.unwrap_or(record), record),
+                Some(_) => {}
+                None => std::thread::sleep(Duration::from_millis(1)),
+            }
+            assert!(
+                begin.elapsed() < PATIENCE,
+                "{what} never came; the last record is of cycle {:?} in mode {:?}",
+                self.before.map(|record| record.cycle),
+                self.before.map(|record| Mode::text_of(record.mode)),
+            );
+        }
+    }
+
+    /// As [`until_while`](Self::until_while), with nothing to do meanwhile.
+    pub(crate) fn until(
+        &mut self,
+        what: &str,
+        is_it: impl FnMut(&Telemetry) -> bool,
+    ) -> (Telemetry, Telemetry) {
+        self.until_while(what, || {}, is_it)
+    }
+
+    /// Throws away what waits, so that the next record is one of now.
+    pub(crate) fn catch_up(&mut self) {
+        while self.next_waiting().is_some() {}
+    }
+}
+
+/// Whether the record is of `mode`.
+pub(crate) fn is(mode: Mode) -> impl FnMut(&Telemetry) -> bool {
+    move |record| record.mode == mode.code()
+}
+
+/// The fastest component \[rad/s\].
+pub(crate) fn fastest(rates: &[f64]) -> f64 {
+    rates
+        .iter()
+        .fold(0.0, |fastest, rate| rate.abs().max(fastest))
+}
+
+/// Whether the command of this cycle is to stand still.
+pub(crate) fn rests(record: &Telemetry) -> bool {
+    fastest(&record.command.bend_rate_rad_s) == 0.0
+}
+
+/// How late the cycle came, by its own account \[ns\]: the periods that were skipped before it, and its start
+/// after its release.
+pub(crate) fn late_ns(record: &Telemetry) -> u64 {
+    u64::from(record.skipped_periods) * record.period_ns + record.start_ns - record.release_ns
+}
+
+/// Follows the robot to its rest: no cycle takes more off the rates than the deceleration allows, none adds to
+/// them, and rest comes within the cycles that takes. `first` is the record of the first such cycle.
+pub(crate) fn assert_ramps_to_rest(
+    trail: &mut Trail,
+    first: &Telemetry,
+    mut meanwhile: impl FnMut(),
+) {
+    let step = first.deceleration_rad_s2 * first.period_ns as f64 * 1e-9;
+    let begin = fastest(&first.previous_rate_rad_s);
+    let cycles_max = (begin / step).ceil() as u64 + 1;
+    let mut record = *first;
+    for cycles in 1.. {
+        let before = fastest(&record.previous_rate_rad_s);
+        let now = fastest(&record.command.bend_rate_rad_s);
+        assert!(
+            now <= before && before - now <= step * 1.000_001,
+            "{before} to {now} rad/s in one cycle, {step} are allowed"
+        );
+        if now == 0.0 {
+            println!("  from {begin:.4} rad/s to rest in {cycles} cycles");
+            return;
+        }
+        assert!(cycles < cycles_max, "{cycles} cycles and still {now} rad/s");
+        (_, record) = trail.until_while("the next record", &mut meanwhile, |_| true);
+    }
+}
+
+/// Says what was measured.
+pub(crate) fn say(fault: &str, detected_ns: u64, bound_ns: u64) {
+    println!(
+        "{fault}: detected after {:.3} ms, at most {:.3} ms",
+        detected_ns as f64 * 1e-6,
+        bound_ns as f64 * 1e-6
+    );
+}
