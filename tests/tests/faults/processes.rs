@@ -104,19 +104,21 @@ fn kill_client_while_it_connects(daemon: &Daemon) -> Vec<PathBuf> {
         names.retain(|name| name.ends_with(".connection"));
         names
     };
+    // What earlier clients had, the daemon lets go when it looks.
     let before = connections();
+    let news = || {
+        let mut names = connections();
+        names.retain(|name| !before.contains(name));
+        names
+    };
     let mut command = daemon.place().command("cdcrctl");
     let mut client = Program::start(command.args(["echo", "status"]));
-    wait_until("the client's files", || {
-        connections().len() >= before.len() + 2
-    });
+    wait_until("the client's files", || news().len() >= 2);
     // It has a few more to make.
     std::thread::sleep(Duration::from_millis(300));
     client.signal(Signal::KILL);
     client.output();
-    let names = connections()
-        .into_iter()
-        .filter(|name| !before.contains(name));
+    let names = news().into_iter();
     let left: Vec<_> = names.map(|name| Path::new("/dev/shm").join(name)).collect();
     for path in &left {
         // The daemon keeps its own hold on what was there.
