@@ -77,6 +77,7 @@ mod reference_feed;
 mod remedy;
 mod request;
 mod robot;
+mod room;
 mod sender;
 mod services;
 mod stream;

@@ -22,6 +22,14 @@ pub enum LinkError {
         /// Readers that the service allows.
         readers: usize,
     },
+    /// Shared memory has no room for a port.
+    #[error("cannot open a port on the {service} service: {cause}")]
+    Memory {
+        /// Last part of the service's name.
+        service: &'static str,
+        /// How much is needed and free, and what to do.
+        cause: String,
+    },
     /// A message could not be sent.
     #[error("cannot send on the {service} service: {cause}")]
     Send {
@@ -72,6 +80,13 @@ impl LinkError {
             cause: cause.to_string(),
             writers: queues.publishers,
             readers: queues.subscribers,
+        }
+    }
+
+    pub(crate) fn memory(service: Service, no_room: impl Display) -> Self {
+        Self::Memory {
+            service: service.key(),
+            cause: no_room.to_string(),
         }
     }
 

@@ -3,6 +3,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::{BackpressureStrategy, ipc};
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use crate::room::{self, PORT_BYTES};
 use crate::sender::Sender;
 use crate::{LinkError, Message};
 
@@ -20,6 +21,8 @@ impl<T: Message> Outlet<T> {
         service: &PortFactory<ipc::Service, T, ()>,
         sender: Sender,
     ) -> Result<Self, LinkError> {
+        let bytes = T::SERVICE.queues().writer_bytes(size_of::<T>());
+        room::ask(bytes + PORT_BYTES).map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
         let publisher = service
             .publisher_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)

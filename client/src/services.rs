@@ -9,6 +9,7 @@ use iceoryx2::prelude::{Node, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
+use crate::room::{self, CONNECTION_BYTES};
 use crate::{ConnectError, Message};
 
 /// A publish-subscribe service that is open.
@@ -34,6 +35,7 @@ pub(crate) struct Services {
 impl Services {
     /// Opens what a daemon has created; creates nothing. [`check_owners`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
+        room::ask(CONNECTION_BYTES).map_err(|no_room| memory_error(place, &no_room.to_string()))?;
         let opener = Opener {
             node: location
                 .node_builder()?

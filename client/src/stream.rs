@@ -7,6 +7,7 @@ use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ipc;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use crate::room::{self, PORT_BYTES};
 use crate::{LinkError, Message};
 
 /// How often a waiting reader looks for a message: a fifth of the daemon's usual period.
@@ -33,6 +34,7 @@ pub type CommandStream = Stream<Command>;
 
 impl<T: Message> Stream<T> {
     pub(crate) fn open(service: &PortFactory<ipc::Service, T, ()>) -> Result<Self, LinkError> {
+        room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
         let subscriber = service
             .subscriber_builder()
             .create()

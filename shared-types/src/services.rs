@@ -48,6 +48,18 @@ pub struct QueueLengths {
     pub history: usize,
 }
 
+impl QueueLengths {
+    /// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
+    const HELD: usize = 2;
+
+    /// Shared memory of one writer's messages \[bytes\]: as many as all readers together may have, so that it never
+    /// waits.
+    pub const fn writer_bytes(self, message_bytes: usize) -> u64 {
+        let messages = self.subscribers * (self.queue + Self::HELD) + self.history + Self::HELD;
+        (messages * message_bytes) as u64
+    }
+}
+
 impl Service {
     /// Every service.
     pub const ALL: [Self; 8] = [

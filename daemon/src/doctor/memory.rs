@@ -1,12 +1,10 @@
 //! Memory: shared, huge, swapped.
 
-use cdcr_shared_types::{
-    Command, Incident, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service, Status,
-    Telemetry,
-};
+use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::system::chosen_of;
 use super::{Check, Concern, Judgement, Scene, Unreadable};
+use crate::exchange::daemon_bytes;
 
 pub(super) const CHECKS: &[Check] = &[
     Check {
@@ -32,34 +30,14 @@ pub(super) const CHECKS: &[Check] = &[
     },
 ];
 
-/// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
-const HELD: usize = 2;
-/// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
-const ANSWERS: usize = 6;
-
-/// Bytes of one writer's messages: as many as all readers together may have, so that it never waits.
-const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
-    let queues = service.queues();
-    let messages = queues.subscribers * (queues.queue + HELD) + queues.history + HELD;
-    (messages * message_bytes) as u64
-}
-
-/// What the daemon itself takes \[bytes\]. Management adds less than a fiftieth.
-const fn daemon_bytes() -> u64 {
-    let answers = Service::CONTROL_CLIENTS * 2 * Service::CONTROL_REQUESTS * ANSWERS;
-    let messages = writer_bytes(Service::Command, size_of::<Command>())
-        + writer_bytes(Service::Telemetry, size_of::<Telemetry>())
-        + writer_bytes(Service::Status, size_of::<Status>())
-        + writer_bytes(Service::Incidents, size_of::<Incident>())
-        + (answers * size_of::<Response>()) as u64;
-    messages + messages / 50
-}
-
 /// What one client and one driver add that write everything they can \[bytes\].
 const fn client_bytes() -> u64 {
-    writer_bytes(Service::Reference, size_of::<ReferenceChunk>())
-        + writer_bytes(Service::Obstacles, size_of::<ObstacleUpdate>())
-        + writer_bytes(Service::Measurement, size_of::<Measurement>())
+    let reference = Service::Reference.queues();
+    let obstacles = Service::Obstacles.queues();
+    let measurement = Service::Measurement.queues();
+    reference.writer_bytes(size_of::<ReferenceChunk>())
+        + obstacles.writer_bytes(size_of::<ObstacleUpdate>())
+        + measurement.writer_bytes(size_of::<Measurement>())
 }
 
 fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {

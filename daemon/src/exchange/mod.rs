@@ -42,6 +42,7 @@ use lease::Lease;
 use requests::Waiting;
 use services::Ports;
 
+pub use room::daemon_bytes;
 pub use unfinished::UnfinishedFiles;
 
 /// The exchange of one daemon.

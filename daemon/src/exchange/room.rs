@@ -13,18 +13,14 @@ use rustix::io::Errno;
 
 /// Where the files are.
 const FOLDER: &str = "/dev/shm";
-/// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
-const HELD: usize = 2;
 /// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
 const ANSWERS: usize = 6;
 /// What iceoryx2 needs beside the messages to manage one port and its readers \[bytes\].
 pub(super) const MANAGEMENT_BYTES: u64 = 64 * 1024;
 
-/// Bytes of one writer's messages: as many as all readers together may have, so that it never waits.
+/// Bytes of one writer's messages.
 pub(super) const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
-    let queues = service.queues();
-    let messages = queues.subscribers * (queues.queue + HELD) + queues.history + HELD;
-    (messages * message_bytes) as u64
+    service.queues().writer_bytes(message_bytes)
 }
 
 /// Bytes of the answers to all clients.
@@ -34,7 +30,7 @@ pub(super) const fn control_bytes() -> u64 {
 }
 
 /// All that a daemon takes \[bytes\]. Management adds less than a fiftieth to the messages.
-pub(super) const fn daemon_bytes() -> u64 {
+pub const fn daemon_bytes() -> u64 {
     let messages = writer_bytes(Service::Command, size_of::<Command>())
         + writer_bytes(Service::Telemetry, size_of::<Telemetry>())
         + writer_bytes(Service::Status, size_of::<Status>())

@@ -19,7 +19,7 @@ use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
 use crate::exchange::services::{incidents, publisher};
 use crate::exchange::{UnfinishedFiles, convert};
-use crate::exit::Ended;
+use crate::exit::{Ended, ExitCause};
 use crate::ports::Clock;
 use crate::rt::accounting::{Totals, Verdict};
 use crate::rt::handoff::{Shared, SupervisorEnds};
@@ -97,6 +97,10 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 const STATUS_EVERY: Duration = Duration::from_millis(100);
 /// How often the steal is read while nothing happens \[ns\].
 const STEAL_EVERY_NS: u64 = 1_000_000_000;
+/// How often a late cycle is logged, at most.
+const LATE_LINE_EVERY: Duration = Duration::from_secs(1);
+/// How long the exchange may take to publish its last record and close its ports.
+const END_MAX: Duration = Duration::from_secs(5);
 /// Over how long cycles are counted for the service manager.
 const RATE_EVERY: Duration = Duration::from_secs(1);
 /// Watches the threads, and tells the world.
@@ -116,7 +120,8 @@ pub struct Supervisor {
     unfinished: UnfinishedFiles,
     rate: Rate,
     newest: Summary,
-    logged_misses: u64,
+    /// The newest cycle that was late and is not in the log.
+    late: Option<Summary>,
     logged: Instant,
 }
 
@@ -164,7 +169,7 @@ impl Supervisor {
                 hertz: 0.0,
             },
             newest: Summary::default(),
-            logged_misses: 0,
+            late: None,
             logged: now,
         })
     }
@@ -198,6 +203,7 @@ impl Supervisor {
         mut is_over: impl FnMut() -> bool,
     ) -> Result<(), Ended> {
         let mut next_status = Instant::now();
+        let mut cycle_ended = None;
         loop {
             let over = is_over();
             self.take_summaries();
@@ -216,7 +222,11 @@ impl Supervisor {
                 self.manager.stopping();
                 shared.end();
             }
-            if !shared.has_cycle_ended() {
+            if shared.has_cycle_ended() {
+                let since = *cycle_ended.get_or_insert_with(Instant::now);
+                let hangs = since.elapsed() > END_MAX;
+                hangs.then(exchange_does_not_end).map_or(Ok(()), Err)?;
+            } else {
                 self.watchdog.look(shared.beats(), Instant::now())?;
             }
             std::thread::sleep(LOOK_EVERY);
@@ -301,18 +311,21 @@ impl Supervisor {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
         }
-        let misses = summary.totals.deadline_misses + summary.totals.skipped_periods;
-        if misses > self.logged_misses && self.logged.elapsed() >= Duration::from_secs(1) {
+        if summary.verdict.deadline_miss || summary.skipped_periods > 0 {
+            self.late = Some(*summary);
+        }
+        if self.logged.elapsed() >= LATE_LINE_EVERY
+            && let Some(late) = self.late.take()
+        {
             self.logged = Instant::now();
-            self.logged_misses = misses;
-            let cause = LateCause::text_of(summary.late_cause);
+            let cause = LateCause::text_of(late.late_cause);
             tracing::warn!(
-                cycle = summary.cycle,
-                wake_us = summary.wake_ns / 1000,
-                response_us = summary.response_ns / 1000,
+                cycle = late.cycle,
+                wake_us = late.wake_ns / 1000,
+                response_us = late.response_ns / 1000,
                 cause,
-                deadline_misses = summary.totals.deadline_misses,
-                skipped_periods = summary.totals.skipped_periods,
+                deadline_misses = late.totals.deadline_misses,
+                skipped_periods = late.totals.skipped_periods,
                 "late: {cause}"
             );
         }
@@ -342,6 +355,16 @@ impl Supervisor {
         if let Err(error) = self.publisher.send_copy(self.status) {
             tracing::warn!(%error, "the status could not be published");
         }
+    }
+}
+
+fn exchange_does_not_end() -> Ended {
+    Ended {
+        cause: ExitCause::ExchangeHung,
+        message: format!(
+            "the exchange thread did not end within {} s; the robot rests, and the process ends without it",
+            END_MAX.as_secs()
+        ),
     }
 }
 
