@@ -4,13 +4,17 @@
 # and setpriv (util-linux).
 #
 # usage: packaging/measure-realtime.sh [SECONDS a run] [ROUNDS]
+# PROFILE=debug takes the programs of `cargo build`, to try the script; its figures say nothing.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 seconds=${1:-10}
 rounds=${2:-3}
-cdcrd=./target/release/cdcrd
-cdcrctl=./target/release/cdcrctl
-[ -x "$cdcrd" ] || { echo "build first: cargo build --release" >&2; exit 1; }
+programs=./target/${PROFILE:-release}
+cdcrd=$programs/cdcrd
+cdcrctl=$programs/cdcrctl
+for program in "$cdcrd" "$cdcrctl"; do
+  [ -x "$program" ] || { echo "$program is missing; build it first: cargo build --release" >&2; exit 1; }
+done
 [ "$(id -u)" = 0 ] || { echo "run it as root" >&2; exit 1; }
 folder=$(mktemp -d)
 export CDCR_ROOT=$folder/root CDCR_PREFIX=measure_$$_
@@ -44,7 +48,7 @@ run() { # load, step
   "$cdcrctl" ref line --velocity 0.001,0,-0.001 --duration "$((seconds + 5))s" --lead 1s --track >/dev/null 2>&1 &
   local feeder=$!
   sleep 1.5
-  "$cdcrctl" status --reset >/dev/null
+  "$cdcrctl" status --reset-statistics >/dev/null
   sleep "$seconds"
   "$cdcrctl" status --format json >"$folder/$1.$2.$3.json"
   kill "$daemon"

@@ -8,14 +8,14 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread::{Builder, JoinHandle, Thread};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 
-use crate::config::{LinkKind, RealtimeMode, Validated, ns};
+use crate::config::{LinkKind, REST_MAX_S, RealtimeMode, Validated, ns};
 use crate::cycle::{Cycle, Settings};
 use crate::exchange::{Exchange, UnfinishedFiles, services};
 use crate::exit::{Ended, ExitCause};
@@ -24,7 +24,9 @@ use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
 use crate::rt::clock::MonotonicClock;
 use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
-use crate::rt::privileges::{ThreadPlan, choose_core, keep_awake, lock_memory};
+use crate::rt::privileges::{
+    ThreadPlan, choose_core, keep_awake, lock_memory, stay_off_core,
+};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
 use crate::supervisor::Supervisor;
@@ -33,8 +35,10 @@ use crate::supervisor::Supervisor;
 const START_TIMEOUT: Duration = Duration::from_secs(10);
 /// Time between the last preparation and the first release \[ns\].
 const START_DELAY_NS: u64 = 10_000_000;
-/// Cycles that a robot has to come to rest when the process ends.
-const REST_CYCLES_MAX: u64 = 2_000;
+/// Time beyond the ramp itself \[s\].
+const REST_SLACK_S: f64 = 0.5;
+/// How long the threads of a start that failed may take to end.
+const GIVE_UP: Duration = Duration::from_secs(2);
 /// Stack of a real-time thread.
 const STACK_BYTES: usize = 2 * 1024 * 1024;
 
@@ -95,15 +99,15 @@ fn run_with<L: RobotLink + Send + 'static>(
     let missing = match arm(validated, [&exchange, &cycle]) {
         Ok(missing) => missing,
         Err(error) => {
-            // Both threads end when their starter goes, and clean up.
-            cycle.join()?;
-            exchange.join()?;
+            // Both threads end when their starter goes, and clean up. One that hangs is left behind.
+            give_up([cycle, exchange]);
             return Err(error);
         }
     };
     let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
     let core = choose_core(&validated.config.realtime).filter(|_| pinned);
     supervisor.set_realtime(missing, core, &clock);
+    stay_off_core(core);
     // Held open for the whole run: closing it gives the processor its sleep back.
     let _awake = keep_awake(&validated.config.realtime);
     let schedule = Schedule::new(
@@ -119,14 +123,43 @@ fn run_with<L: RobotLink + Send + 'static>(
         // A thread that ends by itself takes the process with it.
         if cycle.handle.is_finished() || exchange.handle.is_finished() {
             shared.end();
+        }
+        if cycle.handle.is_finished() {
             shared.set_cycle_ended();
         }
         cycle.handle.is_finished() && exchange.handle.is_finished()
     })?;
     cycle.join()?;
     exchange.join()?;
+    if shared.is_still_moving() {
+        bail!(Ended {
+            cause: ExitCause::NotAtRest,
+            message: format!(
+                "the robot was still commanded to move when the time to come to rest was over ({REST_MAX_S} s at \
+                 most): motion.deceleration_rad_s2 = {} is too small for its rates",
+                validated.config.motion.deceleration_rad_s2
+            ),
+        });
+    }
     tracing::info!("ended");
     Ok(())
+}
+
+/// Lets the threads of a start that failed end.
+fn give_up(threads: [Started; 2]) {
+    let handles = threads.map(|thread| thread.handle);
+    let begin = Instant::now();
+    while begin.elapsed() < GIVE_UP && !handles.iter().all(JoinHandle::is_finished) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Cycles that the robot has to come to rest: its longest ramp, and a little more.
+fn cycles_to_rest(validated: &Validated) -> u64 {
+    let rates = validated.robot.sections().iter().map(|s| s.rate_max_rad_s);
+    let ramp_s = rates.fold(0.0, f64::max) / validated.config.motion.deceleration_rad_s2;
+    let rest_s = (ramp_s + REST_SLACK_S).min(REST_MAX_S);
+    (rest_s * 1e3 / validated.config.cycle.period_ms).ceil() as u64
 }
 
 fn announce(validated: &Validated) {
@@ -224,13 +257,14 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
     let name = "cdcr-cycle";
     let (starter, stage) = start_stages();
     let shared = Arc::clone(shared);
+    let cycles_to_rest = cycles_to_rest(validated);
     let handle = Builder::new()
         .name(name.to_owned())
         .stack_size(STACK_BYTES)
         .spawn(move || {
+            let clock = MonotonicClock;
             shared.set_cycle_thread(this_thread());
-            if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up()) {
-                let clock = MonotonicClock;
+            if let Some(mut schedule) = stage.prepare(plan, || cycle.warm_up(&clock)) {
                 watch(&mut || {
                     run_cycles(
                         &mut cycle,
@@ -239,6 +273,7 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
                         &clock,
                         &shared,
                         &exchange,
+                        cycles_to_rest,
                     );
                 });
             }
@@ -261,8 +296,9 @@ pub fn run_cycles<L: RobotLink>(
     clock: &impl Clock,
     shared: &Shared,
     exchange: &Thread,
+    cycles_to_rest: u64,
 ) {
-    let mut cycles_to_rest = REST_CYCLES_MAX;
+    let mut cycles_to_rest = cycles_to_rest;
     while cycles_to_rest > 0 {
         let release = schedule.wait(clock);
         if shared.is_ending() {
@@ -281,6 +317,7 @@ pub fn run_cycles<L: RobotLink>(
         }
         exchange.unpark();
     }
+    shared.set_still_moving(!cycle.is_at_rest());
 }
 
 /// A thread that was started.

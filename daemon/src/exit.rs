@@ -1,6 +1,6 @@
 //! Why the process ends, as the number that a service manager sees.
 //!
-//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 and 81 are our own. The
+//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 to 82 are our own. The
 //! table in `docs/faults.md` says what to do about each.
 
 use std::process::ExitCode;
@@ -34,11 +34,13 @@ pub enum ExitCause {
     CycleHung,
     /// The exchange thread made no progress.
     ExchangeHung,
+    /// It was asked to end, and the robot did not come to rest in time.
+    NotAtRest,
 }
 
 impl ExitCause {
     /// Every cause.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Asked,
         Self::Other,
         Self::Usage,
@@ -50,6 +52,7 @@ impl ExitCause {
         Self::Configuration,
         Self::CycleHung,
         Self::ExchangeHung,
+        Self::NotAtRest,
     ];
 
     /// The exit status.
@@ -66,6 +69,7 @@ impl ExitCause {
             Self::Configuration => 78,
             Self::CycleHung => 80,
             Self::ExchangeHung => 81,
+            Self::NotAtRest => 82,
         }
     }
 

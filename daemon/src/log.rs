@@ -2,15 +2,23 @@
 //!
 //! Started by systemd, the standard error is the journal (`JOURNAL_STREAM` of `systemd.exec(5)` says so),
 //! and the lines go there with their fields: `reason` becomes `CDCR_REASON`. Anywhere else they are text on
-//! the standard error. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
+//! the standard error, which never makes anybody wait. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
 //! left out is counted and said. Counters in status and telemetry never pass through here.
 
+mod standard_error;
+
+use std::backtrace::{Backtrace, BacktraceStatus};
 use std::collections::HashMap;
-use std::io::IsTerminal;
+use std::fmt::Arguments;
+use std::io::{IsTerminal, Write};
+use std::panic::PanicHookInfo;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
+use iceoryx2::prelude::{LogLevel, set_log_level, set_logger};
+use iceoryx2_log::Log as ForeignLog;
 use rustix::fs::fstat;
+use standard_error::{Text, TextGuard};
 use tracing::callsite::Identifier;
 use tracing::{Event, Subscriber};
 use tracing_journald::{Priority, PriorityMappings};
@@ -24,22 +32,83 @@ pub const LINES_MAX: u32 = 20;
 /// Time in which lines are counted.
 pub const INTERVAL: Duration = Duration::from_secs(10);
 
-/// Sets the log of the process up. `RUST_LOG` chooses what is logged; without it, `info` and above.
-pub fn start() {
+/// The log of the process. It lives as long as the process, and is ended with [`Log::end`].
+#[derive(Debug)]
+#[must_use]
+pub struct Log {
+    text: Text,
+    guard: TextGuard,
+}
+
+impl Log {
+    /// Sets the log of the process up. `RUST_LOG` chooses what is logged; without it, `info` and above.
+    /// Errors of iceoryx2 are lines of it, and so are the words of a panic, in any thread.
+    pub fn start() -> Self {
+        let (text, guard) = Text::new();
+        start_lines(&text);
+        set_logger(&Iceoryx2);
+        set_log_level(LogLevel::Error);
+        let panics = text.clone();
+        std::panic::set_hook(Box::new(move |panic| say(&panics, &words(panic))));
+        Self { text, guard }
+    }
+
+    /// Writes a message to whoever started the process. It is on the standard error once the log has ended.
+    pub fn say(&self, message: &str) {
+        say(&self.text, message);
+    }
+
+    /// Writes what is still to be written, and waits for it 2 s at most: nobody may be reading.
+    pub fn end(self) {
+        self.guard.end();
+    }
+}
+
+fn start_lines(text: &Text) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     let log = tracing_subscriber::registry()
         .with(filter)
         .with(RateLimit::new(LINES_MAX, INTERVAL));
     let stream = std::env::var("JOURNAL_STREAM").ok();
     if !stream.is_some_and(|stream| is_standard_error(&stream)) {
-        return log.with(text()).init();
+        return log.with(lines(text)).init();
     }
     match journal() {
         Ok(journal) => log.with(journal).init(),
         Err(error) => {
-            log.with(text()).init();
+            log.with(lines(text)).init();
             tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
         }
+    }
+}
+
+fn say(text: &Text, message: &str) {
+    // It cannot fail: what nobody reads is counted.
+    let _ = text
+        .clone()
+        .write_all(format!("cdcrd: {message}\n").as_bytes());
+}
+
+/// What a panic says: thread, place, words; and how it came there, if `RUST_BACKTRACE` asks for it.
+fn words(panic: &PanicHookInfo<'_>) -> String {
+    let thread = std::thread::current();
+    let name = thread.name().unwrap_or("without a name");
+    let backtrace = Backtrace::capture();
+    if backtrace.status() == BacktraceStatus::Captured {
+        format!("the thread {name} {panic}\n{backtrace}")
+    } else {
+        format!("the thread {name} {panic}")
+    }
+}
+
+/// What iceoryx2 has to say.
+#[derive(Debug)]
+struct Iceoryx2;
+
+impl ForeignLog for Iceoryx2 {
+    fn log(&self, level: LogLevel, origin: Arguments<'_>, message: Arguments<'_>) {
+        // What is less than an error does not come here.
+        tracing::error!(?level, %origin, "iceoryx2: {message}");
     }
 }
 
@@ -67,9 +136,9 @@ fn journal() -> std::io::Result<tracing_journald::Layer> {
         .with_priority_mappings(priorities))
 }
 
-fn text<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
+fn lines<S: Subscriber + for<'a> LookupSpan<'a>>(text: &Text) -> impl Layer<S> + use<S> {
     tracing_subscriber::fmt::layer()
-        .with_writer(std::io::stderr)
+        .with_writer(text.clone())
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
 }
@@ -208,7 +277,8 @@ mod tests {
         let interval = Duration::from_millis(300);
         if std::env::var_os(CHILD).is_some() {
             let log = tracing_subscriber::registry().with(RateLimit::new(3, interval));
-            log.with(text()).init();
+            let (text, guard) = Text::new();
+            log.with(lines(&text)).init();
             for lines in [50, 50, 1] {
                 for line in 0..lines {
                     tracing::info!(line, "flood");
@@ -216,6 +286,7 @@ mod tests {
                 tracing::info!("a line of another place");
                 std::thread::sleep(interval);
             }
+            guard.end();
             return;
         }
         let output = Command::new(std::env::current_exe().unwrap())

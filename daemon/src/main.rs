@@ -1,20 +1,68 @@
 //! `cdcrd`: the process. Everything else is in the library.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
 
+use anyhow::Result;
 use cdcr_daemon::cli::{Cli, execute};
 use cdcr_daemon::exit::ExitCause;
-use cdcr_daemon::log;
+use cdcr_daemon::log::Log;
 use clap::Parser;
 
 fn main() -> ExitCode {
-    log::start();
-    iceoryx2::prelude::set_log_level(iceoryx2::prelude::LogLevel::Error);
-    match execute(Cli::parse()) {
-        Ok(status) => status,
-        Err(error) => {
-            eprintln!("cdcrd: {error:#}");
+    let cli = Cli::parse();
+    let log = Log::start();
+    let status = status_of(|| execute(cli), |message| log.say(message));
+    log.end();
+    status
+}
+
+/// Does `work`, and says what went wrong. A panic has said so itself.
+fn status_of(work: impl FnOnce() -> Result<ExitCode>, say: impl FnOnce(&str)) -> ExitCode {
+    // Nothing that the work left half done is looked at afterwards.
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(Ok(status)) => status,
+        Ok(Err(error)) => {
+            say(&format!("{error:#}"));
             ExitCause::of(&error).into()
         }
+        Err(_) => ExitCause::Panicked.into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use cdcr_daemon::exit::Ended;
+
+    use super::*;
+
+    /// The status, which has no equality, as text; and what was said.
+    fn end_of(work: impl FnOnce() -> Result<ExitCode>) -> (String, Vec<String>) {
+        let said = RefCell::<Vec<String>>::default();
+        let say = |message: &str| RefCell::borrow_mut(&said).push(message.to_owned());
+        let status = status_of(work, say);
+        (format!("{status:?}"), said.into_inner())
+    }
+
+    fn code(status: u8) -> String {
+        format!("{:?}", ExitCode::from(status))
+    }
+
+    #[test]
+    fn a_panic_of_the_main_thread_ends_with_70_and_is_not_said_twice() {
+        assert_eq!(end_of(|| panic!("a test of panics")), (code(70), vec![]));
+    }
+
+    #[test]
+    fn an_error_is_said_once_and_ends_with_its_own_number() {
+        let ended = Ended {
+            cause: ExitCause::CycleHung,
+            message: "it hangs".to_owned(),
+        };
+        let end = end_of(|| Err(anyhow::Error::new(ended).context("the loop")));
+        assert_eq!(end, (code(80), vec!["the loop: it hangs".to_owned()]));
+        assert_eq!(end_of(|| Ok(ExitCode::SUCCESS)), (code(0), vec![]));
     }
 }

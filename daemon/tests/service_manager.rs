@@ -5,12 +5,14 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
+use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_daemon::exit::ExitCause;
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
 use tempfile::TempDir;
 
@@ -29,6 +31,11 @@ struct Manager {
 
 impl Manager {
     fn start(name: &str) -> Self {
+        Self::start_onto(name, Stdio::null())
+    }
+
+    /// Starts the daemon with this standard error.
+    fn start_onto(name: &str, stderr: impl Into<Stdio>) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
@@ -38,6 +45,8 @@ impl Manager {
             .env("NOTIFY_SOCKET", &path)
             .env("WATCHDOG_USEC", "200000")
             .env_remove("WATCHDOG_PID")
+            .env("RUST_LOG", "debug")
+            .stderr(stderr)
             .spawn()
             .unwrap();
         Self {
@@ -67,14 +76,21 @@ impl Manager {
 
     fn end(&mut self) -> ExitStatus {
         kill_process(Pid::from_child(&self.daemon), Signal::TERM).unwrap();
-        let begin = Instant::now();
-        loop {
-            if let Some(status) = self.daemon.try_wait().unwrap() {
-                return status;
-            }
-            assert!(begin.elapsed() < PATIENCE, "the daemon does not end");
-            std::thread::sleep(Duration::from_millis(5));
+        wait(&mut self.daemon)
+    }
+}
+
+fn wait(daemon: &mut Child) -> ExitStatus {
+    let begin = Instant::now();
+    loop {
+        if let Some(status) = daemon.try_wait().unwrap() {
+            return status;
         }
+        if begin.elapsed() > PATIENCE {
+            let _ = daemon.kill();
+            panic!("the daemon does not end");
+        }
+        std::thread::sleep(Duration::from_millis(5));
     }
 }
 
@@ -113,6 +129,21 @@ fn cdcrd(folder: &Path, prefix: &str) -> Command {
         .stdout(Stdio::null())
         .stderr(Stdio::null());
     command
+}
+
+/// A pipe that takes nothing more, and that nobody reads.
+fn full_pipe() -> (PipeReader, PipeWriter) {
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    let full = loop {
+        if let Err(error) = writer.write(&[b' '; 4096]) {
+            break error;
+        }
+    };
+    assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
+    fcntl_setfl(&writer, flags).unwrap();
+    (reader, writer)
 }
 
 fn count(heard: &[String], what: &str) -> usize {
@@ -182,6 +213,31 @@ fn a_daemon_that_cannot_start_is_never_ready() {
 }
 
 #[test]
+fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
+    let (_reader, writer) = full_pipe();
+    let mut manager = Manager::start_onto("unread", writer);
+    manager.hear_until("READY=1");
+    for _ in 0..3 {
+        manager.hear_until("STATUS=");
+        manager.hear_until("WATCHDOG=1");
+    }
+    assert!(manager.end().success());
+}
+
+#[test]
+fn a_failure_whose_message_nobody_reads_ends_the_process_with_its_status() {
+    let (_reader, writer) = full_pipe();
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = format!("cdcrtest_mute_{}_", std::process::id());
+    let mut daemon = cdcrd(folder.path(), &prefix)
+        .args(["--set", "cycle.period_ms=-1"])
+        .stderr(writer)
+        .spawn()
+        .unwrap();
+    assert_eq!(wait(&mut daemon).code(), Some(78));
+}
+
+#[test]
 fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
     let unit = include_str!("../../packaging/cdcrd.service");
     let line = unit
@@ -200,4 +256,17 @@ fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
         ExitCause::Configuration,
     ];
     assert_eq!(named, hopeless.map(ExitCause::code));
+}
+
+#[test]
+fn the_unit_starts_a_daemon_again_that_is_killed_fifty_times_in_a_row() {
+    let unit = include_str!("../../packaging/cdcrd.service");
+    let value = |key: &str| {
+        unit.lines()
+            .find_map(|line| line.strip_prefix(key))
+            .unwrap()
+    };
+    let starts: u32 = value("StartLimitBurst=").parse().unwrap();
+    assert!(starts > 50, "the first start, and one after each kill");
+    assert_eq!(value("RestartSec="), "100ms");
 }

@@ -263,6 +263,8 @@ wire_enum! {
         WrongRobot = 19: "the message belongs to another robot",
         /// A stop came in the same cycle, and stop wins.
         Overruled = 20: "a stop came in the same cycle",
+        /// The daemon ends.
+        Ending = 21: "the daemon ends",
     }
 }
 
@@ -472,7 +474,7 @@ pub mod realtime {
         (
             FIFO,
             "SCHED_FIFO",
-            "run as root, or set RLIMIT_RTPRIO (limits.conf: rtprio 80)",
+            "run as the service, or grant rtprio 90 (limits.d, or --ulimit in a container)",
         ),
         (
             PINNED,
@@ -482,7 +484,7 @@ pub mod realtime {
         (
             LOCKED,
             "locked memory",
-            "run as root, or set RLIMIT_MEMLOCK to unlimited (limits.conf: memlock unlimited)",
+            "run as the service, or grant memlock unlimited (limits.d, or --ulimit in a container)",
         ),
         (
             OFF,
@@ -503,7 +505,7 @@ mod tests {
         }
         assert_eq!(
             Outcome::try_from(Outcome::COUNT as u32),
-            Err(UnknownCode { code: 21 })
+            Err(UnknownCode { code: 22 })
         );
         assert_eq!(Mode::text_of(77), "unknown code");
     }

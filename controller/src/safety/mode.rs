@@ -124,6 +124,9 @@ pub enum Refusal {
     /// A stop came in the same cycle.
     #[error("a stop came in the same cycle")]
     Overruled,
+    /// The process ends.
+    #[error("the process ends")]
+    Ending,
 }
 
 /// The reference lease, as a cycle sees it.
@@ -160,6 +163,7 @@ pub struct Observation {
 pub struct ModeMachine {
     mode: Mode,
     faults: u64,
+    ends: bool,
 }
 
 impl ModeMachine {
@@ -198,10 +202,14 @@ impl ModeMachine {
     /// # Errors
     /// [`Refusal`]; the mode is then unchanged.
     pub fn request(&mut self, request: Request, seen: &Observation) -> Result<(), Refusal> {
+        if self.ends && request != Request::Stop {
+            return Err(Refusal::Ending);
+        }
         match (request, self.mode) {
-            (Request::Stop, Mode::Faulted { .. }) | (Request::Reset, Mode::Holding { .. }) => {
-                Ok(())
-            }
+            // What has stopped already keeps its first reason.
+            (Request::Stop, Mode::Faulted { .. } | Mode::Stopped { .. })
+            | (Request::Reset, Mode::Holding { .. })
+            | (Request::Track, Mode::Tracking { .. }) => Ok(()),
             (Request::Stop, _) => {
                 self.mode = Mode::Stopped {
                     reason: Reason::Request,
@@ -213,7 +221,6 @@ impl ModeMachine {
                 self.hold(Reason::Request);
                 Ok(())
             }
-            (Request::Track, Mode::Tracking { .. }) => Ok(()),
             (Request::Track, Mode::Holding { .. }) => self.track(seen),
             (Request::Home, Mode::Holding { .. } | Mode::Homing) => {
                 self.mode = Mode::Homing;
@@ -239,6 +246,7 @@ impl ModeMachine {
         requests.map(|asked| {
             asked.map(|request| match request {
                 Request::Stop => Ok(()),
+                _ if self.ends => Err(Refusal::Ending),
                 _ if stops => Err(Refusal::Overruled),
                 request => self.request(request, seen),
             })
@@ -253,8 +261,9 @@ impl ModeMachine {
         }
     }
 
-    /// The process ends: come to rest. A fault keeps its cause.
+    /// The process ends: come to rest, and stay there whatever is asked. A fault keeps its cause.
     pub fn shut_down(&mut self) {
+        self.ends = true;
         if !matches!(self.mode, Mode::Faulted { .. }) {
             self.mode = Mode::Stopped {
                 reason: Reason::Shutdown,
@@ -323,7 +332,10 @@ mod tests {
     }
 
     fn machine(mode: Mode) -> ModeMachine {
-        ModeMachine { mode, faults: 0 }
+        ModeMachine {
+            mode,
+            ..ModeMachine::default()
+        }
     }
 
     fn after(mode: Mode, seen: Observation) -> Mode {
@@ -497,6 +509,48 @@ mod tests {
                 assert_eq!(answers, [Some(Err(Refusal::Overruled)), None]);
             }
         }
+    }
+
+    #[test]
+    fn nothing_moves_a_robot_whose_daemon_ends() {
+        let faulted = Mode::Faulted {
+            reason: Reason::NonFinite,
+        };
+        for mode in [
+            Mode::Starting,
+            HOLDING,
+            Mode::Tracking { begun: true },
+            Mode::Homing,
+            faulted,
+        ] {
+            let mut machine = machine(mode);
+            machine.shut_down();
+            let rests = machine.mode();
+            assert!(machine.is_latched());
+            let all = [
+                Request::Reset,
+                Request::Track,
+                Request::Home,
+                Request::Hold,
+                Request::Stop,
+            ];
+            let answers = machine.requests(&all.map(Some), false, &good());
+            for request in all {
+                let alone = machine.request(request, &good());
+                assert_eq!(alone.is_ok(), request == Request::Stop);
+            }
+            machine.observe(&good());
+            assert_eq!(machine.mode(), rests);
+            assert_eq!(answers[0], Some(Err(Refusal::Ending)));
+        }
+    }
+
+    #[test]
+    fn what_has_stopped_keeps_its_first_reason() {
+        let late = Mode::Stopped {
+            reason: Reason::DeadlineMisses,
+        };
+        assert_eq!(asked(late, Request::Stop, good()), Ok(late));
     }
 
     #[test]

@@ -1,18 +1,15 @@
-use nalgebra::Vector3;
-
 use crate::estimator::Measurement;
-use crate::robot::{BendRates, Configuration, Robot};
+use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Robot};
 
 /// What a robot cannot do, so that its measurement must be wrong.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PlausibilityRules {
-    /// A bend-vector component may differ from the measurement before by this much, beyond what the
-    /// largest rate can do meanwhile \[rad\].
+    /// A bend-vector component may be this far from where its largest rate can have brought it \[rad\].
     pub jump_rad: f64,
     /// So many jumps in a row are a fault.
     pub jump_limit: u32,
-    /// A measurement that stays the same in every bit while a component is commanded to move this far is
-    /// frozen \[rad\].
+    /// A component that stays the same in every bit while it is commanded to move this far, net, is frozen
+    /// \[rad\].
     pub frozen_rad: f64,
 }
 
@@ -29,26 +26,40 @@ pub enum Plausibility {
     Frozen,
 }
 
-/// Compares each measurement with the one of its kind before.
+/// Compares each measurement with those of its kind before.
 ///
 /// A sensor that lost its count, a swapped cable or a driver that repeats old values with new stamps shows
 /// here, and nowhere else: its numbers are finite, fresh and within the limits.
 #[derive(Debug, Clone)]
 pub struct MeasurementWatch {
     rules: PlausibilityRules,
-    /// The last good one of the bends, and of the tip position.
-    bends: Option<Seen<Configuration>>,
-    tip: Option<Seen<Vector3<f64>>>,
+    /// Where the bends, and the tip position, can have gone.
+    bends: Option<Track>,
+    tip: Option<Track>,
     jumps: u32,
+    /// The way of every bend component since the beginning: the sum of rate · time, with its sign \[rad\].
+    commanded_rad: [f64; COORDINATES_MAX],
+    still: Option<Still>,
 }
 
-/// A measurement that was good.
+/// A point that follows the measurements, but no faster than the robot can.
+///
+/// The true value moves no faster either. So while each measurement is within ε of the truth, the point is,
+/// too, and a measurement is never farther than 2ε from it, however often it changes: noise adds nothing up.
+/// Behind what moves too fast the point falls back, until the distance is a jump.
 #[derive(Debug, Clone, Copy)]
-struct Seen<T> {
-    value: T,
+struct Track {
+    /// Bend components \[rad\], or the coordinates of the tip \[m\].
+    point: [f64; COORDINATES_MAX],
     measured_ns: u64,
-    /// How far the farthest component was commanded to move since the value last changed \[rad\].
-    commanded_rad: f64,
+}
+
+/// The last good measurement, and since when each of its channels is the same.
+#[derive(Debug, Clone, Copy)]
+struct Still {
+    measurement: Measurement,
+    /// The commanded way of each channel when it last changed \[rad\].
+    changed_at_rad: [f64; CABLES_MAX],
 }
 
 impl MeasurementWatch {
@@ -59,6 +70,8 @@ impl MeasurementWatch {
             bends: None,
             tip: None,
             jumps: 0,
+            commanded_rad: [0.0; COORDINATES_MAX],
+            still: None,
         }
     }
 
@@ -69,16 +82,8 @@ impl MeasurementWatch {
 
     /// The robot was commanded to move at `rates` for `elapsed_s`.
     pub fn commanded(&mut self, rates: &BendRates, elapsed_s: f64) {
-        let fastest = rates
-            .as_slice()
-            .iter()
-            .fold(0.0, |most, r| r.abs().max(most));
-        let way_rad = fastest * elapsed_s;
-        if let Some(seen) = &mut self.bends {
-            seen.commanded_rad += way_rad;
-        }
-        if let Some(seen) = &mut self.tip {
-            seen.commanded_rad += way_rad;
+        for (way_rad, rate) in self.commanded_rad.iter_mut().zip(rates.as_slice()) {
+            *way_rad += rate * elapsed_s;
         }
     }
 
@@ -92,103 +97,157 @@ impl MeasurementWatch {
         measurement: &Measurement,
         measured_ns: u64,
     ) -> Plausibility {
-        let rules = self.rules;
-        let verdict = match measurement {
+        if !self.follow(robot, measurement, measured_ns) {
+            self.jumps = self.jumps.saturating_add(1);
+            if self.jumps < self.rules.jump_limit {
+                return Plausibility::Jump;
+            }
+            *self = Self::new(self.rules);
+            return Plausibility::Lost;
+        }
+        self.jumps = 0;
+        if self.is_frozen(robot, measurement) {
+            return Plausibility::Frozen;
+        }
+        Plausibility::Good
+    }
+
+    /// Takes the measurement into its track, or says that it jumps.
+    fn follow(&mut self, robot: &Robot, measurement: &Measurement, measured_ns: u64) -> bool {
+        let jump_rad = self.rules.jump_rad;
+        let rate_of = |k: usize| robot.sections()[k / 2].rate_max_rad_s;
+        match measurement {
             Measurement::Configuration(bends) => {
-                let jumps = |before: &_, elapsed_s| jumps(robot, &rules, before, bends, elapsed_s);
-                judge(&mut self.bends, bends, measured_ns, &rules, jumps)
+                let bends = bends.as_slice();
+                follow(&mut self.bends, bends, measured_ns, jump_rad, rate_of)
             }
             Measurement::CableLengths(lengths) => {
                 let bends = robot.bend_from_cable_lengths(lengths);
-                let jumps = |before: &_, elapsed_s| jumps(robot, &rules, before, &bends, elapsed_s);
-                judge(&mut self.bends, &bends, measured_ns, &rules, jumps)
+                let bends = bends.as_slice();
+                follow(&mut self.bends, bends, measured_ns, jump_rad, rate_of)
             }
             Measurement::TipPosition(tip_m) => {
-                let jumps = |before: &Vector3<f64>, elapsed_s| {
-                    (tip_m - before).norm() > tip_way_m(robot, &rules, elapsed_s)
-                };
-                judge(&mut self.tip, tip_m, measured_ns, &rules, jumps)
+                let (speed_m_s, jump_m) = (tip_speed_m_s(robot), jump_rad * hanging_m(robot, 0));
+                let tip_m = tip_m.as_slice();
+                follow(&mut self.tip, tip_m, measured_ns, jump_m, |_| speed_m_s)
             }
-        };
-        self.jumps = match verdict {
-            Plausibility::Jump => self.jumps.saturating_add(1),
-            _ => 0,
-        };
-        if self.jumps < rules.jump_limit {
-            return verdict;
         }
-        *self = Self::new(rules);
-        Plausibility::Lost
+    }
+
+    /// Whether a channel is the same though it should have moved. Keeps the measurement.
+    fn is_frozen(&mut self, robot: &Robot, measurement: &Measurement) -> bool {
+        let ways_rad = channel_ways_rad(robot, measurement, &self.commanded_rad);
+        let mut still = Still {
+            measurement: *measurement,
+            changed_at_rad: ways_rad,
+        };
+        let mut is_frozen = false;
+        if let Some(before) = &self.still {
+            for (channel, way_rad) in ways_rad.iter().enumerate() {
+                if is_same(&before.measurement, measurement, channel) {
+                    still.changed_at_rad[channel] = before.changed_at_rad[channel];
+                    let moved_rad = way_rad - before.changed_at_rad[channel];
+                    is_frozen |= moved_rad.abs() > self.rules.frozen_rad;
+                }
+            }
+        }
+        if is_frozen {
+            // Said once: a robot at rest does not change, and could never prove that it is measured again.
+            still.changed_at_rad = ways_rad;
+        }
+        self.still = Some(still);
+        is_frozen
     }
 }
 
-/// Judges `value` against the last good one, and keeps it if it is good.
-fn judge<T: Copy + PartialEq>(
-    last: &mut Option<Seen<T>>,
-    value: &T,
+/// Moves the track towards `values`, each component by its largest rate at most. False, and nothing moved, where
+/// one of them is more than `tolerance` farther than that, or not a number. The first values are believed.
+fn follow(
+    track: &mut Option<Track>,
+    values: &[f64],
     measured_ns: u64,
-    rules: &PlausibilityRules,
-    jumps: impl Fn(&T, f64) -> bool,
-) -> Plausibility {
-    let fresh = Seen {
-        value: *value,
-        measured_ns,
-        commanded_rad: 0.0,
-    };
-    let Some(before) = last else {
-        *last = Some(fresh);
-        return Plausibility::Good;
+    tolerance: f64,
+    rate_of: impl Fn(usize) -> f64,
+) -> bool {
+    let Some(before) = track else {
+        let mut point = [0.0; COORDINATES_MAX];
+        for (point, value) in point.iter_mut().zip(values) {
+            *point = *value;
+        }
+        *track = Some(Track { point, measured_ns });
+        return true;
     };
     let elapsed_s = measured_ns.saturating_sub(before.measured_ns) as f64 * 1e-9;
-    if jumps(&before.value, elapsed_s) {
-        return Plausibility::Jump;
+    let mut point = before.point;
+    for (k, (point, value)) in point.iter_mut().zip(values).enumerate() {
+        let (gap, way) = (value - *point, rate_of(k) * elapsed_s);
+        if gap.is_nan() || gap.abs() > tolerance + way {
+            return false;
+        }
+        *point += gap.clamp(-way, way);
     }
-    if before.value != *value {
-        *before = fresh;
-        return Plausibility::Good;
-    }
-    before.measured_ns = measured_ns;
-    if before.commanded_rad <= rules.frozen_rad {
-        return Plausibility::Good;
-    }
-    // Said once: a robot at rest does not change, and could never prove that it is measured again.
-    before.commanded_rad = 0.0;
-    Plausibility::Frozen
+    *before = Track { point, measured_ns };
+    true
 }
 
-/// Whether a component moved farther than its section can. Not a number jumps, too.
-fn jumps(
+/// The commanded way of every channel of such a measurement \[rad\]: of a bend component its own; of a cable
+/// what moves it, over its distance from the backbone; of a tip, which moves with all, those of all components.
+fn channel_ways_rad(
     robot: &Robot,
-    rules: &PlausibilityRules,
-    before: &Configuration,
-    now: &Configuration,
-    elapsed_s: f64,
-) -> bool {
-    robot.sections().iter().enumerate().any(|(j, section)| {
-        let way_rad = rules.jump_rad + section.rate_max_rad_s * elapsed_s;
-        let (before, now) = (before.section(j), now.section(j));
-        let stays = |k: usize| (now[k] - before[k]).abs() <= way_rad;
-        !(stays(0) && stays(1))
-    })
+    measurement: &Measurement,
+    commanded_rad: &[f64; COORDINATES_MAX],
+) -> [f64; CABLES_MAX] {
+    let commanded_rad = &commanded_rad[..2 * robot.section_count()];
+    if let Measurement::CableLengths(_) = measurement {
+        // Linear: a way instead of a rate gives a way instead of a speed.
+        let mut ways = robot.cable_speeds(commanded_rad);
+        let (cables, _) = ways.as_chunks_mut::<3>();
+        for (cables, section) in cables.iter_mut().zip(robot.sections()) {
+            *cables = cables.map(|way_m| way_m / section.cable_radius_m);
+        }
+        return ways;
+    }
+    let mut ways_rad = [0.0; CABLES_MAX];
+    for (way_rad, commanded_rad) in ways_rad.iter_mut().zip(commanded_rad) {
+        *way_rad = *commanded_rad;
+    }
+    ways_rad
 }
 
-/// How far the tip can move while every component moves as far as is allowed \[m\]. A section that bends by
-/// δ turns all that follows it by δ at most, so the tip moves by no more than δ times what hangs on its
-/// base; the two components of a section make √2.
-fn tip_way_m(robot: &Robot, rules: &PlausibilityRules, elapsed_s: f64) -> f64 {
-    let sections = robot.sections();
-    let ways = sections.iter().enumerate().map(|(j, section)| {
-        let hanging_m: f64 = sections[j..].iter().map(|s| s.length_m).sum();
-        let way_rad = rules.jump_rad + section.rate_max_rad_s * elapsed_s;
-        core::f64::consts::SQRT_2 * way_rad * hanging_m
-    });
-    ways.sum()
+/// Whether a channel is what it was. A tip position counts as a whole: its one value is in every channel.
+fn is_same(before: &Measurement, now: &Measurement, channel: usize) -> bool {
+    match (before, now) {
+        (Measurement::Configuration(before), Measurement::Configuration(now)) => {
+            before.as_slice().get(channel) == now.as_slice().get(channel)
+        }
+        (Measurement::CableLengths(before), Measurement::CableLengths(now)) => {
+            before.get(channel) == now.get(channel)
+        }
+        (Measurement::TipPosition(before), Measurement::TipPosition(now)) => before == now,
+        _ => false,
+    }
+}
+
+/// The length that hangs on the base of section `j` \[m\]: a bend of δ in it moves the tip by no more than δ times
+/// that, because it turns all that follows by δ at most.
+fn hanging_m(robot: &Robot, j: usize) -> f64 {
+    robot.sections()[j..].iter().map(|s| s.length_m).sum()
+}
+
+/// A speed that the tip cannot exceed \[m/s\]: all components at their largest rates, and each moves the tip as
+/// far as it can. The two components of a section make √2.
+fn tip_speed_m_s(robot: &Robot) -> f64 {
+    let sections = robot.sections().iter().enumerate();
+    let speeds = sections.map(|(j, section)| section.rate_max_rad_s * hanging_m(robot, j));
+    core::f64::consts::SQRT_2 * speeds.sum::<f64>()
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Vector3;
+
     use super::*;
-    use crate::robot::{CABLES_MAX, RobotParameters};
+    use crate::robot::{Configuration, RobotParameters};
 
     const MS: u64 = 1_000_000;
     const RULES: PlausibilityRules = PlausibilityRules {
@@ -218,13 +277,14 @@ mod tests {
             watch.judge(&robot, &measured(0.119), 10 * MS),
             Plausibility::Good
         );
+        // The tolerance is not granted anew: 20 ms are 0.04 rad.
         assert_eq!(
-            watch.judge(&robot, &measured(0.24), 20 * MS),
+            watch.judge(&robot, &measured(0.141), 20 * MS),
             Plausibility::Jump
         );
-        // Left out: the next one is compared with the last good one.
+        // Left out: the next one is compared with what was good.
         assert_eq!(
-            watch.judge(&robot, &measured(0.12), 30 * MS),
+            watch.judge(&robot, &measured(0.159), 30 * MS),
             Plausibility::Good
         );
         assert_eq!(
@@ -268,15 +328,114 @@ mod tests {
         }
     }
 
+    /// Numbers from -1 to 1 without a pattern, the same in each run.
+    fn noise() -> impl FnMut() -> f64 {
+        let mut state = 1_u64;
+        move || {
+            state = state
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1_442_695_040_888_963_407);
+            (state >> 32) as f64 / f64::from(1_u32 << 31) - 1.0
+        }
+    }
+
+    /// The rules that a daemon has unless configured.
+    fn usual() -> MeasurementWatch {
+        MeasurementWatch::new(PlausibilityRules {
+            jump_rad: 0.2,
+            jump_limit: 3,
+            frozen_rad: 0.2,
+        })
+    }
+
+    #[test]
+    fn noise_never_jumps_whether_the_robot_rests_or_moves_as_fast_as_it_can() {
+        let (robot, mut noise) = (robot(), noise());
+        for rate_rad_s in [0.0, 2.0] {
+            let (mut watch, mut u, mut rate) = (usual(), 0.0, rate_rad_s);
+            for cycle in 0..20_000 {
+                u += rate * 5e-3;
+                if f64::abs(u) > 2.0 {
+                    rate = -rate;
+                }
+                let verdict = watch.judge(&robot, &measured(u + 0.05 * noise()), cycle * 5 * MS);
+                assert_eq!(verdict, Plausibility::Good, "{cycle}");
+            }
+            // The worst noise: from one end to the other each time.
+            for cycle in 20_000..21_000 {
+                u += rate * 5e-3;
+                let end = if cycle % 2 == 0 { 0.05 } else { -0.05 };
+                let verdict = watch.judge(&robot, &measured(u + end), cycle * 5 * MS);
+                assert_eq!(verdict, Plausibility::Good, "{cycle}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_ramp_faster_than_the_robot_is_noticed_before_it_is_ahead_by_more_than_the_tolerance() {
+        let robot = robot();
+        // What is measured often, seldom, late and irregularly.
+        let stamps_ms: [fn(u64) -> u64; 4] = [
+            |i| 5 * i,
+            |i| 40 * i,
+            |i| i,
+            |i| 5 * i + [0, 4, 1, 30][i as usize % 4],
+        ];
+        for stamp_ms in stamps_ms {
+            for rate_rad_s in [3.0, 6.0, 42.0, -3.0] {
+                let (mut watch, mut ahead_rad, mut last_ms) = (usual(), 0.0, 0);
+                let mut stamps: Vec<u64> = (0..500).map(stamp_ms).collect();
+                stamps.sort_unstable();
+                let noticed = stamps.into_iter().find(|&ms| {
+                    let s = ms as f64 * 1e-3;
+                    let verdict = watch.judge(&robot, &measured(rate_rad_s * s), ms * MS);
+                    if verdict == Plausibility::Good {
+                        ahead_rad = (f64::abs(rate_rad_s) - 2.0) * s;
+                        last_ms = ms;
+                    }
+                    verdict == Plausibility::Lost
+                });
+                assert!(ahead_rad <= 0.2 + 1e-9, "{rate_rad_s}: {ahead_rad}");
+                assert!(noticed.is_some(), "{rate_rad_s} after {last_ms} ms");
+            }
+        }
+    }
+
+    #[test]
+    fn late_and_irregular_measurements_of_a_robot_at_its_largest_rate_are_good() {
+        let (robot, mut watch, mut noise) = (robot(), usual(), noise());
+        let mut ms = 0;
+        while ms < 60_000 {
+            let u = (ms as f64 * 1e-3 * 2.0).rem_euclid(8.0);
+            let triangle = if u < 4.0 { u - 2.0 } else { 6.0 - u };
+            let verdict = watch.judge(&robot, &measured(triangle), ms * MS);
+            assert_eq!(verdict, Plausibility::Good, "{ms}");
+            ms += 1 + (noise().abs().powi(4) * 400.0) as u64;
+        }
+    }
+
+    #[test]
+    fn a_step_is_noticed_at_once_in_every_component() {
+        let robot = robot();
+        for k in 0..4 {
+            let mut watch = usual();
+            let mut stepped = bends(0.0);
+            watch.judge(&robot, &Measurement::Configuration(stepped), 0);
+            stepped.as_mut_slice()[k] += 0.25;
+            let verdict = watch.judge(&robot, &Measurement::Configuration(stepped), 5 * MS);
+            assert_eq!(verdict, Plausibility::Jump, "{k}");
+        }
+    }
+
+    fn cables(robot: &Robot, bends: &Configuration) -> [f64; CABLES_MAX] {
+        robot.cable_lengths(bends.as_slice())
+    }
+
     #[test]
     fn cables_are_compared_with_bends_and_the_tip_with_itself() {
         let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
         watch.judge(&robot, &measured(0.0), 0);
-        let cables = |u| -> Measurement {
-            let mut lengths = [0.0; CABLES_MAX];
-            lengths.copy_from_slice(&robot.cable_lengths(bends(u).as_slice()));
-            Measurement::CableLengths(lengths)
-        };
+        let cables = |u| Measurement::CableLengths(cables(&robot, &bends(u)));
         assert_eq!(watch.judge(&robot, &cables(0.05), MS), Plausibility::Good);
         assert_eq!(
             watch.judge(&robot, &cables(0.5), 2 * MS),
@@ -287,6 +446,121 @@ mod tests {
         assert_eq!(watch.judge(&robot, &tip(0.06), 4 * MS), Plausibility::Good);
         let far = Measurement::TipPosition(Vector3::new(0.5, 0.0, 0.0));
         assert_eq!(watch.judge(&robot, &far, 5 * MS), Plausibility::Jump);
+    }
+
+    #[test]
+    fn a_tip_may_step_by_what_one_jump_at_the_base_makes_and_no_farther() {
+        let robot = robot();
+        let step = |step_m: f64| {
+            let mut watch = usual();
+            let tip_m = robot.tip_position(bends(0.0).as_slice());
+            watch.judge(&robot, &Measurement::TipPosition(tip_m), 0);
+            let stepped = Measurement::TipPosition(tip_m + Vector3::new(0.0, step_m, 0.0));
+            watch.judge(&robot, &stepped, 1)
+        };
+        let jump_m = 0.2 * robot.sections().iter().map(|s| s.length_m).sum::<f64>();
+        assert_eq!(step(jump_m * 0.999), Plausibility::Good);
+        assert_eq!(step(jump_m * 1.001), Plausibility::Jump);
+    }
+
+    #[test]
+    fn a_tip_of_a_robot_at_its_largest_rates_is_good() {
+        let (robot, mut watch) = (robot(), usual());
+        for ms in 0..2000 {
+            let bend = 2.0 * (ms as f64 * 1e-3) - 2.0;
+            let tip_m = robot.tip_position(&[bend, -bend, bend, bend]);
+            let verdict = watch.judge(&robot, &Measurement::TipPosition(tip_m), ms * MS);
+            assert_eq!(verdict, Plausibility::Good, "{ms}");
+        }
+    }
+
+    #[test]
+    fn corrections_that_cancel_out_freeze_nothing() {
+        let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
+        for cycle in 0..2000 {
+            let rate = if cycle % 2 == 0 { 2.0 } else { -2.0 };
+            let rates = BendRates::from_slice(&[rate, -rate, rate, 0.0]).unwrap();
+            watch.commanded(&rates, 5e-3);
+            let verdict = watch.judge(&robot, &measured(0.2), cycle * 5 * MS);
+            assert_eq!(verdict, Plausibility::Good, "{cycle}");
+        }
+        // Ways of different components are not added up: 0.039 rad each, and 0.01 left.
+        let each = BendRates::from_slice(&[1.0, 1.0, -1.0, 1.0]).unwrap();
+        watch.commanded(&each, 0.039);
+        assert_eq!(
+            watch.judge(&robot, &measured(0.2), 10_001 * MS),
+            Plausibility::Good
+        );
+    }
+
+    /// All components are commanded at 1 rad/s and measured so, all but what `freeze` does to it; the
+    /// millisecond in which that was noticed, of 100.
+    fn frozen_after_ms(
+        robot: &Robot,
+        mut measure: impl FnMut(Configuration) -> Measurement,
+    ) -> Option<u64> {
+        let mut watch = MeasurementWatch::new(RULES);
+        let rates = BendRates::from_slice(&[1.0, -1.0, 1.0, 1.0]).unwrap();
+        let mut bends = bends(0.2);
+        watch.judge(robot, &measure(bends), 0);
+        (1..=100).find(|ms| {
+            watch.commanded(&rates, 1e-3);
+            bends = bends.advanced(&rates, 1e-3);
+            watch.judge(robot, &measure(bends), ms * MS) == Plausibility::Frozen
+        })
+    }
+
+    #[test]
+    fn a_single_component_that_stands_still_is_noticed_and_none_is_where_all_move() {
+        let robot = robot();
+        let first = bends(0.2);
+        for k in 0..4 {
+            let noticed = frozen_after_ms(&robot, |mut bends| {
+                bends.as_mut_slice()[k] = first.as_slice()[k];
+                Measurement::Configuration(bends)
+            });
+            assert!(matches!(noticed, Some(50..=51)), "{k}: {noticed:?}");
+        }
+        let all_move = frozen_after_ms(&robot, Measurement::Configuration);
+        assert_eq!(all_move, None);
+    }
+
+    #[test]
+    fn a_single_cable_that_stands_still_is_noticed_once_its_length_should_have_changed() {
+        let robot = robot();
+        let first = cables(&robot, &bends(0.2));
+        for cable in 0..6 {
+            let (mut moved_m, mut judged_m) = (0.0_f64, 0.0);
+            let noticed = frozen_after_ms(&robot, |bends| {
+                let mut lengths = cables(&robot, &bends);
+                judged_m = moved_m;
+                moved_m = (lengths[cable] - first[cable]).abs();
+                lengths[cable] = first[cable];
+                Measurement::CableLengths(lengths)
+            });
+            let allowed_m = 0.05 * robot.sections()[cable / 3].cable_radius_m;
+            assert_eq!(noticed.is_some(), moved_m > allowed_m, "{cable}");
+            assert!(judged_m <= allowed_m + 1e-12, "{cable}");
+        }
+        let all_move = frozen_after_ms(&robot, |bends| {
+            Measurement::CableLengths(cables(&robot, &bends))
+        });
+        assert_eq!(all_move, None);
+    }
+
+    #[test]
+    fn a_tip_that_stands_still_is_noticed_as_a_whole() {
+        let robot = robot();
+        let at = |bends: Configuration| robot.tip_position(bends.as_slice());
+        let first = at(bends(0.2));
+        let noticed = frozen_after_ms(&robot, |_| Measurement::TipPosition(first));
+        assert!(matches!(noticed, Some(50..=51)), "{noticed:?}");
+        // One coordinate that does not change may be right.
+        let noticed = frozen_after_ms(&robot, |bends| {
+            let now = at(bends);
+            Measurement::TipPosition(Vector3::new(first.x, now.y, now.z))
+        });
+        assert_eq!(noticed, None);
     }
 
     #[test]
@@ -323,16 +597,25 @@ mod tests {
             watch.judge(&robot, &measured(0.2), 1052 * MS),
             Plausibility::Frozen
         );
-        // The smallest change shows that the sensor lives.
+        // The smallest change shows that the sensor of this component lives, and of no other.
+        let changed = |k: usize| {
+            let mut bends = bends(0.2);
+            bends.as_mut_slice()[k] += 1e-15;
+            Measurement::Configuration(bends)
+        };
         watch.commanded(&moving, 0.049);
         assert_eq!(
-            watch.judge(&robot, &measured(0.2 + 1e-15), 1053 * MS),
+            watch.judge(&robot, &changed(1), 1053 * MS),
             Plausibility::Good
         );
         watch.commanded(&moving, 0.049);
         assert_eq!(
-            watch.judge(&robot, &measured(0.2 + 1e-15), 1054 * MS),
+            watch.judge(&robot, &changed(1), 1054 * MS),
             Plausibility::Good
         );
+        let mut other = MeasurementWatch::new(RULES);
+        other.judge(&robot, &measured(0.2), 0);
+        other.commanded(&moving, 0.051);
+        assert_eq!(other.judge(&robot, &changed(2), MS), Plausibility::Frozen);
     }
 }

@@ -1,10 +1,11 @@
-use super::{Config, LinkKind, RealtimeMode, ns};
+use super::{Config, LinkKind, REST_MAX_S, RealtimeMode, ns};
 
 /// What is allowed but hardly meant, each with the keys that it is about.
 pub fn doubts(config: &Config) -> Vec<String> {
     let Config {
         link,
         cycle,
+        motion,
         safety,
         reference,
         controller,
@@ -13,6 +14,8 @@ pub fn doubts(config: &Config) -> Vec<String> {
     let deadline_ms = cycle.deadline_ns() as f64 * 1e-6;
     let left_ms = deadline_ms - cycle.budget_margin_ns() as f64 * 1e-6;
     let period_ms = cycle.period_ms;
+    let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
+    let ramp_s = rates.fold(0.0, f64::max) / motion.deceleration_rad_s2;
     let doubts = [
         (left_ms <= 0.0).then(|| {
             format!(
@@ -24,6 +27,13 @@ pub fn doubts(config: &Config) -> Vec<String> {
             format!(
                 "cycle.budget_ms = {} has no effect: deadline less margin leave {left_ms} ms",
                 cycle.budget_ms
+            )
+        }),
+        (ramp_s > REST_MAX_S).then(|| {
+            format!(
+                "motion.deceleration_rad_s2 = {}: a ramp from the largest rate takes {ramp_s:.0} s, and a daemon \
+                 that ends waits for {REST_MAX_S} s",
+                motion.deceleration_rad_s2
             )
         }),
         (ns(cycle.late_start_ms) > ns(deadline_ms)).then(|| {

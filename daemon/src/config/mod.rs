@@ -47,7 +47,7 @@ pub use error::ConfigError;
 pub use explain::explain;
 pub use layers::Layers;
 pub use link::{LinkConfig, LinkKind};
-pub use motion::MotionConfig;
+pub use motion::{MotionConfig, REST_MAX_S};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use reference::ReferenceConfig;

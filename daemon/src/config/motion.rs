@@ -1,6 +1,9 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Time that a robot has to come to rest when the process ends \[s\]. The unit gives the process a little more.
+pub const REST_MAX_S: f64 = 10.0;
+
 /// Motions that the daemon makes by itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -9,6 +12,8 @@ pub struct MotionConfig {
     pub deceleration_rad_s2: f64,
     /// Rate of the fastest component on the way home \[rad/s\].
     pub home_rate_rad_s: f64,
+    /// Home is reached when all bends stay below this \[rad\].
+    pub home_tolerance_rad: f64,
 }
 
 impl Default for MotionConfig {
@@ -16,6 +21,7 @@ impl Default for MotionConfig {
         Self {
             deceleration_rad_s2: 40.0,
             home_rate_rad_s: 0.5,
+            home_tolerance_rad: 0.01,
         }
     }
 }

@@ -7,13 +7,15 @@ use serde::{Deserialize, Serialize};
 pub struct SafetyConfig {
     /// A clearance below this is a fault \[m\]; 0: contact of body and obstacle.
     pub clearance_fault_m: f64,
-    /// A measurement may differ from the one before by this much, beyond what the largest rates can do
-    /// \[rad\].
+    /// A measured bend component may be this far ahead of where its largest rate can have brought it \[rad\].
+    /// Granted once, not anew for each measurement. Twice the largest error of a measurement, or more: then
+    /// noise never counts. A coordinate of a tip position: this times the length of the robot.
     pub measurement_jump_rad: f64,
     /// So many implausible measurements in a row are a fault; fewer are left out.
     pub measurement_jump_limit: u32,
-    /// A measurement that does not change at all while the robot is commanded to move this far is a fault
-    /// \[rad\].
+    /// A bend component or cable whose measurement does not change at all while it is commanded to move this
+    /// far, net, is a fault \[rad\]. More than the sensor resolves, and more than the robot is commanded to
+    /// move while a measurement is under way.
     pub measurement_frozen_rad: f64,
 }
 

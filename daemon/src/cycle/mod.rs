@@ -25,15 +25,21 @@ use crate::config::{Validated, ns};
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
 use crate::rt::accounting::{Accounting, Limits};
-use crate::rt::handoff::{CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE};
+use crate::rt::handoff::{
+    CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE, REQUESTS_WAITING,
+};
 use crate::rt::schedule::Release;
 pub use policy::{Policy, Settings};
 pub use record::{CycleRecord, MeasurementUse};
 
 /// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
-/// All bends below this count as straight \[rad\].
-const HOME_TOLERANCE_RAD: f64 = 1e-6;
+/// All bends below this are straight at once \[rad\].
+const HOME_EXACT_RAD: f64 = 1e-6;
+/// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
+const HOME_SETTLED_NS: u64 = 100_000_000;
+/// Longest time that the solver is warmed up \[ns\].
+const WARM_UP_MAX_NS: u64 = 300_000_000;
 
 /// The controller of one robot, cycle by cycle.
 #[derive(Debug)]
@@ -51,7 +57,14 @@ pub struct Cycle<L> {
     budget_margin_ns: u64,
     settings_revision: u64,
     last_gather: Option<u64>,
+    last_gather_ns: u64,
+    /// Stops that were asked for when the last cycle ran.
+    stops: Option<u64>,
     last_measured_ns: u64,
+    /// Time of gathers without a fresh measurement \[ns\].
+    unmeasured_ns: u64,
+    /// How long the robot has been straight within the tolerance \[ns\].
+    straight_ns: u64,
     /// What the measurement of this cycle shows.
     measurement_fault: Option<Reason>,
     /// Clearance in the cycle before \[m\].
@@ -98,7 +111,11 @@ impl<L: RobotLink> Cycle<L> {
             budget_margin_ns: config.cycle.budget_margin_ns(),
             settings_revision: 0,
             last_gather: None,
+            last_gather_ns: 0,
+            stops: None,
             last_measured_ns: 0,
+            unmeasured_ns: 0,
+            straight_ns: 0,
             measurement_fault: None,
             clearance_m: f64::INFINITY,
             longest_gap_ns: 0,
@@ -110,7 +127,8 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     /// Runs code and data of the solver once, so that the first real solve finds them in memory.
-    pub fn warm_up(&mut self) {
+    pub fn warm_up(&mut self, clock: &impl Clock) {
+        let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
         let tip_m = self
             .robot
             .tip_position(self.estimator.configuration().as_slice());
@@ -132,7 +150,8 @@ impl<L: RobotLink> Cycle<L> {
                 elapsed_periods: 1,
                 seed,
             };
-            self.nmpc.solve(&input, &mut Budget::unlimited());
+            let mut budget = Budget::new(|| clock.now_ns() >= end_ns);
+            self.nmpc.solve(&input, &mut budget);
         }
         self.nmpc.forget_plan();
     }
@@ -160,13 +179,15 @@ impl<L: RobotLink> Cycle<L> {
         let stale_inputs = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
         self.take_settings(inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
+        self.count_silence(measurement, inputs);
         let measurement_use = self.estimate(measurement, &release, elapsed_ns);
+        self.count_straight(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.at(release.cycle);
-        let seen = self.observe(measurement, &reference, inputs, &release);
+        let seen = self.observe(measurement, &reference, inputs);
         self.modes.observe(&seen);
-        let answers = self.answer(next_request, inputs.stop, &seen);
+        let answers = self.answer(next_request, inputs, &seen);
 
         let previous_rates = self.rates;
         let configuration = *self.estimator.configuration();
@@ -282,6 +303,35 @@ impl<L: RobotLink> Cycle<L> {
         MeasurementUse::Used
     }
 
+    /// Counts how long no fresh measurement has come, in time that gathers have seen: after a stall of the machine
+    /// what the driver sent meanwhile must first be taken in.
+    fn count_silence(&mut self, measurement: Option<TimedMeasurement>, inputs: &CycleInputs) {
+        let passed_ns = inputs.gather_ns.saturating_sub(self.last_gather_ns);
+        self.last_gather_ns = inputs.gather_ns;
+        let Some(TimedMeasurement { measured_ns, .. }) = measurement else {
+            return;
+        };
+        let age_ns = inputs.gather_ns.saturating_sub(measured_ns);
+        let is_fresh =
+            measured_ns > self.last_measured_ns && age_ns <= self.policy.measurement_timeout_ns;
+        self.unmeasured_ns = if is_fresh {
+            age_ns
+        } else {
+            self.unmeasured_ns + passed_ns.min(2 * self.period_ns)
+        };
+    }
+
+    fn count_straight(&mut self, elapsed_ns: u64) {
+        let tolerance_rad = self.policy.home_tolerance_rad;
+        let bends = self.estimator.configuration().as_slice();
+        let is_straight = bends.iter().all(|bend| bend.abs() < tolerance_rad);
+        self.straight_ns = if is_straight {
+            self.straight_ns.saturating_add(elapsed_ns)
+        } else {
+            0
+        };
+    }
+
     /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
     fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) -> ObstacleSet {
         let placed = inputs.obstacles.at(release.release_ns);
@@ -296,26 +346,23 @@ impl<L: RobotLink> Cycle<L> {
         measurement: Option<TimedMeasurement>,
         reference: &ReferenceSample,
         inputs: &CycleInputs,
-        release: &Release,
     ) -> Observation {
-        let bends = self.estimator.configuration();
+        let bends = self.estimator.configuration().as_slice();
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
             lease: inputs.lease,
-            at_home: bends
-                .as_slice()
-                .iter()
-                .all(|bend| bend.abs() < HOME_TOLERANCE_RAD),
+            at_home: bends.iter().all(|bend| bend.abs() < HOME_EXACT_RAD)
+                || self.straight_ns >= HOME_SETTLED_NS,
             misses_overflow: self.accounting.bucket().overflows(),
-            fault: self.fault(measurement, release),
+            fault: self.fault(measurement),
         }
     }
 
-    fn fault(&self, measurement: Option<TimedMeasurement>, release: &Release) -> Option<Reason> {
+    fn fault(&self, measurement: Option<TimedMeasurement>) -> Option<Reason> {
         // What was never measured is not lost: the machine waits for it.
-        let measured_ns = measurement?.measured_ns;
-        if release.start_ns.saturating_sub(measured_ns) > self.policy.measurement_timeout_ns {
+        measurement?;
+        if self.unmeasured_ns > self.policy.measurement_timeout_ns {
             return Some(Reason::MeasurementLost);
         }
         if self.measurement_fault.is_some() {
@@ -342,13 +389,21 @@ impl<L: RobotLink> Cycle<L> {
     fn answer(
         &mut self,
         mut next_request: impl FnMut() -> Option<CycleRequest>,
-        stop_at_once: bool,
+        inputs: &CycleInputs,
         seen: &Observation,
-    ) -> [Option<CycleAnswer>; REQUESTS_PER_CYCLE] {
-        let asked = [(); REQUESTS_PER_CYCLE].map(|()| next_request());
-        let requests = asked.map(|asked| asked.map(|asked| asked.request));
-        let outcomes = self.modes.requests(&requests, stop_at_once, seen);
-        let mut answers = [None; REQUESTS_PER_CYCLE];
+    ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
+        let stops = self.stops.replace(inputs.stops) != Some(inputs.stops) && inputs.stops > 0;
+        // What was asked before a stop must not be carried out after it.
+        let most = if stops {
+            REQUESTS_WAITING
+        } else {
+            REQUESTS_PER_CYCLE
+        };
+        let mut asked = [None; REQUESTS_WAITING];
+        asked[..most].fill_with(&mut next_request);
+        let requests = asked.map(|asked: Option<CycleRequest>| asked.map(|asked| asked.request));
+        let outcomes = self.modes.requests(&requests, stops, seen);
+        let mut answers = [None; REQUESTS_WAITING];
         for (answer, (asked, outcome)) in answers.iter_mut().zip(asked.iter().zip(outcomes)) {
             *answer = asked.map(|CycleRequest { ticket, .. }| CycleAnswer {
                 ticket,

@@ -10,6 +10,8 @@ pub struct Policy {
     pub deceleration_rad_s2: f64,
     /// Rate of the fastest component on the way home \[rad/s\].
     pub home_rate_rad_s: f64,
+    /// Bends that count as straight when they last \[rad\].
+    pub home_tolerance_rad: f64,
     /// Deadline after the release \[ns\].
     pub deadline_ns: u64,
     /// A start later than this is a late start \[ns\].
@@ -29,6 +31,7 @@ impl Policy {
         Self {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,
             home_rate_rad_s: config.motion.home_rate_rad_s,
+            home_tolerance_rad: config.motion.home_tolerance_rad,
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),

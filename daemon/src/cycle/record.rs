@@ -7,7 +7,7 @@ use super::{Policy, Settings};
 use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
 use crate::rt::accounting::{Totals, Verdict};
-use crate::rt::handoff::{CycleAnswer, REQUESTS_PER_CYCLE};
+use crate::rt::handoff::{CycleAnswer, REQUESTS_WAITING};
 use crate::rt::schedule::Release;
 
 /// What became of the measurement.
@@ -92,6 +92,6 @@ pub struct CycleRecord {
     pub clearance_hit: bool,
     /// Smallest clearance at the release \[m\].
     pub clearance_m: f64,
-    /// Answers to requests, the first `answer_count`.
-    pub answers: [Option<CycleAnswer>; REQUESTS_PER_CYCLE],
+    /// Answers to requests.
+    pub answers: [Option<CycleAnswer>; REQUESTS_WAITING],
 }

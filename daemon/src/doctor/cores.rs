@@ -128,9 +128,9 @@ fn siblings(scene: &Scene) -> Result<Judgement, Unreadable> {
     let core = scene.core()?;
     let path = format!("/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list");
     let siblings = CoreSet::parse(&scene.system.read(&path)?).without(core);
-    let Some(sibling) = siblings.iter().next() else {
+    if siblings.count() == 0 {
         return Ok(Judgement::ok(format!("core {core} has its hardware alone")));
-    };
+    }
     let loads = &scene.load()?.cores;
     let busy = siblings.iter().filter_map(|core| loads.get(&core));
     let busy = busy.map(|load| load.busy).fold(0.0, f64::max);
@@ -141,11 +141,26 @@ fn siblings(scene: &Scene) -> Result<Judgement, Unreadable> {
     Ok(if busy < SIBLING_SHARE {
         Judgement::ok(value)
     } else {
-        Judgement::warning(
-            value,
-            format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
-        )
+        Judgement::warning(value, rest_alone(scene, &siblings)?)
     })
+}
+
+/// How the core gets its hardware alone. The siblings are switched off only where another core is left for
+/// everything else; core 0 cannot be.
+fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Result<String, Unreadable> {
+    let others = scene.other_cores()?;
+    let apart = siblings
+        .iter()
+        .fold(others, |left, core| left.without(core));
+    if apart.count() == 0 {
+        return Ok("use a machine with two physical cores or more".to_owned());
+    }
+    if siblings.contains(0) {
+        return Ok(format!("set realtime.core to one of {apart}"));
+    }
+    let file = |core| format!("/sys/devices/system/cpu/cpu{core}/online");
+    let files: Vec<_> = siblings.iter().map(file).collect();
+    Ok(format!("echo 0 | sudo tee {}", files.join(" ")))
 }
 
 fn governor(scene: &Scene) -> Result<Judgement, Unreadable> {
@@ -270,7 +285,38 @@ mod tests {
         fake.expect("siblings", Good, &["core 3"]);
         load.cores.insert(3, busy(0.5));
         fake.scene.load = Ok(load);
+        fake.expect("siblings", Unknown, &["online"]);
+        fake.write(&format!("{CPU}/online"), "0-3");
         fake.expect("siblings", Warning, &["50 %", "cpu3/online"]);
+    }
+
+    #[test]
+    fn a_sibling_is_switched_off_only_where_a_core_is_left() {
+        let mend = |siblings: &str, online: &str| {
+            let path = format!("{CPU}/cpu1/topology/thread_siblings_list");
+            let files = [(&*path, siblings), (&format!("{CPU}/online"), online)];
+            let mut fake = Fake::new(&files);
+            let mut load = Load::default();
+            for core in [0, 2, 3] {
+                let busy = CoreLoad {
+                    busy: 0.5,
+                    ..CoreLoad::default()
+                };
+                load.cores.insert(core, busy);
+            }
+            fake.scene.load = Ok(load);
+            assert_eq!(fake.verdict("siblings"), Warning);
+            fake.judge("siblings").mend
+        };
+        let file = |core| format!("{CPU}/cpu{core}/online");
+        assert_eq!(mend("1,3", "0-3"), format!("echo 0 | sudo tee {}", file(3)));
+        let two = format!("echo 0 | sudo tee {} {}", file(2), file(3));
+        assert_eq!(mend("1-3", "0-3"), two);
+        // Core 0 stays, whoever shares with it.
+        assert_eq!(mend("0-1", "0-3"), "set realtime.core to one of 2-3");
+        // Everything else needs a core, too.
+        assert!(mend("0-1", "0-1").contains("two physical cores"));
+        assert!(mend("1,3", "1,3").contains("two physical cores"));
     }
 
     #[test]

@@ -40,6 +40,7 @@ impl Fake {
                     fifo: Ok(()),
                     pinned: true,
                     memory_lock: Ok(()),
+                    no_huge_pages: Ok(()),
                     rtprio_max: Some(80),
                     memlock_max_bytes: None,
                     deep_sleep_lock: Ok(()),

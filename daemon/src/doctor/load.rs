@@ -95,6 +95,9 @@ fn neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
 /// The command that moves a thread to other cores.
 fn away(scene: &Scene, thread: &Thread) -> String {
     let others = scene.other_cores().unwrap_or_default();
+    if is_daemons(thread) {
+        return apart(&others);
+    }
     if thread.is_kernel || others == CoreSet::default() {
         return "isolate the core (see `isolated core`)".to_owned();
     }
@@ -104,46 +107,93 @@ fn away(scene: &Scene, thread: &Thread) -> String {
     )
 }
 
+/// A thread that another daemon of ours has pinned here: its core is a matter of its configuration.
+fn is_daemons(thread: &Thread) -> bool {
+    !thread.is_kernel && matches!(&*thread.name, "cdcr-cycle" | "cdcr-exchange")
+}
+
+/// What to do about two daemons on one core.
+fn apart(others: &CoreSet) -> String {
+    if others.count() == 0 {
+        return "use a machine with two cores or more: another cdcrd has the only one".to_owned();
+    }
+    format!("set another realtime.core (of {others}) for this cdcrd or for the other one")
+}
+
 fn realtime_neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
     let core = scene.core()?;
     let limit = scene.plan.exchange_priority;
-    let rivals = rivals(scene.load()?, core, limit);
-    let Some(first) = rivals.first() else {
-        return Ok(Judgement::ok("none that could go before the loop"));
+    let (kernel, programs): (Vec<_>, Vec<_>) = rivals(scene.load()?, core, limit)
+        .into_iter()
+        .partition(|thread| thread.is_kernel);
+    let named = |threads: &[&Thread]| {
+        let words: Vec<_> = threads.iter().take(NAMED).map(|t| described(t)).collect();
+        words.join(", ")
     };
-    let named = rivals.iter().take(NAMED).map(|thread| {
-        let policy = if thread.is_deadline {
-            "deadline"
+    let Some(first) = programs.first() else {
+        return Ok(Judgement::ok(if kernel.is_empty() {
+            "none that could go before the loop".to_owned()
         } else {
-            "priority"
-        };
-        format!(
-            "{} ({}) {policy} {}",
-            thread.name, thread.id, thread.priority
-        )
-    });
-    let named: Vec<_> = named.collect();
-    let mend = match scene.other_cores() {
-        Ok(others) if others.count() > 0 && !first.is_kernel => {
-            format!("sudo taskset -pc {others} {}", first.id)
-        }
-        _ => format!("sudo chrt -f -p 1 {}", first.id),
+            format!("only {} of the kernel's: {}", kernel.len(), named(&kernel))
+        }));
     };
-    let value = format!("{} may use core {core}: {}", rivals.len(), named.join(", "));
-    Ok(Judgement::warning(value, mend))
+    let value = format!(
+        "{} may use core {core}: {}",
+        programs.len(),
+        named(&programs)
+    );
+    Ok(Judgement::warning(value, stood_back(scene, first)))
 }
 
-/// Threads that may go before the exchange on the core, or that are there for good.
-fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
-    // The kernel's own helpers of every core, idle unless the kernel itself needs them.
-    let helpers = ["migration/", "watchdog/", "idle_inject/"];
-    let is_helper = |thread: &Thread| {
-        thread.is_kernel && helpers.iter().any(|name| thread.name.starts_with(name))
+/// The command after which a program's real-time thread does not go before the loop.
+fn stood_back(scene: &Scene, thread: &Thread) -> String {
+    let others = scene.other_cores().unwrap_or_default();
+    if is_daemons(thread) {
+        apart(&others)
+    } else if others.count() > 0 {
+        format!("sudo taskset -pc {others} {}", thread.id)
+    } else {
+        format!("sudo chrt -f -p 1 {}", thread.id)
+    }
+}
+
+/// A real-time thread; one of the kernel with what it is there for.
+fn described(thread: &Thread) -> String {
+    let policy = if thread.is_deadline {
+        "deadline"
+    } else {
+        "priority"
     };
+    let Thread { name, id, .. } = thread;
+    let known = format!("{name} ({id}) {policy} {}", thread.priority);
+    if thread.is_kernel {
+        format!("{known}, {}", errand(name))
+    } else {
+        known
+    }
+}
+
+/// What a real-time thread of the kernel does. All of them are idle unless the kernel itself needs them, and
+/// the machine needs them then: their priorities are left alone.
+fn errand(name: &str) -> &'static str {
+    let known = [
+        ("migration/", "moves threads between cores"),
+        ("watchdog", "restarts a machine that hangs"),
+        ("idle_inject/", "keeps the processor from overheating"),
+        ("sugov:", "sets the frequency"),
+        ("irq/", "serves a device"),
+        ("rcu", "frees memory of the kernel"),
+    ];
+    let found = known.iter().find(|(begin, _)| name.starts_with(begin));
+    found.map_or("a helper of the kernel", |(_, errand)| errand)
+}
+
+/// Threads that may go before the exchange on the core, and programs that are there for good.
+fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
     let is_rival = |thread: &&Thread| {
         let goes_before = thread.is_deadline || thread.priority >= exchange_priority;
         let is_pinned_here = thread.allowed.count() == 1 && !thread.is_kernel;
-        thread.allowed.contains(core) && !is_helper(thread) && (goes_before || is_pinned_here)
+        thread.allowed.contains(core) && (goes_before || is_pinned_here)
     };
     load.realtime.iter().filter(is_rival).collect()
 }
@@ -285,13 +335,6 @@ mod tests {
         assert_eq!(verdict(thread("audio", 88, "0")), Good);
         assert_eq!(verdict(thread("audio", 10, "0-1")), Good);
         assert_eq!(verdict(thread("other loop", 10, "1")), Warning);
-        let kernel = |name: &str, priority| Thread {
-            is_kernel: true,
-            ..thread(name, priority, "1")
-        };
-        assert_eq!(verdict(kernel("migration/1", 99)), Good);
-        assert_eq!(verdict(kernel("irq/24-eth0", 50)), Good);
-        assert_eq!(verdict(kernel("irq/24-eth0", 90)), Warning);
         // A program may call itself as it likes.
         assert_eq!(verdict(thread("migration/1", 99, "1")), Warning);
         let deadline = Thread {
@@ -299,6 +342,62 @@ mod tests {
             ..thread("camera", 0, "0-1")
         };
         assert_eq!(verdict(deadline), Warning);
+        let alone = of(thread("audio", 88, "1"));
+        alone.write("/sys/devices/system/cpu/online", "1");
+        alone.expect("realtime_neighbours", Warning, &["chrt -f -p 1 77"]);
+    }
+
+    #[test]
+    fn real_time_threads_of_the_kernel_are_named_and_left_alone() {
+        let kernel = |name: &str, priority, is_deadline| Thread {
+            is_kernel: true,
+            is_deadline,
+            ..thread(name, priority, "1")
+        };
+        let of = |thread: Thread| fake(|load| load.realtime.push(thread));
+        for (name, priority, is_deadline, errand) in [
+            ("migration/1", 99, false, "moves threads"),
+            ("watchdogd", 99, false, "restarts a machine"),
+            ("sugov:1", 0, true, "sets the frequency"),
+            ("irq/24-eth0", 90, false, "serves a device"),
+            ("something", 99, false, "a helper of the kernel"),
+        ] {
+            let fake = of(kernel(name, priority, is_deadline));
+            fake.expect("realtime_neighbours", Good, &[name, errand]);
+        }
+        of(kernel("irq/24-eth0", 50, false)).expect("realtime_neighbours", Good, &["none"]);
+        // They hide no program, and none of them is what the command is about.
+        let both = fake(|load| {
+            load.realtime.push(kernel("watchdogd", 99, false));
+            let mut audio = thread("audio", 88, "0-1");
+            audio.id = 78;
+            load.realtime.push(audio);
+        });
+        both.expect("realtime_neighbours", Warning, &["1 may use", "-pc 0 78"]);
+    }
+
+    #[test]
+    fn two_daemons_on_one_core_are_a_matter_of_configuration() {
+        let of = |name: &str| {
+            let fake = fake(|load| {
+                let thread = thread(name, 80, "1");
+                load.realtime.push(thread.clone());
+                load.neighbours.push(Neighbour { thread, share: 0.3 });
+            });
+            for key in ["neighbours", "realtime_neighbours"] {
+                fake.expect(key, Warning, &["another realtime.core (of 0)"]);
+                let mend = fake.judge(key).mend;
+                assert!(
+                    !mend.contains("taskset") && !mend.contains("chrt"),
+                    "{mend}"
+                );
+            }
+            fake
+        };
+        of("cdcr-exchange");
+        let fake = of("cdcr-cycle");
+        fake.write("/sys/devices/system/cpu/online", "1");
+        fake.expect("realtime_neighbours", Warning, &["two cores or more"]);
     }
 
     #[test]

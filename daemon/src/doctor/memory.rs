@@ -17,7 +17,8 @@ pub(super) const CHECKS: &[Check] = &[
     Check {
         key: "huge_pages",
         title: "transparent huge pages",
-        why: "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile.",
+        why: "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; \
+              hence the daemon exempts itself.",
         concern: Concern::RealTime,
         judge: huge_pages,
     },
@@ -83,18 +84,13 @@ fn huge_pages(scene: &Scene) -> Result<Judgement, Unreadable> {
     if chosen != "always" {
         return Ok(Judgement::ok(chosen));
     }
-    // A service manager, or prctl(PR_SET_THP_DISABLE) before the start, exempts a process and its children.
-    if scene
-        .system
-        .own_status("THP_enabled")
-        .is_ok_and(|flag| flag == "0")
-    {
-        return Ok(Judgement::ok("always, but not for this process"));
-    }
-    Ok(Judgement::warning(
-        "always, also for the daemon",
-        format!("echo madvise | sudo tee {path}"),
-    ))
+    Ok(match &scene.probe.no_huge_pages {
+        Ok(()) => Judgement::ok("always, but not for the daemon: it exempts itself"),
+        Err(refusal) => Judgement::warning(
+            format!("always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})"),
+            format!("echo madvise | sudo tee {path}"),
+        ),
+    })
 }
 
 fn swap(scene: &Scene) -> Result<Judgement, Unreadable> {
@@ -154,16 +150,16 @@ mod tests {
     }
 
     #[test]
-    fn huge_pages_for_everybody_are_bad() {
+    fn huge_pages_are_bad_where_the_daemon_cannot_exempt_itself() {
         let path = "/sys/kernel/mm/transparent_hugepage/enabled";
-        let fake = Fake::new(&[]);
+        let mut fake = Fake::new(&[]);
         fake.expect("huge_pages", Good, &["none"]);
         fake.write(path, "always [madvise] never\n");
         fake.expect("huge_pages", Good, &["madvise"]);
         fake.write(path, "[always] madvise never\n");
-        fake.expect("huge_pages", Warning, &["echo madvise"]);
-        fake.write("/proc/self/status", "THP_enabled:\t0\n");
-        fake.expect("huge_pages", Good, &["not for this process"]);
+        fake.expect("huge_pages", Good, &["not for the daemon"]);
+        fake.scene.probe.no_huge_pages = Err("not permitted".to_owned());
+        fake.expect("huge_pages", Warning, &["not permitted", "echo madvise"]);
         fake.write(path, "perhaps");
         fake.expect("huge_pages", Unknown, &["perhaps"]);
     }

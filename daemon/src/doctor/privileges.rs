@@ -32,7 +32,19 @@ const LOCKED_BYTES: u64 = 512 << 20;
 const CAP_IPC_LOCK: u32 = 14;
 const CAP_SYS_NICE: u32 = 23;
 
-const GRANT: &str = "sudo setcap cap_sys_nice,cap_ipc_lock+ep \"$(command -v cdcrd)\"";
+/// The priority that the unit of the service and the package's `limits.d` file grant.
+const RTPRIO: i32 = 90;
+
+/// How to get a resource limit. No capabilities on the program file: the unit drops them all, so that it could
+/// not even start a file that has some, and everybody who may run the file would get them.
+fn grant(limit: &str, container: &str) -> String {
+    format!(
+        "run it as the service (sudo systemctl start cdcrd); or, by hand, as a member of the group cdcr (sudo \
+         groupadd -f cdcr && sudo usermod -aG cdcr \"$USER\") with the line `@cdcr - {limit}` in \
+         /etc/security/limits.d/cdcr.conf, which the package brings, after the next login; or, in a \
+         container: --ulimit {container}"
+    )
+}
 
 /// Whether this process has a capability.
 fn is_capable(scene: &Scene, capability: u32) -> Result<bool, Unreadable> {
@@ -66,8 +78,9 @@ fn fifo(scene: &Scene) -> Result<Judgement, Unreadable> {
         format!(
             "refused at priority {priority}: RLIMIT_RTPRIO is {limit}, no CAP_SYS_NICE ({refusal})"
         ),
-        format!(
-            "{GRANT}   (or `rtprio {priority}` in /etc/security/limits.conf, and log in again)"
+        grant(
+            &format!("rtprio {}", priority.max(RTPRIO)),
+            &format!("rtprio={}", priority.max(RTPRIO)),
         ),
     ))
 }
@@ -78,9 +91,20 @@ fn pin(scene: &Scene) -> Result<Judgement, Unreadable> {
         return Ok(Judgement::ok(format!("core {core}")));
     }
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
+    let online = scene.system.online()?;
+    if !online.contains(core) {
+        return Ok(scene.plan.missing(
+            format!("core {core} does not run; online are {online}"),
+            format!("set realtime.core to one of {allowed}"),
+        ));
+    }
+    // An affinity that was inherited refuses nothing, only the cpuset of the group does.
     Ok(scene.plan.missing(
-        format!("core {core} is refused; allowed are {allowed}"),
-        format!("set realtime.core to one of {allowed}, or start cdcrd with `taskset -c {core}`"),
+        format!("core {core} is refused by the control group; allowed are {allowed}"),
+        format!(
+            "set realtime.core to one of {allowed}, or give the group core {core}, too (a unit: AllowedCPUs=, \
+             a container: --cpuset-cpus)"
+        ),
     ))
 }
 
@@ -89,9 +113,7 @@ fn memory_lock(scene: &Scene) -> Result<Judgement, Unreadable> {
     let limit_text = limit.map_or("unlimited".to_owned(), |limit| {
         format!("{:.1} MB", limit as f64 * 1e-6)
     });
-    let remedy = format!(
-        "{GRANT}   (or `memlock unlimited` in /etc/security/limits.conf, and log in again)"
-    );
+    let remedy = grant("memlock unlimited", "memlock=-1");
     if let Err(refusal) = &scene.probe.memory_lock {
         let value = format!("refused: {refusal}; RLIMIT_MEMLOCK is {limit_text}");
         return Ok(scene.plan.missing(value, remedy));
@@ -141,8 +163,29 @@ mod tests {
         fake.expect(
             "fifo",
             Verdict::Warning,
-            &["RLIMIT_RTPRIO is 0", "setcap", "rtprio 80"],
+            &[
+                "RLIMIT_RTPRIO is 0",
+                "systemctl start cdcrd",
+                "@cdcr - rtprio 90",
+                "/etc/security/limits.d/",
+                "--ulimit rtprio=90",
+            ],
         );
+        fake.scene.plan.cycle_priority = 95;
+        fake.expect("fifo", Verdict::Warning, &["@cdcr - rtprio 95"]);
+    }
+
+    #[test]
+    fn no_privilege_is_given_to_the_program_file() {
+        let mut fake = Fake::new(&[NO_CAPABILITY]);
+        fake.scene.probe.fifo = Err("not permitted".to_owned());
+        fake.scene.probe.rtprio_max = Some(0);
+        fake.scene.probe.memory_lock = Err("not permitted".to_owned());
+        for key in ["fifo", "memory_lock"] {
+            let mend = fake.judge(key).mend;
+            assert!(mend.contains("limits.d"), "{key}: {mend}");
+            assert!(!mend.contains("setcap"), "{key}: {mend}");
+        }
     }
 
     #[test]
@@ -157,13 +200,20 @@ mod tests {
 
     #[test]
     fn a_core_that_is_refused_is_named() {
-        let mut fake = Fake::new(&[NO_CAPABILITY]);
+        let mut fake = Fake::new(&[NO_CAPABILITY, ("/sys/devices/system/cpu/online", "0-7")]);
         assert_eq!(verdicts(&mut fake, "pin"), [Verdict::Ok; 3]);
         fake.scene.probe.pinned = false;
         fake.scene.plan.core = Some(7);
         assert_eq!(verdicts(&mut fake, "pin"), MISSING);
         fake.scene.plan.mode = RealtimeMode::Prefer;
-        fake.expect("pin", Verdict::Warning, &["core 7", "0-1"]);
+        let words = ["core 7", "realtime.core to one of 0-1", "AllowedCPUs"];
+        fake.expect("pin", Verdict::Warning, &words);
+        // It would confine every thread to the core of the real-time ones.
+        assert!(!fake.judge("pin").mend.contains("taskset"));
+        fake.write("/sys/devices/system/cpu/online", "0-3");
+        let words = ["core 7 does not run", "0-3", "realtime.core to one of 0-1"];
+        fake.expect("pin", Verdict::Warning, &words);
+        assert!(!fake.judge("pin").mend.contains("AllowedCPUs"));
     }
 
     #[test]
@@ -177,6 +227,10 @@ mod tests {
         fake.scene.probe.memory_lock = Err("cannot allocate memory".to_owned());
         assert_eq!(verdicts(&mut fake, "memory_lock"), MISSING);
         fake.scene.plan.mode = RealtimeMode::Prefer;
-        fake.expect("memory_lock", Verdict::Warning, &["8.4 MB", "memlock"]);
+        fake.expect(
+            "memory_lock",
+            Verdict::Warning,
+            &["8.4 MB", "@cdcr - memlock unlimited", "--ulimit memlock=-1"],
+        );
     }
 }

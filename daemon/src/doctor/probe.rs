@@ -5,6 +5,7 @@ use std::path::Path;
 use rustix::fs::statvfs;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::process::{Resource, geteuid, getrlimit};
+use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_disabled};
 
 use super::plan::Plan;
 use super::system::System;
@@ -19,6 +20,8 @@ pub struct Probe {
     pub pinned: bool,
     /// All memory of this process locked, and unlocked again; what the kernel said.
     pub memory_lock: Result<(), String>,
+    /// This process exempted from transparent huge pages, and put back; what the kernel said.
+    pub no_huge_pages: Result<(), String>,
     /// `RLIMIT_RTPRIO`; none: unlimited.
     pub rtprio_max: Option<u64>,
     /// `RLIMIT_MEMLOCK` \[bytes\]; none: unlimited.
@@ -39,6 +42,7 @@ impl Probe {
             fifo,
             pinned,
             memory_lock: try_memory_lock(),
+            no_huge_pages: try_no_huge_pages(),
             rtprio_max: getrlimit(Resource::Rtprio).current,
             memlock_max_bytes: getrlimit(Resource::Memlock).current,
             deep_sleep_lock: try_deep_sleep_lock(&system.path("/dev/cpu_dma_latency")),
@@ -63,6 +67,16 @@ fn try_thread(plan: &Plan) -> (Result<(), String>, bool) {
 fn try_memory_lock() -> Result<(), String> {
     mlockall(MlockAllFlags::CURRENT)
         .and_then(|()| munlockall())
+        .map_err(|error| error.to_string())
+}
+
+fn try_no_huge_pages() -> Result<(), String> {
+    let before = transparent_huge_pages_are_disabled();
+    before
+        .and_then(|before| {
+            disable_transparent_huge_pages(true)?;
+            disable_transparent_huge_pages(before)
+        })
         .map_err(|error| error.to_string())
 }
 

@@ -46,7 +46,7 @@ impl Exchange {
         inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;
         inputs.obstacles = self.obstacles;
-        inputs.stop = self.stop_at_once.is_some();
+        inputs.stops = self.stops;
         inputs.settings = self.settings;
         inputs.settings_revision = self.settings_revision;
         self.ends.inputs.publish();

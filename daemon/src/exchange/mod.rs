@@ -33,7 +33,7 @@ use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::attribution::SchedulerCounts;
+use crate::rt::attribution::{Attribution, SchedulerCounts};
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::SchedulerReader;
@@ -63,6 +63,8 @@ pub struct Exchange {
     obstacles_refused: u64,
     settings: Settings,
     settings_revision: u64,
+    /// The least safe distance that clients may set: the configured one \[m\].
+    safe_distance_min_m: f64,
     gather: u64,
     events: Events,
     waiting: Waiting,
@@ -71,13 +73,16 @@ pub struct Exchange {
     telemetry_sent: u64,
     last_cycle: u64,
     last_mode: Mode,
-    /// The gather of a stop that found no room in the ring, until a cycle has used its inputs.
-    stop_at_once: Option<u64>,
+    /// Stops that were asked for so far.
+    stops: u64,
     /// How long the newest gather took \[ns\].
     gather_took_ns: u64,
     incidents_sent: u64,
     scheduler: Option<SchedulerReader>,
     scheduler_counts: SchedulerCounts,
+    attribution: Attribution,
+    /// How long before its release the cycle thread wakes up \[ns\].
+    spin_ns: u64,
 }
 
 /// What one gather and its cycle can bring fits one record: accepted chunks and obstacle updates, refusals,
@@ -118,6 +123,7 @@ impl Exchange {
             obstacles_refused: 0,
             settings: Settings::new(config),
             settings_revision: 0,
+            safe_distance_min_m: config.controller.safe_distance_m,
             gather: 0,
             events: Events::new(),
             waiting: Waiting::new(),
@@ -126,11 +132,13 @@ impl Exchange {
             telemetry_sent: 0,
             last_cycle: 0,
             last_mode: Mode::Starting,
-            stop_at_once: None,
+            stops: 0,
             gather_took_ns: 0,
             incidents_sent: 0,
             scheduler: None,
             scheduler_counts: SchedulerCounts::default(),
+            attribution: Attribution::default(),
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
         }
     }
 

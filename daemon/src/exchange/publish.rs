@@ -9,7 +9,7 @@ use iceoryx2::prelude::{ZeroCopySend, ipc};
 use super::{Exchange, convert};
 use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::ports::Clock;
-use crate::rt::attribution::{SchedulerCounts, Scheduling, Timing, attribute};
+use crate::rt::attribution::{Blame, Judged, SchedulerCounts, Scheduling, Timing};
 use crate::rt::handoff::Shared;
 use crate::supervisor::Summary;
 
@@ -19,22 +19,28 @@ impl Exchange {
         let mut scheduling = None;
         while let Ok(record) = self.ends.records.pop() {
             let command = self.publish_command(&record, clock.now_ns());
-            // Newer inputs replace older ones that no cycle has used, so the stop stays in them until one has.
-            self.stop_at_once.take_if(|gather| record.gather >= *gather);
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
             // Records that wait together share one reading.
             let scheduling = scheduling.get_or_insert_with(|| self.read_scheduler());
-            let report = late_report(&record, scheduling.as_ref());
+            let judged = judged(&record, self.spin_ns);
+            let blame = self.attribution.judge(&judged, scheduling.as_ref());
+            let report =
+                convert::scheduling(scheduling.as_ref(), record.longest_gap_ns, blame.cause());
             let begins_fault = convert::mode(record.mode) == codes::Mode::Faulted
                 && self.last_mode != codes::Mode::Faulted;
             self.last_cycle = record.release.cycle;
             self.last_mode = convert::mode(record.mode);
             let telemetry = self.publish_telemetry(&record, &command, report, clock.now_ns());
-            if report.late_cause != codes::LateCause::None.code() || begins_fault {
+            // Releases that an overrun took belong to its incident.
+            if matches!(blame, Blame::Own(_)) || begins_fault {
                 self.hand_incident_on(&telemetry, shared);
             }
-            self.sum_up(&record, report, publish_ns, clock.now_ns(), shared);
+            let late_cause = match blame {
+                Blame::Own(_) => report.late_cause,
+                Blame::InTime | Blame::Before(_) => codes::LateCause::None.code(),
+            };
+            self.sum_up(&record, late_cause, publish_ns, clock.now_ns(), shared);
         }
     }
 
@@ -95,7 +101,7 @@ impl Exchange {
     fn sum_up(
         &mut self,
         record: &CycleRecord,
-        scheduling: wire::SchedulingReport,
+        late_cause: u32,
         publish_ns: u64,
         now_ns: u64,
         shared: &Shared,
@@ -112,7 +118,8 @@ impl Exchange {
             gather_ns: self.gather_took_ns,
             publish_ns,
             skipped_periods: record.release.skipped,
-            late_cause: scheduling.late_cause,
+            due_ns,
+            late_cause,
             stale_inputs: record.stale_inputs,
             stale_measurement: self.has_driver
                 && record.measurement_use == MeasurementUse::Repeated,
@@ -144,20 +151,21 @@ impl Exchange {
     }
 }
 
-/// What the system did during a cycle, and what made it late if it was.
-fn late_report(record: &CycleRecord, scheduling: Option<&Scheduling>) -> wire::SchedulingReport {
-    let CycleRecord {
-        release, verdict, ..
-    } = record;
-    let is_bad = verdict.late_start || verdict.deadline_miss || release.skipped > 0;
-    let timing = Timing {
-        wake_ns: release.start_ns - release.due_ns,
-        compute_ns: record.handed_over_ns - release.start_ns,
-        longest_gap_ns: record.longest_gap_ns,
-        after_solve_ns: record.handed_over_ns - record.solve_end_ns,
-    };
-    let cause = is_bad.then(|| attribute(&timing, scheduling));
-    convert::scheduling(scheduling, record.longest_gap_ns, cause)
+/// The cycle as far as its lateness is concerned; its thread wakes up `spin_ns` before its release.
+fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
+    let release = &record.release;
+    Judged {
+        count: record.totals.cycles,
+        verdict: record.verdict,
+        skipped: release.skipped,
+        timing: Timing {
+            early_ns: spin_ns,
+            wake_ns: release.start_ns - release.due_ns,
+            compute_ns: record.handed_over_ns - release.start_ns,
+            longest_gap_ns: record.longest_gap_ns,
+            after_solve_ns: record.handed_over_ns - record.solve_end_ns,
+        },
+    }
 }
 
 /// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no

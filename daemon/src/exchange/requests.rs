@@ -60,14 +60,15 @@ impl Exchange {
         }
     }
 
-    /// A stop is never refused: where the cycle cannot answer it in turn, it is told by a flag.
+    /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no
+    /// room for the cycle's answer, it is answered now.
     fn pass_stop_on(&mut self, asked: Asked, now_ns: u64) {
+        self.stops += 1;
         let ring_has_room =
             self.ends.requests.slots() > 0 && self.waiting.asked.len() < WAITING_MAX;
         if ring_has_room {
             self.pass_on(asked, ModeRequest::Stop, now_ns);
         } else {
-            self.stop_at_once = Some(self.gather);
             self.answer_now(&asked, Outcome::Accepted, now_ns);
         }
     }
@@ -125,6 +126,10 @@ impl Exchange {
             }
             RequestKind::ReleaseLease => Outcome::NoLease,
             RequestKind::Settings => match convert::settings_from_wire(&request.settings) {
+                // Nobody who is connected may let the body come nearer than the configuration does.
+                Ok(settings) if settings.nmpc.safe_distance_m < self.safe_distance_min_m => {
+                    Outcome::OutOfRange
+                }
                 Ok(settings) => {
                     self.settings = settings;
                     self.settings_revision += 1;

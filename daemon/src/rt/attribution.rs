@@ -8,6 +8,11 @@
 //! A wake-up is late because another task had the core (the scheduler counts that time as run delay), or
 //! because the timer itself came late: firmware or hypervisor. A computation is long because it lost the
 //! core, waited for memory, stood still with the core its own, or had that much to do.
+//!
+//! An overrun that takes the next release with it is one event: the punctual cycle after it has no cause of
+//! its own.
+
+use super::accounting::Verdict;
 
 /// What the scheduler knows about the cycle thread, counted since the thread began.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -52,6 +57,8 @@ impl SchedulerCounts {
 /// The times of one cycle, as far as its lateness is concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
+    /// How long before the release the thread asked to be woken, to spin until then \[ns\].
+    pub early_ns: u64,
     /// From the release that was due to the start \[ns\].
     pub wake_ns: u64,
     /// From the start to the hand-over \[ns\].
@@ -85,42 +92,116 @@ const STALL_AFTER_SOLVE_NS: u64 = 600_000;
 
 /// The largest part of a late cycle's time after its release. `scheduling` is `None` where the system does
 /// not tell; then load cannot be told from platform, and counts as platform.
-pub fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
+fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
     let delay_ns = scheduling.map_or(0, |scheduling| scheduling.run_delay_ns);
     let faults = scheduling.map_or(0, |scheduling| scheduling.page_faults);
-    // The wait before the start comes first; what is left of the delay interrupted the computation.
-    let waited_ns = delay_ns.min(timing.wake_ns);
-    let interrupted_ns = (delay_ns - waited_ns).min(timing.compute_ns);
+    let (waited_ns, interrupted_ns) = split(delay_ns, timing);
     let worked_ns = timing.compute_ns - interrupted_ns;
+    let stalled_ns = standstill_ns(timing, interrupted_ns).min(worked_ns);
+    // A fault that takes long leaves a gap; one inside steady work costs a microsecond.
+    let stall = if faults > 0 {
+        LateCause::PageFault
+    } else {
+        LateCause::Stall
+    };
+    let parts = [
+        (timing.wake_ns - waited_ns, LateCause::Platform),
+        (waited_ns + interrupted_ns, LateCause::Load),
+        (stalled_ns, stall),
+        (worked_ns - stalled_ns, LateCause::Compute),
+    ];
+    let largest = parts.into_iter().max_by_key(|(part_ns, _)| *part_ns);
+    largest.map_or(LateCause::Platform, |(_, cause)| cause)
+}
+
+/// What of a run delay lies between release and start, and what interrupted the computation \[ns\].
+///
+/// The wait before the start comes first, and its end is what made the start late. What is left lies in the
+/// computation as far as a gap there shows it; the rest was over before the release, while the thread was
+/// to spin.
+fn split(delay_ns: u64, timing: &Timing) -> (u64, u64) {
+    let waited_ns = delay_ns.min(timing.wake_ns);
+    let left_ns = delay_ns - waited_ns;
+    let seen_ns = standstill_ns(timing, 0);
+    let early_ns = left_ns.saturating_sub(seen_ns).min(timing.early_ns);
+    (waited_ns, (left_ns - early_ns).min(timing.compute_ns))
+}
+
+/// The longest gap in the computation that work does not explain, without `known_ns` of it \[ns\].
+fn standstill_ns(timing: &Timing, known_ns: u64) -> u64 {
     let beyond = |gap_ns: u64, stall_ns| {
-        let unexplained_ns = gap_ns.saturating_sub(interrupted_ns);
+        let unexplained_ns = gap_ns.saturating_sub(known_ns);
         if unexplained_ns >= stall_ns {
             unexplained_ns
         } else {
             0
         }
     };
-    let stalled_ns = beyond(timing.longest_gap_ns, STALL_NS)
-        .max(beyond(timing.after_solve_ns, STALL_AFTER_SOLVE_NS))
-        .min(worked_ns);
-    let stall = if faults > 0 {
-        LateCause::PageFault
-    } else {
-        LateCause::Stall
-    };
-    let own = if faults > 0 && stalled_ns == 0 {
-        LateCause::PageFault
-    } else {
-        LateCause::Compute
-    };
-    let parts = [
-        (timing.wake_ns - waited_ns, LateCause::Platform),
-        (waited_ns + interrupted_ns, LateCause::Load),
-        (stalled_ns, stall),
-        (worked_ns - stalled_ns, own),
-    ];
-    let largest = parts.into_iter().max_by_key(|(part_ns, _)| *part_ns);
-    largest.map_or(LateCause::Platform, |(_, cause)| cause)
+    beyond(timing.longest_gap_ns, STALL_NS).max(beyond(timing.after_solve_ns, STALL_AFTER_SOLVE_NS))
+}
+
+/// A cycle, as its accounting judged it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Judged {
+    /// How many cycles ran, this one included.
+    pub count: u64,
+    /// Whether it was late.
+    pub verdict: Verdict,
+    /// Releases before it that got no cycle.
+    pub skipped: u32,
+    /// Its times.
+    pub timing: Timing,
+}
+
+/// What a cycle has to answer for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Blame {
+    /// Nothing: it was in time and skipped no release.
+    InTime,
+    /// It was late, or skipped releases that no late cycle before it took.
+    Own(LateCause),
+    /// It was in time. The cycle before it ran past the releases that it skipped, for this cause.
+    Before(LateCause),
+}
+
+impl Blame {
+    /// The cause that its record names.
+    #[must_use]
+    pub fn cause(self) -> Option<LateCause> {
+        match self {
+            Self::InTime => None,
+            Self::Own(cause) | Self::Before(cause) => Some(cause),
+        }
+    }
+}
+
+/// Finds the cause of each bad cycle, one after the other.
+#[derive(Debug, Default)]
+pub struct Attribution {
+    /// The newest cycle that missed its deadline: its count, and why.
+    missed: Option<(u64, LateCause)>,
+}
+
+impl Attribution {
+    /// What the next cycle has to answer for.
+    pub fn judge(&mut self, cycle: &Judged, scheduling: Option<&Scheduling>) -> Blame {
+        let Verdict {
+            late_start,
+            deadline_miss,
+        } = cycle.verdict;
+        let before = self.missed.take();
+        if !late_start && !deadline_miss {
+            return match before {
+                _ if cycle.skipped == 0 => Blame::InTime,
+                // A deadline is at most a period, so only a miss can run past the next release.
+                Some((count, cause)) if count + 1 == cycle.count => Blame::Before(cause),
+                _ => Blame::Own(attribute(&cycle.timing, scheduling)),
+            };
+        }
+        let cause = attribute(&cycle.timing, scheduling);
+        self.missed = deadline_miss.then_some((cycle.count, cause));
+        Blame::Own(cause)
+    }
 }
 
 #[cfg(test)]
@@ -131,6 +212,7 @@ mod tests {
 
     fn cause([wake, compute, gap]: [u64; 3], [delay, faults]: [u64; 2]) -> LateCause {
         let timing = Timing {
+            early_ns: 0,
             wake_ns: wake * US,
             compute_ns: compute * US,
             longest_gap_ns: gap * US,
@@ -156,9 +238,13 @@ mod tests {
         assert_eq!(cause([40, 6000, 5800], [10, 2]), LateCause::PageFault);
         // Steady work without a gap.
         assert_eq!(cause([40, 6000, 4], [10, 0]), LateCause::Compute);
-        assert_eq!(cause([40, 6000, 4], [10, 3]), LateCause::PageFault);
+        // A fault explains a gap, and no steady work.
+        assert_eq!(cause([40, 6000, 4], [10, 1]), LateCause::Compute);
+        assert_eq!(cause([40, 6000, 99], [0, 3]), LateCause::Compute);
+        assert_eq!(cause([40, 6000, 200], [0, 3]), LateCause::Compute);
         // A stall after the solver.
         let timing = Timing {
+            early_ns: 0,
             wake_ns: 40 * US,
             compute_ns: 6000 * US,
             longest_gap_ns: 4 * US,
@@ -173,6 +259,7 @@ mod tests {
     #[test]
     fn without_the_schedulers_word_a_late_wake_up_is_the_platforms() {
         let timing = Timing {
+            early_ns: 0,
             wake_ns: 9000 * US,
             compute_ns: 40 * US,
             longest_gap_ns: 0,
@@ -187,6 +274,7 @@ mod tests {
             for compute in [0, 1, u64::MAX / 4] {
                 for other in [0, 1, u64::MAX] {
                     let timing = Timing {
+                        early_ns: other,
                         wake_ns: wake,
                         compute_ns: compute,
                         longest_gap_ns: other,
@@ -200,6 +288,87 @@ mod tests {
                 }
             }
         }
+    }
+
+    fn spinning(wake: u64, compute: u64, gap: u64, delay: u64) -> LateCause {
+        let timing = Timing {
+            early_ns: 500 * US,
+            wake_ns: wake * US,
+            compute_ns: compute * US,
+            longest_gap_ns: gap * US,
+            after_solve_ns: 20 * US,
+        };
+        let scheduling = Scheduling {
+            run_delay_ns: delay * US,
+            ..Scheduling::default()
+        };
+        attribute(&timing, Some(&scheduling))
+    }
+
+    #[test]
+    fn a_wait_before_the_release_interrupts_no_computation() {
+        // It waited for the core while it was to spin, and then computed for long.
+        assert_eq!(spinning(0, 700, 4, 400), LateCause::Compute);
+        assert_eq!(spinning(0, 700, 300, 400), LateCause::Compute);
+        // The same delay, seen in the computation.
+        assert_eq!(spinning(0, 700, 405, 400), LateCause::Load);
+        // So long a delay made the start late, too.
+        assert_eq!(spinning(6000, 50, 4, 6500), LateCause::Load);
+        assert_eq!(spinning(6000, 50, 4, 500), LateCause::Platform);
+        // More than the time to spin lies in the computation, gap or not.
+        assert_eq!(spinning(0, 6000, 90, 5900), LateCause::Load);
+    }
+
+    fn judged(count: u64, deadline_miss: bool, skipped: u32, compute: u64) -> Judged {
+        Judged {
+            count,
+            verdict: Verdict {
+                late_start: false,
+                deadline_miss,
+            },
+            skipped,
+            timing: Timing {
+                early_ns: 0,
+                wake_ns: 40 * US,
+                compute_ns: compute * US,
+                longest_gap_ns: 4 * US,
+                after_solve_ns: 20 * US,
+            },
+        }
+    }
+
+    #[test]
+    fn a_punctual_cycle_after_an_overrun_has_the_cause_of_the_overrun() {
+        let mut attribution = Attribution::default();
+        let mut judge = |cycle: Judged| attribution.judge(&cycle, Some(&Scheduling::default()));
+        let overrun = Blame::Own(LateCause::Compute);
+        assert_eq!(judge(judged(1, false, 0, 30)), Blame::InTime);
+        assert_eq!(judge(judged(2, true, 0, 6000)), overrun);
+        let after = judge(judged(3, false, 1, 30));
+        assert_eq!(after, Blame::Before(LateCause::Compute));
+        assert_eq!(after.cause(), overrun.cause());
+        // The overrun is paid for: the next skip is another event, with the parts of its own cycle.
+        let own = Blame::Own(LateCause::Platform);
+        assert_eq!(judge(judged(4, false, 1, 30)), own);
+        // Late itself, whatever came before.
+        assert_eq!(judge(judged(5, true, 0, 6000)), overrun);
+        assert_eq!(judge(judged(6, true, 1, 6000)), overrun);
+        // The record between was lost, so nobody knows what the cycle before did.
+        assert_eq!(judge(judged(8, false, 1, 30)), own);
+    }
+
+    #[test]
+    fn a_late_start_that_met_its_deadline_took_no_release() {
+        let mut attribution = Attribution::default();
+        let mut late = judged(1, false, 0, 30);
+        late.verdict.late_start = true;
+        late.timing.wake_ns = 900 * US;
+        assert_eq!(
+            attribution.judge(&late, None),
+            Blame::Own(LateCause::Platform)
+        );
+        let next = attribution.judge(&judged(2, false, 1, 60), None);
+        assert_eq!(next, Blame::Own(LateCause::Compute));
     }
 
     #[test]

@@ -32,8 +32,8 @@ pub struct CycleInputs {
     pub window: ReferenceWindow,
     /// The reference lease.
     pub lease: LeaseState,
-    /// Stop at once: a request that found no room in the ring.
-    pub stop: bool,
+    /// Stops that were asked for so far. When it has grown, the cycle stops whatever else waits in the ring.
+    pub stops: u64,
     /// The driver's newest measurement.
     pub measurement: Option<TimedMeasurement>,
     /// The obstacles, each at its own stamp.
@@ -52,7 +52,7 @@ impl CycleInputs {
             gather_ns: 0,
             window: ReferenceWindow::default(),
             lease: LeaseState::Free,
-            stop: false,
+            stops: 0,
             measurement: None,
             obstacles: ObstacleSet::default(),
             settings,
@@ -79,8 +79,10 @@ pub struct CycleAnswer {
     pub outcome: Result<(), Refusal>,
 }
 
-/// Requests that one cycle answers; the rest waits for the next.
+/// Requests that one cycle carries out; the rest waits for the next.
 pub const REQUESTS_PER_CYCLE: usize = 4;
+/// Requests that wait for a cycle. One that stops answers all of them.
+pub const REQUESTS_WAITING: usize = 4 * REQUESTS_PER_CYCLE;
 /// Records between cycle and exchange: 0.64 s at 5 ms.
 const RECORDS: usize = 128;
 /// Summaries between exchange and supervisor: 5 s at 5 ms.
@@ -126,7 +128,7 @@ pub struct SupervisorEnds {
 /// The channels between cycle, exchange and supervisor.
 pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds) {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
-    let (request_in, request_out) = RingBuffer::new(4 * REQUESTS_PER_CYCLE);
+    let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
     let (record_in, record_out) = RingBuffer::new(RECORDS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
@@ -160,9 +162,20 @@ pub struct Shared {
     cycle_beats: AtomicU64,
     exchange_beats: AtomicU64,
     statistics_resets: AtomicU64,
+    still_moving: AtomicBool,
 }
 
 impl Shared {
+    /// The cycle thread has made its last command, and it was (not) zero rates.
+    pub fn set_still_moving(&self, still_moving: bool) {
+        self.still_moving.store(still_moving, Ordering::Release);
+    }
+
+    /// Whether the last command let the robot move on.
+    pub fn is_still_moving(&self) -> bool {
+        self.still_moving.load(Ordering::Acquire)
+    }
+
     /// The cycle thread says who it is, so that others can read what the scheduler counts of it.
     pub fn set_cycle_thread(&self, id: u32) {
         self.cycle_thread.store(id, Ordering::Release);

@@ -1,6 +1,6 @@
 //! What the operating system owes a real-time loop: clock, grid, hand-over, accounting, privileges.
 //!
-//! Invariant: nothing here knows the robot or a message. `sys` is the only file of the workspace with
+//! Invariant: nothing here knows the robot or a message, but for `handoff`, which carries both and looks into neither. `sys` is the only file of the workspace with
 //! `unsafe` in it.
 
 pub mod accounting;

@@ -5,6 +5,9 @@ use std::io::Write;
 
 use cdcr_shared_types::codes::realtime;
 use rustix::mm::MlockAllFlags;
+use rustix::thread::{
+    CpuSet, disable_transparent_huge_pages, sched_getaffinity, sched_setaffinity,
+};
 
 use super::sys;
 use crate::config::{RealtimeConfig, RealtimeMode};
@@ -69,18 +72,48 @@ impl ThreadPlan {
     }
 }
 
-/// Locks all memory of the process, present and future. Returns what is missing.
+/// Keeps the calling thread, and those that it starts from now on, off the core of the real-time threads, where
+/// it may use another one. Ordinary work there would empty the caches of the cycle.
+///
+/// To be called after [`choose_core`], which counts the cores that the calling thread may use.
+pub fn stay_off_core(core: Option<usize>) {
+    let Some(core) = core.filter(|core| *core < CpuSet::MAX_CPU) else {
+        return;
+    };
+    let moved = sched_getaffinity(None).and_then(|mut allowed| {
+        if !allowed.is_set(core) || allowed.count() < 2 {
+            return Ok(());
+        }
+        allowed.unset(core);
+        sched_setaffinity(None, &allowed)
+    });
+    if let Err(error) = moved {
+        tracing::info!(core, %error, "the supervisor may use the core of the real-time threads");
+    }
+}
+
+/// Locks all memory of the process, present and future, and keeps the kernel from moving it together into huge
+/// pages. Returns what is missing.
 pub fn lock_memory(mode: RealtimeMode) -> u32 {
     if mode == RealtimeMode::Off {
         return realtime::OFF;
     }
     sys::keep_freed_memory();
+    keep_pages_small();
     match rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE) {
         Ok(()) => 0,
         Err(error) => {
             tracing::warn!(%error, "memory is not locked");
             realtime::LOCKED
         }
+    }
+}
+
+/// Exempts the process from transparent huge pages: to make one of many small pages, the kernel moves memory
+/// that is in use, also locked memory, and whoever touches it meanwhile waits.
+fn keep_pages_small() {
+    if let Err(error) = disable_transparent_huge_pages(true) {
+        tracing::info!(%error, "the kernel may make huge pages: PR_SET_THP_DISABLE is refused");
     }
 }
 
@@ -114,4 +147,82 @@ fn touch_stack() {
         *byte = 1;
     }
     std::hint::black_box(&stack);
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use rustix::thread::transparent_huge_pages_are_disabled;
+
+    use super::*;
+
+    /// Runs on a thread of its own, whose cores are nobody else's matter.
+    fn apart<T: Send + 'static>(run: fn() -> T) -> T {
+        std::thread::spawn(run).join().unwrap()
+    }
+
+    fn cores() -> Vec<usize> {
+        let allowed = sched_getaffinity(None).unwrap();
+        (0..CpuSet::MAX_CPU)
+            .filter(|core| allowed.is_set(*core))
+            .collect()
+    }
+
+    #[test]
+    fn the_supervisor_leaves_the_core_to_the_real_time_threads() {
+        let (before, after) = apart(|| {
+            let before = cores();
+            stay_off_core(before.last().copied());
+            (before, cores())
+        });
+        let (last, others) = before.split_last().unwrap();
+        if others.is_empty() {
+            println!("skipped: core {last} is the only one that this test may use");
+            return;
+        }
+        assert_eq!(after, others);
+    }
+
+    #[test]
+    fn the_only_core_is_shared() {
+        let (only, after) = apart(|| {
+            let only = cores()[0];
+            assert!(core_affinity::set_for_current(core_affinity::CoreId {
+                id: only
+            }));
+            stay_off_core(Some(only));
+            (only, cores())
+        });
+        assert_eq!(after, [only]);
+    }
+
+    #[test]
+    fn a_core_that_is_not_there_changes_nothing() {
+        let (before, after) = apart(|| {
+            let before = cores();
+            for core in [None, Some(CpuSet::MAX_CPU - 1), Some(usize::MAX)] {
+                stay_off_core(core);
+            }
+            (before, cores())
+        });
+        // A machine with so many cores may lose the last of them.
+        if !before.contains(&(CpuSet::MAX_CPU - 1)) {
+            assert_eq!(after, before);
+        }
+    }
+
+    #[test]
+    fn the_process_is_exempt_from_huge_pages() {
+        if let Err(error) = disable_transparent_huge_pages(false) {
+            println!("skipped: PR_SET_THP_DISABLE is refused here ({error})");
+            return;
+        }
+        assert!(!transparent_huge_pages_are_disabled().unwrap());
+        keep_pages_small();
+        assert!(transparent_huge_pages_are_disabled().unwrap());
+    }
 }

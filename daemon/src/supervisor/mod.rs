@@ -25,7 +25,7 @@ use crate::rt::accounting::{Totals, Verdict};
 use crate::rt::handoff::{Shared, SupervisorEnds};
 use crate::service_manager::{ServiceManager, StatusLine};
 use statistics::Statistics;
-use steal::StealReader;
+use steal::{Steal, Stolen};
 use watchdog::Watchdog;
 
 /// What the supervisor learns of a cycle.
@@ -51,7 +51,10 @@ pub struct Summary {
     pub publish_ns: u64,
     /// Releases before it that got no cycle.
     pub skipped_periods: u32,
-    /// [`wire::codes::LateCause`].
+    /// Time of the release that was due \[ns\].
+    pub due_ns: u64,
+    /// [`wire::codes::LateCause`]; none, too, when it only skipped the releases that the late cycle before it
+    /// took.
     pub late_cause: u32,
     /// Whether it used the inputs of the cycle before again.
     pub stale_inputs: bool,
@@ -95,14 +98,13 @@ pub struct Summary {
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// How often the status is published.
 const STATUS_EVERY: Duration = Duration::from_millis(100);
-/// How often the steal is read while nothing happens \[ns\].
-const STEAL_EVERY_NS: u64 = 1_000_000_000;
 /// How often a late cycle is logged, at most.
 const LATE_LINE_EVERY: Duration = Duration::from_secs(1);
 /// How long the exchange may take to publish its last record and close its ports.
 const END_MAX: Duration = Duration::from_secs(5);
 /// Over how long cycles are counted for the service manager.
 const RATE_EVERY: Duration = Duration::from_secs(1);
+
 /// Watches the threads, and tells the world.
 #[derive(Debug)]
 pub struct Supervisor {
@@ -113,8 +115,7 @@ pub struct Supervisor {
     statistics: Statistics,
     resets: u64,
     budget_hits: u64,
-    steal: Option<StealReader>,
-    steal_read: (u64, u64),
+    steal: Steal,
     watchdog: Watchdog,
     manager: ServiceManager,
     unfinished: UnfinishedFiles,
@@ -155,8 +156,7 @@ impl Supervisor {
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
             budget_hits: 0,
-            steal: None,
-            steal_read: (0, 0),
+            steal: Steal::default(),
             watchdog: Watchdog::new(
                 Duration::from_nanos(ns(validated.config.cycle.watchdog_ms)),
                 now,
@@ -178,8 +178,7 @@ impl Supervisor {
     pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
         self.status.realtime_missing = missing;
         self.status.core = core.map_or(u32::MAX, |core| core as u32);
-        self.steal = StealReader::open(core);
-        self.read_steal(clock);
+        self.steal = Steal::of(core, clock);
         if missing == 0 {
             tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
         }
@@ -206,7 +205,8 @@ impl Supervisor {
         let mut cycle_ended = None;
         loop {
             let over = is_over();
-            self.take_summaries();
+            self.steal.look(clock);
+            self.take_summaries(clock);
             self.take_incidents(clock);
             self.tell_manager(shared);
             self.unfinished.look();
@@ -233,8 +233,12 @@ impl Supervisor {
         }
     }
 
-    fn take_summaries(&mut self) {
-        while let Ok(summary) = self.ends.summaries.pop() {
+    fn take_summaries(&mut self, clock: &impl Clock) {
+        while let Ok(mut summary) = self.ends.summaries.pop() {
+            if summary.late_cause != LateCause::None.code() {
+                let stolen = self.steal.since(summary.due_ns, clock);
+                summary.late_cause = stolen.cause(summary.late_cause, summary.response_ns);
+            }
             self.statistics.record(&summary);
             self.budget_hits += u64::from(summary.budget_hit);
             self.status.clearance_guarded += u64::from(summary.clearance_guarded);
@@ -247,35 +251,24 @@ impl Supervisor {
     }
 
     /// Publishes bad cycles; the service keeps the last ones for whoever asks later.
+    ///
+    /// The exchange hands a bad cycle on before its summary. One whose summary has not come waits for the
+    /// next look, so that both are judged by the same reading of the steal.
     fn take_incidents(&mut self, clock: &impl Clock) {
-        while let Ok(incident) = self.ends.incidents.pop() {
-            let (steal_ns, steal_window_ns) = self.read_steal(clock);
-            let incident = wire::Incident {
-                steal_ns,
-                steal_window_ns,
-                ..incident
-            };
+        while let Ok(next) = self.ends.incidents.peek()
+            && next.telemetry.cycle <= self.newest.cycle
+            && let Ok(mut incident) = self.ends.incidents.pop()
+        {
+            let stolen = self.steal.since(incident.telemetry.due_ns, clock);
+            explain(&mut incident, stolen);
             if let Err(error) = self.incidents.send_copy(incident) {
                 tracing::warn!(%error, "a bad cycle could not be published");
             }
-        }
-        if clock.now_ns().saturating_sub(self.steal_read.0) > STEAL_EVERY_NS {
-            self.read_steal(clock);
         }
         // Late joiners get what is kept.
         if let Err(error) = self.incidents.update_connections() {
             tracing::warn!(%error, "a reader of the bad cycles could not be connected");
         }
-    }
-
-    /// Steal since the last reading, and how long ago that was \[ns\]; (0, 0): it cannot be read.
-    fn read_steal(&mut self, clock: &impl Clock) -> (u64, u64) {
-        let Some(total_ns) = self.steal.as_mut().and_then(StealReader::read_ns) else {
-            return (0, 0);
-        };
-        let now_ns = clock.now_ns();
-        let (read_ns, before_ns) = core::mem::replace(&mut self.steal_read, (now_ns, total_ns));
-        (total_ns.saturating_sub(before_ns), now_ns - read_ns)
     }
 
     fn tell_manager(&mut self, shared: &Shared) {
@@ -301,9 +294,9 @@ impl Supervisor {
         }
     }
 
-    /// Mode changes one by one; late cycles at most once a second.
+    /// Changes of mode or reason one by one; late cycles at most once a second.
     fn log(&mut self, summary: &Summary) {
-        if summary.mode != self.newest.mode {
+        if is_news(summary, &self.newest) {
             let (mode, reason) = (summary.mode.text(), summary.reason.text());
             if summary.mode == Mode::Faulted {
                 tracing::error!(cycle = summary.cycle, reason, "{mode}: {reason}");
@@ -311,7 +304,8 @@ impl Supervisor {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
         }
-        if summary.verdict.deadline_miss || summary.skipped_periods > 0 {
+        let is_late = summary.late_cause != LateCause::None.code();
+        if is_late && (summary.verdict.deadline_miss || summary.skipped_periods > 0) {
             self.late = Some(*summary);
         }
         if self.logged.elapsed() >= LATE_LINE_EVERY
@@ -324,8 +318,8 @@ impl Supervisor {
                 wake_us = late.wake_ns / 1000,
                 response_us = late.response_ns / 1000,
                 cause,
-                deadline_misses = late.totals.deadline_misses,
-                skipped_periods = late.totals.skipped_periods,
+                deadline_misses = summary.totals.deadline_misses,
+                skipped_periods = summary.totals.skipped_periods,
                 "late: {cause}"
             );
         }
@@ -358,6 +352,11 @@ impl Supervisor {
     }
 }
 
+/// Whether the mode is another one than before, or has another reason.
+fn is_news(summary: &Summary, before: &Summary) -> bool {
+    (summary.mode, summary.reason) != (before.mode, before.reason)
+}
+
 fn exchange_does_not_end() -> Ended {
     Ended {
         cause: ExitCause::ExchangeHung,
@@ -366,6 +365,16 @@ fn exchange_does_not_end() -> Ended {
             END_MAX.as_secs()
         ),
     }
+}
+
+/// Adds the steal to a bad cycle, and changes its cause where the steal explains it.
+fn explain(incident: &mut wire::Incident, stolen: Stolen) {
+    incident.steal_ns = stolen.steal_ns;
+    incident.steal_window_ns = stolen.window_ns;
+    let record = &mut incident.telemetry;
+    let lateness_ns = record.handed_over_ns.saturating_sub(record.due_ns);
+    let cause = &mut record.scheduling.late_cause;
+    *cause = stolen.cause(*cause, lateness_ns);
 }
 
 /// Copies what the newest cycle says into a status.
@@ -411,5 +420,56 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         settings: convert::settings_to_wire(&Settings::new(config)),
         clearance_m: f64::INFINITY,
         ..wire::Status::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_reason_is_news_in_the_same_mode() {
+        let summary = |cycle, mode, reason| Summary {
+            cycle,
+            mode,
+            reason,
+            ..Summary::default()
+        };
+        let stopped = summary(1, Mode::Stopped, Reason::DeadlineMisses);
+        assert!(is_news(
+            &stopped,
+            &summary(0, Mode::Holding, Reason::DeadlineMisses)
+        ));
+        assert!(is_news(
+            &summary(2, Mode::Stopped, Reason::Request),
+            &stopped
+        ));
+        assert!(!is_news(
+            &summary(2, Mode::Stopped, Reason::DeadlineMisses),
+            &stopped
+        ));
+    }
+
+    #[test]
+    fn steal_changes_the_cause_of_a_kept_cycle() {
+        let stolen = Stolen {
+            steal_ns: 10_000_000,
+            window_ns: 100_000_000,
+        };
+        let mut incident = wire::Incident::default();
+        incident.telemetry.due_ns = 5;
+        incident.telemetry.handed_over_ns = 8_000_005;
+        incident.telemetry.scheduling.late_cause = LateCause::Load.code();
+        let before = incident.telemetry;
+        explain(&mut incident, stolen);
+        assert_eq!(incident.steal_ns, stolen.steal_ns);
+        assert_eq!(incident.steal_window_ns, stolen.window_ns);
+        let after = incident.telemetry.scheduling;
+        assert_eq!(after.late_cause, LateCause::Platform.code());
+        incident.telemetry.scheduling.late_cause = before.scheduling.late_cause;
+        assert_eq!(
+            incident.telemetry, before,
+            "all else is as its readers got it"
+        );
     }
 }

@@ -5,6 +5,7 @@ use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 
 use super::Summary;
+use crate::rt::accounting::Totals;
 
 /// Latencies above this are counted as this \[ns\].
 const LATENCY_MAX_NS: u64 = 10_000_000_000;
@@ -19,9 +20,14 @@ const DIGITS_SLICE: u8 = 2;
 
 /// The statistics of the cycles: since the start or the last reset, and of the last minute.
 ///
+/// Cycles, late starts, misses and skipped periods come from the totals of the cycle thread, so they are
+/// right even when summaries were lost; the rest counts the summaries that came.
+///
 /// All memory is taken at the start, about 3 MB.
 #[derive(Debug)]
 pub(super) struct Statistics {
+    /// What the newest summary counted since the start.
+    counted: Totals,
     since_reset: Window,
     since_ns: u64,
     slices: [Window; SLICES],
@@ -48,6 +54,7 @@ impl Statistics {
     pub(super) fn new(now_ns: u64) -> anyhow::Result<Self> {
         let slice = || Window::new(DIGITS_SLICE);
         Ok(Self {
+            counted: Totals::default(),
             since_reset: Window::new(DIGITS_SINCE)?,
             since_ns: now_ns,
             slices: [slice()?, slice()?, slice()?, slice()?, slice()?, slice()?],
@@ -59,8 +66,12 @@ impl Statistics {
 
     /// Counts a cycle.
     pub(super) fn record(&mut self, summary: &Summary) {
-        self.since_reset.record(summary);
-        self.slices[self.filling].record(summary);
+        let before = core::mem::replace(&mut self.counted, summary.totals);
+        let passed = difference(&summary.totals, &before);
+        for window in [&mut self.since_reset, &mut self.slices[self.filling]] {
+            window.count(&passed);
+            window.record(summary);
+        }
     }
 
     /// Counts records that were lost.
@@ -120,14 +131,17 @@ impl Window {
         })
     }
 
+    fn count(&mut self, passed: &Totals) {
+        let counts = &mut self.counts;
+        counts.cycles += passed.cycles;
+        counts.late_starts += passed.late_starts;
+        counts.deadline_misses += passed.deadline_misses;
+        counts.skipped_periods += passed.skipped_periods;
+    }
+
     fn record(&mut self, summary: &Summary) {
         let counts = &mut self.counts;
-        let (late, missed) = (summary.verdict.late_start, summary.verdict.deadline_miss);
-        let skipped = u64::from(summary.skipped_periods);
-        counts.cycles += 1;
-        counts.late_starts += u64::from(late);
-        counts.deadline_misses += u64::from(missed);
-        counts.skipped_periods += skipped;
+        let missed = summary.verdict.deadline_miss;
         counts.budget_hits += u64::from(summary.budget_hit);
         counts.stale_inputs += u64::from(summary.stale_inputs);
         counts.stale_measurements += u64::from(summary.stale_measurement);
@@ -138,7 +152,7 @@ impl Window {
             *count += 1;
         }
         // The skipped releases lie before this cycle.
-        self.streak += skipped;
+        self.streak += u64::from(summary.skipped_periods);
         self.streak += u64::from(missed);
         counts.longest_streak = counts.longest_streak.max(self.streak);
         if !missed {
@@ -218,6 +232,16 @@ impl Window {
     }
 }
 
+/// What was counted since `before`.
+fn difference(now: &Totals, before: &Totals) -> Totals {
+    Totals {
+        cycles: now.cycles.saturating_sub(before.cycles),
+        late_starts: now.late_starts.saturating_sub(before.late_starts),
+        deadline_misses: now.deadline_misses.saturating_sub(before.deadline_misses),
+        skipped_periods: now.skipped_periods.saturating_sub(before.skipped_periods),
+    }
+}
+
 fn summary(histogram: &Histogram<u64>) -> wire::LatencySummary {
     wire::LatencySummary {
         count: histogram.len(),
@@ -266,6 +290,36 @@ mod tests {
         }
     }
 
+    /// Statistics, and the totals of the cycle thread that they are told of.
+    struct Told {
+        statistics: Statistics,
+        totals: Totals,
+    }
+
+    impl Told {
+        fn new() -> Self {
+            Self {
+                statistics: Statistics::new(0).unwrap(),
+                totals: Totals::default(),
+            }
+        }
+
+        /// A cycle whose summary is lost.
+        fn lose(&mut self, summary: &Summary) {
+            let totals = &mut self.totals;
+            totals.cycles += 1;
+            totals.late_starts += u64::from(summary.verdict.late_start);
+            totals.deadline_misses += u64::from(summary.verdict.deadline_miss);
+            totals.skipped_periods += u64::from(summary.skipped_periods);
+        }
+
+        fn record(&mut self, summary: &Summary) {
+            self.lose(summary);
+            let totals = self.totals;
+            self.statistics.record(&Summary { totals, ..*summary });
+        }
+    }
+
     fn report(statistics: &mut Statistics) -> [wire::Statistics; 2] {
         let mut status = wire::Status::default();
         statistics.report(&mut status);
@@ -274,14 +328,14 @@ mod tests {
 
     #[test]
     fn counts_and_percentiles_of_both_stretches() {
-        let mut statistics = Statistics::new(0).unwrap();
+        let mut told = Told::new();
         for _ in 0..98 {
-            statistics.record(&good());
+            told.record(&good());
         }
-        statistics.record(&missed(0));
-        statistics.record(&missed(3));
-        statistics.dropped(2);
-        for counts in report(&mut statistics) {
+        told.record(&missed(0));
+        told.record(&missed(3));
+        told.statistics.dropped(2);
+        for counts in report(&mut told.statistics) {
             assert_eq!((counts.cycles, counts.deadline_misses), (100, 2));
             assert_eq!((counts.skipped_periods, counts.longest_streak), (3, 5));
             assert_eq!(counts.causes[LateCause::Platform.code() as usize], 2);
@@ -297,44 +351,67 @@ mod tests {
 
     #[test]
     fn the_last_minute_forgets_and_the_rest_remembers() {
-        let mut statistics = Statistics::new(0).unwrap();
+        let mut told = Told::new();
         for second in 0..200 {
-            statistics.advance(second * S);
-            statistics.record(&good());
+            told.statistics.advance(second * S);
+            told.record(&good());
         }
-        let [since, minute] = report(&mut statistics);
+        let [since, minute] = report(&mut told.statistics);
         assert_eq!(since.cycles, 200);
         assert!((50..=60).contains(&minute.cycles), "{}", minute.cycles);
         // A long silence, and all of it is forgotten.
-        statistics.advance(1_000_000 * S);
-        assert_eq!(report(&mut statistics)[1].cycles, 0);
-        assert_eq!(report(&mut statistics)[0].cycles, 200);
+        told.statistics.advance(1_000_000 * S);
+        assert_eq!(report(&mut told.statistics)[1].cycles, 0);
+        assert_eq!(report(&mut told.statistics)[0].cycles, 200);
     }
 
     #[test]
     fn a_reset_begins_anew() {
-        let mut statistics = Statistics::new(0).unwrap();
-        statistics.record(&missed(9));
-        statistics.reset(7 * S);
-        statistics.record(&good());
-        for counts in report(&mut statistics) {
+        let mut told = Told::new();
+        told.record(&missed(9));
+        told.statistics.reset(7 * S);
+        told.record(&good());
+        for counts in report(&mut told.statistics) {
             assert_eq!((counts.cycles, counts.deadline_misses), (1, 0));
             assert_eq!((counts.longest_streak, counts.wake.count), (0, 1));
         }
         let mut status = wire::Status::default();
-        statistics.report(&mut status);
+        told.statistics.report(&mut status);
         assert_eq!(status.statistics_since_ns, 7 * S);
     }
 
     #[test]
     fn a_streak_goes_on_over_the_border_of_a_slice() {
-        let mut statistics = Statistics::new(0).unwrap();
-        statistics.record(&missed(1));
-        statistics.advance(10 * S);
-        statistics.record(&missed(1));
-        assert_eq!(report(&mut statistics)[1].longest_streak, 4);
-        statistics.record(&good());
-        statistics.record(&missed(0));
-        assert_eq!(report(&mut statistics)[1].longest_streak, 4);
+        let mut told = Told::new();
+        told.record(&missed(1));
+        told.statistics.advance(10 * S);
+        told.record(&missed(1));
+        assert_eq!(report(&mut told.statistics)[1].longest_streak, 4);
+        told.record(&good());
+        told.record(&missed(0));
+        assert_eq!(report(&mut told.statistics)[1].longest_streak, 4);
+    }
+
+    #[test]
+    fn lost_summaries_do_not_make_the_exact_counts_wrong() {
+        let mut told = Told::new();
+        told.record(&missed(0));
+        told.statistics.reset(S);
+        told.lose(&missed(2));
+        told.lose(&good());
+        told.record(&good());
+        // Those that were lost in the next slice count there.
+        told.statistics.advance(20 * S);
+        told.lose(&missed(4));
+        told.record(&missed(0));
+        for counts in report(&mut told.statistics) {
+            assert_eq!((counts.cycles, counts.wake.count), (5, 2));
+            assert_eq!((counts.deadline_misses, counts.late_starts), (3, 3));
+            assert_eq!(counts.skipped_periods, 6);
+        }
+        told.statistics.advance(65 * S);
+        let [since, minute] = report(&mut told.statistics);
+        assert_eq!((since.cycles, since.skipped_periods), (5, 6));
+        assert_eq!((minute.cycles, minute.skipped_periods), (2, 4));
     }
 }

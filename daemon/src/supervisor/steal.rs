@@ -1,12 +1,119 @@
+//! How long the hypervisor kept the core from this machine, and which late cycles that explains.
+
 use std::fs::File;
 use std::os::unix::fs::FileExt;
+
+use cdcr_shared_types::codes::LateCause;
+
+use crate::ports::Clock;
 
 /// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
 const TICK_NS: u64 = 10_000_000;
 
+/// How often the steal is read while nothing happens \[ns\]: what was stolen long before a late cycle must
+/// not explain it.
+const READ_EVERY_NS: u64 = 100_000_000;
+
+/// Steal in a stretch of time; both 0: it cannot be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(super) struct Stolen {
+    /// Time stolen \[ns\], in steps of a tick.
+    pub(super) steal_ns: u64,
+    /// Length of the stretch, up to the newest reading \[ns\].
+    pub(super) window_ns: u64,
+}
+
+impl Stolen {
+    /// The cause of a cycle that came `lateness_ns` after its release. To the guest, a core that the
+    /// hypervisor took looks like one that another task has, a stall or a long computation; where the
+    /// steal is at least half of the lateness, it was the platform.
+    pub(super) fn cause(self, seen: u32, lateness_ns: u64) -> u32 {
+        let looks_alike = [LateCause::Load, LateCause::Stall, LateCause::Compute];
+        let is_stolen = self.steal_ns >= TICK_NS && self.steal_ns >= lateness_ns / 2;
+        if is_stolen && looks_alike.map(LateCause::code).contains(&seen) {
+            LateCause::Platform.code()
+        } else {
+            seen
+        }
+    }
+}
+
+/// What one reading found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct Reading {
+    time_ns: u64,
+    total_ns: u64,
+}
+
+/// The steal of one core, read at most once per look of the supervisor: all late cycles of a look share the
+/// reading.
+#[derive(Debug, Default)]
+pub(super) struct Steal {
+    reader: Option<StealReader>,
+    /// Oldest first. Two lie before the newest, so that one of them is older than a late cycle that a
+    /// reading fell into.
+    readings: [Reading; 3],
+    is_fresh: bool,
+}
+
+impl Steal {
+    /// That of `core`, or the sum of all cores, from now on.
+    pub(super) fn of(core: Option<usize>, clock: &impl Clock) -> Self {
+        let mut steal = Self {
+            reader: StealReader::open(core),
+            ..Self::default()
+        };
+        steal.read(clock.now_ns());
+        steal.readings = [steal.readings[2]; 3];
+        steal
+    }
+
+    /// The next look begins.
+    pub(super) fn look(&mut self, clock: &impl Clock) {
+        self.is_fresh = false;
+        let now_ns = clock.now_ns();
+        if now_ns.saturating_sub(self.readings[2].time_ns) > READ_EVERY_NS {
+            self.read(now_ns);
+        }
+    }
+
+    /// What was stolen since the newest reading before `due_ns`.
+    pub(super) fn since(&mut self, due_ns: u64, clock: &impl Clock) -> Stolen {
+        if !self.is_fresh {
+            self.read(clock.now_ns());
+        }
+        between(&self.readings, due_ns)
+    }
+
+    fn read(&mut self, now_ns: u64) {
+        self.is_fresh = true;
+        if let Some(total_ns) = self.reader.as_mut().and_then(StealReader::read_ns) {
+            self.readings.rotate_left(1);
+            self.readings[2] = Reading {
+                time_ns: now_ns,
+                total_ns,
+            };
+        }
+    }
+}
+
+/// From the newest reading before `due_ns`, or the oldest, to the newest.
+fn between(readings: &[Reading; 3], due_ns: u64) -> Stolen {
+    let [oldest, before, newest] = readings;
+    let begin = if before.time_ns <= due_ns {
+        before
+    } else {
+        oldest
+    };
+    Stolen {
+        steal_ns: newest.total_ns.saturating_sub(begin.total_ns),
+        window_ns: newest.time_ns.saturating_sub(begin.time_ns),
+    }
+}
+
 /// Reads how long the hypervisor kept one core from this machine.
 #[derive(Debug)]
-pub(super) struct StealReader {
+struct StealReader {
     file: File,
     line: String,
     text: Vec<u8>,
@@ -14,7 +121,7 @@ pub(super) struct StealReader {
 
 impl StealReader {
     /// A reader for `core`, or for the sum of all cores. None where `/proc/stat` is not there.
-    pub(super) fn open(core: Option<usize>) -> Option<Self> {
+    fn open(core: Option<usize>) -> Option<Self> {
         let reader = Self {
             file: File::open("/proc/stat").ok()?,
             line: core.map_or_else(|| "cpu ".to_owned(), |core| format!("cpu{core} ")),
@@ -24,7 +131,7 @@ impl StealReader {
     }
 
     /// Time stolen since the machine started \[ns\].
-    pub(super) fn read_ns(&mut self) -> Option<u64> {
+    fn read_ns(&mut self) -> Option<u64> {
         let length = self.file.read_at(&mut self.text, 0).ok()?;
         let text = core::str::from_utf8(&self.text[..length]).ok()?;
         Some(steal_ticks(text, &self.line)? * TICK_NS)
@@ -49,6 +156,92 @@ mod tests {
         assert_eq!(steal_ticks(text, "cpu "), Some(997));
         assert_eq!(steal_ticks(text, "cpu7 "), None);
         assert_eq!(steal_ticks("cpu0 1 2", "cpu0 "), None);
+    }
+
+    const MS: u64 = 1_000_000;
+
+    #[test]
+    fn steal_that_is_half_of_the_lateness_makes_it_the_platforms() {
+        let cause = |steal_ms, lateness_ms, seen: LateCause| {
+            let stolen = Stolen {
+                steal_ns: steal_ms * MS,
+                window_ns: 100 * MS,
+            };
+            LateCause::try_from(stolen.cause(seen.code(), lateness_ms * MS)).expect("a cause")
+        };
+        for seen in [LateCause::Load, LateCause::Stall, LateCause::Compute] {
+            assert_eq!(cause(10, 6, seen), LateCause::Platform);
+            assert_eq!(cause(10, 20, seen), LateCause::Platform);
+            assert_eq!(cause(10, 21, seen), seen, "less than half");
+            assert_eq!(cause(0, 0, seen), seen, "less than a tick");
+        }
+        for seen in [LateCause::None, LateCause::Platform, LateCause::PageFault] {
+            assert_eq!(cause(10, 6, seen), seen);
+        }
+    }
+
+    #[test]
+    fn the_window_begins_before_the_late_cycle() {
+        let reading = |time_ms, total_ms| Reading {
+            time_ns: time_ms * MS,
+            total_ns: total_ms * MS,
+        };
+        let readings = [reading(100, 0), reading(200, 30), reading(220, 40)];
+        let stolen = |due_ms| {
+            let Stolen {
+                steal_ns,
+                window_ns,
+            } = between(&readings, due_ms * MS);
+            [steal_ns / MS, window_ns / MS]
+        };
+        assert_eq!(stolen(210), [10, 20]);
+        assert_eq!(stolen(200), [10, 20]);
+        // A reading fell into the late cycle.
+        assert_eq!(stolen(195), [40, 120]);
+        assert_eq!(stolen(50), [40, 120]);
+    }
+
+    /// A clock that a test sets.
+    #[derive(Default)]
+    struct Still(std::cell::Cell<u64>);
+
+    impl Clock for Still {
+        fn now_ns(&self) -> u64 {
+            self.0.get()
+        }
+        fn sleep_until(&self, time_ns: u64) {
+            self.0.set(time_ns);
+        }
+    }
+
+    #[test]
+    fn the_late_cycles_of_a_look_share_one_reading() {
+        let clock = Still::default();
+        let mut steal = Steal::of(None, &clock);
+        let window_ms = |stolen: Stolen| stolen.window_ns / MS;
+        clock.sleep_until(20 * MS);
+        steal.look(&clock);
+        assert_eq!(window_ms(steal.since(5 * MS, &clock)), 20);
+        clock.sleep_until(21 * MS);
+        assert_eq!(window_ms(steal.since(5 * MS, &clock)), 20, "no new reading");
+        clock.sleep_until(40 * MS);
+        steal.look(&clock);
+        assert_eq!(window_ms(steal.since(25 * MS, &clock)), 20, "a new one");
+        // It reads by itself when nothing happens.
+        clock.sleep_until(400 * MS);
+        steal.look(&clock);
+        clock.sleep_until(420 * MS);
+        steal.look(&clock);
+        assert_eq!(window_ms(steal.since(410 * MS, &clock)), 20);
+    }
+
+    #[test]
+    fn what_cannot_be_read_was_not_stolen() {
+        let clock = Still::default();
+        let mut steal = Steal::default();
+        clock.sleep_until(400 * MS);
+        steal.look(&clock);
+        assert_eq!(steal.since(300 * MS, &clock), Stolen::default());
     }
 
     #[test]

@@ -17,6 +17,8 @@ const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms =
 struct Robot {
     driver: Driver,
     bend_rad: [f64; 12],
+    noise_rad: f64,
+    turns: u32,
 }
 
 impl Robot {
@@ -24,6 +26,8 @@ impl Robot {
         Self {
             driver: connection.driver().unwrap(),
             bend_rad: [0.0; 12],
+            noise_rad: 0.0,
+            turns: 0,
         }
     }
 
@@ -31,7 +35,13 @@ impl Robot {
         if let Some(command) = self.driver.newest_command().unwrap() {
             self.bend_rad = command.bend_target_rad;
         }
-        self.measure(self.bend_rad);
+        self.turns += 1;
+        let mut bends = self.bend_rad;
+        for (index, bend) in bends[..6].iter_mut().enumerate() {
+            let phase = f64::from(self.turns) * (1.0 + index as f64);
+            *bend += self.noise_rad * phase.sin();
+        }
+        self.measure(bends);
         std::thread::sleep(Duration::from_millis(2));
     }
 
@@ -178,6 +188,59 @@ fn no_command_comes_before_the_first_measurement() {
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());
     connection.request(RequestKind::Reset).unwrap();
+}
+
+#[test]
+fn home_is_reached_with_noisy_sensors() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut robot = Robot::new(&connection);
+    robot.bend_rad[..3].copy_from_slice(&[0.2, -0.1, 0.05]);
+    robot.noise_rad = 0.004;
+    robot.run_until(|| connection.request(RequestKind::Home).is_ok());
+    let mut reached = None;
+    robot.run_until(|| {
+        while let Some(record) = telemetry.try_next().unwrap() {
+            if record.reason == Reason::HomeReached.code() {
+                reached = Some(record);
+            }
+        }
+        reached.is_some()
+    });
+    let bends = reached.unwrap().bend_rad;
+    assert!(bends.iter().all(|bend| bend.abs() < 0.02), "{bends:?}");
+}
+
+#[test]
+fn a_machine_that_stands_still_is_not_the_drivers_fault() {
+    // The timeout is a sixth of the time that the daemon stands still.
+    let configuration = CONFIGURATION
+        .replace("= 2000.0", "= 100.0")
+        .replace("= 1000000", "= 40");
+    let daemon = Daemon::start(&configuration);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut robot = Robot::new(&connection);
+    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+    let ending = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let daemon = &daemon;
+        scope.spawn(|| {
+            daemon.signal(rustix::process::Signal::STOP);
+            std::thread::sleep(Duration::from_millis(600));
+            daemon.signal(rustix::process::Signal::CONT);
+            std::thread::sleep(Duration::from_millis(300));
+            ending.store(true, std::sync::atomic::Ordering::Relaxed);
+        });
+        // The driver measures all the time.
+        robot.run_until(|| ending.load(std::sync::atomic::Ordering::Relaxed));
+    });
+    let record = wait_record(&mut telemetry, |record| record.mode != Mode::Holding.code());
+    assert_eq!(
+        (record.mode, record.reason),
+        (Mode::Stopped.code(), Reason::DeadlineMisses.code())
+    );
 }
 
 #[test]

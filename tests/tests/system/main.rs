@@ -9,6 +9,7 @@ mod access;
 mod bad_input;
 mod demo;
 mod driver;
+mod ending;
 mod feeding;
 mod lease;
 mod lifecycle;

@@ -192,16 +192,23 @@ fn settings_change_between_two_cycles_and_bad_ones_are_refused() {
     connection.change_settings(wanted).unwrap();
     let status = wait_status(&connection, |status| status.settings == wanted);
     assert_eq!(status.settings.control_blocks, before.control_blocks);
-    let bad = SolverSettings {
+    let too_large = SolverSettings {
         swarm_size: 100_000,
         ..before
     };
-    match connection.change_settings(bad) {
-        Err(RequestError::Refused {
-            outcome: Outcome::OutOfRange,
-            ..
-        }) => {}
-        other => panic!("{other:?}"),
+    // Nearer to obstacles than the configuration allows.
+    let too_near = SolverSettings {
+        safe_distance_m: before.safe_distance_m / 2.0,
+        ..before
+    };
+    for bad in [too_large, too_near] {
+        match connection.change_settings(bad) {
+            Err(RequestError::Refused {
+                outcome: Outcome::OutOfRange,
+                ..
+            }) => {}
+            other => panic!("{other:?}"),
+        }
     }
     assert_eq!(connection.status(PATIENCE).unwrap().settings, wanted);
 }

@@ -23,6 +23,7 @@ pub fn refusal(refusal: Refusal) -> Outcome {
         Refusal::NoReference => Outcome::NoReference,
         Refusal::CauseStands => Outcome::CauseStands,
         Refusal::Overruled => Outcome::Overruled,
+        Refusal::Ending => Outcome::Ending,
     }
 }
 

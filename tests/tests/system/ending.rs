@@ -1,0 +1,104 @@
+//! The end of a daemon: the robot comes to rest, whatever clients ask meanwhile.
+
+use cdcr_client::{FeedOptions, Line, RequestError};
+use cdcr_shared_types::Command;
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_tests::{Daemon, PATIENT, wait_until};
+use rustix::process::Signal;
+
+const ASKED: i32 = 0;
+const NOT_AT_REST: i32 = 82;
+
+/// A daemon that moves its robot home at `rate_rad_s`, and would bring it to rest at `deceleration_rad_s2`.
+fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
+    let motion = format!(
+        "[motion]\ndeceleration_rad_s2 = {deceleration_rad_s2}\nhome_rate_rad_s = {rate_rad_s}\n"
+    );
+    let bend = "[link]\ninitial_bend_rad = [[2.0, 0.0], [0.0, -2.0], [1.0, 1.0]]\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{motion}{bend}"));
+    let connection = daemon.connect();
+    let mut commands = connection.commands().unwrap();
+    connection.request(RequestKind::Home).unwrap();
+    wait_until("it moves", || {
+        commands
+            .newest()
+            .unwrap()
+            .is_some_and(|c| speed(&c) > 0.9 * rate_rad_s)
+    });
+    daemon
+}
+
+fn speed(command: &Command) -> f64 {
+    let rates = command.bend_rate_rad_s.iter();
+    rates.fold(0.0, |most, rate| rate.abs().max(most))
+}
+
+#[test]
+fn nothing_moves_the_robot_of_a_daemon_that_ends() {
+    // A second of ramp, so that there is time to ask.
+    let mut daemon = moving(1.0, 1.0);
+    let (connection, asking) = (daemon.connect(), daemon.connect());
+    let mut commands = connection.commands().unwrap();
+    let line = Line::for_sections(&[0.3; 3]);
+    daemon.signal(Signal::TERM);
+    wait_until("the ramp", || {
+        let newest = commands.newest().unwrap();
+        newest.is_some_and(|command| command.mode == Mode::Stopped.code())
+    });
+    let mut asked = 0;
+    let mut last = f64::INFINITY;
+    let mut rests = false;
+    for kind in [RequestKind::Reset, RequestKind::Home, RequestKind::Hold]
+        .into_iter()
+        .cycle()
+    {
+        match asking.request(kind) {
+            Err(RequestError::Refused { outcome, .. }) => {
+                assert_eq!(outcome, Outcome::Ending, "{kind:?}");
+                asked += 1;
+            }
+            Err(_) => break,
+            Ok(response) => panic!("{kind:?} was accepted: {response:?}"),
+        }
+        let _ = asking.feed(&line, FeedOptions::default());
+        while let Ok(Some(command)) = commands.try_next() {
+            assert!(speed(&command) <= last, "it moves faster again");
+            last = speed(&command);
+            rests = last == 0.0;
+        }
+        if rests {
+            break;
+        }
+    }
+    assert!(asked > 3, "{asked} requests were answered during the ramp");
+    let status = daemon.stop_after_signal();
+    while let Ok(Some(command)) = commands.try_next() {
+        last = speed(&command);
+    }
+    assert_eq!(
+        (status.code(), last),
+        (Some(ASKED), 0.0),
+        "{}",
+        daemon.log()
+    );
+}
+
+#[test]
+fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
+    // Ten seconds on, it is still moving, and has met no limit of its bends.
+    let mut daemon = moving(0.3, 0.01);
+    daemon.signal(Signal::TERM);
+    let status = daemon.stop_after_signal();
+    assert_eq!(status.code(), Some(NOT_AT_REST), "{}", daemon.log());
+    assert!(daemon.log().contains("motion.deceleration_rad_s2"));
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+}
+
+#[test]
+fn the_largest_problem_starts_at_once_and_ends_when_it_is_told_to() {
+    let mut daemon = Daemon::start(&format!(
+        "{PATIENT}[controller]\nhorizon_steps = 50\nswarm_size = 512\nswarm_iterations = 1000\n"
+    ));
+    let status = daemon.stop();
+    assert_eq!(status.code(), Some(ASKED), "{}", daemon.log());
+}
