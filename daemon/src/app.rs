@@ -24,9 +24,7 @@ use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
 use crate::rt::clock::MonotonicClock;
 use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
-use crate::rt::privileges::{
-    ThreadPlan, choose_core, keep_awake, lock_memory, stay_off_core,
-};
+use crate::rt::privileges::{ThreadPlan, choose_core, keep_awake, lock_memory, stay_off_core};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
 use crate::supervisor::Supervisor;
@@ -126,6 +124,10 @@ fn run_with<L: RobotLink + Send + 'static>(
         }
         if cycle.handle.is_finished() {
             shared.set_cycle_ended();
+        }
+        if exchange.handle.is_finished() {
+            // It has ended, and does not hang: only the cycle is watched on.
+            shared.beat_exchange();
         }
         cycle.handle.is_finished() && exchange.handle.is_finished()
     })?;

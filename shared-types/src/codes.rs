@@ -327,8 +327,8 @@ wire_enum! {
     LateCause {
         /// It was in time.
         None = 0: "in time",
-        /// The wake-up itself came late, with the core free: timer, firmware or hypervisor.
-        Platform = 1: "wake-up by platform",
+        /// The wake-up itself came late, with the core free (timer, firmware), or the hypervisor had the core.
+        Platform = 1: "platform",
         /// Another task had the core.
         Load = 2: "another task had the core",
         /// Memory was not there when it was touched.

@@ -84,8 +84,9 @@ pub struct Statistics {
     pub stale_measurements: u64,
     /// Records and events that were lost inside the daemon because a queue was full.
     pub dropped_records: u64,
-    /// Cycles that started late, missed their deadline or skipped periods, by their
-    /// [`LateCause`]; index = code, so the first is 0.
+    /// Cycles that started late, missed their deadline or skipped periods, by their [`LateCause`]; index = code,
+    /// so the first is 0. A punctual cycle whose skipped releases the late cycle before it took is not counted
+    /// again.
     pub causes: [u64; LateCause::COUNT],
     /// Release to start.
     pub wake: LatencySummary,

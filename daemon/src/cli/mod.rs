@@ -40,9 +40,7 @@ enum Command {
         end_with_parent: Option<i32>,
     },
     /// Check a configuration and say what would run.
-    #[command(
-        after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2"
-    )]
+    #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
     /// Examine this machine: what is in the way of a loop that must be on time, and what mends it.
     #[command(after_help = doctor::AFTER_HELP)]
