@@ -282,7 +282,7 @@ mod tests {
         let table = table(&status, 124_900_000_000).expect("formatted");
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
-            "SCHED_FIFO is missing: run as root",
+            "SCHED_FIFO is missing: run as the service",
             "the last 2m 3s",
             "wake-up                     0.0       42.5        0.0             -          -          -\n",
             "solve                         -          -          -             -          -          -\n",
