@@ -54,7 +54,7 @@ pub use measurement::Measurement;
 pub use obstacles::{Obstacle, ObstacleUpdate};
 pub use reference::{ReferenceChunk, ReferencePoint};
 pub use services::{
-    DEFAULT_PREFIX, Location, LocationError, QueueLengths, Service, ServiceNameError,
+    DEFAULT_PREFIX, Location, LocationError, QueueLengths, Service, ServiceNameError, memory_files,
 };
 pub use settings::SolverSettings;
 pub use status::{LatencySummary, RobotDescription, SectionDescription, Statistics, Status};

@@ -253,15 +253,7 @@ impl Location {
 
     /// The files of this location in shared memory, whoever made them.
     pub fn memory_files(&self) -> Vec<PathBuf> {
-        let prefix = self.file_prefix();
-        let entries = std::fs::read_dir("/dev/shm").into_iter().flatten();
-        let paths = entries.flatten().map(|entry| entry.path());
-        paths
-            .filter(|path| {
-                let name = path.file_name().unwrap_or_default().as_encoded_bytes();
-                name.starts_with(prefix.as_bytes())
-            })
-            .collect()
+        memory_files(&self.file_prefix())
     }
 
     /// Name of the file in the root folder that the daemon of `robot` locks while it runs, and removes at a clean
@@ -317,6 +309,18 @@ impl Location {
                 .bytes()
                 .all(|b| b.is_ascii_alphanumeric() || b == b'-' || b == b'_')
     }
+}
+
+/// The files in shared memory whose names begin with `file_prefix`, whoever made them.
+pub fn memory_files(file_prefix: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir("/dev/shm").into_iter().flatten();
+    let paths = entries.flatten().map(|entry| entry.path());
+    paths
+        .filter(|path| {
+            let name = path.file_name().unwrap_or_default().as_encoded_bytes();
+            name.starts_with(file_prefix.as_bytes())
+        })
+        .collect()
 }
 
 #[cfg(test)]

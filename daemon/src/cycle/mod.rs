@@ -59,7 +59,7 @@ pub struct Cycle<L> {
     last_gather: Option<u64>,
     last_gather_ns: u64,
     /// Stops that were asked for when the last cycle ran.
-    stops: Option<u64>,
+    stops: u64,
     last_measured_ns: u64,
     /// Time of gathers without a fresh measurement \[ns\].
     unmeasured_ns: u64,
@@ -112,7 +112,7 @@ impl<L: RobotLink> Cycle<L> {
             settings_revision: 0,
             last_gather: None,
             last_gather_ns: 0,
-            stops: None,
+            stops: 0,
             last_measured_ns: 0,
             unmeasured_ns: 0,
             straight_ns: 0,
@@ -392,7 +392,7 @@ impl<L: RobotLink> Cycle<L> {
         inputs: &CycleInputs,
         seen: &Observation,
     ) -> [Option<CycleAnswer>; REQUESTS_WAITING] {
-        let stops = self.stops.replace(inputs.stops) != Some(inputs.stops) && inputs.stops > 0;
+        let stops = core::mem::replace(&mut self.stops, inputs.stops) != inputs.stops;
         // What was asked before a stop must not be carried out after it.
         let most = if stops {
             REQUESTS_WAITING

@@ -7,7 +7,7 @@
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::MetadataExt;
 
-use cdcr_shared_types::{Command, Incident, Response, Service, Status, Telemetry};
+use cdcr_shared_types::{Command, Incident, Response, Service, Status, Telemetry, memory_files};
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::io::Errno;
 
@@ -89,13 +89,8 @@ fn free_bytes() -> Option<u64> {
 
 /// Files of ours. One that has just gone, or is another user's, is left out.
 fn files(prefix: &str) -> impl Iterator<Item = File> {
-    let entries = std::fs::read_dir(FOLDER).into_iter().flatten().flatten();
-    entries.filter_map(move |entry| {
-        let ours = entry.file_name().to_str()?.starts_with(prefix);
-        let mut options = OpenOptions::new();
-        let open = || options.read(true).write(true).open(entry.path()).ok();
-        ours.then(open).flatten()
-    })
+    let open = |path| OpenOptions::new().read(true).write(true).open(path).ok();
+    memory_files(prefix).into_iter().filter_map(open)
 }
 
 #[cfg(test)]

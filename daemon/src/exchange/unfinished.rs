@@ -3,8 +3,8 @@ use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-/// Where the files are.
-const FOLDER: &str = "/dev/shm";
+use cdcr_shared_types::memory_files;
+
 /// A file that stays empty for this long was left by a dead process: the living need microseconds.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The same while a daemon starts or ends, which waits for it.
@@ -68,17 +68,10 @@ impl UnfinishedFiles {
 }
 
 fn find(prefix: &str) -> Vec<Unfinished> {
-    let entries = std::fs::read_dir(FOLDER).into_iter().flatten().flatten();
-    let found = entries.filter_map(|entry| {
-        let ours = entry.file_name().to_str()?.starts_with(prefix);
-        let file = entry
-            .metadata()
-            .ok()
-            .filter(|file| ours && is_unfinished(file))?;
-        Some(Unfinished {
-            path: entry.path(),
-            inode: file.ino(),
-        })
+    let found = memory_files(prefix).into_iter().filter_map(|path| {
+        let file = path.symlink_metadata().ok().filter(is_unfinished)?;
+        let inode = file.ino();
+        Some(Unfinished { path, inode })
     });
     found.collect()
 }
@@ -104,7 +97,7 @@ mod tests {
     #[test]
     fn what_stays_unfinished_is_removed_and_nothing_else() {
         let prefix = format!("cdcrtest_unfinished_{}_", std::process::id());
-        let path = |name| Path::new(FOLDER).join(format!("{prefix}{name}"));
+        let path = |name| Path::new("/dev/shm").join(format!("{prefix}{name}"));
         let [left, growing, readable] = ["left", "growing", "readable"].map(path);
         let make = |path, mode| {
             let mut options = OpenOptions::new();

@@ -5,19 +5,18 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
 
 use cdcr_client::{
-    FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns, obstacles,
+    FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns,
 };
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{ReferenceWindow, Trajectory};
-use cdcr_controller::robot::{
-    BendRates, Configuration, Obstacle, Robot, RobotParameters, SectionParameters,
-};
+use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{guard, limit, ramp_to_zero};
 use cdcr_daemon::exchange::convert;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
-use cdcr_shared_types::{InputEvent, ReferenceChunk, SectionDescription, Telemetry, codes};
+use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
+use cdcr_tests::record::{configuration_of, obstacles_of, robot_of};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT};
 
 /// The events of a recording by the gather that they took effect with, in order.
@@ -54,36 +53,10 @@ fn apply(
     }
 }
 
-/// The robot of a record.
-fn robot_of(record: &Telemetry) -> Robot {
-    let used = &record.robot.section[..record.robot.sections as usize];
-    let section = |section: &SectionDescription| SectionParameters {
-        length_m: section.length_m,
-        cable_radius_m: section.cable_radius_m,
-        cable_offset_rad: section.cable_offset_rad,
-        bend_max_rad: section.bend_max_rad,
-        rate_max_rad_s: section.rate_max_rad_s,
-        body_radius_m: section.body_radius_m,
-    };
-    let parameters = RobotParameters {
-        sections: used.iter().map(section).collect(),
-        cable_speed_max_m_s: record.robot.cable_speed_max_m_s,
-        cable_stroke_max_m: record.robot.cable_stroke_max_m,
-    };
-    Robot::new(&parameters).unwrap()
-}
-
-/// The obstacles of a record.
-fn obstacles_of(record: &Telemetry) -> Vec<Obstacle> {
-    let used = obstacles(record).iter();
-    let known = used.map(|obstacle| convert::obstacle(obstacle, record.release_ns).unwrap());
-    known.map(|known| known.obstacle).collect()
-}
-
 /// The state of a record, and the rates of the command before.
 fn state_of(record: &Telemetry) -> (Configuration, BendRates) {
-    let width = 2 * record.robot.sections as usize;
-    let at = Configuration::from_slice(&record.bend_rad[..width]).unwrap();
+    let at = configuration_of(record);
+    let width = at.as_slice().len();
     let before = BendRates::from_slice(&record.previous_rate_rad_s[..width]).unwrap();
     (at, before)
 }
@@ -197,7 +170,7 @@ impl Recording {
 
     /// Computes every cycle again. How many solved, and how many the guard changed.
     fn replay(&self) -> (u32, u32) {
-        let robot = robot_of(&self.records[0]);
+        let robot = robot_of(&self.records[0].robot);
         assert_eq!(self.records[0].robot.fingerprint, robot.fingerprint());
         let mut to_come = events_by_gather(&self.records);
         let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX);

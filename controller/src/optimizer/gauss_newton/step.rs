@@ -1,0 +1,298 @@
+//! The damped step inside the box that keeps the constraints: an active set around a linear system.
+
+use super::GaussNewton;
+use crate::optimizer::linear_model::dot;
+use crate::optimizer::{Bounds, Budget, cholesky};
+
+/// Rounds of fixing unknowns at their bounds and solving again for the others.
+const ACTIVE_SET_ROUNDS: usize = 12;
+/// Unknowns that meet the border nearly as early as the first are fixed with it.
+const FIRST_SHARE: f64 = 0.9;
+/// Rounds of finding a step and meeting the constraints that it breaks.
+const CONSTRAINT_ROUNDS: usize = 3;
+
+impl GaussNewton {
+    /// Finds the step inside the box that keeps the constraints: what it breaks is met and the rest
+    /// solved again. False: the matrix was singular, or the budget was spent.
+    pub(super) fn find_step<F: FnMut() -> bool>(
+        &mut self,
+        bounds: &Bounds,
+        z: &[f64],
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        self.model.release_constraints();
+        for _ in 0..CONSTRAINT_ROUNDS {
+            if !self.find_step_in_box(bounds, z, damping, budget) {
+                return false;
+            }
+            let step = &self.step[..z.len()];
+            if self.model.meet_constraints(step, budget).is_none() {
+                break;
+            }
+        }
+        true
+    }
+
+    /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
+    /// others solved again.
+    fn find_step_in_box<F: FnMut() -> bool>(
+        &mut self,
+        bounds: &Bounds,
+        z: &[f64],
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let dimension = z.len();
+        self.step[..dimension].fill(0.0);
+        self.free.clear();
+        // What the cost presses on a bound a constraint may pull away from it.
+        let (pressed, constrained) = (&self.pressed, self.model.is_constrained());
+        self.free
+            .extend((0..dimension).filter(|&i| constrained || !pressed[i]));
+        for _ in 0..ACTIVE_SET_ROUNDS {
+            if !self.solve_free(dimension, damping, budget) {
+                return false;
+            }
+            if !self.fix_leavers(bounds, z) {
+                break;
+            }
+        }
+        for i in 0..dimension {
+            let target = (z[i] + self.step[i]).clamp(bounds.lower()[i], bounds.upper()[i]);
+            self.step[i] = target - z[i];
+        }
+        true
+    }
+
+    /// Fixes the free unknowns that meet the border of the box first on the way along the step, at that
+    /// border. False: none does.
+    ///
+    /// Only the first: once they are fixed, the others need no longer balance what they would have done
+    /// beyond it. Fixing all that leave would bend the step to a corner of the box.
+    fn fix_leavers(&mut self, bounds: &Bounds, z: &[f64]) -> bool {
+        let step = &mut self.step;
+        let border = |i: usize, step: f64| {
+            if step > 0.0 {
+                bounds.upper()[i] - z[i]
+            } else {
+                bounds.lower()[i] - z[i]
+            }
+        };
+        // How many times further than the border each goes.
+        let excess = |i: usize, step: f64| {
+            let room = border(i, step).abs();
+            if step.abs() > room {
+                step.abs() / room.max(f64::MIN_POSITIVE)
+            } else {
+                0.0
+            }
+        };
+        let worst = self
+            .free
+            .iter()
+            .map(|&i| excess(i, step[i]))
+            .fold(0.0, f64::max);
+        if worst == 0.0 {
+            return false;
+        }
+        self.free.retain(|&i| {
+            let first = excess(i, step[i]) >= FIRST_SHARE * worst;
+            if first {
+                step[i] = border(i, step[i]);
+            }
+            !first
+        });
+        true
+    }
+
+    /// Solves for the free unknowns with the fixed ones at their present step.
+    fn solve_free<F: FnMut() -> bool>(
+        &mut self,
+        dimension: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        if self.free.is_empty() {
+            return true;
+        }
+        for &i in &self.free {
+            self.step[i] = 0.0;
+        }
+        let rows = self.model.rows();
+        // What the fixed unknowns do already.
+        let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);
+        for row in 0..rows {
+            self.residuals[row] = self.model.residual(row);
+            if at_rest {
+                continue;
+            }
+            if !budget.spend(dimension as u32) {
+                return false;
+            }
+            self.residuals[row] += dot(self.model.row(row), &self.step[..dimension]);
+        }
+        if rows <= self.free.len() {
+            self.solve_in_residual_space(rows, damping, budget)
+        } else {
+            self.solve_in_unknown_space(dimension, rows, damping, budget)
+        }
+    }
+
+    /// The columns of the free unknowns, row by row, side by side in memory.
+    fn gather_free_columns<F: FnMut() -> bool>(
+        &mut self,
+        rows: usize,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let width = self.free.len();
+        for row in 0..rows {
+            if !budget.spend(width as u32) {
+                return false;
+            }
+            let source = self.model.row(row);
+            let target = &mut self.columns[row * width..][..width];
+            for (target, &i) in target.iter_mut().zip(&self.free) {
+                *target = source[i];
+            }
+        }
+        true
+    }
+
+    /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
+    fn solve_in_residual_space<F: FnMut() -> bool>(
+        &mut self,
+        rows: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let width = self.free.len();
+        if !self.gather_free_columns(rows, budget) {
+            return false;
+        }
+        for a in 0..rows {
+            for b in 0..=a {
+                if !budget.spend(width as u32 / 4) {
+                    return false;
+                }
+                let [row_a, row_b] = [a, b].map(|row| &self.columns[row * width..][..width]);
+                let product = dot(row_a, row_b);
+                self.matrix[a * rows + b] = product + if a == b { damping } else { 0.0 };
+            }
+        }
+        self.right_side[..rows].copy_from_slice(&self.residuals[..rows]);
+        let solved = cholesky::solve_in_place(
+            &mut self.matrix[..rows * rows],
+            rows,
+            &mut self.right_side[..rows],
+            budget,
+        );
+        if solved {
+            for row in 0..rows {
+                if !budget.spend(self.free.len() as u32) {
+                    return false;
+                }
+                let weight = self.right_side[row];
+                for &i in &self.free {
+                    self.step[i] -= self.model.row(row)[i] * weight;
+                }
+            }
+        }
+        solved
+    }
+
+    /// JᵀJ of the cost's rows, lower triangle, once for each linearisation.
+    fn fill_gram<F: FnMut() -> bool>(&mut self, dimension: usize, budget: &mut Budget<F>) -> bool {
+        if self.gram_is_current {
+            return true;
+        }
+        let gram = &mut self.gram[..dimension * dimension];
+        gram.fill(0.0);
+        for row in 0..self.model.cost_rows() {
+            let derivatives = self.model.row(row);
+            for (i, target) in gram.chunks_exact_mut(dimension).enumerate() {
+                // Early steps know nothing of late blocks.
+                if derivatives[i] == 0.0 {
+                    continue;
+                }
+                if !budget.spend(i as u32 / 2) {
+                    return false;
+                }
+                for (sum, derivative) in target[..=i].iter_mut().zip(derivatives) {
+                    *sum += derivatives[i] * derivative;
+                }
+            }
+        }
+        self.gram_is_current = true;
+        true
+    }
+
+    /// The part of JᵀJ that belongs to the free unknowns, with the rows of constraints that were met.
+    fn gather_free_matrix<F: FnMut() -> bool>(
+        &mut self,
+        dimension: usize,
+        rows: usize,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let order = self.free.len();
+        for (a, &i) in self.free.iter().enumerate() {
+            if !budget.spend(a as u32) {
+                return false;
+            }
+            for (b, &k) in self.free[..=a].iter().enumerate() {
+                self.matrix[a * order + b] = self.gram[i * dimension + k];
+            }
+        }
+        for row in self.model.cost_rows()..rows {
+            let derivatives = self.model.row(row);
+            for (a, &i) in self.free.iter().enumerate() {
+                if !budget.spend(a as u32) {
+                    return false;
+                }
+                for (b, &k) in self.free[..=a].iter().enumerate() {
+                    self.matrix[a * order + b] += derivatives[i] * derivatives[k];
+                }
+            }
+        }
+        true
+    }
+
+    /// (JᵀJ + λI) Δ = -Jᵀ r.
+    fn solve_in_unknown_space<F: FnMut() -> bool>(
+        &mut self,
+        dimension: usize,
+        rows: usize,
+        damping: f64,
+        budget: &mut Budget<F>,
+    ) -> bool {
+        let order = self.free.len();
+        if !self.fill_gram(dimension, budget) || !self.gather_free_matrix(dimension, rows, budget) {
+            return false;
+        }
+        for a in 0..order {
+            self.matrix[a * order + a] += damping;
+        }
+        self.right_side[..order].fill(0.0);
+        for row in 0..rows {
+            if !budget.spend(order as u32) {
+                return false;
+            }
+            let derivatives = self.model.row(row);
+            for (a, &i) in self.free.iter().enumerate() {
+                self.right_side[a] -= derivatives[i] * self.residuals[row];
+            }
+        }
+        let solved = cholesky::solve_in_place(
+            &mut self.matrix[..order * order],
+            order,
+            &mut self.right_side[..order],
+            budget,
+        );
+        if solved {
+            for (a, &i) in self.free.iter().enumerate() {
+                self.step[i] = self.right_side[a];
+            }
+        }
+        solved
+    }
+}
