@@ -16,15 +16,23 @@
 //! adds is measured by `cdcrctl demo`.
 
 pub mod budget;
+mod chart;
 pub mod closed_loop;
 pub mod csv;
 pub mod experiment;
 pub mod figures;
 pub mod folder;
 pub mod growth;
+pub mod interrupt;
+pub mod metric;
 pub mod page;
+pub mod progress;
+pub mod quantiles;
 pub mod scene;
+pub mod section;
 pub mod simulation;
 pub mod solver;
+pub mod subject;
+pub mod system;
 pub mod table;
 pub mod zone;

@@ -12,14 +12,30 @@ use crate::solver::Case;
 /// Cells under heads; the first columns are words, the rest numbers.
 pub struct Table {
     /// What it shows.
-    pub title: &'static str,
-    heads: Vec<&'static str>,
+    pub title: String,
+    heads: Vec<String>,
     /// Columns of words.
     words: usize,
     rows: Vec<Vec<String>>,
 }
 
 impl Table {
+    /// A table whose first `words` columns are words. Each row has a cell for each head.
+    pub fn new(
+        title: impl Into<String>,
+        heads: &[&str],
+        words: usize,
+        rows: Vec<Vec<String>>,
+    ) -> Self {
+        debug_assert!(rows.iter().all(|row| row.len() == heads.len()));
+        Self {
+            title: title.into(),
+            heads: heads.iter().map(ToString::to_string).collect(),
+            words,
+            rows,
+        }
+    }
+
     /// In columns of equal width.
     pub fn text(&self) -> String {
         let width = |column: usize| {
@@ -31,8 +47,7 @@ impl Table {
         };
         let widths: Vec<usize> = (0..self.heads.len()).map(width).collect();
         let mut text = format!("{}\n", self.title);
-        let heads = self.heads.iter().map(ToString::to_string).collect();
-        for row in std::iter::once(&heads).chain(&self.rows) {
+        for row in std::iter::once(&self.heads).chain(&self.rows) {
             let mut line = String::new();
             for (column, (cell, width)) in row.iter().zip(&widths).enumerate() {
                 let _ = if column < self.words {
@@ -92,9 +107,9 @@ fn spiral(rows: &[&Simulation]) -> Table {
         cells.extend(times(row));
         cells
     };
-    Table {
-        title: "Simulation 1: spiral (Eq. 8)",
-        heads: vec![
+    Table::new(
+        "Simulation 1: spiral (Eq. 8)",
+        &[
             "solver",
             "coordinates",
             "sections",
@@ -106,9 +121,9 @@ fn spiral(rows: &[&Simulation]) -> Table {
             "p99 µs",
             "paper's mean ms",
         ],
-        words: 2,
-        rows: rows.iter().map(cells).collect(),
-    }
+        2,
+        rows.iter().map(cells).collect(),
+    )
 }
 
 fn line(rows: &[&Simulation]) -> Table {
@@ -123,9 +138,9 @@ fn line(rows: &[&Simulation]) -> Table {
         cells.extend(times(row));
         cells
     };
-    Table {
-        title: "Simulation 2: line with a vertical tip (Eq. 9), 3 sections",
-        heads: vec![
+    Table::new(
+        "Simulation 2: line with a vertical tip (Eq. 9), 3 sections",
+        &[
             "solver",
             "coordinates",
             "limit rad/s",
@@ -139,9 +154,9 @@ fn line(rows: &[&Simulation]) -> Table {
             "p99 µs",
             "paper's mean ms",
         ],
-        words: 2,
-        rows: rows.iter().map(cells).collect(),
-    }
+        2,
+        rows.iter().map(cells).collect(),
+    )
 }
 
 fn circle(rows: &[&Simulation]) -> Table {
@@ -159,9 +174,9 @@ fn circle(rows: &[&Simulation]) -> Table {
         cells.extend(times(row));
         cells
     };
-    Table {
-        title: "Simulation 3: circle around an obstacle, 1 section",
-        heads: vec![
+    Table::new(
+        "Simulation 3: circle around an obstacle, 1 section",
+        &[
             "solver",
             "coordinates",
             "D mm",
@@ -174,9 +189,9 @@ fn circle(rows: &[&Simulation]) -> Table {
             "p99 µs",
             "paper's mean ms",
         ],
-        words: 2,
-        rows: rows.iter().map(cells).collect(),
-    }
+        2,
+        rows.iter().map(cells).collect(),
+    )
 }
 
 fn names(row: &Simulation) -> Vec<String> {
@@ -226,9 +241,9 @@ pub fn cases(cases: &[Case]) -> Table {
             format!("{:.1}x", case.speedup_vs_scalar),
         ]
     };
-    Table {
-        title: "Time of a solve on every path of this processor",
-        heads: vec![
+    Table::new(
+        "Time of a solve on every path of this processor",
+        &[
             "solver",
             "curve",
             "path",
@@ -241,9 +256,9 @@ pub fn cases(cases: &[Case]) -> Table {
             "p99 µs",
             "speed-up",
         ],
-        words: 3,
-        rows: cases.iter().map(cells).collect(),
-    }
+        3,
+        cases.iter().map(cells).collect(),
+    )
 }
 
 /// How the times grow.
@@ -260,9 +275,9 @@ pub fn growth(growths: &[Growth]) -> Table {
             factor.map_or_else(|| "-".into(), |factor| format!("{factor:.2}x")),
         ]
     };
-    Table {
-        title: "Growth of the median on the fastest path, all else as in the paper's spiral with 3 sections",
-        heads: vec![
+    Table::new(
+        "Growth of the median on the fastest path, all else as in the paper's spiral with 3 sections",
+        &[
             "solver",
             "per",
             "range",
@@ -271,9 +286,9 @@ pub fn growth(growths: &[Growth]) -> Table {
             "µs for one more",
             "for twice as many",
         ],
-        words: 3,
-        rows: growths.iter().map(cells).collect(),
-    }
+        3,
+        growths.iter().map(cells).collect(),
+    )
 }
 
 /// All budgets of all cases.
@@ -291,9 +306,9 @@ pub fn budgets(rows: &[budget::Row]) -> Table {
         cells.push(row.worse_than_warm_start.to_string());
         cells
     };
-    Table {
-        title: "How much later than its budget a solve ends, beside a loop without work",
-        heads: vec![
+    Table::new(
+        "How much later than its budget a solve ends, beside a loop without work",
+        &[
             "case",
             "budget µs",
             "solves",
@@ -306,7 +321,7 @@ pub fn budgets(rows: &[budget::Row]) -> Table {
             "max µs",
             "worse than warm start",
         ],
-        words: 1,
-        rows: rows.iter().map(cells).collect(),
-    }
+        1,
+        rows.iter().map(cells).collect(),
+    )
 }

@@ -1,7 +1,7 @@
 use anyhow::Result;
 use plotters::style::RGBColor;
 
-use super::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
 use super::shape::View;
 use super::signals::{cables, duration_s, over_time, times};
 use super::{Figure, find, find_all};

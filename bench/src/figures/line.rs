@@ -2,7 +2,7 @@ use anyhow::Result;
 use cdcr_controller::robot::ZyxAngles;
 use plotters::style::RGBColor;
 
-use super::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
 use super::shape::View;
 use super::signals::{angles, cables, controls, distances, duration_s, errors, over_time, times};
 use super::{Figure, find, find_all, named};

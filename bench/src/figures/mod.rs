@@ -1,6 +1,5 @@
 //! The paper's figures, drawn from the first run of each experiment.
 
-mod chart;
 mod circle;
 mod line;
 mod shape;

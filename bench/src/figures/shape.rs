@@ -3,7 +3,7 @@
 use cdcr_controller::robot::{Configuration, Robot};
 use nalgebra::Vector3;
 
-use super::chart::{Curve, Panel, Point, Scale};
+use crate::chart::{Curve, Panel, Point, Scale};
 use crate::closed_loop::Sample;
 
 /// Points of the backbone of each section.

@@ -3,7 +3,7 @@
 use cdcr_controller::robot::{CABLES_MAX, COORDINATES_MAX};
 use plotters::style::RGBColor;
 
-use super::chart::{
+use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW,
 };
 use crate::closed_loop::Sample;

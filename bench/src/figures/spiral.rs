@@ -1,6 +1,6 @@
 use anyhow::Result;
 
-use super::chart::{BLUE, Curve, GREEN, GREY, ORANGE, sheet};
+use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, sheet};
 use super::shape::View;
 use super::signals::{cables, controls, distances, errors, times};
 use super::{Figure, find, find_all, named};

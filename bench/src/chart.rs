@@ -11,14 +11,14 @@ use plotters::prelude::*;
 use plotters::style::RGBColor;
 
 // A palette that colour-blind people can tell apart (Okabe and Ito).
-pub(super) const BLUE: RGBColor = RGBColor(0, 114, 178);
-pub(super) const ORANGE: RGBColor = RGBColor(213, 94, 0);
-pub(super) const GREEN: RGBColor = RGBColor(0, 158, 115);
-pub(super) const PURPLE: RGBColor = RGBColor(204, 121, 167);
-pub(super) const SKY: RGBColor = RGBColor(86, 180, 233);
-pub(super) const YELLOW: RGBColor = RGBColor(230, 159, 0);
-pub(super) const GREY: RGBColor = RGBColor(150, 150, 150);
-pub(super) const DARK: RGBColor = RGBColor(40, 40, 40);
+pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
+pub(crate) const ORANGE: RGBColor = RGBColor(213, 94, 0);
+pub(crate) const GREEN: RGBColor = RGBColor(0, 158, 115);
+pub(crate) const PURPLE: RGBColor = RGBColor(204, 121, 167);
+pub(crate) const SKY: RGBColor = RGBColor(86, 180, 233);
+pub(crate) const YELLOW: RGBColor = RGBColor(230, 159, 0);
+pub(crate) const GREY: RGBColor = RGBColor(150, 150, 150);
+pub(crate) const DARK: RGBColor = RGBColor(40, 40, 40);
 /// Grid lines.
 const PALE: RGBColor = RGBColor(225, 225, 225);
 
@@ -41,10 +41,10 @@ const MARGIN_RIGHT: u32 = 45;
 const SWATCH: u32 = 45;
 
 /// A point of a curve.
-pub(super) type Point = (f64, f64);
+pub(crate) type Point = (f64, f64);
 
 /// One curve: pieces of a line.
-pub(super) struct Curve {
+pub(crate) struct Curve {
     label: String,
     pieces: Vec<Vec<Point>>,
     style: ShapeStyle,
@@ -52,12 +52,12 @@ pub(super) struct Curve {
 
 impl Curve {
     /// A line; an empty label keeps it out of the legend.
-    pub(super) fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
+    pub(crate) fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
         Self::pieces(label, vec![points], colour)
     }
 
     /// A line with gaps.
-    pub(super) fn pieces(
+    pub(crate) fn pieces(
         label: impl Into<String>,
         pieces: Vec<Vec<Point>>,
         colour: RGBColor,
@@ -70,12 +70,12 @@ impl Curve {
     }
 
     /// A level from start to end.
-    pub(super) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
+    pub(crate) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
         Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
     }
 
     /// The same with another width.
-    pub(super) fn width(mut self, width: u32) -> Self {
+    pub(crate) fn width(mut self, width: u32) -> Self {
         self.style.stroke_width = width;
         self
     }
@@ -87,7 +87,7 @@ impl Curve {
 
 /// How a panel is scaled.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Scale {
+pub(crate) enum Scale {
     /// Both axes linear.
     Linear,
     /// A logarithmic y axis; what is below the floor is drawn on it.
@@ -100,12 +100,12 @@ pub(super) enum Scale {
 }
 
 /// One chart.
-pub(super) struct Panel {
-    pub(super) title: String,
-    pub(super) x: &'static str,
-    pub(super) y: &'static str,
-    pub(super) scale: Scale,
-    pub(super) curves: Vec<Curve>,
+pub(crate) struct Panel {
+    pub(crate) title: String,
+    pub(crate) x: &'static str,
+    pub(crate) y: &'static str,
+    pub(crate) scale: Scale,
+    pub(crate) curves: Vec<Curve>,
 }
 
 impl Panel {
@@ -118,7 +118,7 @@ impl Panel {
 ///
 /// # Errors
 /// Never into memory.
-pub(super) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
+pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
     {

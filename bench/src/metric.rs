@@ -1,0 +1,99 @@
+//! Single numbers with the spread of their rounds: what two runs are compared by.
+
+use serde::{Deserialize, Serialize};
+
+/// One number that a benchmark measured once in each of its rounds.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Metric {
+    /// What it is: words joined by slashes, like `deadline/none/daemon/response_p99`. The same in every run.
+    pub name: String,
+    /// Its unit, like `µs`; empty for a ratio.
+    pub unit: String,
+    /// Which way is better.
+    pub better: Better,
+    /// Its value in each round; finite.
+    pub rounds: Vec<f64>,
+}
+
+/// Which way is better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Better {
+    /// Less is better.
+    Lower,
+    /// More is better.
+    Higher,
+}
+
+impl Metric {
+    /// A number of which less is better. Values that are not finite are left out.
+    pub fn lower(name: impl Into<String>, unit: &str, rounds: impl IntoIterator<Item = f64>) -> Self {
+        Self::new(name, unit, Better::Lower, rounds)
+    }
+
+    /// A number of which more is better. Values that are not finite are left out.
+    pub fn higher(name: impl Into<String>, unit: &str, rounds: impl IntoIterator<Item = f64>) -> Self {
+        Self::new(name, unit, Better::Higher, rounds)
+    }
+
+    fn new(
+        name: impl Into<String>,
+        unit: &str,
+        better: Better,
+        rounds: impl IntoIterator<Item = f64>,
+    ) -> Self {
+        Self {
+            name: name.into(),
+            unit: unit.to_owned(),
+            better,
+            rounds: rounds.into_iter().filter(|value| value.is_finite()).collect(),
+        }
+    }
+
+    /// The median of its rounds; none without rounds.
+    pub fn median(&self) -> Option<f64> {
+        median(&self.rounds)
+    }
+}
+
+/// The median; of an even count the mean of the middle two; none of nothing. The values must be finite.
+pub fn median(values: &[f64]) -> Option<f64> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let middle = sorted.len() / 2;
+    match sorted.len() {
+        0 => None,
+        count if count % 2 == 1 => Some(sorted[middle]),
+        _ => Some(f64::midpoint(sorted[middle - 1], sorted[middle])),
+    }
+}
+
+/// Smallest and largest; none of nothing.
+pub fn range(values: &[f64]) -> Option<(f64, f64)> {
+    let (first, rest) = values.split_first()?;
+    Some(rest.iter().fold((*first, *first), |(low, high), value| {
+        (low.min(*value), high.max(*value))
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_middle_is_found_in_any_order() {
+        assert_eq!(median(&[]), None);
+        assert_eq!(median(&[3.0]), Some(3.0));
+        assert_eq!(median(&[9.0, 1.0, 4.0]), Some(4.0));
+        assert_eq!(median(&[9.0, 1.0, 4.0, 2.0]), Some(3.0));
+        assert_eq!(range(&[9.0, 1.0, 4.0]), Some((1.0, 9.0)));
+        assert_eq!(range(&[]), None);
+    }
+
+    #[test]
+    fn what_is_not_finite_is_no_measurement() {
+        let metric = Metric::lower("a", "µs", [1.0, f64::NAN, f64::INFINITY, 2.0]);
+        assert_eq!(metric.rounds, [1.0, 2.0]);
+        assert_eq!(metric.median(), Some(1.5));
+    }
+}

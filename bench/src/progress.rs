@@ -1,0 +1,139 @@
+//! How far a long measurement is, and how long it still takes.
+
+use std::io::{IsTerminal, Write};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Where there is no terminal, a line at most this often.
+const LINE_EVERY: Duration = Duration::from_secs(10);
+
+/// Counts the seconds of a measurement whose length is known. A bar on a terminal, a line now and then
+/// elsewhere, both on the standard error.
+#[derive(Debug)]
+pub struct Progress {
+    total_s: f64,
+    done_s: f64,
+    bar: Option<ProgressBar>,
+    begun: Instant,
+    told: Option<Instant>,
+}
+
+impl Progress {
+    /// A measurement that takes about `total_s` \[s\].
+    pub fn new(total_s: f64) -> Self {
+        let bar = std::io::stderr().is_terminal().then(|| {
+            let template = "{bar:24} {percent:>3} %, {eta} left: {msg}";
+            let bar = ProgressBar::new(milliseconds(total_s));
+            match ProgressStyle::with_template(template) {
+                Ok(style) => bar.with_style(style),
+                Err(_) => bar,
+            }
+        });
+        Self {
+            total_s,
+            done_s: 0.0,
+            bar,
+            begun: Instant::now(),
+            told: None,
+        }
+    }
+
+    /// One that says nothing, for tests.
+    pub fn silent() -> Self {
+        Self {
+            bar: Some(ProgressBar::hidden()),
+            ..Self::new(0.0)
+        }
+    }
+
+    /// What begins now, in words.
+    pub fn begin(&mut self, what: &str) {
+        match &self.bar {
+            Some(bar) => bar.set_message(what.to_owned()),
+            None => self.tell(what),
+        }
+    }
+
+    /// So much of the measurement is done \[s\].
+    pub fn advance(&mut self, seconds: f64) {
+        self.done_s += seconds;
+        if let Some(bar) = &self.bar {
+            bar.set_position(milliseconds(self.done_s).min(milliseconds(self.total_s)));
+        }
+    }
+
+    /// So much takes longer, or shorter, than was thought \[s\].
+    pub fn expect(&mut self, more_s: f64) {
+        self.total_s = (self.total_s + more_s).max(self.done_s);
+        if let Some(bar) = &self.bar {
+            bar.set_length(milliseconds(self.total_s));
+        }
+    }
+
+    fn tell(&mut self, what: &str) {
+        if self.told.is_some_and(|told| told.elapsed() < LINE_EVERY) {
+            return;
+        }
+        self.told = Some(Instant::now());
+        let share = if self.total_s > 0.0 {
+            (self.done_s / self.total_s).min(1.0)
+        } else {
+            0.0
+        };
+        // What was counted goes by the clock of the measurement; what surrounds it takes time, too.
+        let slower = if self.done_s > 0.0 {
+            self.begun.elapsed().as_secs_f64() / self.done_s
+        } else {
+            1.0
+        };
+        let left_s = (self.total_s - self.done_s).max(0.0) * slower;
+        let _ = writeln!(
+            std::io::stderr(),
+            "{:>3.0} %, {} left: {what}",
+            100.0 * share,
+            words(left_s)
+        );
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn milliseconds(seconds: f64) -> u64 {
+    (seconds.max(0.0) * 1e3) as u64
+}
+
+/// A time that is left, in short.
+fn words(seconds: f64) -> String {
+    let whole = seconds.round() as u64;
+    if whole < 60 {
+        format!("{whole} s")
+    } else {
+        format!("{} min {:02} s", whole / 60, whole % 60)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_are_short() {
+        assert_eq!(words(3.4), "3 s");
+        assert_eq!(words(125.0), "2 min 05 s");
+    }
+
+    #[test]
+    fn a_measurement_that_takes_longer_never_ends_before_it_is_done() {
+        let mut progress = Progress::silent();
+        progress.advance(5.0);
+        progress.expect(-10.0);
+        assert!((progress.total_s - 5.0).abs() < 1e-12);
+    }
+}

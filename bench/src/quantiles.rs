@@ -1,0 +1,61 @@
+//! The five numbers that stand for a distribution of latencies.
+
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+use crate::closed_loop::quantile_us;
+
+/// Of latencies \[µs\].
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Quantiles {
+    /// Smallest.
+    pub min: f64,
+    /// Median.
+    pub p50: f64,
+    /// 99th percentile.
+    pub p99: f64,
+    /// 99.9th percentile.
+    pub p999: f64,
+    /// Largest.
+    pub max: f64,
+}
+
+impl Quantiles {
+    /// Of times in nanoseconds; none of an empty histogram.
+    pub fn of(times_ns: &Histogram<u64>) -> Option<Self> {
+        if times_ns.is_empty() {
+            return None;
+        }
+        Some(Self {
+            min: times_ns.min() as f64 * 1e-3,
+            p50: quantile_us(times_ns, 0.5),
+            p99: quantile_us(times_ns, 0.99),
+            p999: quantile_us(times_ns, 0.999),
+            max: times_ns.max() as f64 * 1e-3,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::closed_loop::histogram;
+
+    #[test]
+    fn nothing_has_no_quantiles() {
+        assert_eq!(Quantiles::of(&histogram().expect("bounds")), None);
+    }
+
+    #[test]
+    fn they_are_those_of_the_values() {
+        let mut times = histogram().expect("bounds");
+        for us in 1..=1000 {
+            times.record(us * 1000).expect("within the bounds");
+        }
+        let found = Quantiles::of(&times).expect("there are values");
+        let near = |value: f64, expected: f64| (value - expected).abs() <= 2e-3 * expected;
+        assert!(near(found.min, 1.0) && near(found.p50, 500.0), "{found:?}");
+        assert!(near(found.p99, 990.0) && near(found.p999, 999.0), "{found:?}");
+        assert!(near(found.max, 1000.0), "{found:?}");
+    }
+}

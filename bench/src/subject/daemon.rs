@@ -1,0 +1,272 @@
+//! A daemon that is measured: the real `cdcrd`, started as a process.
+
+use std::fs::{self, File};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use cdcr_client::Connection;
+use cdcr_shared_types::Location;
+use cdcr_shared_types::codes::Mode;
+use rustix::process::{Pid, Signal, kill_process};
+
+use super::place::{Place, ROBOT};
+use crate::interrupt;
+use crate::system::cores::Cores;
+
+/// How long a daemon may take to control its robot.
+const START_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long it may take to end.
+const STOP_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
+/// not stop the robot, or end the lease of its reference.
+pub const PATIENT: [(&str, &str); 2] = [
+    ("cycle.miss_limit", "1000000"),
+    ("reference.lease_ms", "60000"),
+];
+
+/// How a daemon is started.
+#[derive(Debug, Clone, Default)]
+pub struct Launch {
+    /// Its configuration file; none: the default.
+    pub config: Option<PathBuf>,
+    /// Keys that are set beside it, later ones win.
+    pub settings: Vec<(String, String)>,
+}
+
+impl Launch {
+    /// The default, or the file, with [`PATIENT`].
+    pub fn patient(config: Option<PathBuf>) -> Self {
+        let launch = Self {
+            config,
+            settings: Vec::new(),
+        };
+        PATIENT
+            .iter()
+            .fold(launch, |launch, (key, value)| launch.with(key, value))
+    }
+
+    /// The same with this key, like `cycle.period_ms`.
+    #[must_use]
+    pub fn with(mut self, key: &str, value: impl ToString) -> Self {
+        self.settings.push((key.to_owned(), value.to_string()));
+        self
+    }
+
+    /// The same on the real-time core of `cores`, or without any real time.
+    #[must_use]
+    pub fn placed(self, cores: &Cores, realtime: bool) -> Self {
+        let mode = if realtime { "prefer" } else { "off" };
+        self.with("realtime.mode", mode)
+            .with("realtime.core", cores.realtime)
+    }
+
+    /// `cdcrd SUBCOMMAND` with this configuration, whatever the environment says.
+    ///
+    /// # Errors
+    /// When there is no `cdcrd`.
+    pub fn command(&self, subcommand: &str) -> Result<Command> {
+        let mut command = Command::new(program("cdcrd")?);
+        for (name, _) in std::env::vars_os() {
+            if name.to_string_lossy().starts_with("CDCR_") {
+                command.env_remove(name);
+            }
+        }
+        command
+            .arg(subcommand)
+            // Whatever ends us, SIGKILL too, ends the daemon.
+            .args(["--end-with-parent", &std::process::id().to_string()])
+            .stdin(Stdio::null())
+            // Ctrl-C reaches us alone; we stop the daemon in order.
+            .process_group(0);
+        if let Some(config) = &self.config {
+            command.arg("--config").arg(config);
+        }
+        for (key, value) in &self.settings {
+            command.arg("--set").arg(format!("{key}={value}"));
+        }
+        Ok(command)
+    }
+}
+
+/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
+///
+/// # Errors
+/// When it is not there.
+pub fn program(name: &str) -> Result<PathBuf> {
+    let ourselves = std::env::current_exe().context("cannot tell where this program lies")?;
+    let beside = ourselves.with_file_name(name);
+    let above = ourselves.parent().map(|folder| folder.with_file_name(name));
+    let found = [Some(beside.clone()), above].into_iter().flatten();
+    found
+        .into_iter()
+        .find(|path| path.is_file())
+        .with_context(|| {
+            format!(
+                "{} does not exist: the bench needs {name} beside itself; build both with \
+                 cargo build --release",
+                beside.display()
+            )
+        })
+}
+
+/// A running daemon. Dropping it stops it and removes every trace.
+#[derive(Debug)]
+pub struct Daemon {
+    child: Child,
+    place: Place,
+    /// How it was started.
+    pub launch: Launch,
+}
+
+impl Daemon {
+    /// Starts one and waits until it controls its robot. To be called from a thread that outlives it.
+    ///
+    /// # Errors
+    /// When it does not; the error says what it said.
+    pub fn start(launch: &Launch, cores: &Cores) -> Result<Self> {
+        Self::start_with(launch, cores, |_| ())?.when_ready()
+    }
+
+    /// Starts one and waits for nothing. `change` has a last look at its command.
+    ///
+    /// # Errors
+    /// When there is no program.
+    pub fn start_with(
+        launch: &Launch,
+        cores: &Cores,
+        change: impl FnOnce(&mut Command),
+    ) -> Result<Self> {
+        let place = Place::new()?;
+        let log = File::create(place.folder().join("cdcrd.log")).context("the daemon's log")?;
+        let mut command = launch.command("run")?;
+        command
+            .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
+            .arg("--root")
+            .arg(place.location().root())
+            .stdout(log.try_clone()?)
+            .stderr(log);
+        change(&mut command);
+        let child = cores
+            .with_all(|| command.spawn())
+            .context("cannot start cdcrd")?;
+        Ok(Self {
+            child,
+            place,
+            launch: launch.clone(),
+        })
+    }
+
+    /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
+    ///
+    /// # Errors
+    /// As [`start`](Self::start).
+    pub fn when_ready(mut self) -> Result<Self> {
+        let deadline = Instant::now() + START_TIMEOUT;
+        let mut last = "it did not begin to control its robot".to_owned();
+        while Instant::now() < deadline {
+            interrupt::check()?;
+            ensure!(
+                self.child.try_wait()?.is_none(),
+                "the daemon ended at once{}",
+                self.last_words()
+            );
+            match self.connect() {
+                Ok(connection) if is_ready(&connection) => return Ok(self),
+                Ok(_) => {}
+                Err(cause) => last = cause.to_string(),
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        bail!(
+            "the daemon was not ready within {} s: {last}{}",
+            START_TIMEOUT.as_secs(),
+            self.last_words()
+        )
+    }
+
+    /// Where it is.
+    pub fn location(&self) -> &Location {
+        self.place.location()
+    }
+
+    /// Its place.
+    pub fn place(&self) -> &Place {
+        &self.place
+    }
+
+    /// Its process.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// A new connection to it.
+    ///
+    /// # Errors
+    /// When it does not live.
+    pub fn connect(&self) -> Result<Connection> {
+        Ok(Connection::open(self.location(), ROBOT)?)
+    }
+
+    /// Ends it and waits for it.
+    ///
+    /// # Errors
+    /// When it had ended by itself, or did not end.
+    pub fn stop(mut self) -> Result<()> {
+        ensure!(
+            self.child.try_wait()?.is_none(),
+            "the daemon ended by itself{}",
+            self.last_words()
+        );
+        self.end()
+    }
+
+    /// What it said, for an error message.
+    pub fn last_words(&self) -> String {
+        let log = fs::read_to_string(self.place.folder().join("cdcrd.log")).unwrap_or_default();
+        match log.trim() {
+            "" => "; it said nothing".to_owned(),
+            log => format!("; it said:\n{log}"),
+        }
+    }
+
+    fn end(&mut self) -> Result<()> {
+        if self.child.try_wait()?.is_some() {
+            return Ok(());
+        }
+        kill_process(Pid::from_child(&self.child), Signal::TERM).context("SIGTERM to cdcrd")?;
+        let deadline = Instant::now() + STOP_TIMEOUT;
+        while Instant::now() < deadline {
+            if self.child.try_wait()?.is_some() {
+                return Ok(());
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+        self.child.kill()?;
+        self.child.wait()?;
+        bail!(
+            "the daemon did not end within {} s of SIGTERM and was killed{}",
+            STOP_TIMEOUT.as_secs(),
+            self.last_words()
+        )
+    }
+}
+
+impl Drop for Daemon {
+    fn drop(&mut self) {
+        if let Err(error) = self.end() {
+            eprintln!("warning: {error:#}");
+        }
+    }
+}
+
+fn is_ready(connection: &Connection) -> bool {
+    connection.status(Duration::from_secs(1)).is_ok_and(|status| {
+        let driven = status.link == cdcr_shared_types::codes::RobotLink::Driver.code();
+        driven || status.mode != Mode::Starting.code()
+    })
+}
