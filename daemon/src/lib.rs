@@ -18,10 +18,12 @@
 //! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |
 //! | [`doctor`] | the machine: files of the kernel, what it grants | how it is printed |
 //! | [`exit`] | why the process ends | what happens before |
+//! | [`bare`] | the loop without work: what the machine alone does to it | robot, messages, shared memory |
 //! | [`app`] | every concrete type | nothing is hidden from it |
 //! | [`cli`] | the command line | anything about a cycle |
 
 pub mod app;
+pub mod bare;
 pub mod cli;
 pub mod config;
 pub mod cycle;
@@ -29,10 +31,12 @@ pub mod doctor;
 pub mod exchange;
 pub mod exit;
 pub mod instance;
+mod latency;
 pub mod link;
 pub mod log;
 pub mod obstacles;
 pub mod ports;
 pub mod rt;
 pub mod service_manager;
+mod start;
 pub mod supervisor;

@@ -133,10 +133,10 @@ fn mistakes_name_their_place_and_the_nearest_key() {
         text.contains("--set: unknown key cycle.period: did you mean cycle.period_ms?"),
         "{text}"
     );
-    let environment = [("CDCR_CYCLE_PERIOD_MS", "0.1")];
+    let environment = [("CDCR_CYCLE_PERIOD_MS", "0.05")];
     let text = refused(&cdcrd_in(&environment, &["check"]));
     assert!(
-        text.contains("CDCR_CYCLE_PERIOD_MS: cycle.period_ms: 0.1 is out of range"),
+        text.contains("CDCR_CYCLE_PERIOD_MS: cycle.period_ms: 0.05 is out of range"),
         "{text}"
     );
     let text = refused(&cdcrd(&["config", "explain", "period_ms"]));
@@ -170,10 +170,10 @@ fn the_schema_is_json() {
     let text = printed(&cdcrd(&["config", "schema"]));
     let schema: serde_json::Value = serde_json::from_str(&text).unwrap();
     let period = &schema["properties"]["cycle"]["properties"]["period_ms"];
-    assert_eq!(period["minimum"], 0.5);
+    assert_eq!(period["minimum"], 0.1);
     assert_eq!(period["maximum"], 100.0);
     assert_eq!(period["default"], 5.0);
-    assert_eq!(period["description"], "Period of the loop, 0.5 to 100 ms.");
+    assert_eq!(period["description"], "Period of the loop, 0.1 to 100 ms, and at least twice gather_lead_ms.");
 }
 
 #[test]
@@ -181,6 +181,7 @@ fn help_shows_an_example() {
     for command in [
         &["--help"][..],
         &["run", "--help"],
+        &["bare", "--help"],
         &["check", "--help"],
         &["config", "default", "--help"],
         &["config", "schema", "--help"],

@@ -1,5 +1,6 @@
 //! The command line: what can be asked of `cdcrd`, and in which words it answers.
 
+mod bare;
 mod config;
 mod doctor;
 
@@ -39,6 +40,9 @@ enum Command {
         #[arg(long, value_name = "PID", hide = true)]
         end_with_parent: Option<i32>,
     },
+    /// Run the real-time loop of a configuration with nothing to do: what the machine alone does to it.
+    #[command(after_help = bare::AFTER_HELP)]
+    Bare(bare::Options),
     /// Check a configuration and say what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
@@ -61,19 +65,22 @@ pub fn execute(cli: Cli) -> Result<ExitCode> {
             source,
             end_with_parent,
         } => {
-            if let Some(parent) = end_with_parent {
-                end_with_process(parent)?;
-            }
+            end_with_process(end_with_parent)?;
             app::run(&source.load()?).map(done)
         }
+        Command::Bare(options) => bare::run(&options).map(done),
         Command::Check(source) => config::check(&source).map(done),
         Command::Doctor(options) => doctor::run(&options).map(ExitCode::from),
         Command::Config(command) => config::execute(command).map(done),
     }
 }
 
-/// Asks the kernel for SIGTERM when our parent ends; a parent that has ended meanwhile ends us now.
-fn end_with_process(parent: i32) -> Result<()> {
+/// Asks the kernel for SIGTERM when our parent, if we are to end with it, ends; one that has ended meanwhile ends
+/// us now.
+fn end_with_process(parent: Option<i32>) -> Result<()> {
+    let Some(parent) = parent else {
+        return Ok(());
+    };
     set_parent_process_death_signal(Some(Signal::TERM))
         .context("the end of the parent process cannot be watched")?;
     let is_ours = getppid().is_some_and(|id| id.as_raw_pid() == parent);

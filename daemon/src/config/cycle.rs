@@ -3,6 +3,9 @@ use serde::{Deserialize, Serialize};
 
 use super::ns;
 
+/// What one gather and one publication take, with a little more for slower machines \[ns\].
+const EXCHANGE_NS: u64 = 40_000;
+
 /// The period and what counts as late.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -15,7 +18,7 @@ pub struct CycleConfig {
     pub late_start_ms: f64,
     /// Longest time of one solve \[ms\]; 0: all that is left until the deadline, less the margin.
     pub budget_ms: f64,
-    /// Time that the solver leaves for what follows it \[ms\]; 0: a tenth of the period.
+    /// Time that the solver leaves for what follows it \[ms\]; 0: a tenth of the period, at least 0.04 ms.
     pub budget_margin_ms: f64,
     /// How long before the release inputs are gathered \[ms\].
     pub gather_lead_ms: f64,
@@ -51,10 +54,11 @@ impl CycleConfig {
     }
 
     /// Time that the solver leaves for what follows it \[ns\]. By default a tenth of the period: Linux
-    /// halts real-time threads that use more than 95 % of a core for 50 ms in each second.
+    /// halts real-time threads that use more than 95 % of a core for 50 ms in each second. And at least
+    /// what the exchange needs on the same core, without which the reference does not arrive.
     pub fn budget_margin_ns(&self) -> u64 {
         match ns(self.budget_margin_ms) {
-            0 => ns(self.period_ms) / 10,
+            0 => (ns(self.period_ms) / 10).max(EXCHANGE_NS),
             margin_ns => margin_ns,
         }
     }

@@ -11,8 +11,9 @@ pub fn doubts(config: &Config) -> Vec<String> {
         controller,
         ..
     } = config;
-    let deadline_ms = cycle.deadline_ns() as f64 * 1e-6;
-    let left_ms = deadline_ms - cycle.budget_margin_ns() as f64 * 1e-6;
+    let deadline_ms = cycle.deadline_ns() as f64 / 1e6;
+    let left_ns = cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns());
+    let left_ms = left_ns as f64 / 1e6;
     let period_ms = cycle.period_ms;
     let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
     let ramp_s = rates.fold(0.0, f64::max) / motion.deceleration_rad_s2;

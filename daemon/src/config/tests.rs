@@ -64,13 +64,13 @@ fn unknown_keys_and_bad_values_are_named_with_file_and_line() {
         "robot.toml, line 2: unknown key link.colour: `cdcrd config default` shows every key"
     );
 
-    let message = error_of("# comment\n[cycle]\nperiod_ms = 0.1\n");
+    let message = error_of("# comment\n[cycle]\nperiod_ms = 0.05\n");
     for part in [
         "robot.toml",
         "line 3",
         "cycle.period_ms",
-        "0.1",
-        "0.5 to 100",
+        "0.05",
+        "0.1 to 100",
     ] {
         assert!(message.contains(part), "{part}: {message}");
     }
@@ -257,6 +257,30 @@ fn the_period_bounds_other_times_and_the_key_that_was_set_is_the_place() {
 }
 
 #[test]
+fn the_shortest_period_needs_a_shorter_gather_lead() {
+    let message = error_of("[cycle]\nperiod_ms = 0.1\n");
+    assert_eq!(
+        message,
+        "robot.toml, line 2: cycle.period_ms: gather_lead_ms = 0.2 is out of range: with cycle.period_ms = 0.1, allowed is \
+         at most 0.05"
+    );
+    let text = "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.04\n";
+    let validated = Config::parse(text, Path::new("robot.toml")).unwrap();
+    let cycle = &validated.config.cycle;
+    assert_eq!(ns(cycle.period_ms), 100_000);
+    assert_eq!(
+        (cycle.deadline_ns(), cycle.budget_margin_ns()),
+        (100_000, 40_000)
+    );
+    let doubts = doubts(&validated.config);
+    assert_eq!(doubts.len(), 1, "{doubts:?}");
+    assert!(
+        doubts[0].starts_with("cycle.late_start_ms = 1 is longer"),
+        "{doubts:?}"
+    );
+}
+
+#[test]
 fn a_default_that_another_key_forbids_is_reported_where_that_key_stands() {
     for (text, start) in [
         (
@@ -419,7 +443,7 @@ fn what_is_set_by_an_option_is_toml_and_a_bare_word_is_a_string() {
 
 #[test]
 fn values_out_of_range_name_the_option_or_the_variable() {
-    let pairs = [("CDCR_CYCLE_PERIOD_MS", "0.1")];
+    let pairs = [("CDCR_CYCLE_PERIOD_MS", "0.05")];
     let (layers, _) = Layers::default().variables(variables(&pairs)).unwrap();
     let error = layers
         .settings()
@@ -429,7 +453,7 @@ fn values_out_of_range_name_the_option_or_the_variable() {
         .to_string();
     assert_eq!(
         error,
-        "CDCR_CYCLE_PERIOD_MS: cycle.period_ms: 0.1 is out of range: allowed is 0.5 to 100"
+        "CDCR_CYCLE_PERIOD_MS: cycle.period_ms: 0.05 is out of range: allowed is 0.1 to 100"
     );
     let text = "[cycle]\ngather_lead_ms = 1.0\n";
     let layers = Layers::default()
@@ -495,8 +519,8 @@ fn an_explanation_says_what_a_key_is_and_where_its_value_comes_from() {
     let settings = layers.settings().unwrap();
     assert_eq!(
         explain("cycle.period_ms", &settings).unwrap(),
-        "cycle.period_ms\n  Period of the loop, 0.5 to 100 ms.\n  type      number\n  range     0.5 to 100 \
-         ms\n  default   5.0\n  value     2.0\n  from      robot.toml, line 2\n  variable  \
+        "cycle.period_ms\n  Period of the loop, 0.1 to 100 ms, and at least twice gather_lead_ms.\n  type      number\n  \
+         range     0.1 to 100 ms, at least twice cycle.gather_lead_ms\n  default   5.0\n  value     2.0\n  from      robot.toml, line 2\n  variable  \
          CDCR_CYCLE_PERIOD_MS\n"
     );
     let table = explain("cycle", &settings).unwrap();

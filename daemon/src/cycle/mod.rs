@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 use crate::config::{Validated, ns};
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
-use crate::rt::accounting::{Accounting, Limits};
+use crate::rt::accounting::Accounting;
 use crate::rt::handoff::{
     CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE, REQUESTS_WAITING,
 };
@@ -101,11 +101,7 @@ impl<L: RobotLink> Cycle<L> {
             watch: MeasurementWatch::new(policy.plausibility),
             nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, settings.nmpc)?,
             budget_ns: settings.budget_ns,
-            accounting: Accounting::new(Limits {
-                deadline_ns: policy.deadline_ns,
-                late_start_ns: policy.late_start_ns,
-                miss_limit: policy.miss_limit,
-            }),
+            accounting: Accounting::new(policy.limits()),
             policy,
             period_ns,
             budget_margin_ns: config.cycle.budget_margin_ns(),

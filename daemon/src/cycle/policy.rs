@@ -2,6 +2,7 @@ use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::safety::PlausibilityRules;
 
 use crate::config::{Config, ns};
+use crate::rt::accounting::Limits;
 
 /// The fixed rules of a cycle, from the configuration.
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +28,8 @@ pub struct Policy {
 }
 
 impl Policy {
-    pub(super) fn new(config: &Config) -> Self {
+    /// Those of a configuration.
+    pub fn new(config: &Config) -> Self {
         Self {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,
             home_rate_rad_s: config.motion.home_rate_rad_s,
@@ -42,6 +44,15 @@ impl Policy {
                 jump_limit: config.safety.measurement_jump_limit,
                 frozen_rad: config.safety.measurement_frozen_rad,
             },
+        }
+    }
+
+    /// What counts as late.
+    pub fn limits(&self) -> Limits {
+        Limits {
+            deadline_ns: self.deadline_ns,
+            late_start_ns: self.late_start_ns,
+            miss_limit: self.miss_limit,
         }
     }
 }

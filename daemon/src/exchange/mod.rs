@@ -33,10 +33,10 @@ use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::attribution::{Attribution, SchedulerCounts};
+use crate::rt::attribution::Attribution;
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
-use crate::rt::scheduler::SchedulerReader;
+use crate::rt::scheduler::SchedulerLooks;
 use events::Events;
 use lease::Lease;
 use requests::Waiting;
@@ -78,8 +78,7 @@ pub struct Exchange {
     /// How long the newest gather took \[ns\].
     gather_took_ns: u64,
     incidents_sent: u64,
-    scheduler: Option<SchedulerReader>,
-    scheduler_counts: SchedulerCounts,
+    scheduler: SchedulerLooks,
     attribution: Attribution,
     /// How long before its release the cycle thread wakes up \[ns\].
     spin_ns: u64,
@@ -135,8 +134,7 @@ impl Exchange {
             stops: 0,
             gather_took_ns: 0,
             incidents_sent: 0,
-            scheduler: None,
-            scheduler_counts: SchedulerCounts::default(),
+            scheduler: SchedulerLooks::default(),
             attribution: Attribution::default(),
             spin_ns: ns(config.realtime.spin_us * 1e-3),
         }
@@ -145,7 +143,7 @@ impl Exchange {
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
-        self.scheduler = shared.cycle_thread().and_then(SchedulerReader::open);
+        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - self.gather_lead_ns;

@@ -9,7 +9,7 @@ use iceoryx2::prelude::{ZeroCopySend, ipc};
 use super::{Exchange, convert};
 use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::ports::Clock;
-use crate::rt::attribution::{Blame, Judged, SchedulerCounts, Scheduling, Timing};
+use crate::rt::attribution::{Blame, Judged, Timing};
 use crate::rt::handoff::Shared;
 use crate::supervisor::Summary;
 
@@ -22,7 +22,7 @@ impl Exchange {
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
             // Records that wait together share one reading.
-            let scheduling = scheduling.get_or_insert_with(|| self.read_scheduler());
+            let scheduling = scheduling.get_or_insert_with(|| self.scheduler.look());
             let judged = judged(&record, self.spin_ns);
             let blame = self.attribution.judge(&judged, scheduling.as_ref());
             let report =
@@ -42,14 +42,6 @@ impl Exchange {
             };
             self.sum_up(&record, late_cause, publish_ns, clock.now_ns(), shared);
         }
-    }
-
-    /// What the system did to the cycle thread since the last reading.
-    fn read_scheduler(&mut self) -> Option<Scheduling> {
-        let counts = self.scheduler.as_ref()?.read()?;
-        let before = core::mem::replace(&mut self.scheduler_counts, counts);
-        // The first reading has none before it.
-        (before != SchedulerCounts::default()).then(|| counts.since(&before))
     }
 
     /// A bad cycle goes to the supervisor, which keeps it.

@@ -10,7 +10,7 @@ mod watchdog;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, realtime};
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::{Node, ipc};
@@ -174,20 +174,11 @@ impl Supervisor {
         })
     }
 
-    /// Says what the system did not grant, and on which core the real-time threads run.
+    /// Takes over what the system did not grant, and on which core the real-time threads run.
     pub fn set_realtime(&mut self, missing: u32, core: Option<usize>, clock: &impl Clock) {
         self.status.realtime_missing = missing;
         self.status.core = core.map_or(u32::MAX, |core| core as u32);
         self.steal = Steal::of(core, clock);
-        if missing == 0 {
-            tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
-        }
-        for (_, name, remedy) in realtime::ALL
-            .iter()
-            .filter(|(bit, _, _)| missing & bit != 0)
-        {
-            tracing::warn!("not real time: {name} is missing; {remedy}");
-        }
     }
 
     /// Watches until `is_over` says that the threads are done; asks them to end when `should_end`.

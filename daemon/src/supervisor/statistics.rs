@@ -5,10 +5,9 @@ use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 
 use super::Summary;
+use crate::latency;
 use crate::rt::accounting::Totals;
 
-/// Latencies above this are counted as this \[ns\].
-const LATENCY_MAX_NS: u64 = 10_000_000_000;
 /// Length of a slice of the last minute.
 const SLICE: Duration = Duration::from_secs(10);
 /// Slices that make the last minute, the one that fills included.
@@ -118,7 +117,7 @@ impl Statistics {
 
 impl Window {
     fn new(digits: u8) -> anyhow::Result<Self> {
-        let histogram = || Histogram::new_with_bounds(1, LATENCY_MAX_NS, digits);
+        let histogram = || latency::histogram(digits);
         Ok(Self {
             counts: wire::Statistics::default(),
             wake: histogram()?,
@@ -221,12 +220,12 @@ impl Window {
 
     fn summary(&self) -> wire::Statistics {
         wire::Statistics {
-            wake: summary(&self.wake),
-            gather: summary(&self.gather),
-            compute: summary(&self.compute),
-            solve: summary(&self.solve),
-            response: summary(&self.response),
-            publish: summary(&self.publish),
+            wake: latency::summary(&self.wake),
+            gather: latency::summary(&self.gather),
+            compute: latency::summary(&self.compute),
+            solve: latency::summary(&self.solve),
+            response: latency::summary(&self.response),
+            publish: latency::summary(&self.publish),
             ..self.counts
         }
     }
@@ -239,21 +238,6 @@ fn difference(now: &Totals, before: &Totals) -> Totals {
         late_starts: now.late_starts.saturating_sub(before.late_starts),
         deadline_misses: now.deadline_misses.saturating_sub(before.deadline_misses),
         skipped_periods: now.skipped_periods.saturating_sub(before.skipped_periods),
-    }
-}
-
-fn summary(histogram: &Histogram<u64>) -> wire::LatencySummary {
-    wire::LatencySummary {
-        count: histogram.len(),
-        min_ns: if histogram.is_empty() {
-            0
-        } else {
-            histogram.min()
-        },
-        p50_ns: histogram.value_at_quantile(0.5),
-        p99_ns: histogram.value_at_quantile(0.99),
-        p999_ns: histogram.value_at_quantile(0.999),
-        max_ns: histogram.max(),
     }
 }
 

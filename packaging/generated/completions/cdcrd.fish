@@ -27,6 +27,7 @@ end
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -s V -l version -d 'Print version'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "run" -d 'Run the control loop until SIGINT or SIGTERM'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "bare" -d 'Run the real-time loop of a configuration with nothing to do: what the machine alone does to it'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a configuration and say what would run'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what is in the way of a loop that must be on time, and what mends it'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print configurations'
@@ -37,6 +38,17 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l prefix -d 'Prefix of
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l duration -d 'How long: at least one period, at most 10 million' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l format -d 'How to print it, when it is over' -r -f -a "text\t'A small table'
+csv\t'A line for each cycle'
+json\t'The numbers of the table as one object, for programs'"
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r

@@ -160,7 +160,7 @@ fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
 fn a_wrong_configuration_ends_with_78() {
     let place = Place::new();
     let output = run_configured(&place, "[cycle]\nperiod_ms = 0.01\n");
-    assert_refused(&place, &output, 78, &["robot.toml", "line 2", "0.5 to 100"]);
+    assert_refused(&place, &output, 78, &["robot.toml", "line 2", "0.1 to 100"]);
 }
 
 #[test]

@@ -91,7 +91,7 @@ fn a_bad_configuration_is_named_by_file_line_key_and_range() {
     let cases = [
         (
             "[cycle]\nperiod_ms = 0.01\n",
-            ["line 2", "cycle.period_ms", "0.5 to 100"],
+            ["line 2", "cycle.period_ms", "0.1 to 100"],
         ),
         ("[cycle]\n\nperiod = 5\n", ["line 3", "period", "period_ms"]),
         (

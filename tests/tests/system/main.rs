@@ -7,6 +7,7 @@
 
 mod access;
 mod bad_input;
+mod bare;
 mod demo;
 mod driver;
 mod ending;

@@ -225,6 +225,18 @@ fn copy(from: &[f64], to: &mut [f64]) {
     to[..from.len()].copy_from_slice(from);
 }
 
+/// Why a cycle was late; `None`: it was not.
+pub fn late_cause(cause: Option<LateCause>) -> codes::LateCause {
+    match cause {
+        None => codes::LateCause::None,
+        Some(LateCause::Platform) => codes::LateCause::Platform,
+        Some(LateCause::Load) => codes::LateCause::Load,
+        Some(LateCause::PageFault) => codes::LateCause::PageFault,
+        Some(LateCause::Stall) => codes::LateCause::Stall,
+        Some(LateCause::Compute) => codes::LateCause::Compute,
+    }
+}
+
 /// What the system did to the cycle thread; `None`: it does not tell. `cause` is that of a late cycle.
 pub fn scheduling(
     scheduling: Option<&Scheduling>,
@@ -243,15 +255,7 @@ pub fn scheduling(
         longest_gap_ns,
         page_faults,
         switches,
-        late_cause: match cause {
-            None => codes::LateCause::None,
-            Some(LateCause::Platform) => codes::LateCause::Platform,
-            Some(LateCause::Load) => codes::LateCause::Load,
-            Some(LateCause::PageFault) => codes::LateCause::PageFault,
-            Some(LateCause::Stall) => codes::LateCause::Stall,
-            Some(LateCause::Compute) => codes::LateCause::Compute,
-        }
-        .code(),
+        late_cause: late_cause(cause).code(),
         known: u32::from(scheduling.is_some()),
     }
 }

@@ -1,0 +1,373 @@
+//! The loop without work: what the machine alone does to the cycle thread of a configuration.
+//!
+//! The daemon's own code, without its daemon: the same plan of the thread, the same order at the start, the same
+//! grid, the same judgement of what is late and why. What `cdcrd run` does worse than this is its own fault.
+//!
+//! Invariant: nothing here knows a robot, a message or shared memory. After the first release nothing
+//! allocates until the loop is over.
+
+mod summary;
+
+use std::hint::black_box;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anyhow::{Context, Result, bail};
+
+use crate::config::{Config, Validated, ns};
+use crate::cycle::Policy;
+use crate::exit::{Ended, ExitCause};
+use crate::ports::Clock;
+use crate::rt::accounting::{Accounting, Totals, Verdict};
+use crate::rt::attribution::{Attribution, Blame, Judged, Scheduling, Timing};
+use crate::rt::clock::MonotonicClock;
+use crate::rt::privileges::ThreadPlan;
+use crate::rt::schedule::{Release, Schedule};
+use crate::rt::scheduler::{SchedulerLooks, this_thread};
+use crate::start::{self, Started, arm, end_signals, give_up};
+
+pub use summary::{Percentiles, Summary};
+
+/// Cycles that are recorded at most: 800 MB of memory.
+pub const CYCLES_MAX: u64 = 10_000_000;
+/// How often the main thread looks whether the loop is over or is to end.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// One cycle, as it happened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct BareCycle {
+    /// Its release.
+    pub release: Release,
+    /// The clock, read right after the start \[ns\].
+    pub handed_over_ns: u64,
+    /// Whether it was late.
+    pub verdict: Verdict,
+    /// Why.
+    pub blame: Blame,
+    /// What the system did to the thread since the cycle before. None where it does not tell.
+    pub interference: Option<Interference>,
+}
+
+/// What the system did to the thread during one cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Interference {
+    /// Time ready to run while another had the core \[ns\].
+    pub run_delay_ns: u64,
+    /// Page faults, minor and major.
+    pub page_faults: u32,
+}
+
+impl From<&Scheduling> for Interference {
+    fn from(scheduling: &Scheduling) -> Self {
+        Self {
+            run_delay_ns: scheduling.run_delay_ns,
+            page_faults: scheduling.page_faults,
+        }
+    }
+}
+
+/// A loop that is over.
+#[derive(Debug, Clone)]
+pub struct Outcome {
+    /// All of it in a few numbers.
+    pub summary: Summary,
+    /// Its cycles, oldest first.
+    pub cycles: Vec<BareCycle>,
+}
+
+/// Runs the loop for `duration`, or until a signal ends it.
+///
+/// # Errors
+/// When it cannot start, or the duration is too short or too long for the period.
+pub fn run(validated: &Validated, duration: Duration) -> Result<Outcome> {
+    let ending = end_signals()?;
+    run_until(validated, duration, || ending.load(Ordering::Relaxed))
+}
+
+/// Runs the loop for `duration`, or until `should_end` says so.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_until(
+    validated: &Validated,
+    duration: Duration,
+    mut should_end: impl FnMut() -> bool,
+) -> Result<Outcome> {
+    let config = &validated.config;
+    let recorder = Recorder::new(config, last_cycle(config, duration)?)?;
+    let ending = Arc::new(AtomicBool::new(false));
+    let thread = spawn(config, recorder, &ending)?;
+    let armed = match arm(&config.realtime, &[&thread]) {
+        Ok(armed) => armed,
+        Err(error) => {
+            give_up([thread]);
+            return Err(error);
+        }
+    };
+    thread.go(&start::schedule(config, &MonotonicClock));
+    tracing::info!(
+        period_ms = config.cycle.period_ms,
+        "the loop runs without work"
+    );
+    while !thread.is_finished() {
+        if should_end() {
+            ending.store(true, Ordering::Relaxed);
+        }
+        std::thread::sleep(LOOK_EVERY);
+    }
+    let recorder = thread.join()?;
+    Ok(Outcome {
+        summary: Summary::new(config, &recorder, armed.missing, armed.core)?,
+        cycles: recorder.cycles,
+    })
+}
+
+fn spawn(
+    config: &Config,
+    mut recorder: Recorder,
+    ending: &Arc<AtomicBool>,
+) -> Result<Started<Recorder>> {
+    let plan = ThreadPlan::new(&config.realtime, config.realtime.cycle_priority);
+    let ending = Arc::clone(ending);
+    Started::spawn("cdcr-cycle", move |stage| {
+        let mut looks = SchedulerLooks::at(Some(this_thread()));
+        if let Some(mut schedule) = stage.prepare(plan, || ()) {
+            recorder.run(&mut schedule, &MonotonicClock, &mut looks, &ending);
+        }
+        recorder
+    })
+}
+
+/// The number on the grid of the last cycle.
+fn last_cycle(config: &Config, duration: Duration) -> Result<u64> {
+    let period_ms = config.cycle.period_ms;
+    let periods = duration.as_nanos() / u128::from(ns(period_ms));
+    let problem = match u64::try_from(periods) {
+        Ok(0) => "is shorter than one period",
+        Ok(periods) if periods <= CYCLES_MAX => return Ok(periods),
+        _ => "has more cycles than the 10 million that can be recorded",
+    };
+    bail!(Ended {
+        cause: ExitCause::Usage,
+        message: format!(
+            "--duration {}: it {problem}, with cycle.period_ms = {period_ms}; choose {} s to {} s",
+            humantime::format_duration(duration),
+            period_ms / 1e3,
+            CYCLES_MAX as f64 * period_ms / 1e3
+        ),
+    })
+}
+
+/// Judges and records the cycles of a loop without work.
+#[derive(Debug)]
+struct Recorder {
+    last_cycle: u64,
+    /// How long before its release the thread wakes up \[ns\].
+    spin_ns: u64,
+    accounting: Accounting,
+    attribution: Attribution,
+    cycles: Vec<BareCycle>,
+}
+
+impl Recorder {
+    /// A recorder up to `last_cycle` on the grid. All memory is taken and touched here.
+    fn new(config: &Config, last_cycle: u64) -> Result<Self> {
+        Ok(Self {
+            last_cycle,
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            accounting: Accounting::new(Policy::new(config).limits()),
+            attribution: Attribution::default(),
+            cycles: memory(last_cycle as usize)?,
+        })
+    }
+
+    /// The life of the thread: sleep to the release, read the clock, judge, record.
+    fn run(
+        &mut self,
+        schedule: &mut Schedule,
+        clock: &impl Clock,
+        looks: &mut SchedulerLooks,
+        ending: &AtomicBool,
+    ) {
+        // What happened before the first cycle is none of its business.
+        looks.look();
+        let mut newest = 0;
+        while newest < self.last_cycle && !ending.load(Ordering::Relaxed) {
+            let release = schedule.wait(clock);
+            let handed_over_ns = clock.now_ns();
+            newest = release.cycle;
+            let verdict = self.accounting.judge(&release, handed_over_ns);
+            let scheduling = looks.look();
+            let judged = self.judged(&release, handed_over_ns, verdict);
+            // There is room: each cycle has a higher number, and none but the last is beyond the last.
+            self.cycles.push(BareCycle {
+                release,
+                handed_over_ns,
+                verdict,
+                blame: self.attribution.judge(&judged, scheduling.as_ref()),
+                interference: scheduling.as_ref().map(Interference::from),
+            });
+        }
+    }
+
+    /// The cycle as far as its lateness is concerned: all its computation is one look at the clock.
+    fn judged(&self, release: &Release, handed_over_ns: u64, verdict: Verdict) -> Judged {
+        let compute_ns = handed_over_ns - release.start_ns;
+        Judged {
+            count: self.totals().cycles,
+            verdict,
+            skipped: release.skipped,
+            timing: Timing {
+                early_ns: self.spin_ns,
+                wake_ns: release.start_ns - release.due_ns,
+                compute_ns,
+                longest_gap_ns: compute_ns,
+                after_solve_ns: 0,
+            },
+        }
+    }
+
+    fn totals(&self) -> &Totals {
+        self.accounting.totals()
+    }
+}
+
+/// An empty list with room for `count` cycles, whose pages are there.
+fn memory(count: usize) -> Result<Vec<BareCycle>> {
+    // No zeros: the kernel gives zeroed pages only when they are touched.
+    let touched = BareCycle {
+        release: Release {
+            cycle: u64::MAX,
+            ..Release::default()
+        },
+        handed_over_ns: u64::MAX,
+        verdict: Verdict::default(),
+        blame: Blame::InTime,
+        interference: None,
+    };
+    let mut cycles = Vec::new();
+    cycles.try_reserve_exact(count).with_context(|| {
+        format!("no memory to record {count} cycles; choose a shorter duration")
+    })?;
+    cycles.resize(count, touched);
+    black_box(&mut cycles).clear();
+    Ok(cycles)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use std::cell::Cell;
+
+    use super::*;
+    use crate::rt::attribution::LateCause;
+
+    const MS: u64 = 1_000_000;
+
+    /// A clock that stands still but for sleeps. The sleep to the release of `late.0` ends so much late \[ns\].
+    struct Simulated {
+        now: Cell<u64>,
+        late: (u64, u64),
+    }
+
+    impl Clock for Simulated {
+        fn now_ns(&self) -> u64 {
+            self.now.get()
+        }
+
+        fn sleep_until(&self, time_ns: u64) {
+            let (release_ns, late_ns) = self.late;
+            let late_ns = if time_ns == release_ns { late_ns } else { 0 };
+            self.now.set(self.now.get().max(time_ns) + late_ns);
+        }
+    }
+
+    /// A loop of 5 ms up to `last_cycle`, on a grid with the origin 0.
+    fn run(last_cycle: u64, late: (u64, u64), ending: bool) -> Recorder {
+        let mut recorder = Recorder::new(&Config::default(), last_cycle).unwrap();
+        let clock = Simulated {
+            now: Cell::new(0),
+            late,
+        };
+        let room = recorder.cycles.capacity();
+        let mut schedule = Schedule::new(0, 5 * MS);
+        let mut looks = SchedulerLooks::default();
+        recorder.run(&mut schedule, &clock, &mut looks, &AtomicBool::new(ending));
+        assert_eq!(recorder.cycles.capacity(), room, "nothing is allocated");
+        recorder
+    }
+
+    #[test]
+    fn a_punctual_loop_has_every_cycle_once() {
+        let recorder = run(100, (0, 0), false);
+        let numbers: Vec<u64> = recorder.cycles.iter().map(|c| c.release.cycle).collect();
+        assert_eq!(numbers, (1..=100).collect::<Vec<_>>());
+        for cycle in &recorder.cycles {
+            assert_eq!(cycle.release.due_ns, cycle.release.cycle * 5 * MS);
+            assert_eq!(cycle.handed_over_ns, cycle.release.start_ns);
+            assert_eq!(cycle.blame, Blame::InTime);
+        }
+    }
+
+    #[test]
+    fn a_stall_is_one_late_cycle_with_its_cause_and_what_it_skipped() {
+        let recorder = run(100, (50 * MS, 12 * MS), false);
+        let totals = Totals {
+            cycles: 98,
+            late_starts: 1,
+            deadline_misses: 1,
+            skipped_periods: 2,
+        };
+        assert_eq!(*recorder.totals(), totals);
+        let late = recorder.cycles[9];
+        assert_eq!((late.release.cycle, late.release.due_ns), (12, 50 * MS));
+        assert_eq!(late.blame, Blame::Own(LateCause::Platform));
+        assert_eq!(recorder.cycles[10].blame, Blame::InTime);
+    }
+
+    #[test]
+    fn a_stall_over_the_end_ends_the_loop() {
+        let recorder = run(100, (500 * MS, 73 * MS), false);
+        assert_eq!(recorder.cycles.len(), 100);
+        assert_eq!(recorder.cycles[99].release.cycle, 114);
+    }
+
+    #[test]
+    fn a_loop_that_is_to_end_keeps_what_there_is() {
+        let recorder = run(100, (0, 0), true);
+        assert!(recorder.cycles.is_empty());
+        let summary = Summary::new(&Config::default(), &recorder, 0, Some(1)).unwrap();
+        assert_eq!((summary.cycles, summary.duration_s), (0, 0.0));
+        assert_eq!(summary.wake.max_ns, 0);
+    }
+
+    #[test]
+    fn a_duration_has_a_cycle_at_least_and_ten_million_at_most() {
+        let mut config = Config::default();
+        let last = |config: &Config, duration| last_cycle(config, duration);
+        let millis = Duration::from_millis;
+        assert_eq!(last(&config, millis(5)).unwrap(), 1);
+        assert_eq!(last(&config, millis(504)).unwrap(), 100);
+        assert_eq!(last(&config, millis(50_000_000)).unwrap(), CYCLES_MAX);
+        config.cycle.period_ms = 0.1;
+        assert_eq!(last(&config, millis(1)).unwrap(), 10);
+        config.cycle.period_ms = 5.0;
+        for (duration, word) in [
+            (Duration::ZERO, "shorter"),
+            (millis(4), "shorter"),
+            (millis(50_000_005), "10 million"),
+            (Duration::MAX, "10 million"),
+        ] {
+            let error = last(&config, duration).unwrap_err();
+            assert_eq!(ExitCause::of(&error), ExitCause::Usage);
+            let message = error.to_string();
+            assert!(message.contains(word), "{message}");
+            assert!(message.contains("0.005 s to 50000 s"), "{message}");
+        }
+    }
+}

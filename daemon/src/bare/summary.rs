@@ -1,0 +1,226 @@
+use std::collections::BTreeMap;
+
+use anyhow::Result;
+use cdcr_shared_types::LatencySummary;
+use cdcr_shared_types::codes::realtime;
+use serde::Serialize;
+
+use super::{BareCycle, Blame, Recorder};
+use crate::config::{Config, ns};
+use crate::cycle::Policy;
+use crate::exchange::convert;
+use crate::latency;
+
+/// Digits that a percentile has.
+const DIGITS: u8 = 3;
+
+/// A loop without work in a few numbers.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// Period \[ns\].
+    pub period_ns: u64,
+    /// Deadline after the release \[ns\].
+    pub deadline_ns: u64,
+    /// A start later than this after the release is a late start \[ns\].
+    pub late_start_ns: u64,
+    /// How long before each release the thread wakes up, and spins \[ns\].
+    pub spin_ns: u64,
+    /// Time on the grid that the cycles cover \[s\].
+    pub duration_s: f64,
+    /// Cycles that ran.
+    pub cycles: u64,
+    /// Late starts.
+    pub late_starts: u64,
+    /// Deadline misses.
+    pub deadline_misses: u64,
+    /// Releases without a cycle.
+    pub skipped_periods: u64,
+    /// What made cycles late, and how many. A cycle that only follows an overrun has none of its own.
+    pub causes: BTreeMap<&'static str, u64>,
+    /// Release to start.
+    pub wake: Percentiles,
+    /// Time ready to run while another had the core, cycle by cycle. None where the kernel does not tell.
+    pub run_delay: Option<Percentiles>,
+    /// Page faults, minor and major. None where the kernel does not tell.
+    pub page_faults: Option<u64>,
+    /// Whether all was granted: `SCHED_FIFO`, a core, locked memory.
+    pub realtime: bool,
+    /// What was not.
+    pub realtime_missing: Vec<&'static str>,
+    /// Core of the thread, where it is pinned.
+    pub core: Option<usize>,
+}
+
+/// Percentiles of a latency.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+pub struct Percentiles {
+    /// Smallest \[ns\].
+    pub min_ns: u64,
+    /// Median \[ns\].
+    pub p50_ns: u64,
+    /// 99 % are not above this \[ns\].
+    pub p99_ns: u64,
+    /// 99.9 % are not above this \[ns\].
+    pub p999_ns: u64,
+    /// Largest \[ns\].
+    pub max_ns: u64,
+}
+
+impl Summary {
+    /// The numbers of a loop that is over; `missing` and `core` are what the system granted.
+    pub(super) fn new(
+        config: &Config,
+        recorder: &Recorder,
+        missing: u32,
+        core: Option<usize>,
+    ) -> Result<Self> {
+        let (totals, limits) = (recorder.totals(), Policy::new(config).limits());
+        let cycles = &recorder.cycles;
+        let period_ns = ns(config.cycle.period_ms);
+        let periods = cycles.last().map_or(0, |cycle| cycle.release.cycle);
+        let told = || cycles.iter().filter_map(|cycle| cycle.interference);
+        let is_told = told().next().is_some();
+        let run_delay = Percentiles::of(told().map(|told| told.run_delay_ns))?;
+        let page_faults = told().map(|told| u64::from(told.page_faults)).sum();
+        Ok(Self {
+            period_ns,
+            deadline_ns: limits.deadline_ns,
+            late_start_ns: limits.late_start_ns,
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            duration_s: (periods * period_ns) as f64 * 1e-9,
+            cycles: totals.cycles,
+            late_starts: totals.late_starts,
+            deadline_misses: totals.deadline_misses,
+            skipped_periods: totals.skipped_periods,
+            causes: causes(cycles),
+            wake: Percentiles::of(cycles.iter().map(BareCycle::wake_ns))?,
+            run_delay: is_told.then_some(run_delay),
+            page_faults: is_told.then_some(page_faults),
+            realtime: missing == 0,
+            realtime_missing: names(missing),
+            core,
+        })
+    }
+}
+
+impl BareCycle {
+    /// From the release that was due to the start \[ns\].
+    pub fn wake_ns(&self) -> u64 {
+        self.release.start_ns - self.release.due_ns
+    }
+}
+
+fn causes(cycles: &[BareCycle]) -> BTreeMap<&'static str, u64> {
+    let mut causes = BTreeMap::new();
+    for cycle in cycles {
+        if let Blame::Own(cause) = cycle.blame {
+            *causes
+                .entry(convert::late_cause(Some(cause)).text())
+                .or_default() += 1;
+        }
+    }
+    causes
+}
+
+fn names(missing: u32) -> Vec<&'static str> {
+    let is_missing = |(bit, _, _): &&(u32, &str, &str)| missing & bit != 0;
+    let missing = realtime::ALL.iter().filter(is_missing);
+    missing.map(|(_, name, _)| *name).collect()
+}
+
+impl Percentiles {
+    fn of(latencies_ns: impl Iterator<Item = u64>) -> Result<Self> {
+        let mut histogram = latency::histogram(DIGITS)?;
+        for latency_ns in latencies_ns {
+            histogram.saturating_record(latency_ns);
+        }
+        let LatencySummary {
+            min_ns,
+            p50_ns,
+            p99_ns,
+            p999_ns,
+            max_ns,
+            ..
+        } = latency::summary(&histogram);
+        Ok(Self {
+            min_ns,
+            p50_ns,
+            p99_ns,
+            p999_ns,
+            max_ns,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+    use crate::bare::Interference;
+    use crate::rt::accounting::Verdict;
+    use crate::rt::attribution::LateCause;
+    use crate::rt::schedule::Release;
+
+    fn cycle(number: u64, wake_ns: u64, blame: Blame, run_delay_ns: Option<u64>) -> BareCycle {
+        let due_ns = number * 5_000_000;
+        BareCycle {
+            release: Release {
+                cycle: number,
+                release_ns: due_ns,
+                due_ns,
+                start_ns: due_ns + wake_ns,
+                skipped: 0,
+            },
+            handed_over_ns: due_ns + wake_ns + 50,
+            verdict: Verdict::default(),
+            blame,
+            interference: run_delay_ns.map(|run_delay_ns| Interference {
+                run_delay_ns,
+                page_faults: 1,
+            }),
+        }
+    }
+
+    fn summary(cycles: Vec<BareCycle>, missing: u32) -> Summary {
+        let config = Config::default();
+        let mut recorder = Recorder::new(&config, 1).unwrap();
+        recorder.cycles = cycles;
+        Summary::new(&config, &recorder, missing, None).unwrap()
+    }
+
+    #[test]
+    fn causes_are_counted_once_for_an_event() {
+        let load = LateCause::Load;
+        let cycles = vec![
+            cycle(1, 10, Blame::InTime, Some(0)),
+            cycle(2, 9_000_000, Blame::Own(load), Some(8_000_000)),
+            cycle(4, 10, Blame::Before(load), Some(0)),
+            cycle(5, 10, Blame::Own(LateCause::Platform), Some(0)),
+        ];
+        let summary = summary(cycles, 0);
+        let causes = [("another task had the core", 1), ("platform", 1)];
+        assert_eq!(summary.causes, BTreeMap::from(causes));
+        assert_eq!(summary.page_faults, Some(4));
+        assert!((summary.duration_s - 0.025).abs() < 1e-12);
+        let close = |is: u64, was: u64| is.abs_diff(was) * 500 <= was;
+        assert!(close(summary.wake.max_ns, 9_000_000), "{:?}", summary.wake);
+        assert_eq!(summary.wake.p50_ns, 10);
+        assert!(close(summary.run_delay.unwrap().max_ns, 8_000_000));
+        assert!(summary.realtime && summary.realtime_missing.is_empty());
+    }
+
+    #[test]
+    fn what_is_not_told_is_not_zero() {
+        let summary = summary(
+            vec![cycle(1, 10, Blame::InTime, None)],
+            realtime::FIFO | realtime::LOCKED,
+        );
+        assert_eq!((summary.run_delay, summary.page_faults), (None, None));
+        assert!(!summary.realtime);
+        assert_eq!(summary.realtime_missing, ["SCHED_FIFO", "locked memory"]);
+    }
+}

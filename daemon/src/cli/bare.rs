@@ -1,0 +1,305 @@
+//! Prints what `cdcrd bare` saw.
+
+use std::io::{self, BufWriter, Write};
+use std::time::Duration;
+
+use anyhow::{Context, Result};
+use clap::{Args, ValueEnum};
+
+use super::{Source, end_with_process};
+use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
+use crate::exchange::convert;
+
+/// What follows the options in the help.
+pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
+    The cycle thread of the configuration (core, priority, locked memory, spinning, period) sleeps to each\n\
+    release, reads the clock, and does nothing else. Judged as in cdcrd run; whatever is late is due to\n\
+    the machine. Touches no shared memory, so it may run beside a daemon; on the same core the two\n\
+    disturb each other. SIGINT and SIGTERM end it early, with what there is.\n\n\
+    --format csv has a line for each cycle. run_delay_ns and page_faults are empty where the kernel does not\n\
+    tell them. cause: 0 none, 1 platform, 2 another task had the core, 3 page fault, 4 stall of the\n\
+    processor, 5 compute. The log goes to the standard error.";
+
+/// Options of `bare`.
+#[derive(Debug, Args)]
+pub(super) struct Options {
+    #[command(flatten)]
+    source: Source,
+    /// How long: at least one period, at most 10 million.
+    #[arg(long, value_name = "DURATION", default_value = "10s", value_parser = duration)]
+    duration: Duration,
+    /// How to print it, when it is over.
+    #[arg(long, value_enum, default_value_t = Format::Text, value_name = "FORMAT")]
+    format: Format,
+    /// End when the parent process, which has this id, ends, however it ends.
+    #[arg(long, value_name = "PID", hide = true)]
+    end_with_parent: Option<i32>,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Format {
+    /// A small table.
+    Text,
+    /// A line for each cycle.
+    Csv,
+    /// The numbers of the table as one object, for programs.
+    Json,
+}
+
+/// Runs the loop, and prints what became of it.
+pub(super) fn run(options: &Options) -> Result<()> {
+    end_with_process(options.end_with_parent)?;
+    let outcome = bare::run(&options.source.load()?, options.duration)?;
+    let mut out = BufWriter::new(io::stdout().lock());
+    match write(&mut out, options.format, &outcome).and_then(|()| out.flush()) {
+        // The reader has seen enough: `cdcrd bare --format csv | head`.
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Ok(()),
+        written => written.context("the result cannot be written"),
+    }
+}
+
+/// `10s`, `0.5s`, `250ms`, `1m 10s`.
+fn duration(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().strip_suffix('s').map(str::trim_end);
+    if let Some(Ok(seconds)) = seconds.map(str::parse::<f64>) {
+        return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
+    }
+    humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 10s or 250ms)"))
+}
+
+fn write(out: &mut impl Write, format: Format, outcome: &Outcome) -> io::Result<()> {
+    match format {
+        Format::Text => write_text(out, &outcome.summary),
+        Format::Csv => write_csv(out, &outcome.cycles),
+        Format::Json => {
+            serde_json::to_writer_pretty(&mut *out, &outcome.summary)?;
+            writeln!(out)
+        }
+    }
+}
+
+fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
+    writeln!(
+        out,
+        "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,\
+         cause"
+    )?;
+    for cycle in cycles {
+        let release = &cycle.release;
+        let (run_delay_ns, page_faults) = match cycle.interference {
+            Some(told) => (told.run_delay_ns.to_string(), told.page_faults.to_string()),
+            None => (String::new(), String::new()),
+        };
+        writeln!(
+            out,
+            "{},{},{},{},{},{},{},{run_delay_ns},{page_faults},{}",
+            release.cycle,
+            release.due_ns,
+            release.start_ns,
+            cycle.handed_over_ns,
+            release.skipped,
+            u8::from(cycle.verdict.late_start),
+            u8::from(cycle.verdict.deadline_miss),
+            convert::late_cause(cycle.blame.cause()).code()
+        )?;
+    }
+    Ok(())
+}
+
+fn write_text(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
+    let ms = |time_ns: u64| time_ns as f64 / 1e6;
+    writeln!(
+        out,
+        "A loop of {} ms without work, {:.2} s\n",
+        ms(summary.period_ns),
+        summary.duration_s
+    )?;
+    let late = format!("started over {} ms late", ms(summary.late_start_ns));
+    let miss = format!("over after {} ms", ms(summary.deadline_ns));
+    for (name, count, meaning) in [
+        ("cycles", summary.cycles, ""),
+        ("late starts", summary.late_starts, &late),
+        ("deadline misses", summary.deadline_misses, &miss),
+        (
+            "skipped periods",
+            summary.skipped_periods,
+            "releases without a cycle",
+        ),
+    ] {
+        writeln!(
+            out,
+            "{}",
+            format!("{name:<17}{count:>9}   {meaning}").trim_end()
+        )?;
+    }
+    for (name, count) in &summary.causes {
+        writeln!(out, "{:<17}{count:>9}   {name}", "caused by")?;
+    }
+    if let Some(page_faults) = summary.page_faults {
+        writeln!(out, "{:<17}{page_faults:>9}", "page faults")?;
+    }
+    write_latencies(out, summary)?;
+    let realtime = if summary.realtime {
+        "yes".to_owned()
+    } else {
+        format!("no: {} missing", summary.realtime_missing.join(", "))
+    };
+    let core = summary
+        .core
+        .map_or("not pinned".to_owned(), |core| core.to_string());
+    writeln!(out, "\n{:<17}{realtime}\n{:<17}{core}", "real time", "core")
+}
+
+fn write_latencies(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
+    writeln!(
+        out,
+        "\n{:<17}{:>9}{:>9}{:>9}{:>9}{:>9}",
+        "time [µs]", "min", "p50", "p99", "p99.9", "max"
+    )?;
+    let mut row = |name, latency: &Percentiles| {
+        let Percentiles {
+            min_ns,
+            p50_ns,
+            p99_ns,
+            p999_ns,
+            max_ns,
+        } = *latency;
+        let columns = [min_ns, p50_ns, p99_ns, p999_ns, max_ns];
+        let columns = columns.map(|time_ns| format!("{:>9.1}", time_ns as f64 * 1e-3));
+        writeln!(out, "{name:<17}{}", columns.concat())
+    };
+    row("wake-up", &summary.wake)?;
+    match &summary.run_delay {
+        Some(run_delay) => row("run-queue wait", run_delay),
+        None => writeln!(out, "{:<17}the kernel does not tell", "run-queue wait"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use std::collections::BTreeMap;
+
+    use super::*;
+    use crate::bare::Interference;
+    use crate::rt::accounting::Verdict;
+    use crate::rt::attribution::{Blame, LateCause};
+    use crate::rt::schedule::Release;
+
+    fn outcome() -> Outcome {
+        let cycle = BareCycle {
+            release: Release {
+                cycle: 3,
+                release_ns: 300,
+                due_ns: 200,
+                start_ns: 310,
+                skipped: 1,
+            },
+            handed_over_ns: 350,
+            verdict: Verdict {
+                late_start: true,
+                deadline_miss: false,
+            },
+            blame: Blame::Own(LateCause::Load),
+            interference: Some(Interference {
+                run_delay_ns: 70,
+                page_faults: 2,
+            }),
+        };
+        let untold = BareCycle {
+            blame: Blame::Before(LateCause::Stall),
+            interference: None,
+            ..cycle
+        };
+        let latency = Percentiles {
+            min_ns: 1_000,
+            p50_ns: 14_049,
+            p99_ns: 30_000,
+            p999_ns: 99_960,
+            max_ns: 1_234_500,
+        };
+        let summary = Summary {
+            period_ns: 100_000,
+            deadline_ns: 100_000,
+            late_start_ns: 1_000_000,
+            spin_ns: 0,
+            duration_s: 0.5,
+            cycles: 4_999,
+            late_starts: 1,
+            deadline_misses: 0,
+            skipped_periods: 1,
+            causes: BTreeMap::from([("another task had the core", 1)]),
+            wake: latency,
+            run_delay: None,
+            page_faults: Some(2),
+            realtime: false,
+            realtime_missing: vec!["SCHED_FIFO", "locked memory"],
+            core: Some(1),
+        };
+        Outcome {
+            summary,
+            cycles: vec![cycle, untold],
+        }
+    }
+
+    fn written(format: Format) -> String {
+        let mut bytes = Vec::new();
+        write(&mut bytes, format, &outcome()).unwrap();
+        String::from_utf8(bytes).unwrap()
+    }
+
+    #[test]
+    fn a_line_of_csv_for_each_cycle_and_nothing_where_nothing_is_told() {
+        let expected = [
+            "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,run_delay_ns,page_faults,cause",
+            "3,200,310,350,1,1,0,70,2,2",
+            "3,200,310,350,1,1,0,,,4",
+        ];
+        assert_eq!(written(Format::Csv).lines().collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn the_table() {
+        let expected = "\
+A loop of 0.1 ms without work, 0.50 s
+
+cycles                4999
+late starts              1   started over 1 ms late
+deadline misses          0   over after 0.1 ms
+skipped periods          1   releases without a cycle
+caused by                1   another task had the core
+page faults              2
+
+time [µs]              min      p50      p99    p99.9      max
+wake-up                1.0     14.0     30.0    100.0   1234.5
+run-queue wait   the kernel does not tell
+
+real time        no: SCHED_FIFO, locked memory missing
+core             1
+";
+        assert_eq!(written(Format::Text), expected);
+    }
+
+    #[test]
+    fn the_summary_is_json_with_units() {
+        let json: serde_json::Value = serde_json::from_str(&written(Format::Json)).unwrap();
+        assert_eq!(json["wake"]["p999_ns"], 99_960);
+        assert_eq!(json["run_delay"], serde_json::Value::Null);
+        assert_eq!(json["causes"]["another task had the core"], 1);
+        assert_eq!(json["realtime_missing"][1], "locked memory");
+    }
+
+    #[test]
+    fn durations_with_decimals_and_units() {
+        assert_eq!(duration("0.5s"), Ok(Duration::from_millis(500)));
+        assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
+        assert_eq!(duration("1m 10s"), Ok(Duration::from_secs(70)));
+        for text in ["", "5", "-1s", "nans", "infs", "1e300s", "soon"] {
+            assert!(duration(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,253 @@
+//! How real-time threads come to life, the same for the daemon and for [`bare`](crate::bare).
+//!
+//! ```text
+//! each thread: ready ─► (memory is locked) ─► warm up ─► priority, core, stack ─► schedule ─► first release
+//! ```
+
+use std::fs::File;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::thread::{Builder, JoinHandle, Thread};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail};
+use cdcr_shared_types::codes::realtime;
+use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
+use crate::exit::{Ended, ExitCause};
+use crate::ports::Clock;
+use crate::rt::privileges::{ThreadPlan, choose_core, keep_awake, lock_memory, stay_off_core};
+use crate::rt::schedule::Schedule;
+
+/// How long a thread may take to get ready.
+const START_TIMEOUT: Duration = Duration::from_secs(10);
+/// Time between the last preparation and the first release \[ns\].
+const START_DELAY_NS: u64 = 10_000_000;
+/// How long the threads of a start that failed may take to end.
+const GIVE_UP: Duration = Duration::from_secs(2);
+/// Stack of a real-time thread.
+const STACK_BYTES: usize = 2 * 1024 * 1024;
+
+/// A flag that is set by the signals that ask the process to end.
+pub(crate) fn end_signals() -> Result<Arc<AtomicBool>> {
+    let ending = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM, SIGHUP] {
+        signal_hook::flag::register(signal, Arc::clone(&ending)).context("signals")?;
+    }
+    Ok(ending)
+}
+
+/// What the system granted to the real-time threads. The processor stays awake for as long as it lives.
+#[derive(Debug)]
+pub(crate) struct Armed {
+    /// The [`realtime`] bits of what is missing.
+    pub(crate) missing: u32,
+    /// The core of the threads, where they are pinned.
+    pub(crate) core: Option<usize>,
+    /// Closing it gives the processor its sleep back.
+    _awake: Option<File>,
+}
+
+/// Waits until the threads are ready, locks memory, makes the threads real-time, and keeps the calling thread
+/// off their core.
+///
+/// # Errors
+/// A thread did not get ready, or the configuration requires what the system does not grant.
+pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result<Armed> {
+    for thread in threads {
+        thread.wait_ready()?;
+    }
+    let mut missing = lock_memory(config.mode);
+    for thread in threads {
+        missing |= thread.arm()?;
+    }
+    if config.mode == RealtimeMode::Require && missing != 0 {
+        bail!(not_granted(missing));
+    }
+    let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
+    let core = choose_core(config).filter(|_| pinned);
+    say_what_is_missing(missing, core);
+    stay_off_core(core);
+    Ok(Armed {
+        missing,
+        core,
+        _awake: keep_awake(config),
+    })
+}
+
+fn not_granted(missing: u32) -> Ended {
+    let lines: Vec<_> = realtime::ALL
+        .iter()
+        .filter(|(bit, _, _)| missing & bit != 0)
+        .map(|(_, name, remedy)| format!("  {name} is missing: {remedy}"))
+        .collect();
+    Ended {
+        cause: ExitCause::NotRealtime,
+        message: format!(
+            "realtime.mode is \"require\", but the system does not grant it:\n{}\n\
+             or set realtime.mode = \"prefer\" to run without",
+            lines.join("\n")
+        ),
+    }
+}
+
+fn say_what_is_missing(missing: u32, core: Option<usize>) {
+    if missing == 0 {
+        tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
+    }
+    for (_, name, remedy) in realtime::ALL
+        .iter()
+        .filter(|(bit, _, _)| missing & bit != 0)
+    {
+        tracing::warn!("not real time: {name} is missing; {remedy}");
+    }
+}
+
+/// The grid of threads that are armed: its first release is a period and 10 ms from now.
+pub(crate) fn schedule(config: &Config, clock: &impl Clock) -> Schedule {
+    let period_ns = ns(config.cycle.period_ms);
+    Schedule::new(clock.now_ns() + START_DELAY_NS, period_ns)
+        .with_spin(ns(config.realtime.spin_us * 1e-3))
+}
+
+/// Lets the threads of a start that failed end, and leaves behind what hangs.
+pub(crate) fn give_up<T, const N: usize>(threads: [Started<T>; N]) {
+    // Each ends when its starter goes, and cleans up.
+    let handles = threads.map(|thread| thread.handle);
+    let begin = Instant::now();
+    while begin.elapsed() < GIVE_UP && !handles.iter().all(JoinHandle::is_finished) {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// A thread that was started, and what it brings back.
+#[derive(Debug)]
+pub(crate) struct Started<T = ()> {
+    handle: JoinHandle<T>,
+    starter: Starter,
+    name: &'static str,
+}
+
+/// The main thread's end of a thread that gets ready step by step.
+#[derive(Debug)]
+struct Starter {
+    ready: Receiver<Result<()>>,
+    arm: Sender<()>,
+    armed: Receiver<u32>,
+    go: Sender<Schedule>,
+}
+
+/// The thread's own end.
+#[derive(Debug)]
+pub(crate) struct Stage {
+    ready: Sender<Result<()>>,
+    arm: Receiver<()>,
+    armed: Sender<u32>,
+    go: Receiver<Schedule>,
+}
+
+fn stages() -> (Starter, Stage) {
+    let (ready_in, ready_out) = channel();
+    let (arm_in, arm_out) = channel();
+    let (armed_in, armed_out) = channel();
+    let (go_in, go_out) = channel();
+    let starter = Starter {
+        ready: ready_out,
+        arm: arm_in,
+        armed: armed_out,
+        go: go_in,
+    };
+    let stage = Stage {
+        ready: ready_in,
+        arm: arm_out,
+        armed: armed_in,
+        go: go_out,
+    };
+    (starter, stage)
+}
+
+impl<T: Send + 'static> Started<T> {
+    /// Starts a thread that lives `life`.
+    pub(crate) fn spawn(
+        name: &'static str,
+        life: impl FnOnce(Stage) -> T + Send + 'static,
+    ) -> Result<Self> {
+        let (starter, stage) = stages();
+        let handle = Builder::new()
+            .name(name.to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || life(stage))
+            .with_context(|| format!("the thread {name}"))?;
+        Ok(Self {
+            handle,
+            starter,
+            name,
+        })
+    }
+}
+
+impl<T> Started<T> {
+    fn wait_ready(&self) -> Result<()> {
+        let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
+        answer.with_context(|| format!("the thread {} did not get ready", self.name))?
+    }
+
+    /// Lets the thread become real-time; returns what is missing.
+    fn arm(&self) -> Result<u32> {
+        // A thread that is gone does not answer, either.
+        let _ = self.starter.arm.send(());
+        let answer = self.starter.armed.recv_timeout(START_TIMEOUT);
+        answer.with_context(|| format!("the thread {} did not become real-time", self.name))
+    }
+
+    /// Lets it run on the grid.
+    pub(crate) fn go(&self, schedule: &Schedule) {
+        // A thread that ended meanwhile is found by whoever watches it.
+        let _ = self.starter.go.send(schedule.clone());
+    }
+
+    /// Whether it has ended.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.handle.is_finished()
+    }
+
+    /// The thread itself, to wake it up.
+    pub(crate) fn thread(&self) -> &Thread {
+        self.handle.thread()
+    }
+
+    /// Waits for its end. A thread that was not told to go gives up when its starter goes.
+    ///
+    /// # Errors
+    /// It panicked.
+    pub(crate) fn join(self) -> Result<T> {
+        drop(self.starter);
+        self.handle.join().map_err(|_| {
+            let ended = Ended {
+                cause: ExitCause::Panicked,
+                message: format!("the thread {} panicked", self.name),
+            };
+            ended.into()
+        })
+    }
+}
+
+impl Stage {
+    /// Says that it cannot get ready.
+    pub(crate) fn fail(&self, error: anyhow::Error) {
+        let _ = self.ready.send(Err(error));
+    }
+
+    /// Ready → (memory is locked) → warm up → priority and core → the schedule. None: the start was
+    /// given up.
+    pub(crate) fn prepare(&self, plan: ThreadPlan, warm_up: impl FnOnce()) -> Option<Schedule> {
+        self.ready.send(Ok(())).ok()?;
+        self.arm.recv().ok()?;
+        warm_up();
+        let missing = plan.apply();
+        self.armed.send(missing).ok()?;
+        self.go.recv().ok()
+    }
+}
