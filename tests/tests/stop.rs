@@ -1,8 +1,8 @@
 //! How long a stop takes: from the request to zero rates within one period plus the ramp.
 //!
 //! A robot tracks at speed and is stopped at ever other moments of the period. What the records say is compared
-//! with what was promised: the request is taken by the first gather after it was sent, carried out by the next
-//! release, and from there on the rates shrink by deceleration · T each cycle. Whatever took longer, the records
+//! with what was promised: the request is taken by the first gather after it was sent, or by the look just before the
+//! release, carried out by that release, and from there on the rates shrink by deceleration · T each cycle. Whatever took longer, the records
 //! have to account for: releases that were skipped, a gather or a start that came late.
 
 #![allow(

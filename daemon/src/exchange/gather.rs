@@ -21,7 +21,9 @@ impl Exchange {
     /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
     pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64, shared: &Shared) {
         self.gather += 1;
+        self.gather_began_ns = now_ns;
         self.events.begin_gather();
+        self.requests_taken = 0;
         self.end_silent_lease(now_ns);
         self.take_references(now_ns);
         self.take_obstacles(now_ns);
@@ -32,10 +34,24 @@ impl Exchange {
         self.hand_over(schedule, cycle, now_ns);
     }
 
+    /// Takes requests once more shortly before the release of `cycle`. What they change is handed over whole, as if the
+    /// gather had seen it; after the release it is too late, and the next gather takes them.
+    pub(super) fn look_again(
+        &mut self,
+        schedule: &Schedule,
+        cycle: u64,
+        now_ns: u64,
+        shared: &Shared,
+    ) {
+        if now_ns < schedule.release_ns(cycle) && self.take_requests(now_ns, shared) {
+            self.hand_over(schedule, cycle, now_ns);
+        }
+    }
+
     fn hand_over(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {
         let inputs = self.ends.inputs.input_buffer_mut();
         inputs.gather = self.gather;
-        inputs.gather_ns = now_ns;
+        inputs.gather_ns = self.gather_began_ns;
         inputs.window.fill(
             &self.trajectory,
             cycle,

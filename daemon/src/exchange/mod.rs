@@ -66,6 +66,8 @@ pub struct Exchange {
     /// The least safe distance that clients may set: the configured one \[m\].
     safe_distance_min_m: f64,
     gather: u64,
+    /// When the newest gather began \[ns\].
+    gather_began_ns: u64,
     events: Events,
     waiting: Waiting,
     daemon_id: u64,
@@ -75,6 +77,8 @@ pub struct Exchange {
     last_mode: Mode,
     /// Stops that were asked for so far.
     stops: u64,
+    /// Requests that were carried out since the newest gather began.
+    requests_taken: usize,
     /// How long the newest gather took \[ns\].
     gather_took_ns: u64,
     incidents_sent: u64,
@@ -82,6 +86,26 @@ pub struct Exchange {
     attribution: Attribution,
     /// How long before its release the cycle thread wakes up \[ns\].
     spin_ns: u64,
+}
+
+/// The look for requests between a gather and the release of its cycle: a stop that was sent meanwhile need not wait
+/// for another period.
+#[derive(Debug, Clone, Copy)]
+struct LastLook {
+    cycle: u64,
+    due_ns: u64,
+}
+
+impl LastLook {
+    /// So long before the release it is due \[ns\]: about as late as it can be over in time.
+    const LEAD_NS: u64 = 50_000;
+    /// A shorter period is soon over, and has no time to spare \[ns\].
+    const PERIOD_MIN_NS: u64 = 1_000_000;
+
+    fn before(schedule: &Schedule, cycle: u64) -> Option<Self> {
+        let due_ns = schedule.release_ns(cycle) - Self::LEAD_NS;
+        (schedule.period_ns() >= Self::PERIOD_MIN_NS).then_some(Self { cycle, due_ns })
+    }
 }
 
 /// What one gather and its cycle can bring fits one record: accepted chunks and obstacle updates, refusals,
@@ -124,6 +148,7 @@ impl Exchange {
             settings_revision: 0,
             safe_distance_min_m: config.controller.safe_distance_m,
             gather: 0,
+            gather_began_ns: 0,
             events: Events::new(),
             waiting: Waiting::new(),
             daemon_id,
@@ -132,6 +157,7 @@ impl Exchange {
             last_cycle: 0,
             last_mode: Mode::Starting,
             stops: 0,
+            requests_taken: 0,
             gather_took_ns: 0,
             incidents_sent: 0,
             scheduler: SchedulerLooks::default(),
@@ -143,20 +169,26 @@ impl Exchange {
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
+        let mut look: Option<LastLook> = None;
         self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - self.gather_lead_ns;
-            let left_ns = gather_ns.saturating_sub(clock.now_ns());
+            let due_ns = look.map_or(gather_ns, |look| look.due_ns);
+            let left_ns = due_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
                 // The cycle ends this early when it has a record.
                 std::thread::park_timeout(Duration::from_nanos(left_ns));
             }
             self.publish(clock, shared);
             let now_ns = clock.now_ns();
+            if let Some(last) = look.take_if(|look| now_ns >= look.due_ns) {
+                self.look_again(schedule, last.cycle, now_ns, shared);
+            }
             if now_ns >= gather_ns {
                 self.gather(schedule, next_cycle, now_ns, shared);
                 self.gather_took_ns = clock.now_ns() - now_ns;
+                look = LastLook::before(schedule, next_cycle);
                 next_cycle =
                     (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
             }

@@ -42,22 +42,23 @@ impl Waiting {
 }
 
 impl Exchange {
-    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) {
-        let mut taken = 0;
-        for _ in 0..REQUESTS_SEEN_PER_GATHER {
+    /// Takes the requests that wait. Says whether there were any.
+    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) -> bool {
+        for seen in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {
-                break;
+                return seen > 0;
             };
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
                 self.pass_stop_on(asked, now_ns);
-            } else if taken < REQUESTS_PER_GATHER {
-                taken += 1;
+            } else if self.requests_taken < REQUESTS_PER_GATHER {
+                self.requests_taken += 1;
                 self.take_request(asked, now_ns, shared);
             } else {
                 self.answer_now(&asked, Outcome::Busy, now_ns);
             }
         }
+        true
     }
 
     /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no

@@ -91,7 +91,7 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         "daemon      cdcrd {}, process {}, period {} ms, pinned to {}",
         text(&status.build),
         status.process_id,
-        status.period_ns as f64 * 1e-6,
+        status.period_ns as f64 / 1e6,
         core_text(status.core)
     )?;
     writeln!(

@@ -15,7 +15,7 @@ pub(super) fn text(report: &Report, status: &Status) -> Result<String, Error> {
         report.sections,
         report.duration_s,
         report.cycles,
-        status.period_ns as f64 * 1e-6
+        status.period_ns as f64 / 1e6
     )?;
     writeln!(
         out,
