@@ -105,7 +105,8 @@ impl Service {
             // 256 records: 1.28 s at 5 ms.
             Self::Telemetry => (1, 8, 256, 0),
             Self::Status | Self::Control => (1, 16, 2, 1),
-            Self::Incidents => (1, 8, INCIDENTS_MAX, INCIDENTS_MAX),
+            // Few look at bad cycles, and each reader costs 64 of them, 1 MB.
+            Self::Incidents => (1, 4, INCIDENTS_MAX, INCIDENTS_MAX),
         };
         QueueLengths {
             publishers,

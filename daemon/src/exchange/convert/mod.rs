@@ -10,7 +10,9 @@ pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
-pub use outgoing::{command, late_cause, mode, reason, refusal, robot, scheduling, telemetry, text};
+pub use outgoing::{
+    command, late_cause, mode, reason, refusal, robot, scheduling, telemetry, text,
+};
 pub use settings::{settings_from_wire, settings_to_wire};
 
 #[cfg(test)]
