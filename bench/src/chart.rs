@@ -95,6 +95,11 @@ pub(crate) enum Scale {
         /// The floor.
         floor: f64,
     },
+    /// Both axes logarithmic; what is below the floor is drawn on it. All x are above zero.
+    LogLog {
+        /// The floor.
+        floor: f64,
+    },
     /// Both linear, a unit as long across as up.
     Equal,
 }
@@ -110,7 +115,11 @@ pub(crate) struct Panel {
 
 impl Panel {
     fn is_log(&self) -> bool {
-        matches!(self.scale, Scale::Log { .. })
+        matches!(self.scale, Scale::Log { .. } | Scale::LogLog { .. })
+    }
+
+    fn is_log_across(&self) -> bool {
+        matches!(self.scale, Scale::LogLog { .. })
     }
 }
 
@@ -161,6 +170,9 @@ fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
     let (across, up) = ranges(panel, (width, height - head));
     match panel.scale {
         Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
+        Scale::LogLog { floor } => {
+            plot(&chart, panel, across.log_scale(), up.log_scale(), floor)
+        }
         Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
     }
 }
@@ -193,8 +205,10 @@ fn legend(panel: &Panel, room: u32) -> Vec<Entry<'_>> {
         .collect()
 }
 
-fn plot<Y>(area: &Area<'_>, panel: &Panel, across: Range<f64>, up: Y, floor: f64) -> Result<()>
+fn plot<X, Y>(area: &Area<'_>, panel: &Panel, across: X, up: Y, floor: f64) -> Result<()>
 where
+    X: AsRangedCoord<Value = f64>,
+    X::CoordDescType: ValueFormatter<f64>,
     Y: AsRangedCoord<Value = f64>,
     Y::CoordDescType: ValueFormatter<f64>,
 {
@@ -215,7 +229,13 @@ where
         .axis_style(GREY)
         .x_labels(if is_wide { 12 } else { 7 })
         .y_labels(8)
-        .x_label_formatter(&|x| number(*x))
+        .x_label_formatter(&|x| {
+            if panel.is_log_across() {
+                power(*x)
+            } else {
+                number(*x)
+            }
+        })
         .y_label_formatter(&|y| {
             if panel.is_log() {
                 power(*y)
@@ -261,6 +281,10 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
     match panel.scale {
         Scale::Linear => (left..right, widened(low, high)),
         Scale::Log { floor } => (left..right, decades(low.max(floor), high.max(floor))),
+        Scale::LogLog { floor } => (
+            decades(if left > 0.0 { left } else { 0.1 * right }, right),
+            decades(low.max(floor), high.max(floor)),
+        ),
         Scale::Equal => {
             let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
             let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
@@ -325,7 +349,8 @@ mod tests {
 
     #[test]
     fn a_panel_without_points_can_be_drawn() {
-        for scale in [Scale::Linear, Scale::Log { floor: 1e-3 }, Scale::Equal] {
+        let (log, log_log) = (Scale::Log { floor: 1e-3 }, Scale::LogLog { floor: 1e-3 });
+        for scale in [Scale::Linear, log, log_log, Scale::Equal] {
             let panel = Panel {
                 title: "nothing".into(),
                 x: "x",

@@ -7,7 +7,7 @@ use cdcr_client::Orientation as Wanted;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Pose};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose};
 use cdcr_controller::safety::{guard, limit};
 use hdrhistogram::Histogram;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
@@ -22,6 +22,9 @@ pub struct ClosedLoop<'a> {
     cycle: u64,
     configuration: Configuration,
     rates: BendRates,
+    /// Where they are at this release.
+    obstacles: Vec<Obstacle>,
+    guarded: bool,
     reference: Vec<ReferenceSample>,
 }
 
@@ -65,6 +68,8 @@ impl<'a> ClosedLoop<'a> {
             cycle: 0,
             configuration: scene.start,
             rates: BendRates::zero(scene.robot.section_count()),
+            obstacles: scene.obstacles.clone(),
+            guarded: false,
             reference: Vec::new(),
         };
         begin.look_ahead();
@@ -82,32 +87,41 @@ impl<'a> ClosedLoop<'a> {
             configuration: &self.configuration,
             previous_rates: &self.rates,
             reference: &self.reference,
-            obstacles: &self.scene.obstacles,
+            obstacles: &self.obstacles,
             elapsed_periods: 1,
             seed: cycle_seed(self.settings.seed, self.cycle),
         }
     }
 
-    /// Limits and guards the wish, moves the robot by it, and goes on to the next cycle.
+    /// Limits and guards the wish, moves the robot by it and the obstacles by their velocity, and goes on to
+    /// the next cycle.
     pub fn advance(&mut self, wish: &BendRates) {
         let Scene {
-            robot,
-            obstacles,
-            period_s,
-            ..
+            robot, period_s, ..
         } = self.scene;
         let (at, apart_m) = (&self.configuration, self.settings.safe_distance_m);
         let limited = limit(robot, at, wish, *period_s).rates;
-        self.rates = guard(robot, at, &limited, obstacles, apart_m, *period_s).rates;
+        let guarded = guard(robot, at, &limited, &self.obstacles, apart_m, *period_s);
+        (self.rates, self.guarded) = (guarded.rates, guarded.hit);
         self.configuration = self.configuration.advanced(&self.rates, *period_s);
         self.cycle += 1;
+        let time_s = self.scene.time_s(self.cycle);
+        let from_the_start = self.scene.obstacles.iter();
+        self.obstacles.clear();
+        self.obstacles
+            .extend(from_the_start.map(|obstacle| obstacle.moved(time_s)));
         self.look_ahead();
+    }
+
+    /// Whether the guard changed the last wish, because it led too near to an obstacle.
+    pub fn was_guarded(&self) -> bool {
+        self.guarded
     }
 
     /// What the cycle before this one led to.
     pub fn sample(&self, solve_ns: u64) -> Sample {
         let body = self.scene.robot.body(self.configuration.as_slice());
-        let clearances_m = self.scene.obstacles.iter().map(|o| body.clearance_m(o));
+        let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
         Sample {
             time_s: self.scene.time_s(self.cycle),
             reference_m: self.scene.point_m(self.cycle),

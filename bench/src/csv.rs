@@ -15,7 +15,7 @@ enum Value {
 /// One line for each row under the names of all columns. A field that a row lacks stays empty.
 ///
 /// # Errors
-/// When a row is no object of numbers, texts and objects.
+/// When a row is no object of numbers, texts, booleans and objects.
 pub fn csv<T: Serialize>(rows: &[T]) -> Result<String> {
     let mut columns: Vec<String> = Vec::new();
     let mut lines = Vec::new();
@@ -72,7 +72,11 @@ impl<'de> Visitor<'de> for ValueVisitor {
     type Value = Value;
 
     fn expecting(&self, formatter: &mut fmt::Formatter) -> fmt::Result {
-        formatter.write_str("a number, a text or an object")
+        formatter.write_str("a number, a text, true, false or an object")
+    }
+
+    fn visit_bool<E: de::Error>(self, value: bool) -> Result<Value, E> {
+        Ok(Value::Text(value.to_string()))
     }
 
     fn visit_u64<E: de::Error>(self, value: u64) -> Result<Value, E> {
@@ -111,6 +115,7 @@ mod tests {
     #[derive(Serialize)]
     struct Row {
         name: &'static str,
+        good: bool,
         times: Times,
         #[serde(skip_serializing_if = "Option::is_none")]
         more: Option<f64>,
@@ -131,11 +136,13 @@ mod tests {
         let rows = [
             Row {
                 name: "a",
+                good: true,
                 times,
                 more: None,
             },
             Row {
                 name: "b, c",
+                good: false,
                 times: Times {
                     mean: f64::NAN,
                     count: 0,
@@ -143,7 +150,8 @@ mod tests {
                 more: Some(0.5),
             },
         ];
-        let expected = "name,times_mean,times_count,more\na,5e-9,3,\n\"b, c\",,0,0.5\n";
+        let expected =
+            "name,good,times_mean,times_count,more\na,true,5e-9,3,\n\"b, c\",false,,0,0.5\n";
         assert_eq!(csv(&rows).expect("written"), expected);
     }
 }

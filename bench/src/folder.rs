@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use crate::csv::csv;
 use crate::figures::figures;
-use crate::page::page;
+use crate::page::paper::page;
 use crate::simulation::{Outcome, Simulation};
 
 /// The result as one JSON object.

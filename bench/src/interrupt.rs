@@ -1,7 +1,7 @@
 //! Ctrl-C ends a measurement in order: daemons are stopped, files are removed.
 
-use std::sync::OnceLock;
 use std::sync::Arc;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -14,24 +14,23 @@ static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 /// How often a sleeper looks for a signal.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// From now on a signal does not end the process but raises the flag. A second one ends it.
+/// From now on a signal does not end the process but raises the flag, which every wait looks at.
 ///
 /// # Errors
 /// When the system refuses.
 pub fn catch() -> Result<()> {
-    let flag = Arc::clone(RAISED.get_or_init(Arc::default));
+    let flag = RAISED.get_or_init(Arc::default);
     for signal in [SIGINT, SIGTERM, SIGHUP] {
-        // In this order: the first signal raises the flag, which makes the second one deadly.
-        signal_hook::flag::register_conditional_shutdown(signal, 130, Arc::clone(&flag))
-            .context("signals")?;
-        signal_hook::flag::register(signal, Arc::clone(&flag)).context("signals")?;
+        signal_hook::flag::register(signal, Arc::clone(flag)).context("signals")?;
     }
     Ok(())
 }
 
 /// Whether a signal came.
 pub fn is_raised() -> bool {
-    RAISED.get().is_some_and(|flag| flag.load(Ordering::Relaxed))
+    RAISED
+        .get()
+        .is_some_and(|flag| flag.load(Ordering::Relaxed))
 }
 
 /// An error once a signal came, so that `?` leads out of any measurement.

@@ -27,12 +27,20 @@ pub enum Better {
 
 impl Metric {
     /// A number of which less is better. Values that are not finite are left out.
-    pub fn lower(name: impl Into<String>, unit: &str, rounds: impl IntoIterator<Item = f64>) -> Self {
+    pub fn lower(
+        name: impl Into<String>,
+        unit: &str,
+        rounds: impl IntoIterator<Item = f64>,
+    ) -> Self {
         Self::new(name, unit, Better::Lower, rounds)
     }
 
     /// A number of which more is better. Values that are not finite are left out.
-    pub fn higher(name: impl Into<String>, unit: &str, rounds: impl IntoIterator<Item = f64>) -> Self {
+    pub fn higher(
+        name: impl Into<String>,
+        unit: &str,
+        rounds: impl IntoIterator<Item = f64>,
+    ) -> Self {
         Self::new(name, unit, Better::Higher, rounds)
     }
 
@@ -46,7 +54,10 @@ impl Metric {
             name: name.into(),
             unit: unit.to_owned(),
             better,
-            rounds: rounds.into_iter().filter(|value| value.is_finite()).collect(),
+            rounds: rounds
+                .into_iter()
+                .filter(|value| value.is_finite())
+                .collect(),
         }
     }
 

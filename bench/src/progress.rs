@@ -12,6 +12,8 @@ const LINE_EVERY: Duration = Duration::from_secs(10);
 /// elsewhere, both on the standard error.
 #[derive(Debug)]
 pub struct Progress {
+    /// What all of it belongs to now, in front of every word.
+    part: String,
     total_s: f64,
     done_s: f64,
     bar: Option<ProgressBar>,
@@ -31,6 +33,7 @@ impl Progress {
             }
         });
         Self {
+            part: String::new(),
             total_s,
             done_s: 0.0,
             bar,
@@ -41,17 +44,26 @@ impl Progress {
 
     /// One that says nothing, for tests.
     pub fn silent() -> Self {
-        Self {
-            bar: Some(ProgressBar::hidden()),
-            ..Self::new(0.0)
-        }
+        let mut progress = Self::new(0.0);
+        progress.bar = Some(ProgressBar::hidden());
+        progress
+    }
+
+    /// Which of several measurements begins now, and how long it and those after it take \[s\].
+    pub fn begin_part(&mut self, part: &str, left_s: f64) {
+        self.expect(self.done_s + left_s - self.total_s);
+        self.part = format!("{part}: ");
+        // Each part is told, however short the one before was.
+        self.told = None;
+        self.begin("begins");
     }
 
     /// What begins now, in words.
     pub fn begin(&mut self, what: &str) {
+        let what = format!("{}{what}", self.part);
         match &self.bar {
-            Some(bar) => bar.set_message(what.to_owned()),
-            None => self.tell(what),
+            Some(bar) => bar.set_message(what),
+            None => self.tell(&what),
         }
     }
 
@@ -127,6 +139,16 @@ mod tests {
     fn times_are_short() {
         assert_eq!(words(3.4), "3 s");
         assert_eq!(words(125.0), "2 min 05 s");
+    }
+
+    #[test]
+    fn what_a_part_did_not_take_is_not_left() {
+        let mut progress = Progress::silent();
+        progress.begin_part("first", 30.0);
+        progress.advance(2.0);
+        // It failed after two of its twenty seconds.
+        progress.begin_part("second", 10.0);
+        assert!((progress.total_s - 12.0).abs() < 1e-12);
     }
 
     #[test]

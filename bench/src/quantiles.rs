@@ -1,5 +1,6 @@
 //! The five numbers that stand for a distribution of latencies.
 
+use cdcr_shared_types::LatencySummary;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
@@ -34,6 +35,18 @@ impl Quantiles {
             max: times_ns.max() as f64 * 1e-3,
         })
     }
+
+    /// As a daemon tells them; none when it counted nothing.
+    pub fn told(summary: &LatencySummary) -> Option<Self> {
+        let us = |time_ns: u64| time_ns as f64 * 1e-3;
+        (summary.count > 0).then(|| Self {
+            min: us(summary.min_ns),
+            p50: us(summary.p50_ns),
+            p99: us(summary.p99_ns),
+            p999: us(summary.p999_ns),
+            max: us(summary.max_ns),
+        })
+    }
 }
 
 #[cfg(test)]
@@ -44,6 +57,7 @@ mod tests {
     #[test]
     fn nothing_has_no_quantiles() {
         assert_eq!(Quantiles::of(&histogram().expect("bounds")), None);
+        assert_eq!(Quantiles::told(&LatencySummary::default()), None);
     }
 
     #[test]
@@ -55,7 +69,10 @@ mod tests {
         let found = Quantiles::of(&times).expect("there are values");
         let near = |value: f64, expected: f64| (value - expected).abs() <= 2e-3 * expected;
         assert!(near(found.min, 1.0) && near(found.p50, 500.0), "{found:?}");
-        assert!(near(found.p99, 990.0) && near(found.p999, 999.0), "{found:?}");
+        assert!(
+            near(found.p99, 990.0) && near(found.p999, 999.0),
+            "{found:?}"
+        );
         assert!(near(found.max, 1000.0), "{found:?}");
     }
 }

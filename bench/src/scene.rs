@@ -25,8 +25,8 @@ pub struct Scene {
     /// Its configuration at the start.
     pub start: Configuration,
     /// The curve; its time 0 is the first release, and it lasts longer than the samples.
-    pub curve: Box<dyn Trajectory>,
-    /// What the body keeps away from; standing still.
+    pub curve: Box<dyn Trajectory + Send>,
+    /// What the body keeps away from, where it is at time 0; it moves on at its velocity.
     pub obstacles: Vec<Obstacle>,
     /// Cycles, and samples.
     pub cycles: u64,

@@ -111,6 +111,17 @@ pub struct Outcome {
     pub row: Simulation,
     /// The run with the first seed.
     pub first: Vec<Sample>,
+    /// What each run came to, by seed.
+    pub runs: Vec<Run>,
+}
+
+/// What one run came to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Run {
+    /// Mean error \[mm\].
+    pub mean_error_mm: f64,
+    /// Median of the solve times \[µs\].
+    pub solve_p50_us: f64,
 }
 
 /// How much is run.
@@ -144,7 +155,7 @@ impl Effort {
 }
 
 /// What one run takes beside another: particles moved over steps.
-fn work(experiment: &Experiment) -> u64 {
+pub(crate) fn work(experiment: &Experiment) -> u64 {
     let settings = experiment.settings();
     let swarm = match experiment.solver {
         Solver::GaussNewton => 1,
@@ -188,6 +199,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
         experiment,
         scene,
         first: first.unwrap_or_default(),
+        runs: summary.runs,
     })
 }
 
@@ -195,7 +207,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
 struct Summary {
     task: Task,
     solve_ns: Histogram<u64>,
-    mean_mm: Vec<f64>,
+    runs: Vec<Run>,
     max_mm: f64,
     max_theta_rad: f64,
     max_psi_rad: f64,
@@ -209,7 +221,7 @@ impl Summary {
         Ok(Self {
             task: experiment.task,
             solve_ns: closed_loop::histogram()?,
-            mean_mm: Vec::new(),
+            runs: Vec::new(),
             max_mm: 0.0,
             max_theta_rad: 0.0,
             max_psi_rad: 0.0,
@@ -221,7 +233,10 @@ impl Summary {
 
     fn add(&mut self, scene: &Scene, samples: &[Sample]) {
         let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();
-        self.mean_mm.push(sum_mm / samples.len() as f64);
+        self.runs.push(Run {
+            mean_error_mm: sum_mm / samples.len() as f64,
+            solve_p50_us: solve_p50_us(samples),
+        });
         for sample in samples {
             let angles = ZyxAngles::from_rotation(&sample.tip.rotation);
             self.solve_ns.saturating_record(sample.solve_ns);
@@ -240,6 +255,7 @@ impl Summary {
 
     fn row(&self, experiment: &Experiment, scene: &Scene) -> Simulation {
         let settings = experiment.settings();
+        let means_mm: Vec<f64> = self.runs.iter().map(|run| run.mean_error_mm).collect();
         Simulation {
             name: experiment.task.name(),
             sections: scene.robot.section_count(),
@@ -249,8 +265,8 @@ impl Summary {
             swarm: settings.swarm_size,
             iterations: settings.swarm_iterations,
             samples: scene.cycles,
-            seeds: self.mean_mm.len() as u64,
-            mean_error_mm: median(&self.mean_mm),
+            seeds: self.runs.len() as u64,
+            mean_error_mm: median(&means_mm),
             max_error_mm: self.max_mm,
             solve_us: SolveTimes::of(&self.solve_ns),
             paper: experiment.task.paper(),
@@ -290,6 +306,12 @@ pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
         Some(Shape::Sphere { centre_m }) => centre_m,
         _ => Vector3::repeat(f64::INFINITY),
     }
+}
+
+/// The median time of a solve in one run.
+fn solve_p50_us(samples: &[Sample]) -> f64 {
+    let times_us: Vec<f64> = samples.iter().map(|s| s.solve_ns as f64 * 1e-3).collect();
+    median(&times_us)
 }
 
 /// The upper median; NaN of nothing.

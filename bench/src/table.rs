@@ -6,8 +6,12 @@ use cdcr_controller::nmpc::Coordinates;
 
 use crate::budget;
 use crate::growth::Growth;
+use crate::page::escape;
 use crate::simulation::{LineFigures, Outcome, Simulation};
 use crate::solver::Case;
+
+/// Cells with more letters than this are no words.
+const SENTENCE: usize = 32;
 
 /// Cells under heads; the first columns are words, the rest numbers.
 pub struct Table {
@@ -63,20 +67,20 @@ impl Table {
 
     /// As a table of HTML.
     pub fn html(&self) -> String {
-        let mut html = format!("<table>\n<caption>{}</caption>\n<thead><tr>", self.title);
-        for head in &self.heads {
-            let _ = write!(html, "<th scope=\"col\">{head}</th>");
+        let class = |column| if column < self.words { "word" } else { "number" };
+        let mut html = format!("<table>\n<caption>{}</caption>\n<thead><tr>", escape(&self.title));
+        for (column, head) in self.heads.iter().enumerate() {
+            let (class, head) = (class(column), escape(head));
+            let _ = write!(html, "<th scope=\"col\" class=\"{class}\">{head}</th>");
         }
         html.push_str("</tr></thead>\n<tbody>\n");
         for row in &self.rows {
             html.push_str("<tr>");
             for (column, cell) in row.iter().enumerate() {
-                let class = if column < self.words {
-                    "word"
-                } else {
-                    "number"
-                };
-                let _ = write!(html, "<td class=\"{class}\">{cell}</td>");
+                // A sentence may take several lines, a word may not.
+                let long = if cell.chars().count() > SENTENCE { " text" } else { "" };
+                let (class, cell) = (class(column), escape(cell));
+                let _ = write!(html, "<td class=\"{class}{long}\">{cell}</td>");
             }
             html.push_str("</tr>\n");
         }

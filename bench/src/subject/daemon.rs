@@ -1,5 +1,6 @@
 //! A daemon that is measured: the real `cdcrd`, started as a process.
 
+use std::fmt::Display;
 use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
@@ -52,7 +53,7 @@ impl Launch {
 
     /// The same with this key, like `cycle.period_ms`.
     #[must_use]
-    pub fn with(mut self, key: &str, value: impl ToString) -> Self {
+    pub fn with(mut self, key: &str, value: impl Display) -> Self {
         self.settings.push((key.to_owned(), value.to_string()));
         self
     }
@@ -265,8 +266,10 @@ impl Drop for Daemon {
 }
 
 fn is_ready(connection: &Connection) -> bool {
-    connection.status(Duration::from_secs(1)).is_ok_and(|status| {
-        let driven = status.link == cdcr_shared_types::codes::RobotLink::Driver.code();
-        driven || status.mode != Mode::Starting.code()
-    })
+    connection
+        .status(Duration::from_secs(1))
+        .is_ok_and(|status| {
+            let driven = status.link == cdcr_shared_types::codes::RobotLink::Driver.code();
+            driven || status.mode != Mode::Starting.code()
+        })
 }

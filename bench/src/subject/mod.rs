@@ -1,5 +1,7 @@
 //! What is measured: a daemon as a real process, in a place of its own.
 
+pub mod bare;
+pub mod cyclictest;
 pub mod daemon;
 pub mod place;
 pub mod tracking;

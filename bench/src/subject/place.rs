@@ -65,7 +65,10 @@ mod tests {
 
     #[test]
     fn two_places_are_apart_and_leave_nothing() {
-        let (one, other) = (Place::new().expect("a place"), Place::new().expect("a place"));
+        let (one, other) = (
+            Place::new().expect("a place"),
+            Place::new().expect("a place"),
+        );
         assert_ne!(one.location(), other.location());
         let folder = one.folder().to_owned();
         drop(one);

@@ -18,8 +18,8 @@ use crate::system::thread::pin;
 
 /// How long the robot may take to follow.
 const FOLLOW_TIMEOUT: Duration = Duration::from_secs(10);
-/// Longer than any measurement \[s\].
-const FOR_EVER_S: f64 = 100_000.0;
+/// Longer than any measurement, and as long as a fed curve may be \[s\].
+const FOR_EVER_S: f64 = 86_400.0;
 /// What a stall of the machine may take of the reference without any effect.
 const AHEAD: Duration = Duration::from_secs(3);
 
@@ -72,7 +72,11 @@ impl Tracking {
         let deadline = Instant::now() + FOLLOW_TIMEOUT;
         while !follows.load(Ordering::Relaxed) {
             interrupt::check()?;
-            if tracking.thread.as_ref().is_some_and(JoinHandle::is_finished) {
+            if tracking
+                .thread
+                .as_ref()
+                .is_some_and(JoinHandle::is_finished)
+            {
                 tracking.end()?;
                 bail!("the feed of the reference ended at once");
             }
@@ -113,12 +117,7 @@ impl Drop for Tracking {
     }
 }
 
-fn feed(
-    location: &Location,
-    core: usize,
-    ending: &AtomicBool,
-    follows: &AtomicBool,
-) -> Result<()> {
+fn feed(location: &Location, core: usize, ending: &AtomicBool, follows: &AtomicBool) -> Result<()> {
     pin(core);
     let connection = Connection::open_within(location, ROBOT, FOLLOW_TIMEOUT)?;
     let status = connection.status(FOLLOW_TIMEOUT)?;

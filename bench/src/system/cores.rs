@@ -44,6 +44,19 @@ impl Cores {
         self.others[0]
     }
 
+    /// The same for processes that shall never run on the real-time core.
+    #[must_use]
+    pub fn without_realtime(&self) -> Self {
+        let mut all = CpuSet::new();
+        for core in &self.others {
+            all.set(*core);
+        }
+        Self {
+            all,
+            ..self.clone()
+        }
+    }
+
     /// Keeps the calling thread, and those that it starts from now on, off the real-time core.
     pub fn stay_off(&self) {
         let mut allowed = CpuSet::new();

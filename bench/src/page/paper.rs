@@ -1,37 +1,11 @@
-//! One self-contained page: tables beside the paper's figures, and all pictures inside.
+//! The paper's figures and tables on one page.
 
-use std::fmt::Write as _;
-
+use super::Page;
 use crate::figures::Figure;
 use crate::simulation::Outcome;
 use crate::table;
 
-const STYLE: &str = "\
-:root { color-scheme: light; }
-body { max-width: 62rem; margin: 2rem auto; padding: 0 1.2rem; background: #fff; color: #1a1a1a;
-  font: 16px/1.5 system-ui, sans-serif; }
-h1, h2 { line-height: 1.2; }
-h2 { margin-top: 3rem; border-bottom: 1px solid #ccc; }
-figure { margin: 1.5rem 0; }
-figure svg { display: block; width: 100%; height: auto; }
-figcaption, caption { color: #333; font-size: 0.92rem; text-align: left; padding: 0.3rem 0; }
-caption { font-weight: 600; }
-.wide { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 0.82rem; margin: 1rem 0; width: 100%; }
-th, td { padding: 0.2rem 0.5rem; border-bottom: 1px solid #ddd; white-space: nowrap; }
-th { white-space: normal; text-align: right; vertical-align: bottom; border-bottom: 2px solid #888; }
-th:nth-child(-n+2), td.word { text-align: left; }
-td.number { text-align: right; font-variant-numeric: tabular-nums; }
-@media print {
-  body { max-width: none; margin: 0; font-size: 10pt; }
-  figure, tr { break-inside: avoid; }
-  h2 { break-before: page; }
-  .wide { overflow: visible; }
-  table { font-size: 7pt; }
-}
-";
-
-const INTRODUCTION: &str = "\
+pub(crate) const INTRODUCTION: &str = "\
 <p>What <code>cdcr-bench paper</code> measured: the three simulations of <em>Nonlinear Model Predictive \
 Control for Trajectory Tracking of a Class of Continuum Robots</em>, each with the paper's parameters and \
 four solvers, beside what the paper states. <code>kpso</code> is the knowledge-based swarm with an inertia \
@@ -65,30 +39,17 @@ const HEADINGS: [&str; 3] = [
 
 /// The page.
 pub fn page(outcomes: &[Outcome], figures: &[Vec<Figure>; 3]) -> String {
-    let mut html = format!(
-        "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>The paper's simulations</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n\
-         <h1>The paper's simulations</h1>\n{INTRODUCTION}"
-    );
+    let mut page = Page::new("The paper's simulations");
+    page.text(INTRODUCTION);
     let parts = HEADINGS.iter().zip(EXPLANATIONS);
     let contents = table::simulations(outcomes).into_iter().zip(figures);
     for ((heading, explanation), (table, figures)) in parts.zip(contents) {
-        let _ = write!(
-            html,
-            "<h2>{heading}</h2>\n{explanation}<div class=\"wide\">\n{}</div>\n",
-            table.html()
-        );
+        page.heading(heading, None);
+        page.text(explanation);
+        page.table(&table);
         for figure in figures {
-            let _ = write!(
-                html,
-                "<figure id=\"{}\">\n{}\n<figcaption>{}</figcaption>\n</figure>\n",
-                figure.name,
-                figure.svg.trim(),
-                figure.caption
-            );
+            page.figure(figure.name, figure);
         }
     }
-    html.push_str("</body>\n</html>\n");
-    html
+    page.end()
 }

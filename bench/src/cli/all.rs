@@ -1,0 +1,94 @@
+//! `cdcr-bench all`.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail, ensure};
+use cdcr_bench::interrupt;
+use cdcr_bench::progress::Progress;
+use cdcr_bench::report::benchmark::{Benchmark, Request};
+use cdcr_bench::report::{Extent, Report, Start};
+
+use super::output::{keep, make, show};
+
+/// Where a report goes that would take results from an older one.
+const ASIDE: &str = "partial";
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// Folder for the report: report.html, report.txt, report.json, a CSV for each table, plots as SVG, raw
+    /// histograms; made if it does not exist, written into at the end only.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// A look of a few minutes that proves little.
+    #[arg(long)]
+    quick: bool,
+    /// Rounds of each benchmark, 1 to 100, instead of the usual number of each; compare needs at least 3.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: Option<u32>,
+    /// Only these, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
+    only: Vec<Benchmark>,
+    /// Configuration of the daemon that is measured; without it the default, three sections.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+pub(super) fn run(args: &Options) -> Result<()> {
+    let start = Start::now()?;
+    interrupt::catch()?;
+    if let Some(config) = &args.config {
+        ensure!(config.is_file(), "there is no file {}", config.display());
+    }
+    make(&args.out)?;
+    let request = request(args);
+    let mut progress = Progress::new(request.expected_s());
+    let report = request.run(start, &mut progress)?;
+    drop(progress);
+    keep(&report.bundle()?, &folder(&report, &args.out)?)?;
+    show(&report.summary()?)?;
+    let failed: Vec<&str> = report.failures().map(|(name, _)| name).collect();
+    if !failed.is_empty() {
+        bail!(
+            "{} of {} benchmarks failed: {}; the report says why, and holds the others",
+            failed.len(),
+            report.parts.len(),
+            failed.join(", ")
+        );
+    }
+    Ok(())
+}
+
+fn request(args: &Options) -> Request {
+    Request {
+        extent: Extent {
+            quick: args.quick,
+            rounds: args.rounds,
+        },
+        config: args.config.clone(),
+        benchmarks: if args.only.is_empty() {
+            Benchmark::ALL.to_vec()
+        } else {
+            args.only.clone()
+        },
+    }
+}
+
+/// The folder itself, unless it holds a report with results that this one lacks.
+fn folder(report: &Report, out: &Path) -> Result<PathBuf> {
+    let older = fs::read_to_string(out.join("report.json")).unwrap_or_default();
+    let lost = report.would_lose(&older);
+    if lost.is_empty() {
+        return Ok(out.to_owned());
+    }
+    let aside = out.join(ASIDE);
+    writeln!(
+        std::io::stderr(),
+        "{} holds an older report, with {}, which this one lacks: it stays, and this one goes into {}",
+        out.display(),
+        lost.join(", "),
+        aside.display()
+    )?;
+    Ok(aside)
+}

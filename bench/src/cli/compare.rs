@@ -1,0 +1,46 @@
+//! `cdcr-bench compare`.
+
+use std::path::PathBuf;
+
+use anyhow::{Result, bail};
+use cdcr_bench::compare::{Comparison, Input, Verdict, text};
+use clap::ValueEnum;
+
+use super::output::show;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// What changed, for people.
+    Text,
+    /// One JSON object with every number.
+    Json,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// The JSON of the run before: report.json, or that of one benchmark.
+    #[arg(value_name = "A.json")]
+    before: PathBuf,
+    /// The JSON of the run after.
+    #[arg(value_name = "B.json")]
+    after: PathBuf,
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// Exit status 1 when a number changed for the worse, beyond noise.
+    #[arg(long)]
+    fail_on_worse: bool,
+}
+
+pub(super) fn run(args: &Options) -> Result<()> {
+    let comparison = Comparison::of(&Input::read(&args.before)?, &Input::read(&args.after)?);
+    show(&match args.format {
+        Format::Text => text(&comparison),
+        Format::Json => serde_json::to_string(&comparison)? + "\n",
+    })?;
+    let worse = comparison.count(Verdict::Worse);
+    if args.fail_on_worse && worse > 0 {
+        bail!("{worse} numbers are worse than before, beyond noise");
+    }
+    Ok(())
+}

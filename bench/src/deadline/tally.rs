@@ -1,0 +1,309 @@
+//! What one stretch of cycles comes to: counts, causes and latencies.
+
+use anyhow::Result;
+use cdcr_shared_types::codes::LateCause;
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+use crate::closed_loop::histogram;
+use crate::quantiles::Quantiles;
+use crate::subject::Cycle;
+use crate::subject::cyclictest::Latencies;
+
+/// Cycles that were late, missed their deadline or skipped releases, by what made them so.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+pub struct Causes {
+    /// The timer or the processor itself came late: hypervisor, firmware.
+    pub platform: u64,
+    /// Another task had the core.
+    pub load: u64,
+    /// The computation took too long: ours.
+    pub compute: u64,
+    /// A page of memory was not there: ours.
+    pub fault: u64,
+    /// The processor stood still in the middle of a computation, or nothing is known.
+    pub other: u64,
+}
+
+impl Causes {
+    fn count(&mut self, cause: LateCause) {
+        let counter = match cause {
+            LateCause::Platform => &mut self.platform,
+            LateCause::Load => &mut self.load,
+            LateCause::Compute => &mut self.compute,
+            LateCause::PageFault => &mut self.fault,
+            LateCause::Stall | LateCause::None => &mut self.other,
+        };
+        *counter += 1;
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.platform += other.platform;
+        self.load += other.load;
+        self.compute += other.compute;
+        self.fault += other.fault;
+        self.other += other.other;
+    }
+}
+
+/// The latencies of a stretch \[ns\].
+#[derive(Debug, Clone)]
+pub struct Times {
+    /// Release to start.
+    pub wake: Histogram<u64>,
+    /// Start to hand-over of the command; empty for what does not compute.
+    pub compute: Histogram<u64>,
+    /// Release to hand-over of the command; empty for what hands nothing over.
+    pub response: Histogram<u64>,
+    /// Release to the command in the client's hands; empty where there is no client.
+    pub command: Histogram<u64>,
+}
+
+impl Times {
+    fn new() -> Result<Self> {
+        Ok(Self {
+            wake: histogram()?,
+            compute: histogram()?,
+            response: histogram()?,
+            command: histogram()?,
+        })
+    }
+
+    /// Each with its name.
+    pub fn named(&self) -> [(&'static str, &Histogram<u64>); 4] {
+        [
+            ("wake", &self.wake),
+            ("compute", &self.compute),
+            ("response", &self.response),
+            ("command", &self.command),
+        ]
+    }
+
+    fn add(&mut self, other: &Self) -> Result<()> {
+        self.wake.add(&other.wake)?;
+        self.compute.add(&other.compute)?;
+        self.response.add(&other.response)?;
+        self.command.add(&other.command)?;
+        Ok(())
+    }
+}
+
+/// Counts of a stretch.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+pub struct Counts {
+    /// Cycles that ran.
+    pub cycles: u64,
+    /// Cycles that started late.
+    pub late_starts: u64,
+    /// Cycles that missed their deadline.
+    pub deadline_misses: u64,
+    /// Of these, those that are ours: the computation took too long, or a page was missing.
+    pub own_misses: u64,
+    /// Releases without a cycle.
+    pub skipped_periods: u64,
+    /// Late cycles by cause.
+    pub causes: Causes,
+    /// Records that never reached the observer.
+    pub lost_records: u64,
+    /// Time that the hypervisor kept the core from the machine \[ms\], in steps of 10 ms.
+    pub steal_ms: f64,
+    /// Time that the thread was ready and another had the core \[ms\].
+    pub run_delay_ms: f64,
+}
+
+impl Counts {
+    fn add(&mut self, other: &Self) {
+        self.cycles += other.cycles;
+        self.late_starts += other.late_starts;
+        self.deadline_misses += other.deadline_misses;
+        self.own_misses += other.own_misses;
+        self.skipped_periods += other.skipped_periods;
+        self.causes.add(&other.causes);
+        self.lost_records += other.lost_records;
+        self.steal_ms += other.steal_ms;
+        self.run_delay_ms += other.run_delay_ms;
+    }
+}
+
+/// What one stretch of cycles comes to.
+#[derive(Debug, Clone)]
+pub struct Tally {
+    /// Counts.
+    pub counts: Counts,
+    /// Latencies.
+    pub times: Times,
+}
+
+impl Tally {
+    /// Nothing yet.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn new() -> Result<Self> {
+        Ok(Self {
+            counts: Counts::default(),
+            times: Times::new()?,
+        })
+    }
+
+    /// Of cycles; `computes` says whether what they handed over was computed.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
+        let mut tally = Self::new()?;
+        let mut after_miss = false;
+        for cycle in cycles {
+            tally.count(cycle, computes, after_miss);
+            after_miss = cycle.deadline_miss;
+        }
+        Ok(tally)
+    }
+
+    /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn of_cyclictest(latencies: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
+        let mut tally = Self::new()?;
+        tally.times.wake.add(&latencies.histogram_ns)?;
+        tally.counts.cycles = latencies.cycles;
+        tally.counts.skipped_periods = latencies.skipped_periods;
+        tally.counts.late_starts = latencies.later_than(late_ns);
+        tally.counts.deadline_misses = latencies.later_than(deadline_ns);
+        Ok(tally)
+    }
+
+    /// Counts one. A punctual cycle whose releases the one before took has nothing to answer for.
+    fn count(&mut self, cycle: &Cycle, computes: bool, after_miss: bool) {
+        let counts = &mut self.counts;
+        counts.cycles += 1;
+        counts.late_starts += u64::from(cycle.late_start);
+        counts.deadline_misses += u64::from(cycle.deadline_miss);
+        let is_ours = matches!(cycle.cause, LateCause::Compute | LateCause::PageFault);
+        counts.own_misses += u64::from(cycle.deadline_miss && is_ours);
+        counts.skipped_periods += u64::from(cycle.skipped_periods);
+        let is_late = cycle.late_start || cycle.deadline_miss;
+        if is_late || (cycle.skipped_periods > 0 && !after_miss) {
+            counts.causes.count(cycle.cause);
+        }
+        counts.run_delay_ms += cycle.run_delay_ns as f64 * 1e-6;
+        let times = &mut self.times;
+        times.wake.saturating_record(cycle.wake_ns);
+        if computes {
+            let compute_ns = cycle.response_ns.saturating_sub(cycle.wake_ns);
+            times.compute.saturating_record(compute_ns);
+            times.response.saturating_record(cycle.response_ns);
+        }
+    }
+
+    /// Both together.
+    ///
+    /// # Errors
+    /// Never.
+    pub fn add(&mut self, other: &Self) -> Result<()> {
+        self.counts.add(&other.counts);
+        self.times.add(&other.times)
+    }
+
+    /// The latencies in five numbers each \[µs\].
+    pub fn quantiles(&self) -> TimeQuantiles {
+        TimeQuantiles {
+            wake_us: Quantiles::of(&self.times.wake),
+            compute_us: Quantiles::of(&self.times.compute),
+            response_us: Quantiles::of(&self.times.response),
+            command_us: Quantiles::of(&self.times.command),
+        }
+    }
+}
+
+/// The latencies of a stretch in five numbers each \[µs\]; those that were not measured are left out.
+#[allow(
+    clippy::struct_field_names,
+    reason = "the keys of the JSON end with their unit"
+)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TimeQuantiles {
+    /// Release to start.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub wake_us: Option<Quantiles>,
+    /// Start to hand-over of the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub compute_us: Option<Quantiles>,
+    /// Release to hand-over of the command.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub response_us: Option<Quantiles>,
+    /// Release to the command in the client's hands.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub command_us: Option<Quantiles>,
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+
+    fn cycle(wake_us: u64, response_us: u64, cause: LateCause) -> Cycle {
+        Cycle {
+            due_ns: 0,
+            wake_ns: wake_us * 1000,
+            response_ns: response_us * 1000,
+            late_start: wake_us > 1000,
+            deadline_miss: response_us > 5000,
+            skipped_periods: u32::from(response_us > 5000),
+            cause,
+            run_delay_ns: 500_000,
+        }
+    }
+
+    #[test]
+    fn every_late_cycle_has_one_cause_and_only_our_misses_are_ours() {
+        let cycles = [
+            cycle(20, 50, LateCause::None),
+            cycle(6000, 6030, LateCause::Platform),
+            cycle(20, 5100, LateCause::Compute),
+            cycle(20, 5200, LateCause::PageFault),
+            cycle(2000, 2040, LateCause::Load),
+            cycle(30, 9000, LateCause::Stall),
+            // Punctual again; the cycle before took its releases.
+            Cycle {
+                skipped_periods: 1,
+                ..cycle(20, 50, LateCause::Stall)
+            },
+        ];
+        let mut tally = Tally::of(&cycles, true).unwrap();
+        let counts = tally.counts;
+        assert_eq!(
+            (counts.cycles, counts.late_starts, counts.deadline_misses),
+            (7, 2, 4)
+        );
+        assert_eq!((counts.own_misses, counts.skipped_periods), (2, 5));
+        let expected = Causes {
+            platform: 1,
+            load: 1,
+            compute: 1,
+            fault: 1,
+            other: 1,
+        };
+        assert_eq!(counts.causes, expected);
+        assert!((counts.run_delay_ms - 3.5).abs() < 1e-9);
+        assert_eq!(tally.times.response.len(), 7);
+        let twice = tally.clone();
+        tally.add(&twice).unwrap();
+        assert_eq!(tally.counts.causes.load, 2);
+        assert_eq!(tally.times.wake.len(), 14);
+    }
+
+    #[test]
+    fn what_does_not_compute_has_no_response() {
+        let tally = Tally::of(&[cycle(20, 21, LateCause::None)], false).unwrap();
+        let quantiles = tally.quantiles();
+        assert!(quantiles.wake_us.is_some() && quantiles.response_us.is_none());
+        let json = serde_json::to_value(quantiles).unwrap();
+        assert!(json.get("response_us").is_none(), "{json}");
+    }
+}

@@ -1,0 +1,141 @@
+//! Asks, and looks for the answer without a sleep in between: the connection of the library looks each
+//! millisecond.
+
+use anyhow::{Context, Result, anyhow, ensure};
+use cdcr_client::monotonic_ns;
+use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::{Header, Location, Request, Response, Service};
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::client::Client;
+use iceoryx2::prelude::{BackpressureStrategy, Node, ipc};
+
+use crate::subject::place::ROBOT;
+
+/// How long an answer may take \[ns\].
+const PATIENCE_NS: u64 = 2_000_000_000;
+
+/// The asking end of a daemon's control service.
+pub(super) struct Asker {
+    waiting: Option<Asked>,
+    client: Client<ipc::Service, Request, (), Response, ()>,
+    sender_id: u64,
+    sequence: u64,
+    _node: Node<ipc::Service>,
+}
+
+/// A request without an answer yet.
+struct Asked {
+    pending: PendingResponse<ipc::Service, Request, (), Response, ()>,
+    kind: RequestKind,
+    sequence: u64,
+    sent_ns: u64,
+}
+
+/// An answer, and when it was there.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Answer {
+    pub(super) kind: RequestKind,
+    pub(super) sequence: u64,
+    pub(super) sent_ns: u64,
+    pub(super) received_ns: u64,
+    pub(super) response: Response,
+}
+
+impl Asker {
+    /// Opens the service that the daemon made. It asks in the name of `sender_id`, which a lease is bound
+    /// to.
+    ///
+    /// # Errors
+    /// When the daemon does not live.
+    pub(super) fn open(location: &Location, sender_id: u64) -> Result<Self> {
+        let node = location.node_builder()?.create::<ipc::Service>();
+        let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
+        let service = node
+            .service_builder(&Service::Control.name(ROBOT)?)
+            .request_response::<Request, Response>()
+            .open()
+            .map_err(|cause| anyhow!("the control service of the daemon: {cause:?}"))?;
+        let client = service
+            .client_builder()
+            .backpressure_strategy(BackpressureStrategy::DiscardData)
+            .create()
+            .map_err(|cause| anyhow!("a port for requests: {cause:?}"))?;
+        Ok(Self {
+            waiting: None,
+            client,
+            sender_id,
+            sequence: 0,
+            _node: node,
+        })
+    }
+
+    pub(super) fn sender_id(&self) -> u64 {
+        self.sender_id
+    }
+
+    /// When the request was sent that has no answer yet.
+    pub(super) fn waits_since_ns(&self) -> Option<u64> {
+        self.waiting.as_ref().map(|asked| asked.sent_ns)
+    }
+
+    /// Sends a request; one at a time.
+    ///
+    /// # Errors
+    /// When iceoryx2 cannot.
+    pub(super) fn ask(&mut self, kind: RequestKind) -> Result<()> {
+        ensure!(
+            self.waiting.is_none(),
+            "a request was sent before the one before was answered"
+        );
+        self.sequence += 1;
+        let sent_ns = monotonic_ns();
+        let request = Request {
+            header: Header {
+                sender_id: self.sender_id,
+                sequence: self.sequence,
+                sent_ns,
+            },
+            kind: kind.code(),
+            ..Request::default()
+        };
+        let pending = self.client.send_copy(request);
+        self.waiting = Some(Asked {
+            pending: pending.map_err(|cause| anyhow!("cannot {kind}: {cause:?}"))?,
+            kind,
+            sequence: self.sequence,
+            sent_ns,
+        });
+        Ok(())
+    }
+
+    /// The answer, if it has come meanwhile.
+    ///
+    /// # Errors
+    /// When none came for too long.
+    pub(super) fn look(&mut self) -> Result<Option<Answer>> {
+        let Some(asked) = &self.waiting else {
+            return Ok(None);
+        };
+        let received = asked.pending.receive();
+        let received = received.map_err(|cause| anyhow!("cannot {}: {cause:?}", asked.kind))?;
+        let received_ns = monotonic_ns();
+        let Some(response) = received.map(|response| *response.payload()) else {
+            let waited_ns = received_ns.saturating_sub(asked.sent_ns);
+            ensure!(
+                waited_ns < PATIENCE_NS,
+                "cannot {}: the daemon did not answer within {} s",
+                asked.kind,
+                PATIENCE_NS / 1_000_000_000
+            );
+            return Ok(None);
+        };
+        let asked = self.waiting.take().context("a request was waiting")?;
+        Ok(Some(Answer {
+            kind: asked.kind,
+            sequence: asked.sequence,
+            sent_ns: asked.sent_ns,
+            received_ns,
+            response,
+        }))
+    }
+}

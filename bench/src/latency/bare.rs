@@ -1,0 +1,405 @@
+//! What iceoryx2 itself takes between two processes on two cores: nothing runs but a thread here that sends
+//! and looks, and one there that looks and answers.
+//!
+//! The peer is this program again, as a hidden command. Neither sleeps while it waits, and neither has a
+//! real-time priority: a real-time thread that never sleeps is halted by the system.
+
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command as Process, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, anyhow, bail, ensure};
+use cdcr_client::monotonic_ns;
+use cdcr_shared_types::{Command, Header, Location, Request, Response};
+use iceoryx2::port::client::Client;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::server::Server;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::service::port_factory::{publish_subscribe, request_response};
+use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
+use signal_hook::consts::SIGTERM;
+
+use super::leg::Leg;
+use super::round::Round;
+use crate::interrupt;
+use crate::subject::daemon::program;
+use crate::subject::place::Place;
+use crate::system::cores::Cores;
+use crate::system::thread::pin;
+
+/// Messages before one counts.
+const WARM_UP: usize = 200;
+/// From one message to the next \[ns\].
+const GAP_NS: u64 = 200_000;
+/// How long an answer may take.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// How long the peer may take to end.
+const END: Duration = Duration::from_secs(2);
+/// Looks of the peer between two looks whether it shall end.
+const LOOKS: u32 = 4096;
+
+/// What the hidden command is called.
+pub const PEER: &str = "peer";
+
+/// How long a measurement takes \[s\].
+pub(super) fn expected_s(samples: usize) -> f64 {
+    0.5 + 2.0 * (WARM_UP + samples) as f64 * GAP_NS as f64 * 1e-9
+}
+
+/// Measures `samples` of each leg.
+///
+/// # Errors
+/// When the peer cannot be started, or does not answer.
+pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
+    // Dropped last.
+    let place = Place::new()?;
+    let _peer = Peer::start(&place, cores)?;
+    let shares = cores.is_alone();
+    thread::scope(|scope| {
+        let measuring = scope.spawn(|| {
+            pin(cores.client());
+            let near = Near::open(place.location(), shares)?;
+            near.wait()?;
+            near.play(samples, round)?;
+            near.ask(samples, round)
+        });
+        measuring
+            .join()
+            .map_err(|_| anyhow!("the bare measurement panicked"))?
+    })
+}
+
+/// The peer of a measurement, as a process.
+struct Peer(Child);
+
+impl Peer {
+    /// To be called from a thread that outlives it.
+    fn start(place: &Place, cores: &Cores) -> Result<Self> {
+        let mut process = Process::new(program("cdcr-bench")?);
+        process
+            .arg(PEER)
+            .args(["--prefix", place.location().prefix(), "--root"])
+            .arg(place.location().root())
+            .args(["--parent", &std::process::id().to_string()])
+            .args(["--core", &cores.realtime.to_string()])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            // Ctrl-C reaches us alone.
+            .process_group(0);
+        if cores.is_alone() {
+            process.arg("--shares");
+        }
+        let child = cores.with_all(|| process.spawn());
+        Ok(Self(child.context(
+            "cannot start the peer of the bare measurement",
+        )?))
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        let _ = kill_process(Pid::from_child(&self.0), Signal::TERM);
+        let deadline = Instant::now() + END;
+        while Instant::now() < deadline {
+            if !matches!(self.0.try_wait(), Ok(None)) {
+                return;
+            }
+            thread::sleep(Duration::from_millis(2));
+        }
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// What the peer is told.
+#[derive(Debug, Clone)]
+pub struct PeerOptions {
+    /// Where it meets its parent.
+    pub location: Location,
+    /// Its core.
+    pub core: usize,
+    /// Its parent, with which it ends.
+    pub parent: u32,
+    /// Both are on one core: let the other one run.
+    pub shares: bool,
+}
+
+/// The peer: answers until it is told to end, or its parent has ended. To be called from the main thread.
+///
+/// # Errors
+/// When shared memory cannot be used.
+pub fn peer(options: &PeerOptions) -> Result<()> {
+    set_parent_process_death_signal(Some(Signal::TERM)).context("to end with the parent")?;
+    // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry.
+    let ends = Arc::new(AtomicBool::new(false));
+    signal_hook::flag::register(SIGTERM, Arc::clone(&ends)).context("signals")?;
+    let is_orphan = || getppid().is_none_or(|id| id.as_raw_pid().unsigned_abs() != options.parent);
+    ensure!(!is_orphan(), "the parent has ended");
+    pin(options.core);
+    let answered = answer(options, &ends);
+    if is_orphan() {
+        // Whoever would have cleaned up is gone.
+        for file in options.location.memory_files() {
+            let _ = std::fs::remove_file(file);
+        }
+        let _ = std::fs::remove_dir_all(options.location.root());
+        // Its folder, if nothing else is in it.
+        let _ = options.location.root().parent().map(std::fs::remove_dir);
+    }
+    answered
+}
+
+fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
+    let far = Far::open(&options.location)?;
+    let mut looks = 0_u32;
+    loop {
+        looks = looks.wrapping_add(1);
+        if looks.is_multiple_of(LOOKS) && ends.load(Ordering::Relaxed) {
+            return Ok(());
+        }
+        far.look()?;
+        if options.shares {
+            thread::yield_now();
+        }
+    }
+}
+
+/// The three services.
+struct Services {
+    there: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
+    back: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
+    control: request_response::PortFactory<ipc::Service, Request, (), Response, ()>,
+}
+
+impl Services {
+    /// Whoever comes first makes them.
+    fn open(location: &Location) -> Result<Self> {
+        let node = location.node_builder()?.create::<ipc::Service>();
+        let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
+        let control = node
+            .service_builder(&"bare/control".try_into()?)
+            .request_response::<Request, Response>()
+            .open_or_create()
+            .map_err(|cause| anyhow!("the service bare/control: {cause:?}"))?;
+        Ok(Self {
+            there: topic(&node, "bare/there")?,
+            back: topic(&node, "bare/back")?,
+            control,
+        })
+    }
+}
+
+fn topic(
+    node: &Node<ipc::Service>,
+    name: &str,
+) -> Result<publish_subscribe::PortFactory<ipc::Service, Command, ()>> {
+    node.service_builder(&name.try_into()?)
+        .publish_subscribe::<Command>()
+        .enable_safe_overflow(true)
+        .open_or_create()
+        .map_err(|cause| anyhow!("the service {name}: {cause:?}"))
+}
+
+/// The ends of the peer.
+struct Far {
+    there: Subscriber<ipc::Service, Command, ()>,
+    back: Publisher<ipc::Service, Command, ()>,
+    control: Server<ipc::Service, Request, (), Response, ()>,
+}
+
+impl Far {
+    fn open(location: &Location) -> Result<Self> {
+        let services = Services::open(location)?;
+        let failed = |cause: &dyn std::fmt::Debug| anyhow!("a port of the peer: {cause:?}");
+        Ok(Self {
+            there: services
+                .there
+                .subscriber_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+            back: services
+                .back
+                .publisher_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+            control: services
+                .control
+                .server_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+        })
+    }
+
+    /// Answers what is there.
+    fn look(&self) -> Result<()> {
+        let failed = |cause: &dyn std::fmt::Debug| anyhow!("the peer cannot answer: {cause:?}");
+        if let Some(sample) = self.there.receive().map_err(|cause| failed(&cause))? {
+            let mut message = *sample.payload();
+            message.header.sent_ns = monotonic_ns();
+            self.back
+                .send_copy(message)
+                .map_err(|cause| failed(&cause))?;
+        }
+        if let Some(asked) = self.control.receive().map_err(|cause| failed(&cause))? {
+            let response = Response {
+                request_sequence: asked.payload().header.sequence,
+                ..Response::default()
+            };
+            asked.send_copy(response).map_err(|cause| failed(&cause))?;
+        }
+        Ok(())
+    }
+}
+
+/// Our ends.
+struct Near {
+    there: Publisher<ipc::Service, Command, ()>,
+    back: Subscriber<ipc::Service, Command, ()>,
+    control: Client<ipc::Service, Request, (), Response, ()>,
+    shares: bool,
+}
+
+impl Near {
+    fn open(location: &Location, shares: bool) -> Result<Self> {
+        let services = Services::open(location)?;
+        let failed = |cause: &dyn std::fmt::Debug| anyhow!("a port of the bench: {cause:?}");
+        Ok(Self {
+            there: services
+                .there
+                .publisher_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+            back: services
+                .back
+                .subscriber_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+            control: services
+                .control
+                .client_builder()
+                .create()
+                .map_err(|cause| failed(&cause))?,
+            shares,
+        })
+    }
+
+    /// Waits until the peer answers: what was sent before it came is lost.
+    fn wait(&self) -> Result<()> {
+        let deadline = Instant::now() + PATIENCE;
+        while Instant::now() < deadline {
+            interrupt::check()?;
+            self.send(0)?;
+            thread::sleep(Duration::from_millis(2));
+            if self.receive()?.is_some() {
+                // Whatever else was asked and answered in the meantime.
+                thread::sleep(Duration::from_millis(20));
+                while self.receive()?.is_some() {}
+                return Ok(());
+            }
+        }
+        bail!("the peer of the bare measurement did not answer within {PATIENCE:?}")
+    }
+
+    fn send(&self, sequence: u64) -> Result<u64> {
+        let sent_ns = monotonic_ns();
+        let header = Header {
+            sender_id: 1,
+            sequence,
+            sent_ns,
+        };
+        let message = Command {
+            header,
+            ..Command::default()
+        };
+        let sent = self.there.send_copy(message);
+        sent.map_err(|cause| anyhow!("cannot send to the peer: {cause:?}"))?;
+        Ok(sent_ns)
+    }
+
+    fn receive(&self) -> Result<Option<Command>> {
+        let sample = self.back.receive();
+        let sample = sample.map_err(|cause| anyhow!("cannot hear the peer: {cause:?}"))?;
+        Ok(sample.map(|sample| *sample.payload()))
+    }
+
+    /// Looks until `look` finds something, without a rest.
+    fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
+        let begin = Instant::now();
+        loop {
+            if let Some(found) = look()? {
+                return Ok((found, monotonic_ns()));
+            }
+            self.pause()?;
+            ensure!(
+                begin.elapsed() < PATIENCE,
+                "the peer of the bare measurement is silent for {PATIENCE:?}"
+            );
+        }
+    }
+
+    fn pause(&self) -> Result<()> {
+        if self.shares {
+            thread::yield_now();
+        }
+        interrupt::check()
+    }
+
+    /// Waits without a sleep, as a thread does that is awake when a message comes.
+    fn wait_until(&self, time_ns: u64) -> Result<()> {
+        while monotonic_ns() < time_ns {
+            self.pause()?;
+        }
+        Ok(())
+    }
+
+    /// Messages there and back.
+    fn play(&self, samples: usize, round: &mut Round) -> Result<()> {
+        for index in 0..WARM_UP + samples {
+            let sequence = index as u64 + 1;
+            let sent_ns = self.send(sequence)?;
+            let (back, received_ns) = self.wait_for(|| {
+                Ok(self
+                    .receive()?
+                    .filter(|back| back.header.sequence == sequence))
+            })?;
+            if index >= WARM_UP {
+                round.record(Leg::BareRoundTrip, received_ns - sent_ns);
+                round.record(Leg::BareOneWay, received_ns - back.header.sent_ns);
+            }
+            self.wait_until(received_ns + GAP_NS)?;
+        }
+        Ok(())
+    }
+
+    /// Requests and answers.
+    fn ask(&self, samples: usize, round: &mut Round) -> Result<()> {
+        for index in 0..WARM_UP + samples {
+            let header = Header {
+                sender_id: 1,
+                sequence: index as u64 + 1,
+                sent_ns: monotonic_ns(),
+            };
+            let request = Request {
+                header,
+                ..Request::default()
+            };
+            let pending = self.control.send_copy(request);
+            let pending = pending.map_err(|cause| anyhow!("cannot ask the peer: {cause:?}"))?;
+            let ((), received_ns) = self.wait_for(|| {
+                let response = pending.receive();
+                let response =
+                    response.map_err(|cause| anyhow!("no answer of the peer: {cause:?}"))?;
+                Ok(response.map(|_| ()))
+            })?;
+            if index >= WARM_UP {
+                round.record(Leg::BareRequest, received_ns - header.sent_ns);
+            }
+            self.wait_until(received_ns + GAP_NS)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,252 @@
+//! The ways that are timed, each from one stamp to another.
+
+use serde::Serialize;
+
+/// One way of a message.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(into = "&'static str")]
+pub enum Leg {
+    /// Two processes and iceoryx2, nothing else: one way.
+    BareOneWay,
+    /// There and back.
+    BareRoundTrip,
+    /// A request and its answer.
+    BareRequest,
+    /// A command from the release of its cycle.
+    CommandRelease,
+    /// A command from its hand-over by the cycle thread.
+    CommandHandover,
+    /// A command from the stamp in its header.
+    CommandHop,
+    /// A reference chunk, whole.
+    ReferenceCommand,
+    /// The part of it that waits for the grid.
+    ReferenceGrid,
+    /// The rest of it.
+    ReferenceMachinery,
+    /// An obstacle update, whole.
+    ObstacleCommand,
+    /// The part of it that waits for the grid.
+    ObstacleGrid,
+    /// The rest of it.
+    ObstacleMachinery,
+    /// A measurement, whole.
+    MeasurementCommand,
+    /// The part of it that waits for the grid.
+    MeasurementGrid,
+    /// The rest of it.
+    MeasurementMachinery,
+    /// A renewal of the lease, whole: the exchange answers it.
+    LeaseAnswer,
+    /// The part of it that waits for the grid.
+    LeaseGrid,
+    /// The rest of it.
+    LeaseMachinery,
+    /// A request to track, whole: the cycle decides it.
+    TrackAnswer,
+    /// The part of it that waits for the grid.
+    TrackGrid,
+    /// The rest of it.
+    TrackMachinery,
+    /// A stop until the first slower command.
+    StopCommand,
+    /// The part of it that waits for the grid.
+    StopGrid,
+    /// The rest of it.
+    StopMachinery,
+    /// A stop until zero rates are handed over, without the ramp.
+    StopZeroHandover,
+    /// A stop until zero rates are in the client's hands, without the ramp.
+    StopZeroCommand,
+}
+
+impl Leg {
+    /// Every leg, in the order of the tables.
+    pub const ALL: [Self; 26] = [
+        Self::BareOneWay,
+        Self::BareRoundTrip,
+        Self::BareRequest,
+        Self::CommandRelease,
+        Self::CommandHandover,
+        Self::CommandHop,
+        Self::ReferenceCommand,
+        Self::ReferenceGrid,
+        Self::ReferenceMachinery,
+        Self::ObstacleCommand,
+        Self::ObstacleGrid,
+        Self::ObstacleMachinery,
+        Self::MeasurementCommand,
+        Self::MeasurementGrid,
+        Self::MeasurementMachinery,
+        Self::LeaseAnswer,
+        Self::LeaseGrid,
+        Self::LeaseMachinery,
+        Self::TrackAnswer,
+        Self::TrackGrid,
+        Self::TrackMachinery,
+        Self::StopCommand,
+        Self::StopGrid,
+        Self::StopMachinery,
+        Self::StopZeroHandover,
+        Self::StopZeroCommand,
+    ];
+
+    /// Its name: what is sent, and which part of its way.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::BareOneWay => "bare.one_way",
+            Self::BareRoundTrip => "bare.round_trip",
+            Self::BareRequest => "bare.request",
+            Self::CommandRelease => "command.release",
+            Self::CommandHandover => "command.handover",
+            Self::CommandHop => "command.hop",
+            Self::ReferenceCommand => "reference.command",
+            Self::ReferenceGrid => "reference.grid",
+            Self::ReferenceMachinery => "reference.machinery",
+            Self::ObstacleCommand => "obstacle.command",
+            Self::ObstacleGrid => "obstacle.grid",
+            Self::ObstacleMachinery => "obstacle.machinery",
+            Self::MeasurementCommand => "measurement.command",
+            Self::MeasurementGrid => "measurement.grid",
+            Self::MeasurementMachinery => "measurement.machinery",
+            Self::LeaseAnswer => "lease.answer",
+            Self::LeaseGrid => "lease.grid",
+            Self::LeaseMachinery => "lease.machinery",
+            Self::TrackAnswer => "track.answer",
+            Self::TrackGrid => "track.grid",
+            Self::TrackMachinery => "track.machinery",
+            Self::StopCommand => "stop.command",
+            Self::StopGrid => "stop.grid",
+            Self::StopMachinery => "stop.machinery",
+            Self::StopZeroHandover => "stop.zero_handover",
+            Self::StopZeroCommand => "stop.zero_command",
+        }
+    }
+
+    /// From which stamp to which.
+    pub fn definition(self) -> (&'static str, &'static str) {
+        const GATHER: &str = "start of the gather that takes it";
+        const SENT: &str = "sent_ns of the message, read before it is sent";
+        const HANDS: &str = "command in the client's hands";
+        const FIRST: &str = "first command that uses it in the client's hands";
+        const ANSWER: &str = "answer in the client's hands";
+        match self {
+            Self::BareOneWay => (
+                "stamp in the answer, read before it is sent",
+                "answer received",
+            ),
+            Self::BareRoundTrip => ("before a message is sent", "answer received"),
+            Self::BareRequest => ("before a request is sent", "its response received"),
+            Self::CommandRelease => ("release that its cycle slept for", HANDS),
+            Self::CommandHandover => ("handed over by the cycle thread", HANDS),
+            Self::CommandHop => ("sent_ns of the command, read by the exchange", HANDS),
+            Self::ReferenceCommand | Self::ObstacleCommand => (SENT, FIRST),
+            Self::MeasurementCommand => ("measured_ns, read before it is sent", FIRST),
+            Self::ReferenceGrid
+            | Self::ObstacleGrid
+            | Self::LeaseGrid
+            | Self::TrackGrid
+            | Self::StopGrid => (SENT, GATHER),
+            Self::MeasurementGrid => ("measured_ns, read before it is sent", GATHER),
+            Self::ReferenceMachinery | Self::ObstacleMachinery | Self::MeasurementMachinery => {
+                (GATHER, FIRST)
+            }
+            Self::LeaseAnswer | Self::TrackAnswer => (SENT, ANSWER),
+            Self::LeaseMachinery | Self::TrackMachinery => (GATHER, ANSWER),
+            Self::StopCommand => (SENT, "first command of mode stopped in the client's hands"),
+            Self::StopMachinery => (
+                GATHER,
+                "first command of mode stopped in the client's hands",
+            ),
+            Self::StopZeroHandover => (
+                SENT,
+                "first zero rates handed over by the cycle thread, less the ramp",
+            ),
+            Self::StopZeroCommand => (
+                SENT,
+                "first command of zero rates in the client's hands, less the ramp",
+            ),
+        }
+    }
+
+    /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
+    /// that two runs cannot differ in it.
+    pub fn is_grid(self) -> bool {
+        matches!(
+            self,
+            Self::ReferenceGrid
+                | Self::ObstacleGrid
+                | Self::MeasurementGrid
+                | Self::LeaseGrid
+                | Self::TrackGrid
+                | Self::StopGrid
+        )
+    }
+}
+
+impl From<Leg> for &'static str {
+    fn from(leg: Leg) -> Self {
+        leg.name()
+    }
+}
+
+/// The three legs of something that waits for a gather.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Way {
+    /// All of it.
+    pub(super) whole: Leg,
+    /// Until the gather.
+    pub(super) grid: Leg,
+    /// From there on.
+    pub(super) machinery: Leg,
+}
+
+impl Way {
+    pub(super) const REFERENCE: Self = Self {
+        whole: Leg::ReferenceCommand,
+        grid: Leg::ReferenceGrid,
+        machinery: Leg::ReferenceMachinery,
+    };
+    pub(super) const OBSTACLE: Self = Self {
+        whole: Leg::ObstacleCommand,
+        grid: Leg::ObstacleGrid,
+        machinery: Leg::ObstacleMachinery,
+    };
+    pub(super) const MEASUREMENT: Self = Self {
+        whole: Leg::MeasurementCommand,
+        grid: Leg::MeasurementGrid,
+        machinery: Leg::MeasurementMachinery,
+    };
+    pub(super) const LEASE: Self = Self {
+        whole: Leg::LeaseAnswer,
+        grid: Leg::LeaseGrid,
+        machinery: Leg::LeaseMachinery,
+    };
+    pub(super) const TRACK: Self = Self {
+        whole: Leg::TrackAnswer,
+        grid: Leg::TrackGrid,
+        machinery: Leg::TrackMachinery,
+    };
+    pub(super) const STOP: Self = Self {
+        whole: Leg::StopCommand,
+        grid: Leg::StopGrid,
+        machinery: Leg::StopMachinery,
+    };
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_leg_has_its_place_and_a_name_of_its_own() {
+        for (index, leg) in Leg::ALL.iter().enumerate() {
+            assert_eq!(*leg as usize, index);
+            let same = Leg::ALL.iter().filter(|other| other.name() == leg.name());
+            assert_eq!(same.count(), 1, "{}", leg.name());
+        }
+        for leg in Leg::ALL {
+            assert_eq!(leg.is_grid(), leg.name().contains("grid"), "{}", leg.name());
+        }
+    }
+}

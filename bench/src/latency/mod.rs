@@ -1,0 +1,295 @@
+//! How long messages take: into the daemon, through it, and back into a client's hands.
+//!
+//! | way | from | to |
+//! |---|---|---|
+//! | [`bare`] | sent, by one of two processes that do nothing else | received by the other, and back |
+//! | [`command`](Leg::CommandRelease) | release, hand-over, stamp of a command | in the client's hands |
+//! | [`inputs`] | reference, obstacle or measurement sent | first command that uses it in the client's hands |
+//! | [`requests`] | request sent | answer in the client's hands |
+//! | [`stops`] | stop sent | zero rates, without the ramp |
+//!
+//! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
+//! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
+//! begins, and `machinery`, from there on. Sending times are spread evenly over the period.
+
+pub mod bare;
+
+mod asker;
+mod hands;
+mod inputs;
+mod leg;
+mod phase;
+mod report;
+mod requests;
+mod round;
+mod scene;
+mod stops;
+
+use std::path::PathBuf;
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Result, anyhow};
+use cdcr_client::monotonic_ns;
+use cdcr_shared_types::Location;
+use cdcr_shared_types::codes::realtime;
+
+use crate::progress::Progress;
+use crate::subject::daemon::{Daemon, Launch};
+use crate::system::cores::Cores;
+use crate::system::thread::{WATCHER_PRIORITY, may_be_realtime, pin, set_fifo};
+use asker::Asker;
+use hands::Hands;
+pub use hands::Looks;
+use inputs::{Awakening, Inputs, Source};
+pub use leg::Leg;
+pub use report::{Ratio, Report, Row, Setting, Target};
+use requests::Requests;
+pub use round::{Round, Sampled};
+use stops::Stops;
+
+/// Samples of a round for each stop of it: a stop takes a fifth of a second.
+const SAMPLES_PER_STOP: usize = 5;
+/// Messages of the bare measurement for each sample: they are fast.
+const BARE_PER_SAMPLE: usize = 8;
+/// What a daemon takes to start and to end \[s\].
+const AROUND_S: f64 = 1.0;
+/// Period of the default configuration \[s\].
+const PERIOD_S: f64 = 5e-3;
+
+/// What is to be measured.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Options {
+    /// Rounds; in each, everything is measured once.
+    pub rounds: usize,
+    /// Samples of each kind in each round; a fifth of that for stops.
+    pub samples: usize,
+    /// Period, if another one than the configuration's.
+    pub period: Option<Duration>,
+    /// Configuration of the daemon; none: the default.
+    pub config: Option<PathBuf>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            rounds: 5,
+            samples: 250,
+            period: None,
+            config: None,
+        }
+    }
+}
+
+impl Options {
+    /// A quick look.
+    pub const QUICK: (usize, usize) = (2, 40);
+
+    fn stops(&self) -> usize {
+        self.samples.div_ceil(SAMPLES_PER_STOP)
+    }
+
+    fn bare(&self) -> usize {
+        self.samples * BARE_PER_SAMPLE
+    }
+
+    /// The daemon with this robot.
+    fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
+        let launch = Launch::patient(self.config.clone())
+            .with("link.kind", link)
+            // A machine that stalls is no broken sensor.
+            .with("link.measurement_timeout_ms", "2000.0")
+            .with(
+                "motion.deceleration_rad_s2",
+                format!("{:.1}", stops::DECELERATION_RAD_S2),
+            )
+            .placed(cores, may_be_realtime);
+        match self.period {
+            Some(period) => launch.with("cycle.period_ms", period.as_secs_f64() * 1e3),
+            None => launch,
+        }
+    }
+}
+
+/// How long a run takes, about \[s\].
+pub fn expected_s(options: &Options) -> f64 {
+    options.rounds as f64 * seconds(options).iter().sum::<f64>()
+}
+
+/// How long the parts of a round take, about: bare, simulated robot, driver \[s\].
+fn seconds(options: &Options) -> [f64; 3] {
+    let period_s = options
+        .period
+        .map_or(PERIOD_S, |period| period.as_secs_f64());
+    let samples = (options.samples + inputs::WARM_UP) as f64;
+    // References and obstacles share their periods; requests of two kinds; a stop takes some 30 periods.
+    let simulated = 2.0 * samples + 4.0 * samples + 30.0 * options.stops() as f64;
+    [
+        bare::expected_s(options.bare()),
+        AROUND_S + simulated * period_s,
+        AROUND_S + 2.0 * samples * period_s,
+    ]
+}
+
+/// Measures.
+///
+/// # Errors
+/// When a daemon or the peer does not start or does not answer, or a signal came.
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+    let bench = Bench {
+        options,
+        cores: Cores::find()?,
+        may_be_realtime: may_be_realtime(),
+    };
+    let began_ns = monotonic_ns();
+    let mut rounds = Vec::new();
+    let mut told = Told::default();
+    for number in 1..=options.rounds {
+        let mut round = Round::new(began_ns)?;
+        let mut part = |index: usize, what: &str, work: &mut dyn FnMut() -> Result<()>| {
+            progress.begin(&format!("round {number} of {}, {what}", options.rounds));
+            work()?;
+            progress.advance(seconds(options)[index]);
+            anyhow::Ok(())
+        };
+        part(0, "iceoryx2 alone", &mut || {
+            bare::measure(&bench.cores, options.bare(), &mut round)
+        })?;
+        part(1, "a simulated robot", &mut || {
+            told.add(&bench.simulated(&mut round)?);
+            Ok(())
+        })?;
+        part(2, "a robot behind a driver", &mut || {
+            told.add(&bench.driven(&mut round)?);
+            Ok(())
+        })?;
+        rounds.push(round);
+    }
+    Ok(Report::new(bench.setting(&told), rounds))
+}
+
+/// What the daemons told of themselves, and how the client did.
+#[derive(Debug, Clone, Copy, Default)]
+struct Told {
+    period_ns: u64,
+    lead_ns: u64,
+    realtime_missing: u32,
+    looks: Looks,
+}
+
+impl Told {
+    fn of(hands: &Hands) -> Self {
+        Self {
+            period_ns: hands.grid.period_ns,
+            lead_ns: hands.grid.lead_ns,
+            realtime_missing: hands.status.realtime_missing,
+            looks: hands.looks,
+        }
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.period_ns = other.period_ns;
+        self.lead_ns = self.lead_ns.max(other.lead_ns);
+        self.realtime_missing |= other.realtime_missing;
+        self.looks.all += other.looks.all;
+        self.looks.late += other.looks.late;
+    }
+}
+
+/// A run.
+struct Bench<'a> {
+    options: &'a Options,
+    cores: Cores,
+    may_be_realtime: bool,
+}
+
+impl Bench<'_> {
+    /// References, obstacles, requests and stops.
+    fn simulated(&self, round: &mut Round) -> Result<Told> {
+        let samples = self.options.samples;
+        self.with_daemon("simulated", |location| {
+            let mut hands = Hands::open(location)?;
+            let length_m = hands.length_m();
+            let reference = Source::Reference {
+                feed: scene::follow(&hands)?,
+                length_m,
+            };
+            let obstacle = Source::Obstacle {
+                sender: hands.connection.obstacle_sender()?,
+                length_m,
+            };
+            let mut inputs = Inputs::new(&hands, vec![reference, obstacle], samples);
+            hands.run(&mut inputs, round)?;
+            drop(inputs);
+
+            let asker = Asker::open(location, hands.connection.sender_id())?;
+            let mut requests = Requests::new(&hands, asker, samples);
+            hands.run(&mut requests, round)?;
+
+            let (feed, asker) = (hands.connection.reference_feed()?, requests.into_asker());
+            let mut stops = Stops::new(&hands, feed, asker, self.options.stops())?;
+            hands.run(&mut stops, round)?;
+            Ok(Told::of(&hands))
+        })
+    }
+
+    /// Measurements.
+    fn driven(&self, round: &mut Round) -> Result<Told> {
+        let samples = self.options.samples;
+        self.with_daemon("driver", |location| {
+            let mut hands = Hands::open(location)?;
+            let measurement = Source::Measurement {
+                driver: hands.connection.driver()?,
+                sections: hands.status.robot.sections,
+            };
+            let mut awakening = Awakening::new(measurement, &hands.grid);
+            hands.run(&mut awakening, round)?;
+            let _feed = scene::follow(&hands)?;
+            let mut inputs = Inputs::new(&hands, vec![awakening.into_source()], samples);
+            hands.run(&mut inputs, round)?;
+            Ok(Told::of(&hands))
+        })
+    }
+
+    /// Starts a daemon, and does `work` on a thread on the client's core, before every ordinary thread if
+    /// the system grants that.
+    fn with_daemon(
+        &self,
+        link: &str,
+        work: impl FnOnce(&Location) -> Result<Told> + Send,
+    ) -> Result<Told> {
+        let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
+        let daemon = Daemon::start(&launch, &self.cores)?;
+        let location = daemon.location();
+        let told = thread::scope(|scope| {
+            let working = scope.spawn(|| {
+                if self.may_be_realtime {
+                    set_fifo(WATCHER_PRIORITY);
+                }
+                pin(self.cores.client());
+                work(location)
+            });
+            working
+                .join()
+                .map_err(|_| anyhow!("the client of the bench panicked"))?
+        });
+        let told = told.map_err(|error| error.context(format!("with link.kind = {link}")))?;
+        daemon.stop()?;
+        Ok(told)
+    }
+
+    fn setting(&self, told: &Told) -> Setting {
+        Setting {
+            rounds: self.options.rounds,
+            samples: self.options.samples,
+            stops: self.options.stops(),
+            period_us: told.period_ns as f64 * 1e-3,
+            gather_lead_us: told.lead_ns as f64 * 1e-3,
+            realtime: told.realtime_missing & (realtime::FIFO | realtime::OFF) == 0,
+            client_realtime: self.may_be_realtime,
+            realtime_core: self.cores.realtime,
+            client_core: self.cores.client(),
+            looks: told.looks,
+        }
+    }
+}

@@ -1,0 +1,110 @@
+//! What one round measured.
+
+use anyhow::Result;
+use cdcr_client::monotonic_ns;
+use hdrhistogram::Histogram;
+
+use super::leg::{Leg, Way};
+use crate::closed_loop::histogram;
+
+/// The latencies of one leg in one round.
+#[derive(Debug, Clone)]
+pub struct Sampled {
+    /// The latencies \[ns\].
+    pub latencies: Histogram<u64>,
+    /// When the first and the last one were recorded, after the start of the run \[ns\].
+    pub span_ns: Option<(u64, u64)>,
+}
+
+/// The latencies of all legs in one round.
+#[derive(Debug, Clone)]
+pub struct Round {
+    began_ns: u64,
+    legs: Vec<Sampled>,
+}
+
+/// When something was sent, taken in and answered \[ns, `CLOCK_MONOTONIC`\].
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
+pub(super) struct Passage {
+    pub(super) sent_ns: u64,
+    /// Start of the gather that took it.
+    pub(super) gather_ns: u64,
+    /// The effect is in the client's hands.
+    pub(super) received_ns: u64,
+}
+
+impl Round {
+    /// An empty one of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
+    ///
+    /// # Errors
+    /// Never: the bounds of the histograms are constants.
+    pub fn new(began_ns: u64) -> Result<Self> {
+        let empty = || {
+            Ok(Sampled {
+                latencies: histogram()?,
+                span_ns: None,
+            })
+        };
+        Ok(Self {
+            began_ns,
+            legs: Leg::ALL.iter().map(|_| empty()).collect::<Result<_>>()?,
+        })
+    }
+
+    /// Of one leg.
+    pub fn leg(&self, leg: Leg) -> &Sampled {
+        &self.legs[leg as usize]
+    }
+
+    /// Adds a latency; one longer than a minute counts as a minute.
+    pub fn record(&mut self, leg: Leg, latency_ns: u64) {
+        let now_ns = monotonic_ns().saturating_sub(self.began_ns);
+        let sampled = &mut self.legs[leg as usize];
+        sampled.latencies.saturating_record(latency_ns);
+        let first_ns = sampled.span_ns.map_or(now_ns, |(first_ns, _)| first_ns);
+        sampled.span_ns = Some((first_ns, now_ns));
+    }
+
+    /// Adds a whole way and its two parts. A message that came while its gather was under way did not wait.
+    pub(super) fn record_way(&mut self, way: Way, passage: &Passage) {
+        let whole_ns = passage.received_ns.saturating_sub(passage.sent_ns);
+        let grid_ns = passage
+            .gather_ns
+            .saturating_sub(passage.sent_ns)
+            .min(whole_ns);
+        self.record(way.whole, whole_ns);
+        self.record(way.grid, grid_ns);
+        self.record(way.machinery, whole_ns - grid_ns);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_parts_of_a_way_make_the_whole() {
+        let mut round = Round::new(0).expect("bounds");
+        for (gather_ns, grid, machinery) in [(400, 300, 600), (90, 0, 900)] {
+            let passage = Passage {
+                sent_ns: 100,
+                gather_ns,
+                received_ns: 1000,
+            };
+            round.record_way(Way::STOP, &passage);
+            let newest = |leg: Leg| round.leg(leg).latencies.max();
+            assert_eq!(newest(Leg::StopCommand), 900);
+            assert_eq!(round.leg(Leg::StopGrid).latencies.count_at(grid), 1);
+            assert_eq!(
+                round.leg(Leg::StopMachinery).latencies.count_at(machinery),
+                1
+            );
+        }
+        let sampled = round.leg(Leg::StopCommand);
+        assert_eq!(sampled.latencies.len(), 2);
+        let (first_ns, last_ns) = sampled.span_ns.expect("two were recorded");
+        assert!(first_ns <= last_ns);
+        assert_eq!(round.leg(Leg::LeaseGrid).span_ns, None);
+    }
+}

@@ -1,0 +1,55 @@
+//! The references that the client sends: far enough ahead that no stall makes them late.
+
+use anyhow::{Context, Result};
+use cdcr_client::{ReferenceFeed, monotonic_ns};
+use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
+use cdcr_shared_types::{Header, ReferencePoint};
+
+use super::hands::Hands;
+
+/// When a reference begins after it was sent \[ns\]: until then its first point counts.
+const BEGINS_NS: u64 = 500_000_000;
+/// When it ends: longer than any measurement \[ns\].
+const ENDS_NS: u64 = 3_600_000_000_000;
+
+/// Sends a new reference that stays at one place.
+///
+/// # Errors
+/// When iceoryx2 cannot.
+pub(super) fn send(feed: &ReferenceFeed, position_m: [f64; 3]) -> Result<Header> {
+    let now_ns = monotonic_ns();
+    let point = |after_ns: u64| ReferencePoint {
+        time_ns: now_ns + after_ns,
+        position_m,
+        ..ReferencePoint::default()
+    };
+    let points = [point(BEGINS_NS), point(ENDS_NS)];
+    Ok(feed.send(ChunkMode::Replace, Interpolation::Linear, &points)?)
+}
+
+/// Places on a small circle, one after the other, for a robot of this length: it always has a little to do.
+pub(super) fn on_circle(index: u32, length_m: f64) -> [f64; 3] {
+    let (sin, cos) = (0.1 * f64::from(index)).sin_cos();
+    [0.2 * length_m * cos, 0.2 * length_m * sin, 0.7 * length_m]
+}
+
+/// A place far to one side, or to the other.
+pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
+    let side = if index.is_multiple_of(2) { 0.4 } else { -0.4 };
+    [side * length_m, 0.1 * length_m, 0.5 * length_m]
+}
+
+/// Takes the lease and lets the robot follow.
+///
+/// # Errors
+/// When the daemon refuses.
+pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
+    let connection = &hands.connection;
+    connection.request(RequestKind::AcquireLease)?;
+    let feed = connection.reference_feed()?;
+    send(&feed, on_circle(0, hands.length_m()))?;
+    connection
+        .request(RequestKind::Track)
+        .context("the robot shall follow a reference")?;
+    Ok(feed)
+}

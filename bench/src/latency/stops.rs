@@ -1,0 +1,393 @@
+//! A stop is sent → zero rates.
+//!
+//! The robot is sent to one far place after another and stopped at speed. A stop is taken by a gather, the
+//! cycle of that gather is the first of mode stopped, and from it on the fastest rate shrinks by
+//! deceleration · T in each cycle: a speed of n steps is zero in the n-th command. The ramp, which is the
+//! robot's and not the daemon's, is n - 1 periods.
+
+use std::mem;
+
+use anyhow::{Context, Result, bail, ensure};
+use cdcr_client::{ReferenceFeed, monotonic_ns};
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::{Command, Telemetry};
+
+use super::asker::{Answer, Asker};
+use super::hands::{Errand, Hands, Seen};
+use super::leg::{Leg, Way};
+use super::phase::Phases;
+use super::round::{Passage, Round};
+use super::scene;
+
+/// How fast the rates shrink: a stop from the largest rate of the default robot takes 20 cycles of 5 ms.
+pub(super) const DECELERATION_RAD_S2: f64 = 20.0;
+/// A robot is at speed at this part of its largest rate.
+const AT_SPEED: f64 = 0.4;
+/// Stops before one counts.
+const WARM_UP: usize = 1;
+/// Releases that one stop may take at most: it needs 15 to 40.
+const TURNS_OF_A_STOP: u64 = 200;
+/// A robot that is not at speed after so many releases is sent elsewhere.
+const SPEED_UP_MAX: u32 = 100;
+
+/// What happens next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Step {
+    /// A new reference, and out of the stop before.
+    Reset,
+    /// Follow it.
+    Track,
+    /// Wait until it is fast; so many releases were waited for.
+    SpeedUp(u32),
+    /// At its time.
+    Stop,
+    /// Down the ramp.
+    Rest,
+}
+
+/// What is kept of a record.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Kept {
+    sequence: u64,
+    mode: u32,
+    gather_ns: u64,
+    handed_over_ns: u64,
+    received_ns: Option<u64>,
+    period_ns: u64,
+    deceleration_rad_s2: f64,
+    previous_speed_rad_s: f64,
+    speed_rad_s: f64,
+}
+
+/// Stops the robot again and again.
+pub(super) struct Stops {
+    asker: Asker,
+    feed: ReferenceFeed,
+    length_m: f64,
+    fast_rad_s: f64,
+    samples: usize,
+    recorded: usize,
+    /// Stops that do not count: records are missing, or the robot was hardly moving.
+    spoilt: usize,
+    turn: u32,
+    phases: Phases,
+    step: Step,
+    due_ns: u64,
+    sent_ns: u64,
+    records: Vec<Kept>,
+}
+
+impl Stops {
+    /// `samples` that count.
+    ///
+    /// # Errors
+    /// When the robot has no sections.
+    pub(super) fn new(
+        hands: &Hands,
+        feed: ReferenceFeed,
+        asker: Asker,
+        samples: usize,
+    ) -> Result<Self> {
+        let robot = &hands.status.robot;
+        let sections = &robot.section[..robot.sections as usize];
+        let rates = sections.iter().map(|section| section.rate_max_rad_s);
+        let slowest_rad_s = rates
+            .reduce(f64::min)
+            .context("the robot has no sections")?;
+        Ok(Self {
+            asker,
+            feed,
+            length_m: hands.length_m(),
+            fast_rad_s: AT_SPEED * slowest_rad_s,
+            samples,
+            recorded: 0,
+            spoilt: 0,
+            turn: 0,
+            phases: Phases::default(),
+            step: Step::Reset,
+            due_ns: 0,
+            sent_ns: 0,
+            records: Vec::new(),
+        })
+    }
+
+    /// Begins again, towards the other side.
+    fn begin(&mut self) {
+        self.turn += 1;
+        self.step = Step::Reset;
+        self.due_ns = 0;
+        self.records.clear();
+    }
+
+    fn answered(&mut self, answer: &Answer) -> Result<()> {
+        let outcome = Outcome::try_from(answer.response.outcome);
+        match (self.step, answer.kind, outcome) {
+            // Refused to a robot that follows already: it goes on to the new reference.
+            (Step::Reset, RequestKind::Reset, Ok(Outcome::Accepted | Outcome::WrongMode)) => {
+                self.step = Step::Track;
+                self.due_ns = 0;
+            }
+            (Step::Track, RequestKind::Track, Ok(Outcome::Accepted)) => {
+                self.step = Step::SpeedUp(0);
+            }
+            // It came so late that the chunk was not there, or no longer ahead.
+            (Step::Track, RequestKind::Track, Ok(Outcome::NoReference)) => self.begin(),
+            (_, RequestKind::Stop, Ok(Outcome::Accepted)) => {}
+            _ => bail!(
+                "cannot {}: {}",
+                answer.kind,
+                Outcome::text_of(answer.response.outcome)
+            ),
+        }
+        Ok(())
+    }
+
+    /// The robot is on its way: stop it at a time within the next period.
+    fn speed_up(&mut self, newest: &Kept, releases: u32) {
+        if newest.mode == Mode::Tracking.code() && newest.speed_rad_s > self.fast_rad_s {
+            self.step = Step::Stop;
+            self.due_ns = monotonic_ns() + self.phases.next_ns(newest.period_ns);
+        } else if releases >= SPEED_UP_MAX {
+            self.spoilt += 1;
+            self.begin();
+        } else {
+            self.step = Step::SpeedUp(releases + 1);
+        }
+    }
+
+    /// The robot rests.
+    fn end(&mut self, round: &mut Round) {
+        let records = mem::take(&mut self.records);
+        match judge(&records, self.sent_ns) {
+            Some(stop) if self.turn as usize >= WARM_UP => {
+                self.recorded += 1;
+                stop.record(round);
+            }
+            Some(_) => {}
+            None => self.spoilt += 1,
+        }
+        self.begin();
+    }
+}
+
+impl Errand for Stops {
+    fn due_ns(&self) -> u64 {
+        let acts = matches!(self.step, Step::Reset | Step::Track | Step::Stop);
+        if acts && self.asker.waits_since_ns().is_none() {
+            self.due_ns
+        } else {
+            u64::MAX
+        }
+    }
+
+    fn act(&mut self, _newest: Option<&Command>) -> Result<()> {
+        match self.step {
+            Step::Reset => {
+                scene::send(&self.feed, scene::aside(self.turn, self.length_m))?;
+                self.asker.ask(RequestKind::Reset)
+            }
+            Step::Track => self.asker.ask(RequestKind::Track),
+            Step::Stop => {
+                self.asker.ask(RequestKind::Stop)?;
+                self.sent_ns = self.asker.waits_since_ns().unwrap_or(0);
+                self.step = Step::Rest;
+                Ok(())
+            }
+            Step::SpeedUp(_) | Step::Rest => Ok(()),
+        }
+    }
+
+    fn look(&mut self, _release_ns: u64) -> Result<bool> {
+        if let Some(answer) = self.asker.look()? {
+            self.answered(&answer)?;
+        }
+        Ok(true)
+    }
+
+    fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
+        let kept = Kept::of(cycle);
+        ensure!(
+            kept.mode != Mode::Faulted.code(),
+            "the robot is faulted: {}",
+            cdcr_shared_types::codes::Reason::text_of(cycle.record.reason)
+        );
+        match self.step {
+            Step::Reset | Step::Track => {}
+            Step::SpeedUp(releases) => {
+                self.records.push(kept);
+                self.speed_up(&kept, releases);
+            }
+            Step::Stop | Step::Rest => {
+                self.records.push(kept);
+                let rests = kept.mode == Mode::Stopped.code() && kept.speed_rad_s == 0.0;
+                if rests && self.asker.waits_since_ns().is_none() {
+                    self.end(round);
+                }
+            }
+        }
+        let most = self.samples + WARM_UP;
+        ensure!(
+            self.spoilt <= most,
+            "{} of {} stops could not be judged: records are missing, or the robot hardly moves",
+            self.spoilt,
+            self.turn
+        );
+        Ok(())
+    }
+
+    fn is_done(&self) -> bool {
+        self.recorded >= self.samples
+    }
+
+    fn turns(&self) -> u64 {
+        TURNS_OF_A_STOP * (self.samples + WARM_UP) as u64 + 1000
+    }
+}
+
+impl Kept {
+    fn of(cycle: &Seen<'_>) -> Self {
+        let record: &Telemetry = cycle.record;
+        Self {
+            sequence: record.header.sequence,
+            mode: record.mode,
+            gather_ns: record.gather_ns,
+            handed_over_ns: record.handed_over_ns,
+            received_ns: cycle.received_ns,
+            period_ns: record.period_ns,
+            deceleration_rad_s2: record.deceleration_rad_s2,
+            previous_speed_rad_s: largest(&record.previous_rate_rad_s),
+            speed_rad_s: largest(&record.command.bend_rate_rad_s),
+        }
+    }
+}
+
+/// A stop that was carried out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Stopped {
+    /// Until the first command of mode stopped.
+    first: Passage,
+    /// From sending to the first zero rates handed over, less the ramp \[ns\].
+    zero_handover_ns: u64,
+    /// The same until the client has them \[ns\].
+    zero_command_ns: u64,
+}
+
+impl Stopped {
+    fn record(&self, round: &mut Round) {
+        round.record_way(Way::STOP, &self.first);
+        round.record(Leg::StopZeroHandover, self.zero_handover_ns);
+        round.record(Leg::StopZeroCommand, self.zero_command_ns);
+    }
+}
+
+/// From the records of one stop, the last of which is at rest. None when one is missing, a command never
+/// came, or the robot was hardly moving any more.
+fn judge(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
+    let is_stopped = |record: &Kept| record.mode == Mode::Stopped.code();
+    let at = records.iter().position(is_stopped)?;
+    let first = records[at];
+    let before = records.get(at.checked_sub(1)?)?;
+    let is_whole = records[at - 1..]
+        .windows(2)
+        .all(|pair| pair[0].sequence + 1 == pair[1].sequence);
+    let step_rad_s = first.deceleration_rad_s2 * first.period_ns as f64 * 1e-9;
+    let steps = first.previous_speed_rad_s / step_rad_s;
+    if !is_whole || before.mode != Mode::Tracking.code() || steps < 2.0 {
+        return None;
+    }
+    let rest = records[at..]
+        .iter()
+        .find(|record| record.speed_rad_s == 0.0)?;
+    // Rounding must not make a step more of a speed that is a whole number of them.
+    let ramp_ns = ((steps - 1e-9).ceil() as u64 - 1) * first.period_ns;
+    let without_ramp = |time_ns: u64| time_ns.saturating_sub(sent_ns + ramp_ns);
+    Some(Stopped {
+        first: Passage {
+            sent_ns,
+            gather_ns: first.gather_ns,
+            received_ns: first.received_ns?,
+        },
+        zero_handover_ns: without_ramp(rest.handed_over_ns),
+        zero_command_ns: without_ramp(rest.received_ns?),
+    })
+}
+
+/// The largest of some rates, without their signs \[rad/s\].
+fn largest(rates_rad_s: &[f64]) -> f64 {
+    rates_rad_s
+        .iter()
+        .fold(0.0, |most, rate| rate.abs().max(most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
+    fn stop() -> Vec<Kept> {
+        let speeds = [
+            0.95, 0.85, 0.75, 0.65, 0.55, 0.45, 0.35, 0.25, 0.15, 0.05, 0.0,
+        ];
+        let record = |index: usize| {
+            let release_ns = 5_000_000 * (index as u64 + 1);
+            Kept {
+                sequence: 7 + index as u64,
+                mode: if index == 0 {
+                    Mode::Tracking
+                } else {
+                    Mode::Stopped
+                }
+                .code(),
+                gather_ns: release_ns - 200_000,
+                handed_over_ns: release_ns + 50_000,
+                received_ns: Some(release_ns + 60_000),
+                period_ns: 5_000_000,
+                deceleration_rad_s2: 20.0,
+                previous_speed_rad_s: speeds[index.saturating_sub(1)],
+                speed_rad_s: speeds[index],
+            }
+        };
+        (0..speeds.len()).map(record).collect()
+    }
+
+    #[test]
+    fn a_stop_is_counted_without_its_ramp() {
+        let sent_ns = 5_300_000;
+        let stopped = judge(&stop(), sent_ns).expect("all records are there");
+        assert_eq!(stopped.first.gather_ns, 9_800_000);
+        assert_eq!(stopped.first.received_ns, 10_060_000);
+        // Ten steps: zero in the tenth stopped command, nine periods after the first.
+        assert_eq!(stopped.zero_handover_ns, 10_050_000 - sent_ns);
+        assert_eq!(stopped.zero_command_ns, 10_060_000 - sent_ns);
+    }
+
+    #[test]
+    fn a_period_that_the_daemon_lost_on_the_way_counts() {
+        let mut records = stop();
+        for record in &mut records[5..] {
+            record.handed_over_ns += 5_000_000;
+            record.received_ns = record.received_ns.map(|at_ns| at_ns + 5_000_000);
+        }
+        let stopped = judge(&records, 5_300_000).expect("all records are there");
+        assert_eq!(stopped.zero_handover_ns, 4_750_000 + 5_000_000);
+    }
+
+    #[test]
+    fn what_is_not_whole_is_not_judged() {
+        let mut missing = stop();
+        missing.remove(4);
+        assert_eq!(judge(&missing, 5_300_000), None);
+        let mut lost = stop();
+        lost[10].received_ns = None;
+        assert_eq!(judge(&lost, 5_300_000), None);
+        let mut slow = stop();
+        slow[1].previous_speed_rad_s = 0.15;
+        assert_eq!(judge(&slow, 5_300_000), None);
+        assert_eq!(
+            judge(&stop()[1..], 5_300_000),
+            None,
+            "nothing says what it did before"
+        );
+        assert_eq!(judge(&stop()[..10], 5_300_000), None, "it does not rest");
+    }
+}

@@ -1,0 +1,255 @@
+//! What is driven: the paper's simulations, and harder scenes.
+
+use std::f64::consts::PI;
+
+use anyhow::Result;
+use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
+use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use super::legs::Legs;
+use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
+use crate::scene::{PERIOD_S, Scene};
+
+/// Safe distance of the gap and the crossing \[m\].
+const SAFE_DISTANCE_M: f64 = 0.01;
+/// Radius of the paper's robot's body \[m\].
+const BODY_RADIUS_M: f64 = 0.015;
+/// Radius of a post of the gap \[m\].
+const POST_RADIUS_M: f64 = 0.02;
+/// What the gap leaves on either side of the body and its safe distance \[m\].
+const GAP_SLACK_M: f64 = 0.004;
+/// Where the gap is \[m\].
+const GAP_X_M: f64 = 0.26;
+/// Radius of the ball of the crossing \[m\].
+const BALL_RADIUS_M: f64 = 0.03;
+/// Its speed across the robot's plane \[m/s\].
+const BALL_M_S: f64 = 0.2;
+/// Bend of one section on the paper's circle \[rad\].
+const CIRCLE_BEND_RAD: f64 = 75.0 * PI / 180.0;
+/// Cycles of the circle: the tip is past the point, which it meets after 314.
+const CIRCLE_CYCLES: u64 = 380;
+/// How far the reference jumps \[m\].
+const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
+
+/// A scene, and settings that suit it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Course {
+    /// The paper's spiral with three sections.
+    Spiral,
+    /// The paper's line with the tip's axis, rates up to 2 rad/s.
+    Line,
+    /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
+    Circle,
+    /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
+    /// in the gap.
+    Gap,
+    /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
+    Crossing,
+    /// The reference jumps by 0.15 m, and back: the rates saturate.
+    Jump,
+}
+
+impl Course {
+    /// All, the paper's first.
+    pub const ALL: [Self; 6] = [
+        Self::Spiral,
+        Self::Line,
+        Self::Circle,
+        Self::Gap,
+        Self::Crossing,
+        Self::Jump,
+    ];
+
+    /// As in tables and JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Spiral => "spiral",
+            Self::Line => "line",
+            Self::Circle => "circle",
+            Self::Gap => "gap",
+            Self::Crossing => "crossing",
+            Self::Jump => "jump",
+        }
+    }
+
+    /// Robot, start, curve and obstacles.
+    ///
+    /// # Errors
+    /// Never with these numbers.
+    pub fn scene(self) -> Result<Scene> {
+        match self {
+            Self::Spiral => Ok(Scene::spiral(3)?.at_most(150)),
+            Self::Line => Ok(Scene::line(LINE_RATES_RAD_S[0])?.at_most(150)),
+            Self::Circle => circle(),
+            Self::Gap => gap(),
+            Self::Crossing => crossing(),
+            Self::Jump => jump(),
+        }
+    }
+
+    /// Settings with the default solver and swarm: the paper's where the scene is, else a horizon that suits
+    /// it, with controls of their own for each step. Blocks of several steps make the plan of one cycle unfit
+    /// for the next, and the gap is lost.
+    pub fn settings(self) -> NmpcSettings {
+        let task = match self {
+            Self::Spiral => Task::Spiral { sections: 3 },
+            Self::Line => Task::Line {
+                rate_limit_rad_s: LINE_RATES_RAD_S[0],
+            },
+            Self::Circle => Task::Circle {
+                safe_distance_m: CIRCLE_DISTANCES_M[1],
+            },
+            Self::Gap => return ahead(5),
+            Self::Crossing | Self::Jump => return ahead(10),
+        };
+        Experiment {
+            task,
+            solver: Solver::KpsoRefined,
+            coordinates: Coordinates::BendVector,
+        }
+        .settings()
+    }
+
+    /// What judging one plan takes, about, for the progress \[µs\].
+    pub(super) fn plan_us(self) -> f64 {
+        match self {
+            Self::Spiral | Self::Line => 0.04,
+            Self::Circle => 0.3,
+            Self::Gap => 0.7,
+            Self::Crossing => 0.6,
+            Self::Jump => 0.15,
+        }
+    }
+}
+
+/// The approach from straight, with which the paper begins, would hide everything else in the mean error.
+fn circle() -> Result<Scene> {
+    Ok(Scene {
+        start: Configuration::from_bend_angles(&[[CIRCLE_BEND_RAD, 0.0]]),
+        ..Scene::circle()?.at_most(CIRCLE_CYCLES)
+    })
+}
+
+fn ahead(horizon_steps: u32) -> NmpcSettings {
+    NmpcSettings {
+        horizon_steps,
+        control_blocks: 0,
+        safe_distance_m: SAFE_DISTANCE_M,
+        ..NmpcSettings::default()
+    }
+}
+
+/// The paper's robot, whose tip begins where the first leg does.
+fn scene(
+    start: Configuration,
+    curve: impl FnOnce(Vector3<f64>) -> Legs,
+    obstacles: Vec<Obstacle>,
+    cycles: u64,
+) -> Result<Scene> {
+    let robot = Robot::new(&RobotParameters::paper(3))?;
+    let tip_m = robot.tip_pose(&start).position_m;
+    Ok(Scene {
+        robot,
+        start,
+        curve: Box::new(curve(tip_m)),
+        obstacles,
+        cycles,
+        period_s: PERIOD_S,
+    })
+}
+
+fn gap() -> Result<Scene> {
+    let start = Configuration::from_bend_angles(&[[0.1, 0.5], [0.1, -0.5], [0.15, 0.0]]);
+    let curve = |tip_m| {
+        let knots = vec![
+            (0.0, tip_m),
+            (0.3, Vector3::new(0.19, 0.0, 0.83)),
+            (1.0, Vector3::new(0.34, 0.0, 0.74)),
+            (1.6, Vector3::new(0.42, -0.12, 0.64)),
+        ];
+        Legs::new("gap", knots)
+    };
+    let y_m = BODY_RADIUS_M + SAFE_DISTANCE_M + GAP_SLACK_M + POST_RADIUS_M;
+    let post = |y_m: f64| {
+        let shape = Shape::Capsule {
+            start_m: Vector3::new(GAP_X_M, y_m, 0.55),
+            end_m: Vector3::new(GAP_X_M, y_m, 0.95),
+        };
+        Obstacle::new(shape, POST_RADIUS_M, Vector3::zeros())
+    };
+    scene(start, curve, vec![post(y_m)?, post(-y_m)?], 340)
+}
+
+fn crossing() -> Result<Scene> {
+    let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
+    let curve = |tip_m| {
+        let knots = vec![(0.0, tip_m), (1.6, Vector3::new(0.4, 0.0, 0.7))];
+        Legs::new("crossing", knots)
+    };
+    let shape = Shape::Sphere {
+        centre_m: Vector3::new(0.36, -0.16, 0.65),
+    };
+    let velocity_m_s = Vector3::new(0.0, BALL_M_S, 0.0);
+    let ball = Obstacle::new(shape, BALL_RADIUS_M, velocity_m_s)?;
+    scene(start, curve, vec![ball], 300)
+}
+
+fn jump() -> Result<Scene> {
+    let start = Configuration::from_bend_angles(&[[0.4, 0.0], [0.4, 0.5], [0.4, 1.0]]);
+    let curve = |tip_m| {
+        let far_m = tip_m + Vector3::from(JUMP_M);
+        let knots = vec![
+            (0.0, tip_m),
+            (0.2, tip_m),
+            (0.2, far_m),
+            (0.7, far_m),
+            (0.7, tip_m),
+        ];
+        Legs::new("jump", knots)
+    };
+    scene(start, curve, Vec::new(), 240)
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+
+    #[test]
+    fn every_course_starts_on_its_curve_clear_of_its_obstacles() {
+        for course in Course::ALL {
+            let scene = course.scene().unwrap();
+            let settings = course.settings();
+            settings.validate().unwrap();
+            let body = scene.robot.body(scene.start.as_slice());
+            for obstacle in &scene.obstacles {
+                let clearance_m = body.clearance_m(obstacle);
+                assert!(
+                    clearance_m > settings.safe_distance_m,
+                    "{course:?}: {clearance_m}"
+                );
+            }
+            // The constants of the paper's circle are rounded.
+            let tip_m = scene.robot.tip_pose(&scene.start).position_m;
+            let off_m = (tip_m - scene.point_m(0)).norm();
+            assert!(off_m < 1e-5, "{course:?}: {off_m}");
+        }
+    }
+
+    #[test]
+    fn the_ball_meets_the_body_of_a_robot_that_does_not_make_room() {
+        let scene = Course::Crossing.scene().unwrap();
+        let body = scene.robot.body(scene.start.as_slice());
+        let least_m = (0..scene.cycles)
+            .map(|cycle| body.clearance_m(&scene.obstacles[0].moved(scene.time_s(cycle))))
+            .fold(f64::INFINITY, f64::min);
+        assert!(least_m < 0.0, "{least_m}");
+    }
+}

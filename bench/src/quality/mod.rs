@@ -1,0 +1,228 @@
+//! What time buys: how well the controller tracks, how clear it keeps and what its plans cost, against the
+//! time of a solve, the swarm and the horizon; and how often a solver gets stuck.
+//!
+//! | file | question it answers |
+//! |---|---|
+//! | `course`, `legs` | what is driven |
+//! | `variant`, `sizing` | with which solver, budget, swarm and horizon |
+//! | `trial` | what came of one run |
+//! | `problem`, `restarts` | who finds the best plan from a random start |
+//! | `report`, `pictures` | what is told of it |
+//!
+//! A closed loop with an ideal robot, without a daemon. All is deterministic but for what the clock ends.
+
+pub mod course;
+mod legs;
+mod pictures;
+mod problem;
+mod report;
+pub mod restarts;
+mod sizing;
+pub mod trial;
+pub mod variant;
+
+use anyhow::Result;
+
+pub use problem::Field;
+pub use report::{Report, Row, StuckRow};
+
+use crate::interrupt;
+use crate::progress::Progress;
+use crate::scene::Scene;
+use course::Course;
+use restarts::{Ending, contest};
+use sizing::Sizing;
+use trial::{Figures, drive};
+use variant::{BUDGETS_US, HORIZONS, SOLVERS, SWARMS, Variant};
+
+use crate::experiment::Solver;
+
+/// What a contest takes, about \[s\].
+const CONTEST_S: f64 = 0.5;
+/// What sizing the swarms of a course takes, about \[s\].
+const SIZING_S: f64 = 0.2;
+
+/// How much is run.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// Runs of each variant, each with another seed.
+    pub rounds: u32,
+    /// The courses.
+    pub courses: Vec<Course>,
+    /// Cycles of a course at most.
+    pub cycles_max: u64,
+    /// Budgets \[µs\].
+    pub budgets_us: Vec<u64>,
+    /// Swarms: particles and iterations.
+    pub swarms: Vec<(u32, u32)>,
+    /// Prediction steps.
+    pub horizons: Vec<u32>,
+    /// Random problems of each field in each round.
+    pub restarts: u32,
+}
+
+impl Options {
+    /// Everything.
+    pub fn full() -> Self {
+        Self {
+            rounds: 3,
+            courses: Course::ALL.to_vec(),
+            cycles_max: u64::MAX,
+            budgets_us: BUDGETS_US.to_vec(),
+            swarms: SWARMS.to_vec(),
+            horizons: HORIZONS.to_vec(),
+            restarts: 6,
+        }
+    }
+
+    /// One round of a part: a look, no measurement.
+    pub fn quick() -> Self {
+        Self {
+            rounds: 1,
+            courses: vec![Course::Spiral, Course::Gap, Course::Crossing],
+            cycles_max: 200,
+            budgets_us: vec![20, 200, 2000],
+            swarms: vec![(6, 30), (24, 30)],
+            horizons: vec![2, 8],
+            restarts: 2,
+        }
+    }
+
+    /// All variants of a course, in the order in which they are run.
+    fn variants(&self, course: Course, sizing: &Sizing) -> Vec<Variant> {
+        let mut variants = Vec::new();
+        for &budget_us in &self.budgets_us {
+            let timed = |solver| Variant::timed(course, solver, budget_us, sizing);
+            variants.extend(SOLVERS.map(timed));
+        }
+        for &swarm in &self.swarms {
+            let searching = [Solver::Kpso, Solver::KpsoRefined];
+            variants.extend(searching.map(|solver| Variant::swarm(course, solver, swarm)));
+        }
+        for &steps in &self.horizons {
+            variants.extend(SOLVERS.map(|solver| Variant::horizon(course, solver, steps)));
+        }
+        variants
+    }
+
+    fn scene(&self, course: Course) -> Result<Scene> {
+        Ok(course.scene()?.at_most(self.cycles_max))
+    }
+}
+
+/// Several rounds of one variant.
+#[derive(Debug, Clone)]
+pub struct Case {
+    /// The variant.
+    pub variant: Variant,
+    /// What came of it in each round.
+    pub rounds: Vec<Figures>,
+}
+
+/// About how long a run takes \[s\].
+pub fn expected_s(options: &Options) -> f64 {
+    let rounds = f64::from(options.rounds);
+    let contests = rounds * f64::from(options.restarts) * Field::ALL.len() as f64;
+    let courses = options.courses.iter().map(|&course| {
+        let Ok(scene) = options.scene(course) else {
+            return 0.0;
+        };
+        let variants = options.variants(course, &Sizing { iteration_us: 10.0 });
+        let round_s: f64 = variants.iter().map(|variant| run_s(variant, &scene)).sum();
+        SIZING_S + rounds * round_s
+    });
+    courses.sum::<f64>() + contests * CONTEST_S
+}
+
+/// About how long one run of a variant takes \[s\].
+fn run_s(variant: &Variant, scene: &Scene) -> f64 {
+    scene.cycles as f64 * variant.solve_us() * 1e-6
+}
+
+/// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
+///
+/// # Errors
+/// When a signal came.
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+    let mut courses = Vec::new();
+    for &course in &options.courses {
+        interrupt::check()?;
+        progress.begin(&format!("sizing the swarm of {}", course.name()));
+        let sizing = Sizing::measure(course)?;
+        progress.advance(SIZING_S);
+        let cases = options
+            .variants(course, &sizing)
+            .into_iter()
+            .map(|variant| Case {
+                variant,
+                rounds: Vec::new(),
+            });
+        courses.push((options.scene(course)?, cases.collect::<Vec<_>>()));
+    }
+    let mut endings = Vec::new();
+    for round in 0..options.rounds {
+        for (scene, cases) in &mut courses {
+            drive_all(scene, cases, round, progress)?;
+        }
+        endings.push(contest_all(options.restarts, round, progress)?);
+    }
+    Ok(Report {
+        rounds: options.rounds,
+        cases: courses.into_iter().flat_map(|(_, cases)| cases).collect(),
+        endings,
+    })
+}
+
+/// One round of every variant of a course.
+fn drive_all(scene: &Scene, cases: &mut [Case], round: u32, progress: &mut Progress) -> Result<()> {
+    for case in cases {
+        interrupt::check()?;
+        let variant = &case.variant;
+        progress.begin(&format!(
+            "round {}: {}, {}, {}",
+            round + 1,
+            variant.course.name(),
+            variant.solver.name(),
+            variant.value()
+        ));
+        case.rounds
+            .push(drive(variant, scene, u64::from(round) + 1)?);
+        progress.advance(run_s(variant, scene));
+    }
+    Ok(())
+}
+
+/// The random problems of one round; every round has others.
+fn contest_all(restarts: u32, round: u32, progress: &mut Progress) -> Result<Vec<Ending>> {
+    let mut endings = Vec::new();
+    for field in Field::ALL {
+        for restart in 0..restarts {
+            interrupt::check()?;
+            progress.begin(&format!(
+                "round {}: random starts, {}",
+                round + 1,
+                field.name()
+            ));
+            endings.extend(contest(field, u64::from(round * restarts + restart))?);
+            progress.advance(CONTEST_S);
+        }
+    }
+    Ok(endings)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn more_rounds_take_longer_in_proportion() {
+        let one = Options {
+            rounds: 1,
+            ..Options::full()
+        };
+        let sizing_s = SIZING_S * Course::ALL.len() as f64;
+        let (one_s, three_s) = (expected_s(&one), expected_s(&Options::full()));
+        assert!((three_s - sizing_s - 3.0 * (one_s - sizing_s)).abs() < 1e-9 * three_s);
+        assert!(expected_s(&Options::quick()) < one_s);
+    }
+}

@@ -1,0 +1,267 @@
+//! A random optimal control problem: from one shape to where the tip of another one is.
+
+use std::f64::consts::TAU;
+
+use anyhow::{Result, bail};
+use cdcr_controller::nmpc::{Horizon, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::cycle_seed;
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, Shape};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::experiment::Solver;
+
+/// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
+/// is so thin that it could be passed between two steps.
+pub(super) const PERIOD_S: f64 = 0.03;
+/// Steps: 0.9 s.
+const HORIZON_STEPS: u32 = 30;
+/// Control blocks.
+const BLOCKS: u32 = 5;
+/// Particles and iterations of one solve.
+const SWARM: (u32, u32) = (32, 40);
+/// Gauss-Newton steps of one solve.
+const REFINEMENTS: u32 = 25;
+/// Sections of the robot.
+pub(super) const SECTIONS: usize = 3;
+/// Largest bend of a section of a random shape \[rad\].
+const BEND_MAX_RAD: f64 = 1.2;
+/// Distance between tip and target \[m\].
+const APART_M: std::ops::Range<f64> = 0.25..0.6;
+/// Distance that is kept from obstacles \[m\].
+const SAFE_DISTANCE_M: f64 = 0.01;
+/// Start and target shape keep so many of it.
+const CLEAR_DISTANCES: f64 = 1.5;
+/// Radius of the ball \[m\].
+const BALL_RADIUS_M: f64 = 0.05;
+/// Radius of a post, and half its length \[m\].
+const POST_M: (f64, f64) = (0.015, 0.2);
+/// How far a post may be beside the straight way, along x and y \[m\].
+const BESIDE_M: f64 = 0.06;
+/// Draws after which a problem is given up.
+const DRAWS_MAX: u32 = 10_000;
+
+/// What stands between the tip and its target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Field {
+    /// Nothing.
+    Free,
+    /// A ball in the middle of the straight way.
+    Ball,
+    /// Three posts beside the straight way or on it.
+    Posts,
+}
+
+impl Field {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Free, Self::Ball, Self::Posts];
+
+    /// As in tables and JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Free => "free",
+            Self::Ball => "ball",
+            Self::Posts => "posts",
+        }
+    }
+
+    fn obstacles(self, way: &Way, numbers: &mut Numbers) -> Result<Vec<Obstacle>> {
+        let still = Vector3::zeros();
+        let mut obstacles = Vec::new();
+        match self {
+            Self::Free => {}
+            Self::Ball => {
+                let centre_m = way.at(0.5);
+                let ball = Shape::Sphere { centre_m };
+                obstacles.push(Obstacle::new(ball, BALL_RADIUS_M, still)?);
+            }
+            Self::Posts => {
+                for share in [0.3, 0.5, 0.7] {
+                    let [x, y] = [(); 2].map(|()| numbers.between(-BESIDE_M, BESIDE_M));
+                    let middle_m = way.at(share) + Vector3::new(x, y, 0.0);
+                    let half_m = Vector3::new(0.0, 0.0, POST_M.1);
+                    let post = Shape::Capsule {
+                        start_m: middle_m - half_m,
+                        end_m: middle_m + half_m,
+                    };
+                    obstacles.push(Obstacle::new(post, POST_M.0, still)?);
+                }
+            }
+        }
+        Ok(obstacles)
+    }
+}
+
+/// The straight way of the tip.
+struct Way {
+    from_m: Vector3<f64>,
+    to_m: Vector3<f64>,
+}
+
+impl Way {
+    fn at(&self, share: f64) -> Vector3<f64> {
+        self.from_m + (self.to_m - self.from_m) * share
+    }
+}
+
+/// Numbers that a seed decides.
+pub(super) struct Numbers {
+    seed: u64,
+    drawn: u64,
+}
+
+impl Numbers {
+    pub(super) fn new(seed: u64) -> Self {
+        Self { seed, drawn: 0 }
+    }
+
+    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
+        const BITS: u32 = 53;
+        self.drawn += 1;
+        let bits = cycle_seed(self.seed, self.drawn) >> (u64::BITS - BITS);
+        low + (high - low) * bits as f64 / (1_u64 << BITS) as f64
+    }
+
+    fn shape(&mut self) -> Configuration {
+        let bends_rad: [[f64; 2]; SECTIONS] =
+            [(); SECTIONS].map(|()| [self.between(0.0, BEND_MAX_RAD), self.between(0.0, TAU)]);
+        Configuration::from_bend_angles(&bends_rad)
+    }
+}
+
+/// A shape at rest, a target for its tip that it can reach, and what stands around. Both are clear.
+#[derive(Debug, Clone)]
+pub(super) struct Problem {
+    start: Configuration,
+    still: BendRates,
+    target_m: Vector3<f64>,
+    reference: Vec<ReferenceSample>,
+    obstacles: Vec<Obstacle>,
+}
+
+impl Problem {
+    /// The problem of a seed.
+    ///
+    /// # Errors
+    /// When none is found in ten thousand draws.
+    pub(super) fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
+        let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
+        for _ in 0..DRAWS_MAX {
+            let (start, end) = (numbers.shape(), numbers.shape());
+            let way = Way {
+                from_m: robot.tip_pose(&start).position_m,
+                to_m: robot.tip_pose(&end).position_m,
+            };
+            let obstacles = field.obstacles(&way, &mut numbers)?;
+            let is_clear = |shape: &Configuration| {
+                let body = robot.body(shape.as_slice());
+                let least_m = CLEAR_DISTANCES * SAFE_DISTANCE_M;
+                obstacles.iter().all(|o| body.clearance_m(o) > least_m)
+            };
+            let is_apart = APART_M.contains(&(way.to_m - way.from_m).norm());
+            if is_apart && is_clear(&start) && is_clear(&end) {
+                return Ok(Self::new(start, way.to_m, obstacles));
+            }
+        }
+        let name = field.name();
+        bail!("{name}: none of {DRAWS_MAX} random problems is clear; make the obstacles smaller")
+    }
+
+    fn new(start: Configuration, target_m: Vector3<f64>, obstacles: Vec<Obstacle>) -> Self {
+        let sample = ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: target_m,
+            orientation: Orientation::Free,
+        };
+        Self {
+            start,
+            still: BendRates::zero(SECTIONS),
+            target_m,
+            reference: vec![sample; HORIZON_STEPS as usize],
+            obstacles,
+        }
+    }
+
+    /// What a solve with this seed starts from, from the plan that is there.
+    pub(super) fn input(&self, seed: u64) -> SolveInput<'_> {
+        SolveInput {
+            configuration: &self.start,
+            previous_rates: &self.still,
+            reference: &self.reference,
+            obstacles: &self.obstacles,
+            elapsed_periods: 0,
+            seed,
+        }
+    }
+
+    /// Where a plan leads the tip, from the target \[mm\].
+    pub(super) fn end_error_mm(&self, robot: &Robot, plan: &[f64]) -> f64 {
+        let horizon = Horizon::new(&settings(Solver::GaussNewton));
+        let width = robot.coordinate_count();
+        let mut end = self.start;
+        for step in 0..horizon.steps() {
+            let block = horizon.block_of(step);
+            let rates = &plan[block * width..(block + 1) * width];
+            for (bend_rad, rate) in end.as_mut_slice().iter_mut().zip(rates) {
+                *bend_rad += rate * PERIOD_S;
+            }
+        }
+        1e3 * (robot.tip_pose(&end).position_m - self.target_m).norm()
+    }
+}
+
+/// Settings of one solve.
+pub(super) fn settings(solver: Solver) -> NmpcSettings {
+    solver.of(NmpcSettings {
+        horizon_steps: HORIZON_STEPS,
+        control_blocks: BLOCKS,
+        swarm_size: SWARM.0,
+        swarm_iterations: SWARM.1,
+        refinement_steps: REFINEMENTS,
+        safe_distance_m: SAFE_DISTANCE_M,
+        ..NmpcSettings::default()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+    use cdcr_controller::robot::RobotParameters;
+
+    #[test]
+    fn problems_can_be_solved_and_are_the_same_again() {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS)).unwrap();
+        for field in Field::ALL {
+            for seed in 0..20 {
+                let problem = Problem::draw(field, &robot, seed).unwrap();
+                let again = Problem::draw(field, &robot, seed).unwrap();
+                assert_eq!(problem.target_m, again.target_m);
+                let from_m = robot.tip_pose(&problem.start).position_m;
+                assert!(APART_M.contains(&(problem.target_m - from_m).norm()));
+                let body = robot.body(problem.start.as_slice());
+                for obstacle in &problem.obstacles {
+                    assert!(body.clearance_m(obstacle) > SAFE_DISTANCE_M);
+                }
+                let other = Problem::draw(field, &robot, seed + 1000).unwrap();
+                assert_ne!(problem.target_m, other.target_m);
+            }
+        }
+    }
+
+    #[test]
+    fn a_plan_that_rests_ends_where_it_began() {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS)).unwrap();
+        let problem = Problem::draw(Field::Free, &robot, 1).unwrap();
+        let from_m = robot.tip_pose(&problem.start).position_m;
+        let away_mm = 1e3 * (from_m - problem.target_m).norm();
+        let plan = vec![0.0; BLOCKS as usize * robot.coordinate_count()];
+        assert!((problem.end_error_mm(&robot, &plan) - away_mm).abs() < 1e-9);
+    }
+}

@@ -1,0 +1,237 @@
+//! One course driven once: what came of it.
+
+use std::time::{Duration, Instant};
+
+use anyhow::Result;
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use cdcr_controller::optimizer::Budget;
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+use super::variant::Variant;
+use crate::closed_loop::{ClosedLoop, histogram, quantile_us};
+use crate::scene::Scene;
+
+/// What the guard lets through may be nearer than the safe distance by rounding \[m\].
+const ROUNDING_M: f64 = 1e-9;
+
+/// What came of one run, or of several.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Figures {
+    /// Mean distance of the tip from the reference \[mm\].
+    pub mean_error_mm: f64,
+    /// Largest \[mm\].
+    pub max_error_mm: f64,
+    /// Smallest clearance of the body \[mm\]; none without obstacles.
+    pub min_clearance_mm: Option<f64>,
+    /// Time below the safe distance \[ms\]; none without obstacles.
+    pub below_safe_ms: Option<f64>,
+    /// Mean cost of the plans that were chosen, judged afterwards.
+    pub mean_cost: f64,
+    /// Share of the solves that the budget ended.
+    pub cut_short_share: f64,
+    /// Share of the cycles in which the clearance guard changed the command.
+    pub guarded_share: f64,
+    /// Median time of a solve \[µs\].
+    pub solve_p50_us: f64,
+    /// Its 99th percentile \[µs\].
+    pub solve_p99_us: f64,
+}
+
+/// Drives the course once.
+///
+/// # Errors
+/// When the settings are out of range.
+pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
+    let mut sums = Sums::new()?;
+    let settings = variant.settings(seed);
+    let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+    let mut judge = Judge::new(scene, settings)?;
+    let mut closed = ClosedLoop::new(scene, settings);
+    // Touches all memory that a solve may need; a seed decides nothing of a plan that is forgotten.
+    nmpc.solve(&closed.input(), &mut Budget::of_quanta(20));
+    nmpc.forget_plan();
+    let budget = variant.budget_us.map(Duration::from_micros);
+    while !closed.is_over() {
+        let begin = Instant::now();
+        let mut left = Budget::new(|| budget.is_some_and(|budget| begin.elapsed() >= budget));
+        let (wish, report) = nmpc.solve(&closed.input(), &mut left);
+        let solve_ns = begin.elapsed().as_nanos() as u64;
+        sums.solve_ns.saturating_record(solve_ns);
+        sums.cut_short += u64::from(report.budget_spent);
+        sums.cost += judge.cost(&closed.input(), nmpc.plan());
+        closed.advance(&wish);
+        sums.add(&closed, settings.safe_distance_m);
+    }
+    Ok(sums.figures(scene))
+}
+
+/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
+struct Judge {
+    nmpc: Nmpc,
+}
+
+impl Judge {
+    fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
+        let settings = NmpcSettings {
+            solver: SolverKind::GaussNewton,
+            refinement_steps: 0,
+            ..settings
+        };
+        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+        Ok(Self { nmpc })
+    }
+
+    fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
+        self.nmpc.restore_plan(plan);
+        let input = SolveInput {
+            elapsed_periods: 0,
+            ..*input
+        };
+        let (_, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
+        report.warm_cost
+    }
+}
+
+/// What is summed up over a run.
+struct Sums {
+    cycles: u64,
+    error_mm: f64,
+    max_error_mm: f64,
+    min_clearance_m: f64,
+    below_safe: u64,
+    cost: f64,
+    cut_short: u64,
+    guarded: u64,
+    solve_ns: Histogram<u64>,
+}
+
+impl Sums {
+    fn new() -> Result<Self> {
+        Ok(Self {
+            cycles: 0,
+            error_mm: 0.0,
+            max_error_mm: 0.0,
+            min_clearance_m: f64::INFINITY,
+            below_safe: 0,
+            cost: 0.0,
+            cut_short: 0,
+            guarded: 0,
+            solve_ns: histogram()?,
+        })
+    }
+
+    fn add(&mut self, closed: &ClosedLoop<'_>, safe_distance_m: f64) {
+        let sample = closed.sample(0);
+        let error_mm = sample.error_mm();
+        self.cycles += 1;
+        self.error_mm += error_mm;
+        self.max_error_mm = self.max_error_mm.max(error_mm);
+        self.min_clearance_m = self.min_clearance_m.min(sample.clearance_m);
+        self.below_safe += u64::from(sample.clearance_m < safe_distance_m - ROUNDING_M);
+        self.guarded += u64::from(closed.was_guarded());
+    }
+
+    fn figures(&self, scene: &Scene) -> Figures {
+        let count = self.cycles as f64;
+        let obstacles = !scene.obstacles.is_empty();
+        let period_ms = 1e3 * scene.period_s;
+        Figures {
+            mean_error_mm: self.error_mm / count,
+            max_error_mm: self.max_error_mm,
+            min_clearance_mm: obstacles.then_some(1e3 * self.min_clearance_m),
+            below_safe_ms: obstacles.then_some(self.below_safe as f64 * period_ms),
+            mean_cost: self.cost / count,
+            cut_short_share: self.cut_short as f64 / count,
+            guarded_share: self.guarded as f64 / count,
+            solve_p50_us: quantile_us(&self.solve_ns, 0.5),
+            solve_p99_us: quantile_us(&self.solve_ns, 0.99),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+    use crate::experiment::Solver;
+    use crate::quality::course::Course;
+
+    /// Far more work than a cycle of 5 ms leaves time for; the same bits on every machine.
+    fn long(course: Course) -> Figures {
+        let variant = Variant {
+            refinements: 20,
+            ..Variant::swarm(course, Solver::KpsoRefined, (32, 50))
+        };
+        drive(&variant, &course.scene().unwrap(), 1).unwrap()
+    }
+
+    #[test]
+    fn enough_time_gets_the_tip_through_the_gap() {
+        let figures = long(Course::Gap);
+        assert!(figures.mean_error_mm < 1.0, "{figures:?}");
+        assert!(figures.max_error_mm < 5.0, "{figures:?}");
+        assert_eq!(figures.below_safe_ms, Some(0.0), "{figures:?}");
+        // It was as narrow as it was meant to be.
+        assert!(figures.min_clearance_mm.unwrap() < 14.0, "{figures:?}");
+    }
+
+    #[test]
+    fn enough_time_makes_room_for_the_ball_and_keeps_the_tip_near_its_line() {
+        let figures = long(Course::Crossing);
+        assert!(figures.mean_error_mm < 6.0, "{figures:?}");
+        assert!(figures.max_error_mm < 25.0, "{figures:?}");
+        assert_eq!(figures.below_safe_ms, Some(0.0), "{figures:?}");
+        // The ball came as near as it is let.
+        assert!(figures.min_clearance_mm.unwrap() < 11.0, "{figures:?}");
+    }
+
+    #[test]
+    fn after_a_jump_the_tip_arrives() {
+        let figures = long(Course::Jump);
+        // Nobody can be there at once.
+        assert!(figures.max_error_mm > 50.0, "{figures:?}");
+        assert!(figures.mean_error_mm < 15.0, "{figures:?}");
+        assert_eq!(figures.min_clearance_mm, None);
+    }
+
+    #[test]
+    fn without_any_time_the_robot_stays_and_every_solve_is_cut_short() {
+        let variant = Variant {
+            budget_us: Some(0),
+            ..Variant::swarm(Course::Jump, Solver::KpsoRefined, (6, 30))
+        };
+        let scene = Course::Jump.scene().unwrap().at_most(60);
+        let figures = drive(&variant, &scene, 1).unwrap();
+        assert_eq!(figures.cut_short_share, 1.0);
+        let jump_mm = 1e3 * (scene.point_m(60) - scene.point_m(0)).norm();
+        assert!((figures.max_error_mm - jump_mm).abs() < 1e-9, "{figures:?}");
+        // The plan is judged even if the solver did not come to it.
+        assert!(figures.mean_cost.is_finite() && figures.mean_cost > 0.0);
+    }
+
+    #[test]
+    fn a_ball_runs_into_a_robot_that_has_no_time_to_make_room() {
+        let variant = Variant {
+            budget_us: Some(0),
+            ..Variant::swarm(Course::Crossing, Solver::KpsoRefined, (6, 30))
+        };
+        let figures = drive(&variant, &Course::Crossing.scene().unwrap(), 1).unwrap();
+        assert!(figures.min_clearance_mm.unwrap() < 0.0, "{figures:?}");
+        assert!(figures.below_safe_ms.unwrap() > 100.0, "{figures:?}");
+    }
+
+    #[test]
+    fn without_a_clock_a_run_repeats_itself() {
+        let variant = Variant::swarm(Course::Line, Solver::Kpso, (6, 10));
+        let scene = Course::Line.scene().unwrap().at_most(30);
+        let [a, b, other] = [1, 1, 2].map(|seed| drive(&variant, &scene, seed).unwrap());
+        assert_eq!(a.mean_error_mm.to_bits(), b.mean_error_mm.to_bits());
+        assert_eq!(a.mean_cost.to_bits(), b.mean_cost.to_bits());
+        assert_ne!(a.mean_cost.to_bits(), other.mean_cost.to_bits());
+    }
+}

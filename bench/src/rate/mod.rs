@@ -1,0 +1,232 @@
+//! How fast the loop can go: the shortest period that holds.
+//!
+//! A period *holds* when, of a daemon that really tracks, 99.9 % of the responses (release → hand-over of the
+//! command) lie within it, and no cycle was late by the daemon's own doing (cause compute or page fault). A
+//! solve ends with its time, so a period may hold with solves that were cut short: their share, and the
+//! distance from the reference, stand beside it.
+
+mod case;
+mod figures;
+mod report;
+mod search;
+mod trial;
+
+use anyhow::Result;
+
+pub use case::Case;
+pub use figures::{Causes, Figures};
+pub use report::Report;
+pub use trial::{Length, Trial};
+
+use crate::interrupt;
+use crate::progress::Progress;
+use crate::system::cores::Cores;
+use crate::system::thread::may_be_realtime;
+use case::Stage;
+
+/// The periods that are tried, longest first \[ms\]: 200 Hz to 10 kHz.
+const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
+/// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
+const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
+/// Where the search begins.
+const FIRST_GUESS: usize = 4;
+/// Trials that the search for one case takes, about: the border from both sides, the failing one twice.
+const TRIALS: f64 = 3.2;
+
+/// What is measured, and for how long.
+#[derive(Debug, Clone)]
+pub struct Options {
+    /// How often the default is measured with each of its periods.
+    pub rounds: u32,
+    /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
+    pub spin_us: f64,
+    /// How long a trial is.
+    pub length: Length,
+    /// Whose shortest period is looked for.
+    pub cases: Vec<Case>,
+    /// The periods that are tried, longest first \[ms\].
+    pub periods_ms: Vec<f64>,
+    /// The periods that the default is shown with \[ms\].
+    pub steps_ms: Vec<f64>,
+}
+
+impl Options {
+    /// Everything, about five minutes.
+    pub fn full() -> Self {
+        Self {
+            rounds: 3,
+            spin_us: 0.0,
+            length: Length {
+                least_s: 2.0,
+                least_periods: 4000,
+            },
+            cases: Case::all(),
+            periods_ms: PERIODS_MS.to_vec(),
+            steps_ms: STEPS_MS.to_vec(),
+        }
+    }
+
+    /// The default and its solvers in short trials, about half a minute: a look, no measurement.
+    pub fn quick() -> Self {
+        let like_default = |case: &Case| {
+            case.sections == Case::DEFAULT.sections
+                && case.horizon_steps == Case::DEFAULT.horizon_steps
+        };
+        Self {
+            rounds: 1,
+            length: Length {
+                least_s: 0.5,
+                least_periods: 400,
+            },
+            cases: Case::all().into_iter().filter(like_default).collect(),
+            ..Self::full()
+        }
+    }
+}
+
+/// The shortest period of one case.
+#[derive(Debug, Clone)]
+pub struct Shortest {
+    /// Whose.
+    pub case: Case,
+    /// The trial with the shortest period that held; none when not even the longest did.
+    pub held: Option<Trial>,
+    /// The second trial with the next shorter period; none when there is no shorter one.
+    pub failed: Option<Trial>,
+}
+
+/// The default with one period, round by round.
+#[derive(Debug, Clone)]
+pub struct Step {
+    /// The period \[ms\].
+    pub period_ms: f64,
+    /// One trial for each round.
+    pub rounds: Vec<Trial>,
+}
+
+/// How long [`run`] takes, about \[s\].
+pub fn expected_s(options: &Options) -> f64 {
+    let whole_s = |period_ms: &f64| options.length.whole_s(*period_ms);
+    let round_s: f64 = options.steps_ms.iter().map(whole_s).sum();
+    f64::from(options.rounds) * round_s + options.cases.len() as f64 * search_s(options)
+}
+
+/// How long the search for one case takes, about \[s\].
+fn search_s(options: &Options) -> f64 {
+    let shortest_ms = options.periods_ms.last();
+    shortest_ms.map_or(0.0, |period_ms| TRIALS * options.length.whole_s(*period_ms))
+}
+
+/// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
+///
+/// # Errors
+/// When a daemon does not start, or a signal came.
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+    let cores = Cores::find()?;
+    cores.stay_off();
+    let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
+    let begin_ns = cdcr_client::monotonic_ns();
+    let mut run = Run {
+        options,
+        stage,
+        progress,
+        trials: Vec::new(),
+    };
+    let steps = run.steps()?;
+    let shortest = run.search_all()?;
+    Ok(Report {
+        realtime: run.stage.realtime,
+        spin_us: options.spin_us,
+        begin_ns,
+        steps,
+        shortest,
+        trials: run.trials,
+    })
+}
+
+/// A measurement under way.
+struct Run<'a> {
+    options: &'a Options,
+    stage: Stage,
+    progress: &'a mut Progress,
+    /// All trials of the search.
+    trials: Vec<Trial>,
+}
+
+impl Run<'_> {
+    /// The default with each of its periods, one after the other in each round.
+    fn steps(&mut self) -> Result<Vec<Step>> {
+        let empty = |period_ms: &f64| Step {
+            period_ms: *period_ms,
+            rounds: Vec::new(),
+        };
+        let mut steps: Vec<Step> = self.options.steps_ms.iter().map(empty).collect();
+        for _ in 0..self.options.rounds {
+            for step in &mut steps {
+                step.rounds.push(self.trial(Case::DEFAULT, step.period_ms)?);
+            }
+        }
+        Ok(steps)
+    }
+
+    /// The shortest period of each case; each search begins where the one before it ended.
+    fn search_all(&mut self) -> Result<Vec<Shortest>> {
+        let mut guess = FIRST_GUESS;
+        let mut all = Vec::new();
+        for case in &self.options.cases {
+            let begun = self.trials.len();
+            let (shortest, index) = self.search(*case, guess)?;
+            guess = index.unwrap_or(0);
+            all.push(shortest);
+            // How many trials a search takes, and how long ones, is known only now.
+            let whole_s = |trial: &Trial| self.options.length.whole_s(trial.period_ms);
+            let spent_s: f64 = self.trials[begun..].iter().map(whole_s).sum();
+            self.progress.expect(spent_s - search_s(self.options));
+        }
+        Ok(all)
+    }
+
+    fn search(&mut self, case: Case, guess: usize) -> Result<(Shortest, Option<usize>)> {
+        let begun = self.trials.len();
+        let periods_ms = self.options.periods_ms.clone();
+        let index = search::shortest(periods_ms.len(), guess, |index| {
+            self.holds(case, periods_ms[index])
+        })?;
+        let of = |wanted_ms: Option<&f64>, holds: bool| {
+            let wanted_ms = wanted_ms?;
+            let mut own = self.trials[begun..].iter().rev();
+            own.find(|trial| trial.period_ms.total_cmp(wanted_ms).is_eq() && trial.holds == holds)
+                .cloned()
+        };
+        let shortest = Shortest {
+            case,
+            held: of(index.and_then(|index| periods_ms.get(index)), true),
+            failed: of(periods_ms.get(index.map_or(0, |index| index + 1)), false),
+        };
+        Ok((shortest, index))
+    }
+
+    /// Whether this period holds. A machine may stall in one trial: what fails has a second one, unless no
+    /// stall explains it.
+    fn holds(&mut self, case: Case, period_ms: f64) -> Result<bool> {
+        let first = self.trial(case, period_ms)?;
+        let (mut holds, again) = (first.holds, first.is_worth_another());
+        self.trials.push(first);
+        if again {
+            let second = self.trial(case, period_ms)?;
+            holds = second.holds;
+            self.trials.push(second);
+        }
+        Ok(holds)
+    }
+
+    fn trial(&mut self, case: Case, period_ms: f64) -> Result<Trial> {
+        interrupt::check()?;
+        self.progress
+            .begin(&format!("{} every {period_ms} ms", case.name()));
+        let trial = Trial::run(&self.stage, case, period_ms, self.options.length)?;
+        self.progress
+            .advance(self.options.length.whole_s(period_ms));
+        Ok(trial)
+    }
+}

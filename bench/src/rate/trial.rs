@@ -1,0 +1,307 @@
+//! One daemon with one period, tracking: what it reaches.
+
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
+use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::{Status, Telemetry};
+use hdrhistogram::Histogram;
+use serde::Serialize;
+
+use super::case::{Case, Stage};
+use super::figures::{Causes, Figures};
+use crate::closed_loop::histogram;
+use crate::interrupt;
+use crate::quantiles::Quantiles;
+use crate::subject::daemon::Daemon;
+use crate::subject::tracking::Tracking;
+use crate::system::counts::{ThreadCounts, threads};
+
+/// Between the begin of tracking and that of the measurement.
+const WARM_UP: Duration = Duration::from_millis(300);
+/// How often the records are read: far more often than their queue of 256 fills at 10 kHz.
+const READ_EVERY: Duration = Duration::from_millis(2);
+/// A robot that does not follow with so long a period, or a longer one, does not fail because of the rate: the
+/// set-up is broken \[ms\].
+const EASY_MS: f64 = 2.0;
+/// How long the status with the last cycles may take.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
+/// What start, begin of tracking, warm-up and end take, about \[s\].
+const AROUND_S: f64 = 1.0;
+
+/// How long a trial measures: the longer of both.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Length {
+    /// At least so long \[s\].
+    pub least_s: f64,
+    /// At least so many periods.
+    pub least_periods: u32,
+}
+
+impl Length {
+    /// How long it measures with this period \[s\].
+    pub fn measured_s(&self, period_ms: f64) -> f64 {
+        let periods_s = f64::from(self.least_periods) * period_ms * 1e-3;
+        self.least_s.max(periods_s)
+    }
+
+    /// How long a trial takes altogether, about \[s\].
+    pub fn whole_s(&self, period_ms: f64) -> f64 {
+        self.measured_s(period_ms) + AROUND_S
+    }
+}
+
+/// A trial that is over.
+#[derive(Debug, Clone, Serialize)]
+pub struct Trial {
+    /// What ran.
+    #[serde(flatten)]
+    pub case: Case,
+    /// Its period \[ms\].
+    pub period_ms: f64,
+    /// How long before each release it spun \[µs\].
+    pub spin_us: f64,
+    /// Whether the period held.
+    pub holds: bool,
+    /// What failed, and what is worth knowing.
+    pub remarks: String,
+    /// What was measured; none when the robot did not follow its reference all the time.
+    #[serde(flatten)]
+    pub figures: Option<Figures>,
+    /// Name of its responses.
+    #[serde(skip)]
+    pub tag: String,
+    /// Responses of the cycles whose records a client got \[ns\].
+    #[serde(skip)]
+    pub responses: Histogram<u64>,
+    /// When the measurement began, on the clock of the daemon \[ns\].
+    #[serde(skip)]
+    pub begin_ns: u64,
+}
+
+impl Trial {
+    /// Starts a daemon, lets it track, and measures.
+    ///
+    /// # Errors
+    /// When the daemon does not start, or a signal came, or the robot does not follow with a long period. With a
+    /// short one that is a result.
+    pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
+        let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
+        let begin_ns = monotonic_ns();
+        let measured_s = length.measured_s(period_ms);
+        let observed = observe(&daemon, stage, Duration::from_secs_f64(measured_s));
+        let observed = daemon.stop().and(observed);
+        interrupt::check()?;
+        let mut trial = Self {
+            case,
+            period_ms,
+            spin_us: stage.spin_within_us(period_ms),
+            holds: false,
+            remarks: String::new(),
+            figures: None,
+            tag: format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms),
+            responses: histogram()?,
+            begin_ns,
+        };
+        match observed {
+            Ok((figures, records)) => {
+                trial.holds = figures.hold(period_ms);
+                trial.remarks = figures.remarks(period_ms);
+                trial.figures = Some(figures);
+                trial.responses = records.responses;
+                trial.begin_ns = records.begin_ns;
+            }
+            Err(error) if period_ms >= EASY_MS => return Err(error),
+            Err(error) => trial.remarks = format!("did not follow: {}", one_line(&error)),
+        }
+        Ok(trial)
+    }
+
+    /// Whether a second trial may end otherwise.
+    pub fn is_worth_another(&self) -> bool {
+        let hopeless = |figures: &Figures| figures.are_hopeless(self.period_ms);
+        !self.holds && !self.figures.as_ref().is_some_and(hopeless)
+    }
+}
+
+/// An error in a table.
+fn one_line(error: &anyhow::Error) -> String {
+    let text = format!("{error:#}");
+    text.lines().next().unwrap_or_default().to_owned()
+}
+
+fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures, Records)> {
+    let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
+    let connection = daemon.connect()?;
+    let mut telemetry = connection.telemetry()?;
+    // Whoever connects makes the daemon map memory: that belongs to the warm-up.
+    interrupt::sleep(WARM_UP)?;
+    while telemetry.try_next()?.is_some() {}
+
+    let mut records = Records::begin()?;
+    connection.reset_statistics()?;
+    let (before, begin) = (threads(daemon.id()), Instant::now());
+    records.watch(&mut telemetry, length)?;
+    let (after, passed) = (threads(daemon.id()), begin.elapsed());
+    let status = status_after(&connection, monotonic_ns())?;
+    tracking.stop()?;
+    ensure!(
+        status.statistics_since_ns >= records.begin_ns,
+        "the daemon did not reset its statistics"
+    );
+    let share = |name: &str| core_share(&before, &after, name, passed);
+    let figures = Figures {
+        cycle_core_share: share("cdcr-cycle"),
+        exchange_core_share: share("cdcr-exchange"),
+        ..records.figures(&status)?
+    };
+    Ok((figures, records))
+}
+
+/// A status that counts everything until `time_ns`.
+fn status_after(connection: &Connection, time_ns: u64) -> Result<Status> {
+    let deadline = Instant::now() + STATUS_TIMEOUT;
+    while Instant::now() < deadline {
+        let status = connection.status(STATUS_TIMEOUT)?;
+        if status.header.sent_ns >= time_ns {
+            return Ok(status);
+        }
+        interrupt::sleep(Duration::from_millis(10))?;
+    }
+    anyhow::bail!("the daemon sends no status")
+}
+
+/// Share of a core that the threads of this name used between two counts.
+pub(crate) fn core_share(
+    before: &[ThreadCounts],
+    after: &[ThreadCounts],
+    name: &str,
+    passed: Duration,
+) -> f64 {
+    let on_core_ns = |all: &[ThreadCounts]| -> u64 {
+        let named = all.iter().filter(|thread| thread.name == name);
+        named.map(|thread| thread.on_core_ns).sum()
+    };
+    let used_ns = on_core_ns(after).saturating_sub(on_core_ns(before));
+    used_ns as f64 / passed.as_nanos().max(1) as f64
+}
+
+/// What the records of the cycles say.
+struct Records {
+    begin_ns: u64,
+    responses: Histogram<u64>,
+    received: u64,
+    tracking: u64,
+    errors_m: Vec<f64>,
+}
+
+impl Records {
+    fn begin() -> Result<Self> {
+        Ok(Self {
+            begin_ns: monotonic_ns(),
+            responses: histogram()?,
+            received: 0,
+            tracking: 0,
+            errors_m: Vec::new(),
+        })
+    }
+
+    fn watch(&mut self, telemetry: &mut TelemetryStream, length: Duration) -> Result<()> {
+        let end = Instant::now() + length;
+        while Instant::now() < end {
+            interrupt::check()?;
+            while let Some(record) = telemetry.try_next()? {
+                self.take(&record);
+            }
+            std::thread::sleep(READ_EVERY);
+        }
+        Ok(())
+    }
+
+    fn take(&mut self, record: &Telemetry) {
+        self.received += 1;
+        let response_ns = record.handed_over_ns.saturating_sub(record.due_ns);
+        self.responses.saturating_record(response_ns);
+        if record.mode == Mode::Tracking.code() {
+            self.tracking += 1;
+            self.errors_m.push(record.position_error_m);
+        }
+    }
+
+    /// Together with what the daemon counted; nothing of the use of the core.
+    fn figures(&mut self, status: &Status) -> Result<Figures> {
+        let told = &status.since_reset;
+        let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
+        let times = |summary| Quantiles::told(summary).context("the daemon ran no cycle");
+        self.errors_m.sort_by(f64::total_cmp);
+        Ok(Figures {
+            duration_s: (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9,
+            cycles: told.cycles,
+            late_starts: told.late_starts,
+            deadline_misses: told.deadline_misses,
+            skipped_periods: told.skipped_periods,
+            causes: Causes::told(told),
+            budget_hit_share: share(told.budget_hits, told.cycles),
+            stale_input_share: share(told.stale_inputs, told.cycles),
+            dropped_records: told.dropped_records,
+            wake_us: times(&told.wake)?,
+            solve_us: times(&told.solve)?,
+            response_us: times(&told.response)?,
+            cycle_core_share: 0.0,
+            exchange_core_share: 0.0,
+            tracking_share: share(self.tracking, self.received),
+            error_p50_mm: quantile_mm(&self.errors_m, 0.5),
+            error_p99_mm: quantile_mm(&self.errors_m, 0.99),
+        })
+    }
+}
+
+/// A quantile of sorted distances \[mm\]; not a number of none.
+fn quantile_mm(sorted_m: &[f64], quantile: f64) -> f64 {
+    let last = sorted_m.len().saturating_sub(1);
+    let index = (quantile * last as f64).round() as usize;
+    sorted_m
+        .get(index)
+        .map_or(f64::NAN, |error_m| error_m * 1e3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trial_is_as_long_as_both_limits_ask() {
+        let length = Length {
+            least_s: 2.0,
+            least_periods: 4000,
+        };
+        assert!((length.measured_s(5.0) - 20.0).abs() < 1e-9);
+        assert!((length.measured_s(0.1) - 2.0).abs() < 1e-9);
+        assert!(length.whole_s(0.1) > 2.0);
+    }
+
+    #[test]
+    fn the_use_of_a_core_is_that_of_the_named_thread() {
+        let thread = |name: &str, on_core_ns| ThreadCounts {
+            id: 1,
+            name: name.to_owned(),
+            on_core_ns,
+            run_delay_ns: 0,
+        };
+        let before = [thread("a", 100), thread("b", 0)];
+        let after = [thread("a", 400), thread("b", 1000)];
+        let passed = Duration::from_micros(1);
+        assert!((core_share(&before, &after, "a", passed) - 0.3).abs() < 1e-12);
+        assert!((core_share(&before, &after, "b", passed) - 1.0).abs() < 1e-12);
+        assert!(core_share(&before, &after, "c", passed).abs() < 1e-12);
+    }
+
+    #[test]
+    fn quantiles_of_errors_are_in_millimetres() {
+        let errors_m: Vec<f64> = (0..=100).map(|index| f64::from(index) * 1e-3).collect();
+        assert!((quantile_mm(&errors_m, 0.5) - 50.0).abs() < 1e-9);
+        assert!((quantile_mm(&errors_m, 0.99) - 99.0).abs() < 1e-9);
+        assert!(quantile_mm(&[], 0.5).is_nan());
+    }
+}

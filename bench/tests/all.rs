@@ -1,0 +1,203 @@
+//! What `cdcr-bench all` leaves in its folder.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::thread;
+use std::time::Duration;
+
+use cdcr_bench::compare::{Comparison, Input, Verdict};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+
+fn command(folder: &Path, arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
+    command
+        .args(["all", "--quick", "--out"])
+        .arg(folder)
+        .args(arguments)
+        .stdin(Stdio::null());
+    command
+}
+
+fn all(folder: &Path, arguments: &[&str]) -> Output {
+    let output = command(folder, arguments).output();
+    output.expect("the program runs")
+}
+
+fn json(file: &Path) -> Value {
+    let text = fs::read_to_string(file).expect("a text");
+    serde_json::from_str(&text).expect("one object")
+}
+
+fn names(folder: &Path) -> BTreeSet<String> {
+    let entries = fs::read_dir(folder).expect("a folder").flatten();
+    let name = |entry: fs::DirEntry| entry.file_name().to_string_lossy().into_owned();
+    entries.map(name).collect()
+}
+
+/// The numbers that a run can be compared by, of a report with several rounds.
+fn is_compared_with_itself(file: &Path) {
+    let input = Input::read(file).expect("a result");
+    let comparison = Comparison::of(&input, &input);
+    assert!(!comparison.metrics.is_empty());
+    assert_eq!(
+        comparison.count(Verdict::Worse) + comparison.count(Verdict::Better),
+        0
+    );
+    assert!(comparison.warnings.is_empty(), "{:?}", comparison.warnings);
+}
+
+#[test]
+fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
+    let place = tempfile::tempdir().expect("a folder");
+    let folder = place.path().join("report");
+    let found = all(&folder, &["--only", "solver,budget", "--rounds", "3"]);
+    let errors = String::from_utf8_lossy(&found.stderr);
+    assert!(found.status.success(), "{errors}");
+    assert!(errors.contains("written into"), "{errors}");
+    let summary = String::from_utf8(found.stdout).expect("a text");
+    assert!(summary.starts_with("The machine"), "{summary}");
+
+    let expected = [
+        "budget-overrun.svg",
+        "budget.csv",
+        "report.html",
+        "report.json",
+        "report.txt",
+        "solver-growth.csv",
+        "solver-sections.svg",
+        "solver.csv",
+    ];
+    assert_eq!(names(&folder), expected.map(str::to_owned).into());
+
+    let report = json(&folder.join("report.json"));
+    assert!(
+        report["environment"]["kernel"]["release"].is_string(),
+        "{report}"
+    );
+    assert_eq!(report["extent"]["quick"], true);
+    assert_eq!(report["failed"], Value::Array(Vec::new()));
+    let metrics = report["metrics"].as_array().expect("a list");
+    for name in ["solver", "budget"] {
+        assert!(report[name]["cases"].is_array(), "{name}");
+        assert!(report["took_s"][name].as_f64() > Some(0.0), "{name}");
+        let own = metrics.iter().filter(|metric| {
+            let begins = metric["name"]
+                .as_str()
+                .is_some_and(|all| all.starts_with(name));
+            begins
+                && metric["rounds"]
+                    .as_array()
+                    .is_some_and(|rounds| rounds.len() == 3)
+        });
+        assert!(own.count() > 3, "{name}");
+    }
+    is_compared_with_itself(&folder.join("report.json"));
+    page_is_whole(&fs::read_to_string(folder.join("report.html")).expect("the page"));
+
+    // A report of less stays beside it.
+    let before = fs::read(folder.join("report.json")).expect("the report");
+    let found = all(&folder, &["--only", "budget"]);
+    let errors = String::from_utf8_lossy(&found.stderr);
+    assert!(found.status.success(), "{errors}");
+    assert!(
+        errors.contains("with solver, which this one lacks"),
+        "{errors}"
+    );
+    assert_eq!(
+        fs::read(folder.join("report.json")).expect("the report"),
+        before
+    );
+    let aside = json(&folder.join("partial").join("report.json"));
+    assert!(aside["budget"].is_object() && aside["solver"].is_null());
+}
+
+fn page_is_whole(page: &str) {
+    assert_eq!(page.matches("<svg").count(), 2);
+    for id in ["environment", "solver", "budget"] {
+        assert!(page.contains(&format!("id=\"{id}\"")), "{id}");
+        assert!(page.contains(&format!("href=\"#{id}\"")), "{id}");
+    }
+    let links = page.matches("href=").count();
+    assert_eq!(
+        links,
+        page.matches("href=\"#").count(),
+        "links stay on the page"
+    );
+    for word in ["src=", "url(", "<script", "@import"] {
+        assert!(
+            !page.contains(word),
+            "{word}: the page must not need anything else"
+        );
+    }
+}
+
+#[test]
+fn ctrl_c_leaves_nothing_in_the_folder() {
+    let place = tempfile::tempdir().expect("a folder");
+    let mut child = command(place.path(), &["--only", "solver", "--rounds", "100"])
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program runs");
+    // It has begun when it says so; the signal handlers are there then.
+    let mut errors = std::io::BufReader::new(child.stderr.take().expect("a pipe"));
+    let mut line = String::new();
+    std::io::BufRead::read_line(&mut errors, &mut line).expect("a line");
+    assert!(line.contains("solver"), "{line}");
+    thread::sleep(Duration::from_millis(100));
+    kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
+    let mut rest = String::new();
+    std::io::Read::read_to_string(&mut errors, &mut rest).expect("the rest");
+    let status = child.wait().expect("it ends");
+    assert_eq!(status.code(), Some(1), "{rest}");
+    assert!(rest.contains("interrupted"), "{rest}");
+    assert!(names(place.path()).is_empty());
+}
+
+#[test]
+fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
+    let file = tempfile::NamedTempFile::new().expect("a file");
+    let found = all(&file.path().join("inside"), &["--only", "budget"]);
+    let errors = String::from_utf8_lossy(&found.stderr);
+    assert!(
+        errors.contains("cannot make the folder") && errors.contains("inside"),
+        "{errors}"
+    );
+
+    let place = tempfile::tempdir().expect("a folder");
+    let found = all(place.path(), &["--config", "nowhere.toml"]);
+    let errors = String::from_utf8_lossy(&found.stderr);
+    assert_eq!(found.status.code(), Some(1));
+    assert!(errors.contains("no file nowhere.toml"), "{errors}");
+}
+
+#[test]
+fn a_benchmark_that_fails_does_not_lose_the_others() {
+    let place = tempfile::tempdir().expect("a folder");
+    let config = place.path().join("bad.toml");
+    fs::write(&config, "[cycle]\nno_such_key = 1\n").expect("written");
+    let config = config.to_string_lossy().into_owned();
+    let folder = place.path().join("report");
+    let arguments = ["--only", "deadline,budget", "--config", &config];
+    let found = all(&folder, &arguments);
+    let errors = String::from_utf8_lossy(&found.stderr);
+    assert_eq!(found.status.code(), Some(1), "{errors}");
+    assert!(
+        errors.contains("1 of 2 benchmarks failed: deadline"),
+        "{errors}"
+    );
+
+    let report = json(&folder.join("report.json"));
+    assert_eq!(report["failed"], serde_json::json!(["deadline"]));
+    let cause = report["deadline"]["error"].as_str().expect("why");
+    assert!(
+        cause.contains("no_such_key") || cause.contains("cdcrd does not exist"),
+        "{cause}"
+    );
+    assert!(report["budget"]["cases"].is_array());
+    let page = fs::read_to_string(folder.join("report.html")).expect("the page");
+    assert!(page.contains("There is no result:"));
+}

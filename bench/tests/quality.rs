@@ -1,0 +1,139 @@
+//! What `cdcr-bench quality` hands over, from a small part of it.
+
+use std::sync::OnceLock;
+
+use cdcr_bench::progress::Progress;
+use cdcr_bench::quality::course::Course;
+use cdcr_bench::quality::restarts::Contender;
+use cdcr_bench::quality::{self, Field, Options, Report};
+use cdcr_bench::section::Section;
+use cdcr_bench::table::Table;
+
+/// Two courses, one with an obstacle, for a quarter of a second each.
+fn small() -> Options {
+    Options {
+        rounds: 2,
+        courses: vec![Course::Line, Course::Crossing],
+        cycles_max: 50,
+        budgets_us: vec![20, 500],
+        swarms: vec![(6, 10)],
+        horizons: vec![2, 5],
+        restarts: 1,
+    }
+}
+
+/// One run for all tests.
+fn report() -> &'static Report {
+    static REPORT: OnceLock<Report> = OnceLock::new();
+    REPORT.get_or_init(|| quality::run(&small(), &mut Progress::silent()).expect("it runs"))
+}
+
+#[test]
+fn every_form_holds_every_variant() {
+    let report = report();
+    // Of each course: 2 budgets and 2 horizons with three solvers, a swarm with two.
+    let rows = 2 * (2 * 3 + 2 * 3 + 2);
+    let fields = Field::ALL.len() * Contender::ALL.len();
+    let json = report.json().expect("JSON");
+    let cases = json["cases"].as_array().expect("a list");
+    assert_eq!(cases.len(), rows);
+    assert_eq!(json["restarts"].as_array().expect("a list").len(), fields);
+    assert_eq!(
+        json["problems"].as_array().expect("a list").len(),
+        2 * fields
+    );
+    for case in cases {
+        assert_eq!(case["rounds"], 2, "{case}");
+        for key in [
+            "mean_error_mm",
+            "max_error_mm",
+            "mean_cost",
+            "solve_p50_us",
+            "solve_p99_us",
+        ] {
+            assert!(
+                case[key].as_f64().is_some_and(|value| value >= 0.0),
+                "{key}: {case}"
+            );
+        }
+        let share = case["cut_short_share"].as_f64().expect("a share");
+        assert!((0.0..=1.0).contains(&share), "{case}");
+        // Only a budget cuts a solve short.
+        assert!(case["axis"] == "budget" || share == 0.0, "{case}");
+        assert_eq!(
+            case["budget_us"].is_u64(),
+            case["axis"] == "budget",
+            "{case}"
+        );
+        let obstacles = case["course"] == "crossing";
+        assert_eq!(case["min_clearance_mm"].is_f64(), obstacles, "{case}");
+        assert_eq!(case["below_safe_ms"].is_f64(), obstacles, "{case}");
+    }
+    let lines: Vec<usize> = report
+        .sheets()
+        .expect("sheets")
+        .iter()
+        .map(|sheet| sheet.csv.lines().count() - 1)
+        .collect();
+    assert_eq!(lines, [rows, fields, 2 * fields]);
+    let text: String = report.tables().iter().map(Table::text).collect();
+    for word in [
+        "crossing",
+        "500 µs",
+        "6 x 10",
+        "5 steps",
+        "posts",
+        "gauss-newton-restarted",
+    ] {
+        assert!(text.contains(word), "{word} in {text}");
+    }
+    let pictures = report.pictures().expect("pictures");
+    let names: Vec<&str> = pictures.iter().map(|figure| figure.name).collect();
+    assert_eq!(
+        names,
+        ["quality-error", "quality-clearance", "quality-stuck"]
+    );
+    for figure in &pictures {
+        roxmltree::Document::parse(&figure.svg).expect("well-formed");
+    }
+}
+
+#[test]
+fn metrics_have_a_value_for_each_round_and_names_of_their_own() {
+    let metrics = report().metrics();
+    let mut names: Vec<&str> = metrics.iter().map(|metric| metric.name.as_str()).collect();
+    for metric in &metrics {
+        assert_eq!(metric.rounds.len(), 2, "{}", metric.name);
+    }
+    for name in [
+        "quality/budget/line/kpso/20-us/mean_error",
+        "quality/budget/crossing/kpso-refined/500-us/least_clearance",
+        "quality/swarm/line/kpso/6x10/mean_error",
+        "quality/horizon/line/gauss-newton/n5/mean_error",
+        "quality/restarts/ball/kpso-refined/stuck",
+    ] {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    let count = names.len();
+    names.sort_unstable();
+    names.dedup();
+    assert_eq!(names.len(), count);
+}
+
+#[test]
+fn what_no_clock_ends_comes_out_the_same_again() {
+    let options = Options {
+        rounds: 1,
+        budgets_us: Vec::new(),
+        restarts: 0,
+        ..small()
+    };
+    let [first, second] = [(); 2].map(|()| {
+        let report = quality::run(&options, &mut Progress::silent()).expect("it runs");
+        let metrics = report.metrics().into_iter();
+        metrics
+            .map(|metric| (metric.name, metric.rounds))
+            .collect::<Vec<_>>()
+    });
+    assert_eq!(first, second);
+}
