@@ -146,7 +146,7 @@ fn watch(connection: &Connection, mut judge: impl FnMut(EventKind, Outcome)) {
             judge(kind.unwrap(), outcome.unwrap());
         }
         records += 1;
-        if record.obstacle_count >= 30 && records >= 20 {
+        if record.obstacle_count >= 2 && records >= 20 {
             return;
         }
     }
