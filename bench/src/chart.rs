@@ -170,9 +170,7 @@ fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
     let (across, up) = ranges(panel, (width, height - head));
     match panel.scale {
         Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
-        Scale::LogLog { floor } => {
-            plot(&chart, panel, across.log_scale(), up.log_scale(), floor)
-        }
+        Scale::LogLog { floor } => plot(&chart, panel, across.log_scale(), up.log_scale(), floor),
         Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
     }
 }

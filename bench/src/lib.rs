@@ -1,22 +1,29 @@
-//! `cdcr-bench`: what the controller reaches, measured offline and without real time.
+//! `cdcr-bench`: what controller and daemon reach, measured.
 //!
 //! | module | is |
 //! |---|---|
-//! | [`scene`] | robot, start, curve and obstacles of a simulation |
-//! | [`closed_loop`] | one robot tracking one curve: every cycle of it |
-//! | [`experiment`] | which of the paper's simulations, with which solver and settings |
-//! | [`zone`] | which samples of the circle count as tracking |
-//! | [`simulation`] | an experiment run with several seeds, and the row that sums it up |
+//! | [`deadline`] | does the daemon keep its deadlines, under which load, beside a bare loop |
+//! | [`latency`] | how long from something that is sent to its effect |
+//! | [`rate`] | the shortest period that holds |
+//! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
+//! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
+//! | [`experiment`], [`simulation`], [`zone`] | the paper's simulations, and the rows that sum them up |
 //! | [`solver`], [`growth`] | solve times on every path, and how they grow |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
-//! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
-//! | [`table`], [`mod@csv`] | rows for people and for programs |
-//! | [`mod@figures`], [`mod@page`], [`folder`] | the paper's figures, pages, the files of `paper` |
-//! | [`environment`], [`report`], [`hlog`] | the machine, results as documents, raw latencies |
+//! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
+//! | [`load`] | what else the machine does meanwhile |
+//! | [`subject`] | what is measured: a daemon, a bare loop, cyclictest as processes |
+//! | [`system`] | cores, threads, counts of the kernel, other programs |
+//! | [`interrupt`], [`progress`] | signals, and how far a run is |
+//! | [`section`], [`metric`], [`quantiles`], [`table`] | what every benchmark hands over |
+//! | [`report`], [`mod@page`], [`mod@figures`], [`folder`] | results as documents, pages, pictures, files |
+//! | [`hlog`], [`mod@csv`] | raw latencies, rows for programs |
+//! | [`environment`] | the machine that a result comes from |
 //! | [`compare`] | what changed between two runs beyond noise |
 //!
-//! A time here says how long a solve takes on this machine, back to back, nothing else; what a daemon
-//! adds is measured by `cdcrctl demo`.
+//! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time where it is
+//! granted. All others run the controller in this process, without a daemon and without real time: a time there
+//! says how long a solve takes on this machine, back to back, nothing else.
 
 pub mod budget;
 mod chart;

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::closed_loop::{self, Sample, quantile_us};
 use crate::experiment::{Experiment, PaperFigures, Solver, Task};
+use crate::metric::median;
 use crate::scene::Scene;
 use crate::zone::Zone;
 
@@ -266,7 +267,7 @@ impl Summary {
             iterations: settings.swarm_iterations,
             samples: scene.cycles,
             seeds: self.runs.len() as u64,
-            mean_error_mm: median(&means_mm),
+            mean_error_mm: median(&means_mm).unwrap_or(f64::NAN),
             max_error_mm: self.max_mm,
             solve_us: SolveTimes::of(&self.solve_ns),
             paper: experiment.task.paper(),
@@ -294,7 +295,7 @@ impl Summary {
         Some(CircleFigures {
             safe_distance_mm: 1e3 * safe_distance_m,
             min_clearance_mm: 1e3 * self.min_clearance_m,
-            mean_error_outside_mm: all(&self.mean_outside_mm).map(|values| median(&values)),
+            mean_error_outside_mm: all(&self.mean_outside_mm).and_then(|values| median(&values)),
             peak_error_mm: all(&self.peak_mm).map(|values| values.into_iter().fold(0.0, f64::max)),
         })
     }
@@ -311,12 +312,5 @@ pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
 /// The median time of a solve in one run.
 fn solve_p50_us(samples: &[Sample]) -> f64 {
     let times_us: Vec<f64> = samples.iter().map(|s| s.solve_ns as f64 * 1e-3).collect();
-    median(&times_us)
-}
-
-/// The upper median; NaN of nothing.
-fn median(values: &[f64]) -> f64 {
-    let mut sorted = values.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
+    median(&times_us).unwrap_or(f64::NAN)
 }

@@ -67,8 +67,17 @@ impl Table {
 
     /// As a table of HTML.
     pub fn html(&self) -> String {
-        let class = |column| if column < self.words { "word" } else { "number" };
-        let mut html = format!("<table>\n<caption>{}</caption>\n<thead><tr>", escape(&self.title));
+        let class = |column| {
+            if column < self.words {
+                "word"
+            } else {
+                "number"
+            }
+        };
+        let mut html = format!(
+            "<table>\n<caption>{}</caption>\n<thead><tr>",
+            escape(&self.title)
+        );
         for (column, head) in self.heads.iter().enumerate() {
             let (class, head) = (class(column), escape(head));
             let _ = write!(html, "<th scope=\"col\" class=\"{class}\">{head}</th>");
@@ -78,7 +87,11 @@ impl Table {
             html.push_str("<tr>");
             for (column, cell) in row.iter().enumerate() {
                 // A sentence may take several lines, a word may not.
-                let long = if cell.chars().count() > SENTENCE { " text" } else { "" };
+                let long = if cell.chars().count() > SENTENCE {
+                    " text"
+                } else {
+                    ""
+                };
                 let (class, cell) = (class(column), escape(cell));
                 let _ = write!(html, "<td class=\"{class}{long}\">{cell}</td>");
             }

@@ -78,6 +78,8 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "{report}"
     );
     assert_eq!(report["extent"]["quick"], true);
+    let options = json_of_options("solver,budget", "3");
+    assert_eq!(report["options"], options);
     assert_eq!(report["failed"], Value::Array(Vec::new()));
     let metrics = report["metrics"].as_array().expect("a list");
     for name in ["solver", "budget"] {
@@ -112,6 +114,11 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     );
     let aside = json(&folder.join("partial").join("report.json"));
     assert!(aside["budget"].is_object() && aside["solver"].is_null());
+}
+
+/// Without the folder: where a report lies does not matter.
+fn json_of_options(only: &str, rounds: &str) -> Value {
+    serde_json::json!({ "command": "all", "only": only, "quick": "true", "rounds": rounds })
 }
 
 fn page_is_whole(page: &str) {
@@ -155,6 +162,85 @@ fn ctrl_c_leaves_nothing_in_the_folder() {
     assert_eq!(status.code(), Some(1), "{rest}");
     assert!(rest.contains("interrupted"), "{rest}");
     assert!(names(place.path()).is_empty());
+}
+
+/// The daemons that a process started: its children that run `cdcrd run`.
+fn daemons_of(parent: u32) -> Vec<u32> {
+    let entries = fs::read_dir("/proc").expect("processes").flatten();
+    let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    numbers
+        .filter(|process| parent_of(*process) == Some(parent) && is_daemon(*process))
+        .collect()
+}
+
+fn parent_of(process: u32) -> Option<u32> {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("PPid:"))?;
+    line.trim().parse().ok()
+}
+
+/// Of a process that is gone or a zombie: no.
+fn is_daemon(process: u32) -> bool {
+    let line = fs::read(format!("/proc/{process}/cmdline")).unwrap_or_default();
+    let mut words = line.split(|byte| *byte == 0);
+    words
+        .next()
+        .is_some_and(|program| program.ends_with(b"cdcrd"))
+        && words.next() == Some(b"run")
+}
+
+/// Names in a folder that hold these words.
+fn names_with(folder: &Path, words: &str) -> Vec<String> {
+    let all = names(folder).into_iter();
+    all.filter(|name| name.contains(words)).collect()
+}
+
+#[test]
+fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
+    let place = tempfile::tempdir().expect("a folder");
+    let arguments = [
+        "deadline",
+        "--duration=6s",
+        "--rounds=2",
+        "--load=none",
+        "--setup=ordinary",
+    ];
+    let mut child = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
+        .args(arguments)
+        .env("TMPDIR", place.path())
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the program runs");
+    let own = format!("cdcr-bench-{}-", child.id());
+    let shared = Path::new("/dev/shm");
+
+    // A daemon with a client runs when it has files; how soon is up to the machine.
+    let has_ended = loop {
+        let ended = child.try_wait().expect("it is ours").is_some();
+        let is_there = !daemons_of(child.id()).is_empty() && !names_with(shared, &own).is_empty();
+        if ended || is_there {
+            break ended;
+        }
+        thread::sleep(Duration::from_millis(20));
+    };
+    thread::sleep(Duration::from_secs(1));
+    let daemons = daemons_of(child.id());
+    let folders = names_with(place.path(), "cdcr-bench-");
+    if !has_ended {
+        kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
+    }
+    let output = child.wait_with_output().expect("it ends");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!has_ended, "no daemon was seen: {errors}");
+    assert!(!folders.is_empty(), "{errors}");
+
+    assert!(!output.status.success(), "{errors}");
+    assert!(errors.contains("interrupted"), "{errors}");
+    assert!(!daemons.iter().any(|process| is_daemon(*process)));
+    assert!(names_with(shared, &own).is_empty());
+    assert!(names_with(place.path(), "cdcr-bench-").is_empty());
 }
 
 #[test]

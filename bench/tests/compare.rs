@@ -15,17 +15,28 @@ fn compare(arguments: &[&str], files: [&Path; 2]) -> Output {
 }
 
 fn write(folder: &Path, name: &str, kernel: &str, rounds: [f64; 3]) -> PathBuf {
+    // More of them than chance moves.
+    let moving = ["b", "d", "e", "f"].map(
+        |name| json!({ "name": format!("a/{name}"), "unit": "µs", "better": "lower", "rounds": rounds }),
+    );
+    let mut metrics = moving.to_vec();
+    metrics.extend([
+        json!({ "name": "a/c", "unit": "", "better": "higher", "rounds": [1.0, 1.0, 1.0] }),
+        json!({ "name": "a/exact", "unit": "mm", "better": "lower", "rounds": [rounds[0]] }),
+    ]);
+    write_metrics(folder, name, kernel, &metrics)
+}
+
+fn write_metrics(folder: &Path, name: &str, kernel: &str, metrics: &[Value]) -> PathBuf {
     let document = json!({
         "environment": {
             "cdcr_version": "0.1.0",
             "kernel": { "release": kernel },
             "a key of a later version": 1,
         },
+        "options": { "command": "all", "rounds": kernel },
         "cases": [],
-        "metrics": [
-            { "name": "a/b", "unit": "µs", "better": "lower", "rounds": rounds },
-            { "name": "a/c", "unit": "", "better": "higher", "rounds": [1.0, 1.0, 1.0] },
-        ],
+        "metrics": metrics,
     });
     let file = folder.join(name);
     std::fs::write(&file, document.to_string()).expect("written");
@@ -42,7 +53,10 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let text = String::from_utf8(found.stdout).expect("a text");
     assert!(found.status.success(), "{text}");
     assert!(text.contains("a/b") && text.contains("worse"), "{text}");
-    assert!(text.contains("1 worse, 0 better, 1 within noise"), "{text}");
+    assert!(text.contains("4 worse, 0 better, 1 within noise"), "{text}");
+    assert!(text.contains("One value each: 1 differ"), "{text}");
+    let options = "asked for with another value of rounds: 6.1 before, 6.2 after";
+    assert!(text.contains(options), "{text}");
     assert!(
         text.contains("another kernel: 6.1 before, 6.2 after"),
         "{text}"
@@ -59,13 +73,30 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
             .map(f64::round),
         Some(91.0)
     );
-    assert_eq!(document["metrics"][1]["verdict"], "within-noise");
+    assert_eq!(document["metrics"][4]["verdict"], "one-value-worse");
+    assert_eq!(document["metrics"][5]["verdict"], "within-noise");
 
     let found = compare(&failing, [&after, &before]);
     assert!(
         found.status.success(),
         "the other way round it became better"
     );
+}
+
+#[test]
+fn one_number_that_became_worse_may_be_chance_and_fails_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let metric = |rounds: [f64; 3]| {
+        let metric = json!({ "name": "a", "unit": "µs", "better": "lower", "rounds": rounds });
+        [metric]
+    };
+    let (low, high) = (metric([1.0, 2.0, 3.0]), metric([5.0, 6.0, 7.0]));
+    let before = write_metrics(folder.path(), "a.json", "6.1", &low);
+    let after = write_metrics(folder.path(), "b.json", "6.1", &high);
+    let found = compare(&["--fail-on-worse"], [&before, &after]);
+    let text = String::from_utf8_lossy(&found.stdout);
+    assert!(text.contains("1 worse"), "{text}");
+    assert!(found.status.success(), "{text}");
 }
 
 #[test]

@@ -44,9 +44,10 @@ fn assert_case(case: &Value, cycles_least: u64) {
         count("cycles") + count("skipped_periods") >= cycles_least,
         "{case}"
     );
-    assert!(count("own_misses") <= count("deadline_misses"), "{case}");
+    // cyclictest does not say why.
+    let is_told = case["subject"] != "cyclictest";
     for cause in ["platform", "load", "compute", "fault", "other"] {
-        assert!(case["causes"][cause].is_u64(), "{case}");
+        assert_eq!(case["causes"][cause].is_u64(), is_told, "{case}");
     }
     assert!(case["steal_ms"].is_number() && case["realtime"].is_boolean());
     assert_quantiles(case, "wake_us");
@@ -62,7 +63,7 @@ fn assert_case(case: &Value, cycles_least: u64) {
         }
         subject => {
             assert!(["bare", "cyclictest"].contains(&subject));
-            assert!(case.get("response_us").is_none(), "{case}");
+            assert!(case["response_us"].is_null(), "{case}");
         }
     }
 }

@@ -50,7 +50,7 @@ fn every_way_is_measured_in_every_round() {
     ] {
         assert!(samples(leg) >= 20, "{}: {}", leg.name(), samples(leg));
     }
-    assert_eq!(samples(Leg::StopZeroCommand), 4);
+    assert_eq!(samples(Leg::StopZeroCommand), 8);
     assert_eq!(samples(Leg::StopZeroCommand), samples(Leg::StopGrid));
     assert_eq!(samples(Leg::BareOneWay), 160);
     // Nobody can have an effect before what causes it.
@@ -68,6 +68,8 @@ fn every_way_is_measured_in_every_round() {
     );
     let json: Value = report.json().unwrap();
     assert_eq!(json["targets"][0]["limit_us"], 5100.0);
+    assert!(json["unmeasured"]["spoilt_stops"].is_u64());
+    assert!(json["unmeasured"]["without_command"].is_u64());
     assert_eq!(report.pictures().unwrap().len(), 1);
 }
 

@@ -8,7 +8,7 @@ use std::process::Command;
 
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Length, Options, Report, Trial};
+use cdcr_bench::rate::{self, Case, Length, Options, Report, Trial, Verdict};
 use cdcr_bench::section::Section;
 
 fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Report {
@@ -34,7 +34,9 @@ fn assert_consistent(trial: &Trial) {
         figures.cycles > 0 && figures.duration_s >= 0.2,
         "{figures:?}"
     );
-    assert_eq!(trial.holds, figures.hold(trial.period_ms));
+    let verdict = figures.verdict(trial.period_ms);
+    assert_eq!(trial.holds, verdict == Verdict::Holds);
+    assert!(!trial.holds || figures.lost_share() <= 1e-3);
     assert!(trial.holds || !trial.remarks.is_empty());
     assert!(
         figures.wake_us.p50 <= figures.response_us.p50,
@@ -75,7 +77,15 @@ fn the_border_lies_between_what_held_and_what_failed() {
     assert!(shortest.held.is_some() || shortest.failed.is_some());
     assert!(shortest.held.as_ref().is_none_or(|trial| trial.holds));
     assert!(shortest.failed.as_ref().is_none_or(|trial| !trial.holds));
-    assert!((1..=4).contains(&report.trials.len()));
+    // Two periods with up to three trials each.
+    assert!((1..=6).contains(&report.trials.len()));
+    let tallied = shortest.held_tally.trials + shortest.failed_tally.trials;
+    assert!((1..=report.trials.len()).contains(&tallied));
+    assert_eq!(
+        shortest.held_tally.held,
+        usize::from(shortest.held.is_some())
+    );
+    assert_eq!(shortest.failed_tally.held, 0);
     for trial in report.trials.iter().chain(&step.rounds) {
         assert_consistent(trial);
     }

@@ -10,6 +10,7 @@ use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
 use cdcr_controller::plant::KinematicPlant;
+use cdcr_shared_types::codes::realtime;
 
 use crate::config::{LinkKind, REST_MAX_S, Validated};
 use crate::cycle::{Cycle, Settings};
@@ -20,7 +21,7 @@ use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
 use crate::rt::clock::MonotonicClock;
 use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
-use crate::rt::privileges::ThreadPlan;
+use crate::rt::privileges::{ThreadPlan, go_before_ordinary_tasks};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
 use crate::start::{self, Started, arm, end_signals, give_up};
@@ -89,6 +90,9 @@ fn run_with<L: RobotLink + Send + 'static>(
         }
     };
     supervisor.set_realtime(armed.missing, armed.core, &clock);
+    if armed.missing & (realtime::FIFO | realtime::OFF) == 0 {
+        go_before_ordinary_tasks();
+    }
     let schedule = start::schedule(&validated.config, &clock);
     shared.set_origin_ns(schedule.release_ns(0));
     exchange.go(&schedule);

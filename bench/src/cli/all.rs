@@ -30,7 +30,8 @@ pub(super) struct Options {
     /// Only these, separated by commas.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
     only: Vec<Benchmark>,
-    /// Configuration of the daemon that is measured; without it the default, three sections.
+    /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
+    /// benchmarks choose their own, and with it no figure to reach is judged.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
 }

@@ -8,4 +8,3 @@ pub(super) fn progress(length: u64, count: &str) -> Result<ProgressBar> {
     let style = ProgressStyle::with_template(&format!("{{bar:30}} {count}, {{eta}} left"))?;
     Ok(ProgressBar::new(length).with_style(style))
 }
-

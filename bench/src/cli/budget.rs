@@ -33,4 +33,3 @@ pub(super) fn run(format: Format, solves: u64) -> Result<()> {
         Format::Csv => csv(&rows)?,
     })
 }
-

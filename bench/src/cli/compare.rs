@@ -27,7 +27,9 @@ pub(super) struct Options {
     /// How to print the result.
     #[arg(long, value_enum, default_value_t = Format::Text)]
     format: Format,
-    /// Exit status 1 when a number changed for the worse, beyond noise.
+    /// Exit status 1 when more numbers changed for the worse, beyond noise, than chance explains: than half of
+    /// those that chance alone would call changed, rounded up, and two more. Numbers with one value each do not
+    /// count.
     #[arg(long)]
     fail_on_worse: bool,
 }
@@ -39,8 +41,11 @@ pub(super) fn run(args: &Options) -> Result<()> {
         Format::Json => serde_json::to_string(&comparison)? + "\n",
     })?;
     let worse = comparison.count(Verdict::Worse);
-    if args.fail_on_worse && worse > 0 {
-        bail!("{worse} numbers are worse than before, beyond noise");
+    let by_chance = comparison.worse_by_chance();
+    if args.fail_on_worse && worse > by_chance {
+        bail!(
+            "{worse} numbers are worse than before, beyond noise; chance explains {by_chance} at most"
+        );
     }
     Ok(())
 }

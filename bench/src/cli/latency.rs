@@ -20,8 +20,8 @@ pub(super) struct Options {
     /// Rounds, in each of which everything is measured once, 1 to 1000.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
     rounds: u16,
-    /// Samples of each kind in each round, 5 to 10000; a fifth of that for stops, eight times that for
-    /// iceoryx2 alone.
+    /// Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that
+    /// for iceoryx2 alone.
     #[arg(long, default_value_t = 250, value_parser = clap::value_parser!(u16).range(5..=10_000))]
     samples: u16,
     /// Period of the loop, if another one than the configuration's.

@@ -75,7 +75,9 @@ enum Command {
     #[command(after_help = "Example: cdcr-bench rate --rounds 5 --out rate")]
     Rate(rate::Options),
     /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
-    #[command(after_help = "Example: cdcr-bench footprint --duration 30s --format json > footprint.json")]
+    #[command(
+        after_help = "Example: cdcr-bench footprint --duration 30s --format json > footprint.json"
+    )]
     Footprint(footprint::Options),
 }
 

@@ -52,7 +52,7 @@ impl Output {
             keep(&section_bundle(start, section)?, folder)?;
         }
         show(&match self.format {
-            Format::Text => section_text(section),
+            Format::Text => format!("{}\n{}\n", section_text(section), start.environment.line()),
             Format::Json => section_json(start, section)?,
             Format::Csv => match section.sheets()?.into_iter().next() {
                 Some(sheet) => sheet.csv,

@@ -8,8 +8,8 @@ use cdcr_bench::folder::{self, Document};
 use cdcr_bench::simulation::{self, Effort};
 use cdcr_bench::table;
 
-use super::output::{Format, show};
 use super::bar::progress;
+use super::output::{Format, show};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Options {
@@ -70,4 +70,3 @@ fn tell(folder: &Path, written: &[PathBuf]) -> Result<()> {
     writeln!(stderr, "written into {folder}: {}", names.join(", "))?;
     Ok(())
 }
-

@@ -39,4 +39,3 @@ pub(super) fn run(format: Format) -> Result<()> {
         Format::Csv => csv(&cases)?,
     })
 }
-

@@ -24,22 +24,39 @@ pub enum Verdict {
     WithinNoise,
     /// One of the runs has fewer than [`ROUNDS_MIN`] rounds.
     TooFewRounds,
+    /// Each run has a single value, and that of the later one is worse by more than [`LEAST_CHANGE_PERCENT`].
+    OneValueWorse,
+    /// The same, and it is better.
+    OneValueBetter,
+    /// Each run has a single value, and they are alike.
+    OneValueAlike,
 }
 
 impl Verdict {
     /// In words.
     pub fn words(self) -> &'static str {
         match self {
-            Self::Worse => "worse",
-            Self::Better => "better",
+            Self::Worse | Self::OneValueWorse => "worse",
+            Self::Better | Self::OneValueBetter => "better",
             Self::WithinNoise => "within noise",
             Self::TooFewRounds => "too few rounds",
+            Self::OneValueAlike => "alike",
         }
     }
 
     /// Whether it changed beyond noise.
     pub fn is_changed(self) -> bool {
         matches!(self, Self::Worse | Self::Better)
+    }
+
+    /// Whether two single values differ.
+    pub fn is_one_value_other(self) -> bool {
+        matches!(self, Self::OneValueWorse | Self::OneValueBetter)
+    }
+
+    /// Whether a range of rounds is behind it, enough of them in each run.
+    fn is_of_rounds(self) -> bool {
+        matches!(self, Self::Worse | Self::Better | Self::WithinNoise)
     }
 }
 
@@ -98,13 +115,16 @@ impl Change {
     /// Of a number that both runs measured at least once.
     pub(super) fn of(before: &Metric, after: &Metric) -> Option<Self> {
         let (old, new) = (Spread::of(&before.rounds)?, Spread::of(&after.rounds)?);
-        let is_apart = old.is_apart_from(&new);
+        let verdict = verdict(&old, &new, after.better);
+        let is_apart = verdict != Verdict::OneValueAlike
+            && !verdict.is_one_value_other()
+            && old.is_apart_from(&new);
         Some(Self {
             name: after.name.clone(),
             unit: after.unit.clone(),
             better: after.better,
             change_percent: change_percent(old.median, new.median),
-            verdict: verdict(&old, &new, after.better),
+            verdict,
             chance: is_apart.then(|| chance_apart(old.rounds, new.rounds)),
             before: old,
             after: new,
@@ -113,9 +133,10 @@ impl Change {
 
     /// How probable it is that this number is called changed though nothing changed.
     pub(super) fn false_alarm(&self) -> f64 {
-        match self.verdict {
-            Verdict::TooFewRounds => 0.0,
-            _ => chance_apart(self.before.rounds, self.after.rounds),
+        if self.verdict.is_of_rounds() {
+            chance_apart(self.before.rounds, self.after.rounds)
+        } else {
+            0.0
         }
     }
 
@@ -124,12 +145,15 @@ impl Change {
         let rank = |change: &Self| match change.verdict {
             Verdict::Worse => 0,
             Verdict::Better => 1,
-            Verdict::WithinNoise => 2,
-            Verdict::TooFewRounds => 3,
+            Verdict::OneValueWorse => 2,
+            Verdict::OneValueBetter => 3,
+            Verdict::WithinNoise => 4,
+            Verdict::TooFewRounds => 5,
+            Verdict::OneValueAlike => 6,
         };
         // From zero, every change is large.
         let size = |change: &Self| match change.change_percent {
-            _ if !change.verdict.is_changed() => 0.0,
+            _ if !change.verdict.is_changed() && !change.verdict.is_one_value_other() => 0.0,
             Some(percent) => percent.abs(),
             None => f64::INFINITY,
         };
@@ -145,22 +169,24 @@ fn change_percent(before: f64, after: f64) -> Option<f64> {
 }
 
 fn verdict(before: &Spread, after: &Spread, better: Better) -> Verdict {
-    if before.rounds.min(after.rounds) < ROUNDS_MIN {
+    let is_one_value = (before.rounds, after.rounds) == (1, 1);
+    if before.rounds.min(after.rounds) < ROUNDS_MIN && !is_one_value {
         return Verdict::TooFewRounds;
     }
     let percent = change_percent(before.median, after.median);
     let is_small = percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
-    if is_small || !before.is_apart_from(after) {
-        return Verdict::WithinNoise;
-    }
+    let is_same = is_small || !before.is_apart_from(after);
     let is_better = match better {
         Better::Lower => after.median < before.median,
         Better::Higher => after.median > before.median,
     };
-    if is_better {
-        Verdict::Better
-    } else {
-        Verdict::Worse
+    match (is_one_value, is_same, is_better) {
+        (false, true, _) => Verdict::WithinNoise,
+        (false, false, true) => Verdict::Better,
+        (false, false, false) => Verdict::Worse,
+        (true, true, _) => Verdict::OneValueAlike,
+        (true, false, true) => Verdict::OneValueBetter,
+        (true, false, false) => Verdict::OneValueWorse,
     }
 }
 
@@ -231,6 +257,27 @@ mod tests {
     #[test]
     fn two_rounds_prove_nothing() {
         let found = change(Better::Lower, &[1.0, 1.0], &[9.0, 9.0, 9.0]);
+        assert_eq!(found.verdict, Verdict::TooFewRounds);
+    }
+
+    #[test]
+    fn single_values_are_compared_directly_and_prove_nothing_of_chance() {
+        for (before, after, verdict) in [
+            (100.0, 102.0, Verdict::OneValueAlike),
+            (100.0, 103.0, Verdict::OneValueWorse),
+            (100.0, 97.0, Verdict::OneValueBetter),
+            (0.0, 0.0, Verdict::OneValueAlike),
+            (0.0, 1e-9, Verdict::OneValueWorse),
+        ] {
+            let found = change(Better::Lower, &[before], &[after]);
+            assert_eq!(
+                (found.verdict, found.chance),
+                (verdict, None),
+                "{before}, {after}"
+            );
+            assert!(!found.verdict.is_changed() && found.false_alarm() == 0.0);
+        }
+        let found = change(Better::Lower, &[1.0], &[9.0, 9.0, 9.0]);
         assert_eq!(found.verdict, Verdict::TooFewRounds);
     }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result};
 use serde::Deserialize;
 
-use crate::environment::Environment;
+use crate::environment::{Environment, Options};
 use crate::metric::Metric;
 
 /// What the comparison needs of a result, of one benchmark or of all.
@@ -14,6 +14,9 @@ use crate::metric::Metric;
 pub struct Input {
     /// The machine.
     pub environment: Environment,
+    /// What was asked for; none in a file of an older version.
+    #[serde(default)]
+    pub options: Option<Options>,
     /// The single numbers.
     pub metrics: Vec<Metric>,
 }

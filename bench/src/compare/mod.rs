@@ -2,7 +2,7 @@
 //!
 //! The rounds of a run are taken in turns with its baselines, so their range shows what the machine does to a
 //! number that nobody touched. A number is called changed when the ranges of the two runs are apart and their
-//! medians differ by more than [`LEAST_CHANGE_PERCENT`].
+//! medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are told apart.
 
 mod change;
 mod input;
@@ -15,8 +15,11 @@ pub use input::Input;
 use serde::Serialize;
 pub use text::text;
 
-use crate::environment::Environment;
+use crate::environment::{Environment, Options, granted, told};
 use crate::metric::Metric;
+
+/// Chance has a spread of its own: so many more may get worse.
+const WORSE_MARGIN: usize = 2;
 
 /// Two runs beside each other.
 #[derive(Debug, Clone, Serialize)]
@@ -47,7 +50,7 @@ impl Comparison {
             .collect();
         metrics.sort_by(Change::cmp_by_weight);
         Self {
-            warnings: warnings(&before.environment, &after.environment),
+            warnings: warnings(before, after),
             changed_by_chance: metrics.iter().map(Change::false_alarm).sum(),
             metrics,
             only_before: missing(&old, &new),
@@ -55,6 +58,14 @@ impl Comparison {
             before: before.environment.clone(),
             after: after.environment.clone(),
         }
+    }
+
+    /// How many numbers may get worse before more than chance is behind it: half of those that chance alone
+    /// calls changed, rounded up, and two more.
+    pub fn worse_by_chance(&self) -> usize {
+        // Chance calls as many better as worse.
+        let half = (self.changed_by_chance / 2.0).ceil();
+        half as usize + WORSE_MARGIN
     }
 
     /// How many numbers came out so.
@@ -81,29 +92,39 @@ fn missing(these: &BTreeMap<Key<'_>, &Metric>, others: &BTreeMap<Key<'_>, &Metri
     lone.map(|(name, _)| (*name).to_owned()).collect()
 }
 
+/// Why two runs are no measure of each other.
+fn warnings(before: &Input, after: &Input) -> Vec<String> {
+    let mut warnings = machine_warnings(&before.environment, &after.environment);
+    warnings.extend(options_warnings(
+        before.options.as_ref(),
+        after.options.as_ref(),
+    ));
+    warnings
+}
+
+/// A property of the machine, and how it is told.
+type Property = (&'static str, fn(&Environment) -> String);
+
 /// What differs between two machines that moves absolute times.
-fn warnings(before: &Environment, after: &Environment) -> Vec<String> {
-    let pairs = [
-        ("build", build(before), build(after)),
-        (
-            "processor",
-            before.processor.model.clone(),
-            after.processor.model.clone(),
-        ),
-        (
-            "number of cores",
-            before.processor.cores.to_string(),
-            after.processor.cores.to_string(),
-        ),
-        (
-            "kernel",
-            before.kernel.release.clone(),
-            after.kernel.release.clone(),
-        ),
-        ("right to real time", granted(before), granted(after)),
+fn machine_warnings(before: &Environment, after: &Environment) -> Vec<String> {
+    let properties: [Property; 10] = [
+        ("build", build),
+        ("processor", |it| it.processor.model.clone()),
+        ("number of cores", |it| it.processor.cores.to_string()),
+        ("governor", |it| told(it.processor.governor.clone())),
+        ("virtual machine", Environment::virtual_words),
+        ("kernel", |it| it.kernel.release.clone()),
+        ("core isolation", |it| it.kernel.isolation_words()),
+        ("clock source", |it| told(it.kernel.clock_source.clone())),
+        ("right to real time", |it| granted(it.privileges.realtime)),
+        ("right to lock memory", |it| {
+            granted(it.privileges.lock_memory)
+        }),
     ];
-    let differing = pairs.into_iter().filter(|(_, old, new)| old != new);
-    let mut warnings: Vec<String> = differing
+    let mut warnings: Vec<String> = properties
+        .into_iter()
+        .map(|(what, value)| (what, value(before), value(after)))
+        .filter(|(_, old, new)| old != new)
         .map(|(what, old, new)| format!("another {what}: {old} before, {new} after"))
         .collect();
     if !warnings.is_empty() {
@@ -112,6 +133,30 @@ fn warnings(before: &Environment, after: &Environment) -> Vec<String> {
              run measured itself, can"
                 .to_owned(),
         );
+    }
+    warnings
+}
+
+/// What the two runs were asked for. A file of an older version does not say.
+fn options_warnings(before: Option<&Options>, after: Option<&Options>) -> Vec<String> {
+    let (before, after) = match (before, after) {
+        (Some(before), Some(after)) => (before, after),
+        (None, None) => return Vec::new(),
+        (before, _) => {
+            let when = if before.is_none() { "before" } else { "after" };
+            return vec![format!(
+                "the run {when} does not say what it was asked for: it may have measured something else"
+            )];
+        }
+    };
+    let differing = before.differing(after).into_iter();
+    let mut warnings: Vec<String> = differing
+        .map(|(name, old, new)| {
+            format!("asked for with another value of {name}: {old} before, {new} after")
+        })
+        .collect();
+    if !warnings.is_empty() {
+        warnings.push("numbers may differ for this reason alone, ratios too".to_owned());
     }
     warnings
 }
@@ -126,11 +171,6 @@ fn build(environment: &Environment) -> String {
     .to_owned()
 }
 
-fn granted(environment: &Environment) -> String {
-    let is_granted = environment.privileges.realtime;
-    if is_granted { "granted" } else { "refused" }.to_owned()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -138,6 +178,7 @@ mod tests {
     fn input(metrics: Vec<Metric>) -> Input {
         Input {
             environment: Environment::default(),
+            options: None,
             metrics,
         }
     }
@@ -185,5 +226,35 @@ mod tests {
             "{warnings:?}"
         );
         assert!(warnings[2].contains("bare loop"), "{warnings:?}");
+    }
+
+    #[test]
+    fn other_options_are_told() {
+        let asked = |json: &str| Input {
+            options: serde_json::from_str(json).expect("options"),
+            ..input(Vec::new())
+        };
+        let (few, many) = (asked(r#"{"rounds":"3"}"#), asked(r#"{"rounds":"6"}"#));
+        assert!(Comparison::of(&few, &few).warnings.is_empty());
+        let warnings = Comparison::of(&few, &many).warnings;
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        let expected = "asked for with another value of rounds: 3 before, 6 after";
+        assert_eq!(warnings[0], expected);
+        let warnings = Comparison::of(&few, &input(Vec::new())).warnings;
+        assert!(
+            warnings[0].contains("the run after does not say"),
+            "{warnings:?}"
+        );
+    }
+
+    #[test]
+    fn some_may_get_worse_by_chance() {
+        let many = |from: f64| {
+            let metric = |i| Metric::lower(format!("a/{i}"), "µs", [from, from + 1.0, from + 2.0]);
+            input((0..31).map(metric).collect())
+        };
+        let found = Comparison::of(&many(10.0), &many(10.0));
+        // 31 numbers, 10 % of which chance moves: half of 3.1, rounded up, and two.
+        assert_eq!(found.worse_by_chance(), 4);
     }
 }

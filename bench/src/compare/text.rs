@@ -20,12 +20,20 @@ pub fn text(comparison: &Comparison) -> String {
         let _ = writeln!(text, "warning: {warning}");
     }
     text.push('\n');
-    let all = comparison.metrics.iter();
-    let changed: Vec<&Change> = all.filter(|change| change.verdict.is_changed()).collect();
+    let of = |fits: fn(Verdict) -> bool| -> Vec<&Change> {
+        let all = comparison.metrics.iter();
+        all.filter(|change| fits(change.verdict)).collect()
+    };
+    let changed = of(Verdict::is_changed);
     if changed.is_empty() {
         text.push_str("Nothing changed beyond noise.\n");
     } else {
         text.push_str(&table(&changed).text());
+    }
+    let others = of(Verdict::is_one_value_other);
+    if !others.is_empty() {
+        text.push('\n');
+        text.push_str(&one_value_table(&others).text());
     }
     text.push('\n');
     text.push_str(&counts(comparison));
@@ -49,12 +57,11 @@ fn run(environment: &Environment) -> String {
 fn table(changes: &[&Change]) -> Table {
     let row = |change: &&Change| {
         let (before, after) = (&change.before, &change.after);
-        let percent = change.change_percent;
         vec![
             change.name.clone(),
             change.unit.clone(),
             change.verdict.words().to_owned(),
-            percent.map_or_else(|| "from 0".to_owned(), |percent| format!("{percent:+.1}")),
+            percent(change),
             number(before.median),
             between(before),
             number(after.median),
@@ -82,6 +89,31 @@ fn table(changes: &[&Change]) -> Table {
     Table::new(title, &heads, 3, changes.iter().map(row).collect())
 }
 
+/// Numbers without a range: exact ones, and those of a run of one round.
+fn one_value_table(changes: &[&Change]) -> Table {
+    let row = |change: &&Change| {
+        vec![
+            change.name.clone(),
+            change.unit.clone(),
+            change.verdict.words().to_owned(),
+            percent(change),
+            number(change.before.median),
+            number(change.after.median),
+        ]
+    };
+    let heads = ["metric", "unit", "", "change %", "before", "after"];
+    let title = format!(
+        "One value each: they differ by more than {LEAST_CHANGE_PERCENT} %, which is a change only where the \
+         number is exact"
+    );
+    Table::new(title, &heads, 3, changes.iter().map(row).collect())
+}
+
+fn percent(change: &Change) -> String {
+    let percent = change.change_percent;
+    percent.map_or_else(|| "from 0".to_owned(), |percent| format!("{percent:+.1}"))
+}
+
 fn between(spread: &Spread) -> String {
     format!("{} to {}", number(spread.min), number(spread.max))
 }
@@ -101,6 +133,15 @@ fn counts(comparison: &Comparison) -> String {
         );
     }
     text.push_str(".\n");
+    let others =
+        comparison.count(Verdict::OneValueWorse) + comparison.count(Verdict::OneValueBetter);
+    let alike = comparison.count(Verdict::OneValueAlike);
+    if others + alike > 0 {
+        let _ = writeln!(
+            text,
+            "One value each: {others} differ by more than {LEAST_CHANGE_PERCENT} %, {alike} do not."
+        );
+    }
     if comparison.changed_by_chance > 0.0 {
         let _ = writeln!(
             text,
@@ -135,6 +176,7 @@ mod tests {
     fn text_of(before: Vec<Metric>, after: Vec<Metric>) -> String {
         let input = |metrics| Input {
             environment: Environment::default(),
+            options: None,
             metrics,
         };
         text(&Comparison::of(&input(before), &input(after)))
@@ -146,11 +188,13 @@ mod tests {
             vec![
                 Metric::lower("a/slow", "µs", [10.0, 11.0, 12.0]),
                 Metric::lower("a/same", "µs", [10.0, 11.0, 12.0]),
+                Metric::lower("a/twice", "µs", [1.0, 1.0]),
                 Metric::lower("a/once", "µs", [1.0]),
             ],
             vec![
                 Metric::lower("a/slow", "µs", [20.0, 22.0, 24.0]),
                 Metric::lower("a/same", "µs", [11.0, 12.0, 13.0]),
+                Metric::lower("a/twice", "µs", [1.0, 1.0]),
                 Metric::lower("a/once", "µs", [2.0]),
                 Metric::lower("a/new", "µs", [2.0]),
             ],
@@ -160,6 +204,8 @@ mod tests {
         let counts =
             "1 worse, 0 better, 1 within noise, 1 with fewer than 3 rounds in one of the runs.";
         assert!(text.contains(counts), "{text}");
+        let single = "One value each: 1 differ by more than 2 %, 0 do not.";
+        assert!(text.contains(single) && text.contains("a/once"), "{text}");
         assert!(text.contains("1 only in the run after: a/new"), "{text}");
         assert!(text.contains("up to 0.2 of these"), "{text}");
     }

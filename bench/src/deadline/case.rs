@@ -103,13 +103,12 @@ pub struct Row {
     realtime: bool,
     #[serde(flatten)]
     counts: Counts,
-    budget_hits: u64,
+    pub(super) budget_hits: u64,
     #[serde(flatten)]
     times: TimeQuantiles,
     median_of_rounds: Medians,
     /// The least of all rounds.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    tracking_share: Option<f64>,
+    pub(super) tracking_share: Option<f64>,
     rounds: Vec<RoundRow>,
 }
 

@@ -11,20 +11,23 @@ mod report;
 mod segment;
 mod tally;
 
+use std::collections::btree_map::Entry;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 pub use case::{Case, Cases, Key, Round, Row};
 pub use observer::{Observed, Observer};
-pub use ratio::{Ratio, ratios};
+pub use ratio::{Ratio, misses_p_value, ratios};
 pub use report::Report;
 pub use segment::{Runner, Segment, Subject};
 use serde::Serialize;
 pub use tally::{Causes, Counts, Tally, Times};
 
+use crate::interrupt;
 use crate::load::Load;
 use crate::progress::Progress;
+use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
 
@@ -110,7 +113,12 @@ impl Options {
 
 /// About how long a measurement takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
-    let loads = 3 * options.loads.len() + 2 * options.ordinary_loads.len();
+    let realtime = if may_be_realtime() {
+        2 + usize::from(Cyclictest::find().is_some())
+    } else {
+        0
+    };
+    let loads = realtime * options.loads.len() + 2 * options.ordinary_loads.len();
     let segment_s = options.segment().as_secs_f64() + WARM_UP.as_secs_f64() + AROUND_S;
     segment_s * loads as f64 * f64::from(options.rounds)
 }
@@ -118,7 +126,7 @@ pub fn expected_s(options: &Options) -> f64 {
 /// Measures.
 ///
 /// # Errors
-/// When a process or a load fails, or the configuration is bad.
+/// When a process or a load fails twice in one stretch, the configuration is bad, or a signal comes.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     ensure!(options.rounds > 0, "at least one round is needed");
     for load in options.loads.iter().chain(&options.ordinary_loads) {
@@ -126,47 +134,77 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     }
     let cores = Cores::find()?;
     cores.stay_off();
-    let begin = Instant::now();
-    let runner = Runner::new(options, cores.clone())?;
-    let is_realtime = may_be_realtime();
-    let mut cases = Cases::new();
+    let runner = Runner::new(options, cores)?;
+    let mut run = Run {
+        begin: Instant::now(),
+        is_realtime: !options.loads.is_empty() && runner.may_be_realtime(),
+        runner,
+        progress,
+        cases: Cases::new(),
+        failures: Vec::new(),
+    };
     for round in 0..options.rounds {
-        for (setup, loads) in options.setups() {
-            if setup == Setup::Realtime && !is_realtime {
-                continue;
-            }
-            for load in loads {
-                let mut subjects = runner.subjects(setup);
-                let count = subjects.len();
-                subjects.rotate_left(round as usize % count);
-                for subject in subjects {
-                    let key = Key {
-                        setup,
-                        load: *load,
-                        subject,
-                    };
-                    progress.begin(&format!(
-                        "round {} of {}, load {}, {}, {}",
-                        round + 1,
-                        options.rounds,
-                        load.name(),
-                        setup.name(),
-                        subject.name()
-                    ));
-                    let start = Instant::now();
-                    let start_s = (start - begin).as_secs_f64();
-                    let segment = runner.run(subject, *load, setup)?;
-                    let case = match cases.entry(key) {
-                        std::collections::btree_map::Entry::Vacant(free) => {
-                            free.insert(Case::new(key)?)
-                        }
-                        std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
-                    };
-                    case.push(Round { start_s, segment })?;
-                    progress.advance(start.elapsed().as_secs_f64());
-                }
-            }
+        for key in run.stretches(options, round) {
+            run.stretch(key, round, options.rounds)?;
         }
     }
-    Ok(Report::new(cases, runner.period(), is_realtime, options))
+    Ok(Report::new(run, options))
+}
+
+/// A measurement under way.
+struct Run<'a> {
+    begin: Instant,
+    runner: Runner<'a>,
+    is_realtime: bool,
+    progress: &'a mut Progress,
+    cases: Cases,
+    /// Stretches that failed and were measured again.
+    failures: Vec<String>,
+}
+
+impl Run<'_> {
+    /// What a round measures, in this order: another subject comes first in each round.
+    fn stretches(&self, options: &Options, round: u32) -> Vec<Key> {
+        let mut keys = Vec::new();
+        for (setup, loads) in options.setups() {
+            if setup == Setup::Realtime && !self.is_realtime {
+                continue;
+            }
+            let mut subjects = self.runner.subjects(setup);
+            let count = subjects.len();
+            subjects.rotate_left(round as usize % count);
+            for load in loads {
+                let key = |subject: &Subject| Key {
+                    setup,
+                    load: *load,
+                    subject: *subject,
+                };
+                keys.extend(subjects.iter().map(key));
+            }
+        }
+        keys
+    }
+
+    /// Measures one stretch. One that fails is measured once more: a machine may stall for longer than a process
+    /// can bear, and half an hour of measurements is not to be lost by that. It is told.
+    fn stretch(&mut self, key: Key, round: u32, rounds: u32) -> Result<()> {
+        let names = [key.load.name(), key.setup.name(), key.subject.name()].join(", ");
+        let what = format!("round {} of {rounds}, load {names}", round + 1);
+        self.progress.begin(&what);
+        let start = Instant::now();
+        let measure = || self.runner.run(key.subject, key.load, key.setup);
+        let segment = measure().or_else(|failure| {
+            interrupt::check()?;
+            self.failures.push(format!("{what}: {failure:#}"));
+            measure()
+        })?;
+        let start_s = (start - self.begin).as_secs_f64();
+        let case = match self.cases.entry(key) {
+            Entry::Vacant(free) => free.insert(Case::new(key)?),
+            Entry::Occupied(known) => known.into_mut(),
+        };
+        case.push(Round { start_s, segment })?;
+        self.progress.advance(start.elapsed().as_secs_f64());
+        Ok(())
+    }
 }

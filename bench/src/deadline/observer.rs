@@ -42,7 +42,7 @@ pub struct Observed {
 /// An observation that runs in a thread of its own.
 #[derive(Debug)]
 pub struct Observer {
-    /// From when on cycles count \[ns\]; 0: not yet.
+    /// From when on cycles count \[ns\]; `u64::MAX`: not yet.
     begin_ns: Arc<AtomicU64>,
     ending: Arc<AtomicBool>,
     thread: Option<JoinHandle<Result<Observed>>>,
@@ -119,6 +119,8 @@ struct Watch {
     /// When the command of a cycle came \[ns\].
     arrivals: HashMap<u64, u64>,
     records: Vec<Record>,
+    /// What the daemon found out later about a bad cycle.
+    causes: HashMap<u64, LateCause>,
     last_record_ns: u64,
     /// After the ports, which must go first.
     _connection: Connection,
@@ -167,6 +169,7 @@ impl Watch {
             incidents: connection.incidents()?,
             arrivals: HashMap::new(),
             records: Vec::new(),
+            causes: HashMap::new(),
             last_record_ns: monotonic_ns(),
             _connection: connection,
         })
@@ -226,20 +229,25 @@ impl Watch {
                 self.arrivals.remove(&telemetry.cycle);
             }
         }
-        Ok(())
+        self.take_incidents()
     }
 
     /// The incidents know more than the records: what the hypervisor took from the core.
-    fn judge_again(&mut self) -> Result<()> {
-        std::thread::sleep(INCIDENTS_WAIT);
-        let mut causes = HashMap::new();
+    fn take_incidents(&mut self) -> Result<()> {
         while let Some(incident) = self.incidents.try_next()? {
             if let Ok(cause) = LateCause::try_from(incident.telemetry.scheduling.late_cause) {
-                causes.insert(incident.telemetry.cycle, cause);
+                self.causes.insert(incident.telemetry.cycle, cause);
             }
         }
+        Ok(())
+    }
+
+    /// The last incidents may still be on their way.
+    fn judge_again(&mut self) -> Result<()> {
+        std::thread::sleep(INCIDENTS_WAIT);
+        self.take_incidents()?;
         for record in &mut self.records {
-            if let Some(cause) = causes.get(&record.number) {
+            if let Some(cause) = self.causes.get(&record.number) {
                 record.cycle.cause = *cause;
             }
         }
@@ -251,9 +259,12 @@ impl Watch {
         let mut tally = Tally::of(&cycles, true)?;
         tally.counts.lost_records = lost;
         for record in &self.records {
-            if let Some(arrival_ns) = self.arrivals.get(&record.number) {
-                let command_ns = arrival_ns.saturating_sub(record.cycle.due_ns);
-                tally.times.command.saturating_record(command_ns);
+            match self.arrivals.get(&record.number) {
+                Some(arrival_ns) => {
+                    let command_ns = arrival_ns.saturating_sub(record.cycle.due_ns);
+                    tally.times.command.saturating_record(command_ns);
+                }
+                None => tally.counts.lost_commands += 1,
             }
         }
         let count = |is: fn(&Record) -> bool| self.records.iter().filter(|r| is(r)).count() as u64;

@@ -4,7 +4,7 @@ use serde::Serialize;
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::Setup;
-use super::case::{Case, Cases, Key};
+use super::case::{Case, Cases, Key, Round};
 use super::segment::Subject;
 use super::tally::{Counts, TimeQuantiles};
 use crate::load::Load;
@@ -88,7 +88,10 @@ impl Ratio {
             }),
         };
         let (ours, theirs) = (&daemon.total.counts, &bare.total.counts);
-        let p_value = p_value(ours, theirs);
+        let p_value = misses_p_value(
+            (ours.deadline_misses, due(ours)),
+            (theirs.deadline_misses, due(theirs)),
+        );
         Self {
             load: daemon.key.load,
             realtime: daemon.key.setup == Setup::Realtime,
@@ -107,32 +110,37 @@ impl Ratio {
     }
 }
 
-/// One number of each round of `above` over that of the same round of `below`. A clock that was read at once
-/// counts as a hundredth of a microsecond, so that nothing is divided by nothing.
+/// One number of each round of `above` over that of the same round of `below`; rounds in which one of them lacks it are
+/// left out. A clock that was read at once counts as a hundredth of a microsecond, so that nothing is divided by nothing.
 fn over(above: &Case, below: &Case, value: fn(&TimeQuantiles) -> Option<f64>) -> Vec<f64> {
-    let pairs = above.each(value).into_iter().zip(below.each(value));
+    let pairs = above.rounds.iter().zip(&below.rounds);
+    let of = |round: &Round| value(&round.segment.tally.quantiles());
     pairs
-        .map(|(above, below)| above.max(0.01) / below.max(0.01))
+        .filter_map(|(above, below)| Some(of(above)?.max(0.01) / of(below)?.max(0.01)))
         .collect()
 }
 
-/// Misses in a million cycles that were due: those that ran and those that were skipped.
-fn per_million(counts: &Counts) -> f64 {
-    let due = counts.cycles + counts.skipped_periods;
-    1e6 * counts.deadline_misses as f64 / due.max(1) as f64
+/// Releases that were due: cycles that ran, and those that were skipped.
+fn due(counts: &Counts) -> u64 {
+    counts.cycles + counts.skipped_periods
 }
 
-/// The probability that chance alone gives the daemon at least its part of the misses of both: the conditional
-/// test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31, 1940). 1 when nobody missed.
-fn p_value(ours: &Counts, theirs: &Counts) -> f64 {
-    let misses = ours.deadline_misses + theirs.deadline_misses;
-    let cycles = ours.cycles + theirs.cycles;
-    if ours.deadline_misses == 0 || cycles == 0 {
+/// Misses in a million cycles that were due.
+fn per_million(counts: &Counts) -> f64 {
+    1e6 * counts.deadline_misses as f64 / due(counts).max(1) as f64
+}
+
+/// The probability that chance alone gives the daemon at least its part of the misses of both, each given as misses and
+/// due cycles: the conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31, 1940). 1 when the
+/// daemon missed nothing.
+pub fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
+    let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
+    if ours.0 == 0 || due == 0 {
         return 1.0;
     }
-    let share = ours.cycles as f64 / cycles as f64;
+    let share = ours.1 as f64 / due as f64;
     // At least so many is more than one less.
-    Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.deadline_misses - 1))
+    Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.0 - 1))
 }
 
 #[cfg(test)]
@@ -150,21 +158,15 @@ mod tests {
     #[test]
     fn as_many_misses_as_the_bare_loop_are_no_difference() {
         let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
-        assert!(near(p_value(&counts(1000, 0), &counts(1000, 9)), 1.0));
+        assert!(near(misses_p_value((0, 1000), (9, 1000)), 1.0));
         // One of one: half of the time.
-        assert!(near(p_value(&counts(1000, 1), &counts(1000, 0)), 0.5));
+        assert!(near(misses_p_value((1, 1000), (0, 1000)), 0.5));
         // Five of five: (1/2)^5.
-        assert!(near(
-            p_value(&counts(1000, 5), &counts(1000, 0)),
-            1.0 / 32.0
-        ));
+        assert!(near(misses_p_value((5, 1000), (0, 1000)), 1.0 / 32.0));
         // At least 3 of 4: (4 + 1) / 16.
-        assert!(near(
-            p_value(&counts(1000, 3), &counts(1000, 1)),
-            5.0 / 16.0
-        ));
+        assert!(near(misses_p_value((3, 1000), (1, 1000)), 5.0 / 16.0));
         // Twice the cycles may have twice the misses: at least 1 of 1 with 2/3.
-        assert!(near(p_value(&counts(2000, 1), &counts(1000, 0)), 2.0 / 3.0));
+        assert!(near(misses_p_value((1, 2000), (0, 1000)), 2.0 / 3.0));
         assert!(near(per_million(&counts(2000, 1)), 500.0));
     }
 }

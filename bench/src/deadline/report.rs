@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 use super::case::{Case, Cases, Key};
 use super::ratio::{Ratio, ratios};
 use super::segment::Subject;
-use super::{Options, Setup};
+use super::{Options, Run, Setup};
 use crate::chart::{BLUE, Curve, GREY, ORANGE, Panel, Point, Scale, sheet};
 use crate::csv::csv;
 use crate::figures::Figure;
@@ -32,6 +32,7 @@ pub struct Report {
     ratios: Vec<Ratio>,
     period: Duration,
     is_realtime: bool,
+    failures: Vec<String>,
     rounds: u32,
     segment: Duration,
     tags: Vec<Tag>,
@@ -46,12 +47,8 @@ struct Tag {
 }
 
 impl Report {
-    pub(super) fn new(
-        cases: Cases,
-        period: Duration,
-        is_realtime: bool,
-        options: &Options,
-    ) -> Self {
+    pub(super) fn new(run: Run<'_>, options: &Options) -> Self {
+        let (cases, period) = (run.cases, run.runner.period());
         let ratios = ratios(&cases);
         let names = ["wake", "compute", "response", "command"];
         let all = cases.keys().flat_map(|key| names.map(|name| (*key, name)));
@@ -65,7 +62,8 @@ impl Report {
         Self {
             ratios,
             period,
-            is_realtime,
+            is_realtime: run.is_realtime,
+            failures: run.failures,
             rounds: options.rounds,
             segment: options.segment(),
             tags,
@@ -137,7 +135,10 @@ impl Report {
             "other",
             "steal ms",
             "waited ms",
-            "lost",
+            "lost records",
+            "lost commands",
+            "tracking %",
+            "cut short",
         ];
         let rows = self.cases.values().map(|case| {
             let counts = &case.total.counts;
@@ -169,7 +170,19 @@ impl Report {
             } else {
                 "-".into()
             });
-            cells.push(counts.lost_records.to_string());
+            let of_client = [counts.lost_records, counts.lost_commands];
+            let is_daemon = case.key.subject == Subject::Daemon;
+            let told = |count: u64| {
+                if is_daemon {
+                    count.to_string()
+                } else {
+                    "-".into()
+                }
+            };
+            cells.extend(of_client.map(told));
+            let row = case.row();
+            cells.push(digits(row.tracking_share.map(|share| 100.0 * share), 1));
+            cells.push(told(row.budget_hits));
             cells
         });
         Table::new(
@@ -295,10 +308,18 @@ impl Section for Report {
     }
 
     fn json(&self) -> Result<Value> {
-        let cases: Vec<_> = self.cases.values().map(Case::row).collect();
+        let rows = self.cases.values().map(|case| {
+            let mut row = serde_json::to_value(case.row())?;
+            if case.key.subject == Subject::Cyclictest {
+                forget_what_it_does_not_tell(&mut row);
+            }
+            Ok(row)
+        });
+        let cases = rows.collect::<Result<Vec<Value>>>()?;
         Ok(json!({
             "period_ms": self.period.as_secs_f64() * 1e3,
             "realtime_granted": self.is_realtime,
+            "measured_again": self.failures,
             "rounds": self.rounds,
             "segment_s": self.segment.as_secs_f64(),
             "cases": cases,
@@ -425,6 +446,17 @@ struct SheetRow {
     counts: super::Counts,
     #[serde(flatten)]
     times: super::tally::TimeQuantiles,
+}
+
+/// cyclictest tells neither why it was late nor how long it waited for its core.
+fn forget_what_it_does_not_tell(row: &mut Value) {
+    let rounds = row["rounds"].as_array_mut();
+    for round in rounds.into_iter().flatten() {
+        forget_what_it_does_not_tell(round);
+    }
+    for key in ["causes", "own_misses", "run_delay_ms"] {
+        row[key] = Value::Null;
+    }
 }
 
 fn path(key: &Key) -> [&'static str; 3] {

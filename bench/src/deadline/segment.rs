@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use serde::Serialize;
 
 use super::observer::{Observed, Observer};
@@ -16,6 +16,7 @@ use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;
+use crate::system::thread::may_be_realtime;
 
 /// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
@@ -90,6 +91,25 @@ impl<'a> Runner<'a> {
         })
     }
 
+    /// How what is measured is started. With real time means with all of it: whoever lacks a part is refused, and
+    /// not called real-time.
+    fn launch(&self, setup: Setup) -> Launch {
+        match setup {
+            Setup::Realtime => launch(self.options)
+                .placed(&self.cores, true)
+                .with("realtime.mode", "require"),
+            Setup::Ordinary => launch(self.options).placed(&self.cores, false),
+        }
+    }
+
+    /// Whether the system grants all that real time needs.
+    pub fn may_be_realtime(&self) -> bool {
+        may_be_realtime() && {
+            let required = Daemon::start(&self.launch(Setup::Realtime), &self.cores);
+            required.and_then(Daemon::stop).is_ok()
+        }
+    }
+
     /// What can be measured with this set-up.
     pub fn subjects(&self, setup: Setup) -> Vec<Subject> {
         let mut subjects = vec![Subject::Bare, Subject::Daemon];
@@ -118,17 +138,16 @@ impl<'a> Runner<'a> {
 
     fn daemon(&self, load: Load, setup: Setup) -> Result<Segment> {
         let realtime = setup == Setup::Realtime;
-        let launch = launch(self.options).placed(&self.cores, realtime);
-        let daemon = Daemon::start(&launch, &self.cores)?;
+        let daemon = Daemon::start(&self.launch(setup), &self.cores)?;
         let core = self.cores.client();
         let tracking = Tracking::start(daemon.location(), core)?;
         let observer = Observer::start(daemon.location(), core, realtime)?;
         let running = Running::start(load, &self.cores, Some(daemon.location()))?;
         interrupt::sleep(WARM_UP)?;
         observer.begin();
-        let steal = steal_ms(self.cores.realtime);
-        self.wait(&observer, &daemon)?;
-        let steal = difference(steal, steal_ms(self.cores.realtime));
+        let steal = Steal::begin(&self.cores, setup);
+        self.wait(&observer, &running)?;
+        let steal = steal.end_ms();
         let observed = observer.finish();
         let done = running.stop();
         tracking.stop().with_context(|| daemon.last_words())?;
@@ -147,14 +166,13 @@ impl<'a> Runner<'a> {
         })
     }
 
-    fn wait(&self, observer: &Observer, daemon: &Daemon) -> Result<()> {
+    fn wait(&self, observer: &Observer, load: &Running) -> Result<()> {
         let mut left = self.options.segment();
-        while !left.is_zero() {
-            ensure!(
-                !observer.has_ended(),
-                "the observer ended before its time{}",
-                daemon.last_words()
-            );
+        // What ended by itself is asked for its reason when it is ended.
+        while !left.is_zero() && !observer.has_ended() {
+            if let Some(failure) = load.failure() {
+                return Err(failure);
+            }
             let step = left.min(Duration::from_millis(500));
             interrupt::sleep(step)?;
             left -= step;
@@ -167,7 +185,7 @@ impl<'a> Runner<'a> {
     fn beside_decoy(
         &self,
         load: Load,
-        measure: impl FnOnce(&Self) -> Result<Tally>,
+        measure: impl FnOnce(&Self) -> Result<(Tally, f64)>,
     ) -> Result<Segment> {
         let decoy = if load.needs_daemon() {
             Some(self.decoy()?)
@@ -176,15 +194,13 @@ impl<'a> Runner<'a> {
         };
         let target = decoy.as_ref().map(Daemon::location);
         let running = Running::start(load, &self.cores, target)?;
-        let steal = steal_ms(self.cores.realtime);
-        let tally = measure(self);
-        let steal = difference(steal, steal_ms(self.cores.realtime));
+        let measured = measure(self);
         let done = running.stop();
         if let Some(decoy) = decoy {
             decoy.stop()?;
         }
-        let mut tally = tally?;
-        tally.counts.steal_ms = steal;
+        let (mut tally, steal_ms) = measured?;
+        tally.counts.steal_ms = steal_ms;
         Ok(Segment {
             tally,
             load: done?,
@@ -200,42 +216,78 @@ impl<'a> Runner<'a> {
         Daemon::start(&launch, &cores)
     }
 
-    fn bare(&self, setup: Setup) -> Result<Tally> {
-        let launch = launch(self.options).placed(&self.cores, setup == Setup::Realtime);
+    /// What came, and the steal meanwhile \[ms\].
+    fn bare(&self, setup: Setup) -> Result<(Tally, f64)> {
         let duration = WARM_UP + self.options.segment();
-        let cycles = Bare::start(&launch, &self.cores, duration)?.wait()?;
+        let bare = Bare::start(&self.launch(setup), &self.cores, duration)?;
+        interrupt::sleep(WARM_UP)?;
+        let steal = Steal::begin(&self.cores, setup);
+        let cycles = bare.wait()?;
+        let steal_ms = steal.end_ms();
         let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
         let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
         let warm = cycles.partition_point(|cycle| cycle.due_ns < begin_ns);
-        Tally::of(&cycles[warm..], false)
+        Ok((Tally::of(&cycles[warm..], false)?, steal_ms))
     }
 
-    fn cyclictest(&self) -> Result<Tally> {
+    fn cyclictest(&self) -> Result<(Tally, f64)> {
         let cyclictest = self.cyclictest.as_ref().context("cyclictest is gone")?;
         let cycles = |time: Duration| (time.as_nanos() / self.period.as_nanos().max(1)) as u64;
         let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
         let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
         let running = cyclictest.start(self.period, priority, core, warm + counted)?;
+        interrupt::sleep(WARM_UP)?;
+        let steal = Steal::begin(&self.cores, Setup::Realtime);
         let latencies = running.wait()?.without_first(warm)?;
-        Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)
+        let steal_ms = steal.end_ms();
+        let tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
+        Ok((tally, steal_ms))
     }
 }
 
-/// Priority of the daemon's cycle thread in the default configuration.
+/// Priority of whatever is measured with real time: that of the daemon's cycle thread, whatever its configuration says.
 const CYCLE_PRIORITY: u8 = 80;
 
 fn launch(options: &Options) -> Launch {
-    let launch = Launch::patient(options.config.clone());
+    // A driver is not there: the robot is simulated, whatever the configuration says.
+    let launch = Launch::patient(options.config.clone())
+        .with("link.kind", "simulated")
+        .with("realtime.cycle_priority", CYCLE_PRIORITY);
     match options.period_ms {
-        Some(period_ms) => launch.with("cycle.period_ms", period_ms),
+        Some(period_ms) => launch
+            .with("cycle.period_ms", period_ms)
+            .with("cycle.gather_lead_ms", (0.35 * period_ms).min(0.2))
+            .with("cycle.late_start_ms", period_ms.min(1.0)),
         None => launch,
     }
 }
 
-/// What came between, in as far as it is counted.
-fn difference(before: Option<f64>, after: Option<f64>) -> f64 {
-    match (before, after) {
-        (Some(before), Some(after)) => after - before,
-        _ => 0.0,
+/// Time that the hypervisor takes from cores, from a moment on.
+struct Steal {
+    /// Each with what had been taken from it before \[ms\].
+    cores: Vec<(usize, f64)>,
+}
+
+impl Steal {
+    /// Of the real-time core; without real time of all, because the threads are where the system puts them.
+    fn begin(cores: &Cores, setup: Setup) -> Self {
+        let mut watched = vec![cores.realtime];
+        if setup == Setup::Ordinary {
+            watched.extend(cores.others.iter().filter(|core| **core != cores.realtime));
+        }
+        let known = watched.into_iter();
+        Self {
+            cores: known
+                .filter_map(|core| Some((core, steal_ms(core)?)))
+                .collect(),
+        }
+    }
+
+    /// What was taken since \[ms\], in as far as it is counted.
+    fn end_ms(&self) -> f64 {
+        let taken = self.cores.iter();
+        taken
+            .filter_map(|(core, before_ms)| Some(steal_ms(*core)? - before_ms))
+            .sum()
     }
 }

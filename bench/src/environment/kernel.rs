@@ -56,7 +56,7 @@ impl Kernel {
         )
     }
 
-    pub(super) fn isolation_words(&self) -> String {
+    pub(crate) fn isolation_words(&self) -> String {
         if self.isolation.is_empty() {
             "none".to_owned()
         } else {

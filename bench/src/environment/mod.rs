@@ -4,6 +4,7 @@
 
 mod commit;
 mod kernel;
+mod options;
 mod processor;
 mod system;
 
@@ -13,6 +14,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 
 pub use kernel::Kernel;
+pub use options::Options;
 pub use processor::Processor;
 
 use crate::system::cores::Cores;
@@ -150,6 +152,15 @@ impl Environment {
         Table::new("The machine", &["property", "value"], 2, rows)
     }
 
+    /// What a figure needs beside it at least: processor, kernel, right to real time.
+    pub fn line(&self) -> String {
+        let realtime = granted(self.privileges.realtime);
+        format!(
+            "Measured on {}, kernel {}, real time {realtime}.",
+            self.processor.model, self.kernel.release
+        )
+    }
+
     fn version(&self) -> String {
         let mut words = self.cdcr_version.clone();
         if let Some(commit) = &self.commit {
@@ -161,7 +172,7 @@ impl Environment {
         words
     }
 
-    fn virtual_words(&self) -> String {
+    pub(crate) fn virtual_words(&self) -> String {
         match (self.virtual_machine, &self.hypervisor) {
             (None, _) => told(None),
             (Some(false), _) => "no".to_owned(),
@@ -180,11 +191,11 @@ impl Environment {
     }
 }
 
-fn told(value: Option<String>) -> String {
+pub(crate) fn told(value: Option<String>) -> String {
     value.unwrap_or_else(|| "not told".to_owned())
 }
 
-fn granted(is_granted: bool) -> String {
+pub(crate) fn granted(is_granted: bool) -> String {
     if is_granted { "granted" } else { "refused" }.to_owned()
 }
 
@@ -239,6 +250,7 @@ mod tests {
         let nothing = Environment::of(&System::below(folder.path()), cores, Privileges::default());
         assert_eq!(nothing.memory_mb, None);
         assert_eq!(nothing.virtual_machine, None);
+        assert!(nothing.line().ends_with("real time refused."));
         let text = nothing.table().text();
         assert!(
             text.contains("not told") && text.contains("refused"),

@@ -1,10 +1,10 @@
 use anyhow::Result;
 use plotters::style::RGBColor;
 
-use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
 use super::shape::View;
 use super::signals::{cables, duration_s, over_time, times};
 use super::{Figure, find, find_all};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
 use crate::closed_loop::Sample;
 use crate::experiment::{CIRCLE_DISTANCES_M, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};

@@ -2,10 +2,10 @@ use anyhow::Result;
 use cdcr_controller::robot::ZyxAngles;
 use plotters::style::RGBColor;
 
-use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
 use super::shape::View;
 use super::signals::{angles, cables, controls, distances, duration_s, errors, over_time, times};
 use super::{Figure, find, find_all, named};
+use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
 use crate::closed_loop::Sample;
 use crate::experiment::{LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::Outcome;

@@ -1,9 +1,9 @@
 use anyhow::Result;
 
-use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, sheet};
 use super::shape::View;
 use super::signals::{cables, controls, distances, errors, times};
 use super::{Figure, find, find_all, named};
+use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, sheet};
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 

@@ -1,7 +1,8 @@
 //! What a daemon takes: cores, memory, files, time to start.
 //!
-//! Each round starts a daemon with its defaults (200 Hz, three sections), measures it without a client, then
-//! while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
+//! Each round starts a daemon with its defaults (200 Hz, three sections) for the times of its start, and a second
+//! one: its memory is read when it says that it is ready, before any client connects; then it is measured without
+//! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
 //! from `/proc/PID/status`.
 
 mod bars;
@@ -27,7 +28,7 @@ use crate::system::thread::may_be_realtime;
 /// Share of the time of tracking that is measured without a client, too.
 const IDLE_SHARE: f64 = 0.4;
 /// What start, begin of tracking, warm-up and end take, about \[s\].
-const AROUND_S: f64 = 2.0;
+const AROUND_S: f64 = 2.3;
 
 /// What is measured, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq)]

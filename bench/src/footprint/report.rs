@@ -20,6 +20,8 @@ const CORE_MAX_PERCENT: f64 = 3.0;
 const RESIDENT_MAX_MB: f64 = 64.0;
 /// Bytes in a megabyte.
 const MB: f64 = 1e6;
+/// Unit of what is or is not: 1 is yes, 0 no.
+const YES_NO: &str = "yes/no";
 
 /// What the daemons of some rounds took.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -67,7 +69,7 @@ struct Quantity {
 }
 
 /// All that is measured, the figures with a target first.
-const QUANTITIES: [Quantity; 19] = [
+const QUANTITIES: [Quantity; 22] = [
     Quantity {
         what: "real-time core, tracking",
         key: "core_tracking_percent",
@@ -97,6 +99,27 @@ const QUANTITIES: [Quantity; 19] = [
         target: Some(0.0),
     },
     plain(
+        "resident at the start",
+        "resident_start_mb",
+        "MB",
+        |round| round.after_start.resident_bytes as f64 / MB,
+    ),
+    plain(
+        "resident memory added without a client",
+        "growth_idle_kb",
+        "kB",
+        |round| round.growth_idle_bytes() * 1e-3,
+    ),
+    plain(
+        "resident memory added by the first client",
+        "growth_by_client_kb",
+        "kB",
+        |round| round.growth_by_client_bytes() * 1e-3,
+    ),
+    plain("memory locked", "locked", YES_NO, |round| {
+        f64::from(round.memory_locked)
+    }),
+    plain(
         "real-time core, idle",
         "core_idle_percent",
         "%",
@@ -106,10 +129,10 @@ const QUANTITIES: [Quantity; 19] = [
         "all threads, tracking",
         "all_tracking_percent",
         "%",
-        |round| round.threads.iter().map(|t| t.tracking_percent).sum(),
+        |round| round.sum(|thread| thread.tracking_percent),
     ),
     plain("all threads, idle", "all_idle_percent", "%", |round| {
-        round.threads.iter().map(|t| t.idle_percent).sum()
+        round.sum(|thread| thread.idle_percent)
     }),
     plain("most that ever was resident", "peak_mb", "MB", |round| {
         round.after_tracking.peak_bytes as f64 / MB
@@ -129,12 +152,6 @@ const QUANTITIES: [Quantity; 19] = [
     plain("locked, by address range", "locked_mb", "MB", |round| {
         round.after_tracking.locked_bytes as f64 / MB
     }),
-    plain(
-        "resident memory added by the first client",
-        "growth_by_client_kb",
-        "kB",
-        |round| round.growth_by_client_bytes() * 1e-3,
-    ),
     plain("files in shared memory", "memory_files", "", |round| {
         round.shared_memory.files as f64
     }),
@@ -183,6 +200,8 @@ const fn plain(
 /// A number with its spread, as a row of JSON and CSV.
 #[derive(Serialize)]
 struct Row {
+    #[serde(skip)]
+    what: &'static str,
     key: &'static str,
     unit: &'static str,
     median: f64,
@@ -212,8 +231,10 @@ struct Document<'a> {
 }
 
 impl Report {
+    /// One value of each round that measured it.
     fn values(&self, value: impl Fn(&Round) -> f64) -> Vec<f64> {
-        self.rounds.iter().map(value).collect()
+        let values = self.rounds.iter().map(value);
+        values.filter(|value| value.is_finite()).collect()
     }
 
     fn rows(&self) -> Vec<Row> {
@@ -222,6 +243,7 @@ impl Report {
             let middle = median(&values)?;
             let (least, most) = range(&values)?;
             Some(Row {
+                what: quantity.what,
                 key: quantity.key,
                 unit: quantity.unit,
                 median: middle,
@@ -273,7 +295,7 @@ impl Report {
             self.rounds.len(),
             self.how()
         );
-        let cells = |(quantity, row): (&Quantity, &Row)| {
+        let cells = |row: &Row| {
             let reached = match row.reached {
                 Some(true) => "yes",
                 Some(false) => "no",
@@ -282,18 +304,24 @@ impl Report {
             let target = row
                 .target
                 .map_or_else(String::new, |target| format!("≤ {target}"));
+            let number = |value| {
+                if row.unit == YES_NO {
+                    yes_no(value)
+                } else {
+                    short(value)
+                }
+            };
             vec![
-                quantity.what.to_owned(),
+                row.what.to_owned(),
                 row.unit.to_owned(),
-                short(row.median),
-                short(row.least),
-                short(row.most),
+                number(row.median),
+                number(row.least),
+                number(row.most),
                 target,
                 reached.to_owned(),
             ]
         };
-        let rows = self.rows();
-        let cells = QUANTITIES.iter().zip(&rows).map(cells).collect();
+        let cells = self.rows().iter().map(cells).collect();
         let heads = [
             "what", "unit", "median", "least", "most", "target", "reached",
         ];
@@ -335,6 +363,12 @@ impl Report {
     }
 }
 
+/// What was so in only some of the rounds is no yes.
+fn yes_no(value: f64) -> String {
+    let word = if value >= 1.0 { "yes" } else { "no" };
+    word.to_owned()
+}
+
 /// Three digits behind the point of what is small, none of what is whole.
 fn short(value: f64) -> String {
     if value.fract() == 0.0 {
@@ -356,14 +390,16 @@ impl Section for Report {
     }
 
     fn explanation(&self) -> &'static str {
-        "<p>Each round starts a daemon with its defaults (200 Hz, three sections), measures it without any \
-         client, then while it tracks the spiral that a client feeds. The share of a core is the time \
-         that the kernel counted the thread on a core, by the time that passed; interrupts that came meanwhile \
-         are part of it. The real-time core is the sum of the threads cdcr-cycle and cdcr-exchange.</p>\
+        "<p>Each round starts two daemons with their defaults (200 Hz, three sections), one after the other. For \
+         the first one a client looks from the beginning: from it come the times of the start. The second one is \
+         measured without any client, then while it tracks the spiral that a client feeds. The share of a core is \
+         the time that the kernel counted the thread on a core, by the time that passed; interrupts that came \
+         meanwhile are part of it. The real-time core is the sum of the threads cdcr-cycle and cdcr-exchange.</p>\
          <p>Resident memory is VmRSS. It holds all shared memory that the daemon has mapped, because locked \
-         memory is always there. Locked memory is counted by address range and is larger: ranges without \
-         access (guard pages) count, too. What the first client adds is the memory of its own ports, which the \
-         daemon maps when it connects.</p>"
+         memory is always there. \"At the start\" is when the daemon says READY=1, before any client \
+         connects. What the first client adds is the memory of its own ports, which the daemon maps when it \
+         connects; it has no target. Locked memory is counted by address range and is larger: ranges without \
+         access (guard pages) count, too. Whether memory is locked is what the daemon says itself.</p>"
     }
 
     fn json(&self) -> Result<serde_json::Value> {
@@ -413,7 +449,12 @@ impl Section for Report {
     fn metrics(&self) -> Vec<Metric> {
         let quantities = QUANTITIES.iter().map(|quantity| {
             let name = format!("footprint/{}", quantity.key);
-            Metric::lower(name, quantity.unit, self.values(quantity.value))
+            let metric = if quantity.unit == YES_NO {
+                Metric::higher
+            } else {
+                Metric::lower
+            };
+            metric(name, quantity.unit, self.values(quantity.value))
         });
         let threads = self.thread_rows();
         let threads = threads.iter().map(|row| {
@@ -470,7 +511,9 @@ mod tests {
                 thread("cdcr-cycle", cycle_percent),
                 thread("cdcr-exchange", 0.5),
             ],
-            after_start: memory(resident_bytes),
+            memory_locked: true,
+            after_start: memory(resident_bytes - 16_384),
+            before_client: memory(resident_bytes - 12_288),
             before_tracking: memory(resident_bytes),
             after_tracking: memory(resident_bytes + 4096),
             shared_memory: Files::default(),
@@ -502,6 +545,54 @@ mod tests {
         // 4096 bytes came while tracking: that is not none.
         assert_eq!((rows[2].key, rows[2].reached), ("growth_kb", Some(false)));
         assert_eq!((rows[3].key, rows[3].reached), ("page_faults", Some(true)));
+    }
+
+    #[test]
+    fn memory_is_told_where_it_came() {
+        let rows = report().rows();
+        let of = |key: &str| rows.iter().find(|row| row.key == key).unwrap();
+        assert!((of("resident_start_mb").median - 49.983_616).abs() < 1e-9);
+        for (key, kb) in [
+            ("growth_idle_kb", 4.096),
+            ("growth_by_client_kb", 12.288),
+            ("growth_kb", 4.096),
+        ] {
+            assert!((of(key).median - kb).abs() < 1e-9, "{key}");
+        }
+        assert!(of("growth_by_client_kb").target.is_none());
+    }
+
+    #[test]
+    fn memory_is_locked_only_when_it_was_in_every_round() {
+        let mut report = report();
+        let locked = |report: &Report| {
+            let text = report.figure_table().text();
+            let mut lines = text.lines();
+            let line = lines.find(|line| line.contains("memory locked")).unwrap();
+            line.split_ascii_whitespace()
+                .filter(|word| ["yes", "no"].contains(word))
+                .map(str::to_owned)
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(locked(&report), ["yes", "yes", "yes"]);
+        report.rounds[0].memory_locked = false;
+        assert_eq!(locked(&report), ["yes", "no", "yes"]);
+    }
+
+    #[test]
+    fn what_the_kernel_does_not_count_reaches_no_target() {
+        let mut report = report();
+        for round in &mut report.rounds {
+            round.threads.clear();
+        }
+        let rows = report.rows();
+        assert!(rows.iter().all(|row| row.unit != "%"));
+        let text = report.figure_table().text();
+        let resident = text
+            .lines()
+            .find(|line| line.contains("resident memory  "))
+            .unwrap();
+        assert!(resident.contains("≤ 64"), "{text}");
     }
 
     #[test]

@@ -3,30 +3,37 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
+use cdcr_shared_types::codes::realtime;
 use serde::Serialize;
 
 use super::memory::{Files, Memory};
-use super::start::{Start, start};
+use super::start::{Start, without_client};
 use crate::interrupt;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
-use crate::system::counts::threads;
+use crate::system::counts::{core_share, threads};
 
 /// Between a change and what is measured after it.
-pub(super) const SETTLE: Duration = Duration::from_millis(500);
+const SETTLE: Duration = Duration::from_millis(500);
+/// How long the daemon may take to send its status.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
 /// The threads of the real-time core.
-pub(super) const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
+const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
 /// What one daemon took.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Round {
-    /// How long its start took.
+    /// How long the start of one like it took, which a client looked for meanwhile.
     pub start: Start,
-    /// Its threads.
+    /// Its threads; none where the kernel does not count what they use.
     pub threads: Vec<ThreadUse>,
-    /// When it controlled its robot, before any client came.
+    /// Whether its memory was locked, as it says itself.
+    pub memory_locked: bool,
+    /// When it said `READY=1`; no client had connected yet.
     pub after_start: Memory,
+    /// Just before the first client.
+    pub before_client: Memory,
     /// When its robot followed a client's reference.
     pub before_tracking: Memory,
     /// At the end of the tracking.
@@ -49,31 +56,46 @@ pub struct ThreadUse {
 }
 
 impl Round {
-    /// Starts a daemon and measures it for so long, idle and tracking.
+    /// Starts one daemon for the times of its start, and one that no client disturbs to measure it for so long, idle
+    /// and tracking.
     ///
     /// # Errors
     /// When it does not start or does not follow, or a signal came.
     pub fn run(launch: &Launch, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Self> {
-        let (daemon, start) = start(launch, cores)?;
+        let start = Start::measure(launch, cores)?;
+        let daemon = without_client(launch, cores)?;
         let measured = measure(&daemon, cores, idle, tracking, start);
         daemon.stop().and(measured)
     }
 
-    /// What the real-time core spent while tracking \[%\].
+    /// What the real-time core spent while tracking \[%\]; not a number where the kernel does not count it.
     pub fn core_tracking_percent(&self) -> f64 {
         self.core(|thread| thread.tracking_percent)
     }
 
-    /// What the real-time core spent without a client \[%\].
+    /// The same without a client.
     pub fn core_idle_percent(&self) -> f64 {
         self.core(|thread| thread.idle_percent)
     }
 
     fn core(&self, percent: fn(&ThreadUse) -> f64) -> f64 {
-        let all = self.threads.iter();
-        all.filter(|thread| CORE_THREADS.contains(&thread.name.as_str()))
-            .map(percent)
-            .sum()
+        self.sum(|thread| {
+            let counts = CORE_THREADS.contains(&thread.name.as_str());
+            if counts { percent(thread) } else { 0.0 }
+        })
+    }
+
+    /// Of all threads; not a number where the kernel does not count what they use.
+    pub fn sum(&self, percent: impl Fn(&ThreadUse) -> f64) -> f64 {
+        if self.threads.is_empty() {
+            return f64::NAN;
+        }
+        self.threads.iter().map(percent).sum()
+    }
+
+    /// Resident memory that came after the start, without any client \[bytes\].
+    pub fn growth_idle_bytes(&self) -> f64 {
+        self.before_client.resident_bytes as f64 - self.after_start.resident_bytes as f64
     }
 
     /// Resident memory that came while the robot tracked \[bytes\].
@@ -83,7 +105,7 @@ impl Round {
 
     /// Resident memory that came when a client connected and the robot began to follow \[bytes\].
     pub fn growth_by_client_bytes(&self) -> f64 {
-        self.before_tracking.resident_bytes as f64 - self.after_start.resident_bytes as f64
+        self.before_tracking.resident_bytes as f64 - self.before_client.resident_bytes as f64
     }
 
     /// Page faults of all threads while the robot tracked.
@@ -101,9 +123,10 @@ fn measure(
     tracking: Duration,
     start: Start,
 ) -> Result<Round> {
-    interrupt::sleep(SETTLE)?;
     let after_start = Memory::of(daemon.id())?;
+    interrupt::sleep(SETTLE)?;
     let idle_percent = watch(daemon, idle)?;
+    let before_client = Memory::of(daemon.id())?;
 
     let client = Tracking::start(daemon.location(), cores.client())?;
     interrupt::sleep(SETTLE)?;
@@ -112,6 +135,7 @@ fn measure(
     let after_tracking = Memory::of(daemon.id())?;
     let shared_memory = Files::of(&daemon.place().memory_files());
     let root = Files::below(daemon.location().root());
+    let status = daemon.connect()?.status(STATUS_TIMEOUT)?;
     client.stop()?;
 
     let threads = tracking_percent.into_iter().map(|(name, percent)| {
@@ -125,7 +149,10 @@ fn measure(
     Ok(Round {
         start,
         threads: threads.collect(),
+        // Switched off, it is not asked for either.
+        memory_locked: status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0,
         after_start,
+        before_client,
         before_tracking,
         after_tracking,
         shared_memory,
@@ -138,15 +165,12 @@ fn watch(daemon: &Daemon, length: Duration) -> Result<Vec<(String, f64)>> {
     let (before, begin) = (threads(daemon.id()), Instant::now());
     interrupt::sleep(length)?;
     let (after, passed) = (threads(daemon.id()), begin.elapsed());
-    let mut all: Vec<(String, f64)> = Vec::new();
-    for thread in after {
-        let began = before.iter().find(|old| old.id == thread.id);
-        let used_ns = thread.on_core_ns - began.map_or(0, |old| old.on_core_ns);
-        let percent = 100.0 * used_ns as f64 / passed.as_nanos().max(1) as f64;
-        match all.iter_mut().find(|(name, _)| *name == thread.name) {
-            Some((_, sum)) => *sum += percent,
-            None => all.push((thread.name, percent)),
-        }
-    }
-    Ok(all)
+    let mut names: Vec<String> = after.iter().map(|thread| thread.name.clone()).collect();
+    names.sort();
+    names.dedup();
+    let with_percent = |name: String| {
+        let percent = 100.0 * core_share(&before, &after, &name, passed);
+        (name, percent)
+    };
+    Ok(names.into_iter().map(with_percent).collect())
 }

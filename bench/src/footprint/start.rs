@@ -9,6 +9,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, Result, anyhow, bail};
 use cdcr_client::{Connection, monotonic_ns};
 use serde::Serialize;
+use tempfile::TempDir;
 
 use crate::interrupt;
 use crate::subject::daemon::{Daemon, Launch};
@@ -31,32 +32,54 @@ pub struct Start {
     pub first_record_ms: f64,
 }
 
-/// Starts a daemon and measures how long that takes.
+impl Start {
+    /// Starts a daemon that a client looks for from the beginning, measures how long that takes, and ends it.
+    ///
+    /// # Errors
+    /// When it does not start; the error says what it said.
+    pub(super) fn measure(launch: &Launch, cores: &Cores) -> Result<Self> {
+        let (daemon, manager, begin_ns) = spawn(launch, cores)?;
+        let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
+        let (found, ready_ns) = found.map_err(|error| with_last_words(error, &daemon))?;
+        daemon.stop()?;
+        let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
+        Ok(Self {
+            first_release_ms: since_ms(found.release_ns),
+            ready_ms: since_ms(ready_ns),
+            first_record_ms: since_ms(found.record_ns),
+        })
+    }
+}
+
+/// Starts a daemon and waits for its `READY=1`: no client has connected yet.
 ///
 /// # Errors
 /// When it does not start; the error says what it said.
-pub(super) fn start(launch: &Launch, cores: &Cores) -> Result<(Daemon, Start)> {
+pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
+    let (daemon, manager, _) = spawn(launch, cores)?;
+    match manager.ready_ns() {
+        Ok(_) => Ok(daemon),
+        Err(error) => Err(with_last_words(error, &daemon)),
+    }
+}
+
+/// A daemon under a service manager, and when its start began \[ns\].
+fn spawn(launch: &Launch, cores: &Cores) -> Result<(Daemon, Manager, u64)> {
     let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
     let folder = folder.context("a folder for temporary files")?;
-    let manager = Manager::listen(&folder.path().join("notify"))?;
+    let path = folder.path().join("notify");
+    let manager = Manager::listen(&path, folder)?;
     let begin_ns = Cell::new(0);
     let daemon = Daemon::start_with(launch, cores, |command| {
-        command.env("NOTIFY_SOCKET", folder.path().join("notify"));
+        command.env("NOTIFY_SOCKET", path);
         begin_ns.set(monotonic_ns());
     })?;
-    let begin_ns = begin_ns.get();
-    let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
-    let (found, ready_ns) = found.map_err(|error| {
-        let words = daemon.last_words();
-        error.context(format!("the daemon does not start{words}"))
-    })?;
-    let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
-    let start = Start {
-        first_release_ms: since_ms(found.release_ns),
-        ready_ms: since_ms(ready_ns),
-        first_record_ms: since_ms(found.record_ns),
-    };
-    Ok((daemon.when_ready()?, start))
+    Ok((daemon, manager, begin_ns.get()))
+}
+
+fn with_last_words(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
+    let words = daemon.last_words();
+    error.context(format!("the daemon does not start{words}"))
 }
 
 /// What a client found.
@@ -90,16 +113,21 @@ fn first_record(daemon: &Daemon) -> Result<Found> {
 
 /// A service manager that waits for a `READY=1`.
 struct Manager {
+    /// Where its socket lies.
+    _folder: TempDir,
     thread: JoinHandle<Result<u64>>,
 }
 
 impl Manager {
-    fn listen(path: &Path) -> Result<Self> {
+    fn listen(path: &Path, folder: TempDir) -> Result<Self> {
         let socket = UnixDatagram::bind(path)
             .with_context(|| format!("cannot listen at {}", path.display()))?;
         socket.set_read_timeout(Some(Duration::from_millis(100)))?;
         let thread = std::thread::spawn(move || hear(&socket));
-        Ok(Self { thread })
+        Ok(Self {
+            _folder: folder,
+            thread,
+        })
     }
 
     /// When it came \[ns\].
@@ -153,7 +181,7 @@ mod tests {
     fn the_manager_hears_the_first_ready() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("notify");
-        let manager = Manager::listen(&path).unwrap();
+        let manager = Manager::listen(&path, folder).unwrap();
         let begin_ns = monotonic_ns();
         let socket = UnixDatagram::unbound().unwrap();
         socket.send_to(b"STATUS=starting", &path).unwrap();

@@ -4,7 +4,9 @@
 //! The peer is this program again, as a hidden command. Neither sleeps while it waits, and neither has a
 //! real-time priority: a real-time thread that never sleeps is halted by the system.
 
+use std::fs;
 use std::os::unix::process::CommandExt;
+use std::path::Path;
 use std::process::{Child, Command as Process, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -133,24 +135,40 @@ pub struct PeerOptions {
 /// # Errors
 /// When shared memory cannot be used.
 pub fn peer(options: &PeerOptions) -> Result<()> {
-    set_parent_process_death_signal(Some(Signal::TERM)).context("to end with the parent")?;
-    // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry.
+    // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry. Caught before
+    // the kernel is asked, so that no signal finds the peer without a handler.
     let ends = Arc::new(AtomicBool::new(false));
     signal_hook::flag::register(SIGTERM, Arc::clone(&ends)).context("signals")?;
+    set_parent_process_death_signal(Some(Signal::TERM)).context("to end with the parent")?;
     let is_orphan = || getppid().is_none_or(|id| id.as_raw_pid().unsigned_abs() != options.parent);
     ensure!(!is_orphan(), "the parent has ended");
     pin(options.core);
     let answered = answer(options, &ends);
     if is_orphan() {
-        // Whoever would have cleaned up is gone.
-        for file in options.location.memory_files() {
-            let _ = std::fs::remove_file(file);
-        }
-        let _ = std::fs::remove_dir_all(options.location.root());
-        // Its folder, if nothing else is in it.
-        let _ = options.location.root().parent().map(std::fs::remove_dir);
+        clean_up(&options.location);
     }
     answered
+}
+
+/// Whoever would have cleaned up is gone. A root that is no [`Place`]'s is left alone.
+fn clean_up(location: &Location) {
+    for file in location.memory_files() {
+        let _ = fs::remove_file(file);
+    }
+    if let Some(folder) = folder_of(location.root()) {
+        let _ = fs::remove_dir_all(location.root());
+        // If nothing else is in it.
+        let _ = fs::remove_dir(folder);
+    }
+}
+
+/// The folder of the [`Place`] whose root this is; none of any other root.
+fn folder_of(root: &Path) -> Option<&Path> {
+    // None of a path that ends with `..`.
+    root.file_name()?;
+    let folder = root.parent()?;
+    let name = folder.file_name()?.to_str()?;
+    name.starts_with("cdcr-bench-").then_some(folder)
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
@@ -401,5 +419,26 @@ impl Near {
             self.wait_until(received_ns + GAP_NS)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_root_of_a_place_is_removed() {
+        let place = Place::new().expect("a place");
+        assert_eq!(folder_of(place.location().root()), Some(place.folder()));
+        for root in [
+            "/",
+            "/tmp",
+            "/tmp/root",
+            "/tmp/cdcr-bench-1/..",
+            "/tmp/cdcr-bench-1/../root",
+            "/tmp/other/root",
+        ] {
+            assert_eq!(folder_of(Path::new(root)), None, "{root}");
+        }
     }
 }

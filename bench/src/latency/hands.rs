@@ -15,6 +15,7 @@ use cdcr_shared_types::{Command, Location, Status, Telemetry};
 
 use super::round::Round;
 use crate::interrupt;
+use crate::metric::median;
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
@@ -255,21 +256,26 @@ impl Hands {
     }
 }
 
-/// The daemon does not tell how long before a release it gathers; its records do.
+/// The daemon does not tell how long before a release it gathers; its records do. The median: a single gather
+/// may be late, and a single cycle may sleep for an old release.
 fn learn_lead_ns(telemetry: &mut TelemetryStream) -> Result<u64> {
-    let mut longest_ns = 0;
+    let mut leads_ns = Vec::with_capacity(LEAD_RECORDS);
     for _ in 0..LEAD_RECORDS {
         interrupt::check()?;
         let record = telemetry
             .next_within(PATIENCE)?
             .context("the daemon sends no telemetry")?;
-        // An old gather says nothing, and one that came late too little.
-        if record.timing_flags & timing::STALE_INPUTS == 0 {
-            let lead_ns = record.release_ns.saturating_sub(record.gather_ns);
-            longest_ns = longest_ns.max(lead_ns.min(record.period_ns));
-        }
+        leads_ns.extend(lead_ns(&record).map(|lead_ns| lead_ns as f64));
     }
-    Ok(longest_ns)
+    Ok(median(&leads_ns).unwrap_or(0.0) as u64)
+}
+
+/// How long before the release that its cycle slept for a record's inputs were gathered; an old gather says
+/// nothing.
+fn lead_ns(record: &Telemetry) -> Option<u64> {
+    let is_fresh = record.timing_flags & timing::STALE_INPUTS == 0;
+    let lead_ns = record.due_ns.saturating_sub(record.gather_ns);
+    is_fresh.then_some(lead_ns.min(record.period_ns))
 }
 
 #[cfg(test)]
@@ -288,5 +294,22 @@ mod tests {
         assert_eq!(grid.cycle_at(1_300), 3);
         assert_eq!(grid.cycle_at(5), 0);
         assert_eq!(grid.early_ns(), 25);
+    }
+
+    #[test]
+    fn the_lead_is_that_before_the_release_that_was_slept_for() {
+        let record = Telemetry {
+            release_ns: 25_000_000,
+            due_ns: 5_000_000,
+            gather_ns: 4_800_000,
+            period_ns: 5_000_000,
+            ..Telemetry::default()
+        };
+        assert_eq!(lead_ns(&record), Some(200_000));
+        let stale = Telemetry {
+            timing_flags: timing::STALE_INPUTS,
+            ..record
+        };
+        assert_eq!(lead_ns(&stale), None);
     }
 }

@@ -243,6 +243,7 @@ impl Errand for Inputs {
                 );
                 // A command that never came, because the client was away too long, is no latency.
                 let Some(received_ns) = cycle.received_ns else {
+                    round.unmeasured.without_command += 1;
                     continue;
                 };
                 line.recorded += 1;
@@ -279,6 +280,7 @@ impl Errand for Inputs {
 /// The way of the command itself.
 fn record_command(cycle: &Seen<'_>, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
+        round.unmeasured.without_command += 1;
         return;
     };
     let record = cycle.record;

@@ -1,4 +1,9 @@
 //! The ways that are timed, each from one stamp to another.
+//!
+//! A request may also be taken by the daemon's last look, shortly before the release and after the gather
+//! (`LastLook` in `daemon/src/exchange/mod.rs`: 50 µs before its cycle thread wakes up). A stop or a request to
+//! track that it takes did not wait for a gather: its `grid` is 0, its `machinery` is the whole. A renewal of the
+//! lease is stamped by that look, so its `grid` ends there.
 
 use serde::Serialize;
 
@@ -48,7 +53,7 @@ pub enum Leg {
     TrackGrid,
     /// The rest of it.
     TrackMachinery,
-    /// A stop until the first slower command.
+    /// A stop until the first command of mode stopped.
     StopCommand,
     /// The part of it that waits for the grid.
     StopGrid,
@@ -126,6 +131,11 @@ impl Leg {
     /// From which stamp to which.
     pub fn definition(self) -> (&'static str, &'static str) {
         const GATHER: &str = "start of the gather that takes it";
+        // The last look, too, takes requests.
+        const LOOK: &str = "start of the gather or last look that takes it";
+        const CYCLE: &str =
+            "start of the gather of its cycle; sending itself, if the last look takes it";
+        const STOPPED: &str = "first command of mode stopped in the client's hands";
         const SENT: &str = "sent_ns of the message, read before it is sent";
         const HANDS: &str = "command in the client's hands";
         const FIRST: &str = "first command that uses it in the client's hands";
@@ -142,22 +152,18 @@ impl Leg {
             Self::CommandHop => ("sent_ns of the command, read by the exchange", HANDS),
             Self::ReferenceCommand | Self::ObstacleCommand => (SENT, FIRST),
             Self::MeasurementCommand => ("measured_ns, read before it is sent", FIRST),
-            Self::ReferenceGrid
-            | Self::ObstacleGrid
-            | Self::LeaseGrid
-            | Self::TrackGrid
-            | Self::StopGrid => (SENT, GATHER),
+            Self::ReferenceGrid | Self::ObstacleGrid => (SENT, GATHER),
+            Self::LeaseGrid => (SENT, LOOK),
+            Self::TrackGrid | Self::StopGrid => (SENT, CYCLE),
             Self::MeasurementGrid => ("measured_ns, read before it is sent", GATHER),
             Self::ReferenceMachinery | Self::ObstacleMachinery | Self::MeasurementMachinery => {
                 (GATHER, FIRST)
             }
             Self::LeaseAnswer | Self::TrackAnswer => (SENT, ANSWER),
-            Self::LeaseMachinery | Self::TrackMachinery => (GATHER, ANSWER),
-            Self::StopCommand => (SENT, "first command of mode stopped in the client's hands"),
-            Self::StopMachinery => (
-                GATHER,
-                "first command of mode stopped in the client's hands",
-            ),
+            Self::LeaseMachinery => (LOOK, ANSWER),
+            Self::TrackMachinery => (CYCLE, ANSWER),
+            Self::StopCommand => (SENT, STOPPED),
+            Self::StopMachinery => (CYCLE, STOPPED),
             Self::StopZeroHandover => (
                 SENT,
                 "first zero rates handed over by the cycle thread, less the ramp",

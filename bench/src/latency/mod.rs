@@ -10,7 +10,12 @@
 //!
 //! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
 //! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
-//! begins, and `machinery`, from there on. Sending times are spread evenly over the period.
+//! begins, and `machinery`, from there on. Sending times are spread evenly over the period. A request may also be
+//! taken by the daemon's last look, after the gather: a stop or a request to track then has no `grid`, and all of
+//! its way is `machinery`.
+//!
+//! "Request → answer" is measured with a port that looks without rest; `cdcr_client` looks for its answer each
+//! millisecond, so that a client of it may wait up to a millisecond more.
 
 pub mod bare;
 
@@ -45,11 +50,13 @@ use inputs::{Awakening, Inputs, Source};
 pub use leg::Leg;
 pub use report::{Ratio, Report, Row, Setting, Target};
 use requests::Requests;
-pub use round::{Round, Sampled};
+pub use round::{Round, Sampled, Unmeasured};
 use stops::Stops;
 
-/// Samples of a round for each stop of it: a stop takes a fifth of a second.
-const SAMPLES_PER_STOP: usize = 5;
+/// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
+const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
+/// What a stop takes, with the way to its speed \[s\].
+const STOP_S: f64 = 0.25;
 /// Messages of the bare measurement for each sample: they are fast.
 const BARE_PER_SAMPLE: usize = 8;
 /// What a daemon takes to start and to end \[s\].
@@ -62,7 +69,7 @@ const PERIOD_S: f64 = 5e-3;
 pub struct Options {
     /// Rounds; in each, everything is measured once.
     pub rounds: usize,
-    /// Samples of each kind in each round; a fifth of that for stops.
+    /// Samples of each kind in each round; two fifths of that for stops.
     pub samples: usize,
     /// Period, if another one than the configuration's.
     pub period: Option<Duration>,
@@ -86,7 +93,8 @@ impl Options {
     pub const QUICK: (usize, usize) = (2, 40);
 
     fn stops(&self) -> usize {
-        self.samples.div_ceil(SAMPLES_PER_STOP)
+        let (stops, samples) = STOPS_PER_SAMPLES;
+        (self.samples * stops).div_ceil(samples)
     }
 
     fn bare(&self) -> usize {
@@ -122,11 +130,12 @@ fn seconds(options: &Options) -> [f64; 3] {
         .period
         .map_or(PERIOD_S, |period| period.as_secs_f64());
     let samples = (options.samples + inputs::WARM_UP) as f64;
-    // References and obstacles share their periods; requests of two kinds; a stop takes some 30 periods.
-    let simulated = 2.0 * samples + 4.0 * samples + 30.0 * options.stops() as f64;
+    // References and obstacles share their periods; requests are of two kinds.
+    let simulated = 2.0 * samples + 4.0 * samples;
+    let stops_s = STOP_S * options.stops() as f64;
     [
         bare::expected_s(options.bare()),
-        AROUND_S + simulated * period_s,
+        AROUND_S + simulated * period_s + stops_s,
         AROUND_S + 2.0 * samples * period_s,
     ]
 }
@@ -291,5 +300,18 @@ impl Bench<'_> {
             client_core: self.cores.client(),
             looks: told.looks,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_full_run_has_enough_stops_and_ends_soon() {
+        let options = Options::default();
+        assert!(options.rounds * options.stops() >= 500);
+        let run_s = expected_s(&options);
+        assert!(run_s < 240.0, "{run_s}");
     }
 }

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::hands::Looks;
 use super::leg::Leg;
-use super::round::Round;
+use super::round::{Round, Unmeasured};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, sheet};
 use crate::closed_loop::quantile_us;
 use crate::csv::csv;
@@ -19,6 +19,10 @@ use crate::table::Table;
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
+/// Values without which a 99th percentile is no more than the largest of them.
+const VALUES_OF_P99: u64 = 100;
+/// The same of a 99.9th.
+const VALUES_OF_P999: u64 = 1000;
 
 /// How a run was made.
 #[derive(Debug, Clone, Serialize)]
@@ -98,6 +102,8 @@ pub struct Ratio {
 pub struct Target {
     /// Which leg.
     pub leg: Leg,
+    /// Values of which the percentile is.
+    pub samples: u64,
     /// The bound \[µs\].
     pub limit_us: f64,
     /// What was found \[µs\].
@@ -158,6 +164,7 @@ impl Report {
         let rows = self.rows.iter().filter(|row| stops.contains(&row.leg));
         rows.map(|row| Target {
             leg: row.leg,
+            samples: row.samples,
             limit_us,
             p99_us: row.latency_us.p99,
             kept: row.latency_us.p99 <= limit_us,
@@ -167,6 +174,24 @@ impl Report {
 
     fn stop_limit_us(&self) -> f64 {
         self.setting.period_us + STOP_MARGIN_US
+    }
+
+    /// What could not be measured, of all rounds.
+    pub fn unmeasured(&self) -> Unmeasured {
+        let mut all = Unmeasured::default();
+        for round in &self.rounds {
+            all += round.unmeasured;
+        }
+        all
+    }
+
+    /// Values of a leg in the round that has the fewest of them, but for rounds that have none.
+    fn fewest_in_a_round(&self, leg: Leg) -> u64 {
+        let counts = self
+            .rounds
+            .iter()
+            .map(|round| round.leg(leg).latencies.len());
+        counts.filter(|count| *count > 0).min().unwrap_or(0)
     }
 
     fn round_rows(&self) -> Vec<RoundRow> {
@@ -187,14 +212,7 @@ impl Report {
     }
 
     fn table(&self) -> Table {
-        let us = |value: f64| format!("{value:.2}");
-        let cells = |row: &Row| {
-            let all = row.latency_us;
-            let mut cells = vec![row.leg.name().to_owned(), row.samples.to_string()];
-            cells.extend([all.min, all.p50, all.p99, all.p999, all.max].map(us));
-            cells.extend([row.rounds_us.p50, row.rounds_us.p99].map(us));
-            cells
-        };
+        let cells = |row: &Row| self.cells(row);
         let setting = &self.setting;
         let threads = match (setting.realtime, setting.client_realtime) {
             (true, true) => "SCHED_FIFO",
@@ -220,6 +238,23 @@ impl Report {
         Table::new(title, &heads, 1, self.rows.iter().map(cells).collect())
     }
 
+    fn cells(&self, row: &Row) -> Vec<String> {
+        let (all, rounds) = (row.latency_us, row.rounds_us);
+        let us = |value: f64| format!("{value:.2}");
+        let us_of = |value: f64, count: u64, least: u64| supported(us(value), count, least);
+        vec![
+            row.leg.name().to_owned(),
+            row.samples.to_string(),
+            us(all.min),
+            us(all.p50),
+            us_of(all.p99, row.samples, VALUES_OF_P99),
+            us_of(all.p999, row.samples, VALUES_OF_P999),
+            us(all.max),
+            us(rounds.p50),
+            us_of(rounds.p99, self.fewest_in_a_round(row.leg), VALUES_OF_P99),
+        ]
+    }
+
     fn verdicts(&self) -> Table {
         let ratios = self.ratios().into_iter().map(|ratio| {
             let (low, high) = range(&ratio.rounds).unwrap_or((ratio.p50, ratio.p50));
@@ -229,27 +264,41 @@ impl Report {
                 format!("{low:.2} to {high:.2} in the rounds"),
             ]
         });
-        let targets = self.targets().into_iter().map(|target| {
-            let verdict = if target.kept { "kept" } else { "not kept" };
-            vec![
-                format!("{} p99, µs", target.leg.name()),
-                format!("{:.1}", target.p99_us),
-                format!("bound {:.1}: {verdict}", target.limit_us),
-            ]
-        });
-        let looks = self.setting.looks;
-        let late = vec![
-            "client awake too late".to_owned(),
-            looks.late.to_string(),
-            format!("of {} releases", looks.all),
-        ];
-        let rows = ratios.chain(targets).chain([late]).collect();
+        let targets = self.targets();
+        let targets = targets.iter().map(Target::cells);
+        let rows = ratios.chain(targets).chain(self.counts()).collect();
         Table::new(
             "Beside iceoryx2 alone, and beside what is asked",
             &["what", "found", "beside"],
             1,
             rows,
         )
+    }
+
+    /// What did not go as it should.
+    fn counts(&self) -> [Vec<String>; 3] {
+        let (looks, unmeasured) = (self.setting.looks, self.unmeasured());
+        let stops = self.setting.rounds * self.setting.stops;
+        let row = |what: &str, count: u64, beside: String| {
+            vec![what.to_owned(), count.to_string(), beside]
+        };
+        [
+            row(
+                "client awake too late",
+                looks.late,
+                format!("of {} releases", looks.all),
+            ),
+            row(
+                "spoilt stops",
+                unmeasured.spoilt_stops,
+                format!("repeated, beside {stops} that count"),
+            ),
+            row(
+                "samples without a received command",
+                unmeasured.without_command,
+                "left out: the client was away".to_owned(),
+            ),
+        ]
     }
 
     fn definitions(&self) -> Table {
@@ -399,6 +448,7 @@ impl Section for Report {
             "rounds": self.round_rows(),
             "ratios": self.ratios(),
             "targets": self.targets(),
+            "unmeasured": self.unmeasured(),
         }))
     }
 
@@ -459,6 +509,31 @@ impl Section for Report {
             })
         };
         self.rounds.iter().flat_map(of).collect()
+    }
+}
+
+impl Target {
+    fn cells(&self) -> Vec<String> {
+        let verdict = match (self.samples < VALUES_OF_P99, self.kept) {
+            (true, _) => "too few values",
+            (false, true) => "kept",
+            (false, false) => "not kept",
+        };
+        let found = format!("{:.1}", self.p99_us);
+        vec![
+            format!("{} p99, µs", self.leg.name()),
+            supported(found, self.samples, VALUES_OF_P99),
+            format!("bound {:.1}: {verdict}", self.limit_us),
+        ]
+    }
+}
+
+/// A percentile for people: none of fewer values than it needs.
+fn supported(percentile: String, count: u64, least: u64) -> String {
+    if count < least {
+        "-".to_owned()
+    } else {
+        percentile
     }
 }
 
@@ -592,6 +667,50 @@ mod tests {
         );
         assert!(!metrics.iter().any(|metric| metric.name.contains("grid")));
         assert!(report.tables()[0].text().contains("measurement.machinery"));
+    }
+
+    #[test]
+    fn a_percentile_of_too_few_values_is_not_printed() {
+        let mut round = Round::new(0).expect("bounds");
+        for (leg, count) in [
+            (Leg::StopCommand, 99),
+            (Leg::StopZeroHandover, 99),
+            (Leg::LeaseAnswer, 100),
+            (Leg::BareOneWay, 1000),
+        ] {
+            for us in 1..=count {
+                round.record(leg, 1000 * us);
+            }
+        }
+        let report = Report::new(setting(), vec![round]);
+        let absent = |leg: Leg| {
+            let row = report.rows.iter().find(|row| row.leg == leg);
+            let cells = report.cells(row.expect("it was measured"));
+            [4, 5, 8].map(|column: usize| cells[column] == "-")
+        };
+        assert_eq!(absent(Leg::StopCommand), [true, true, true]);
+        assert_eq!(absent(Leg::LeaseAnswer), [false, true, false]);
+        assert_eq!(absent(Leg::BareOneWay), [false, false, false]);
+        assert!(report.verdicts().text().contains("too few values"));
+        let json = report.json().expect("numbers");
+        assert!(json["legs"][0]["latency_us"]["p999"].is_f64());
+        assert!(json["targets"][0]["p99_us"].is_f64());
+    }
+
+    #[test]
+    fn what_could_not_be_measured_is_told() {
+        let mut report = report(5000);
+        report.rounds[0].unmeasured.spoilt_stops = 2;
+        report.rounds[1].unmeasured.spoilt_stops = 1;
+        report.rounds[1].unmeasured.without_command = 17;
+        let json = report.json().expect("numbers");
+        assert_eq!(json["unmeasured"]["spoilt_stops"], 3);
+        assert_eq!(json["unmeasured"]["without_command"], 17);
+        let text = report.verdicts().text();
+        assert!(
+            text.contains("spoilt stops") && text.contains("17"),
+            "{text}"
+        );
     }
 
     #[test]

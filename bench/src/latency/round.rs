@@ -1,8 +1,11 @@
 //! What one round measured.
 
+use std::ops::AddAssign;
+
 use anyhow::Result;
 use cdcr_client::monotonic_ns;
 use hdrhistogram::Histogram;
+use serde::Serialize;
 
 use super::leg::{Leg, Way};
 use crate::closed_loop::histogram;
@@ -16,9 +19,27 @@ pub struct Sampled {
     pub span_ns: Option<(u64, u64)>,
 }
 
+/// What was tried and could not be measured.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct Unmeasured {
+    /// Stops that could not be judged: a record or a command is missing, or the robot was hardly moving.
+    pub spoilt_stops: u64,
+    /// Samples whose command never was in the client's hands, because the client was away too long.
+    pub without_command: u64,
+}
+
+impl AddAssign for Unmeasured {
+    fn add_assign(&mut self, other: Self) {
+        self.spoilt_stops += other.spoilt_stops;
+        self.without_command += other.without_command;
+    }
+}
+
 /// The latencies of all legs in one round.
 #[derive(Debug, Clone)]
 pub struct Round {
+    /// What is not among them.
+    pub unmeasured: Unmeasured,
     began_ns: u64,
     legs: Vec<Sampled>,
 }
@@ -47,6 +68,7 @@ impl Round {
             })
         };
         Ok(Self {
+            unmeasured: Unmeasured::default(),
             began_ns,
             legs: Leg::ALL.iter().map(|_| empty()).collect::<Result<_>>()?,
         })

@@ -143,16 +143,22 @@ impl Stops {
     }
 
     /// The robot is on its way: stop it at a time within the next period.
-    fn speed_up(&mut self, newest: &Kept, releases: u32) {
+    fn speed_up(&mut self, newest: &Kept, releases: u32, round: &mut Round) {
         if newest.mode == Mode::Tracking.code() && newest.speed_rad_s > self.fast_rad_s {
             self.step = Step::Stop;
             self.due_ns = monotonic_ns() + self.phases.next_ns(newest.period_ns);
         } else if releases >= SPEED_UP_MAX {
-            self.spoilt += 1;
+            self.spoil(round);
             self.begin();
         } else {
             self.step = Step::SpeedUp(releases + 1);
         }
+    }
+
+    /// This stop does not count.
+    fn spoil(&mut self, round: &mut Round) {
+        self.spoilt += 1;
+        round.unmeasured.spoilt_stops += 1;
     }
 
     /// The robot rests.
@@ -164,7 +170,7 @@ impl Stops {
                 stop.record(round);
             }
             Some(_) => {}
-            None => self.spoilt += 1,
+            None => self.spoil(round),
         }
         self.begin();
     }
@@ -215,7 +221,7 @@ impl Errand for Stops {
             Step::Reset | Step::Track => {}
             Step::SpeedUp(releases) => {
                 self.records.push(kept);
-                self.speed_up(&kept, releases);
+                self.speed_up(&kept, releases, round);
             }
             Step::Stop | Step::Rest => {
                 self.records.push(kept);

@@ -1,10 +1,14 @@
 //! A thread that writes a file of bounded size, and reads it.
+//!
+//! After each sync the system is advised to forget what it keeps of the file in memory, so that the reading reads the
+//! disk. It may not follow, and where the file lies in memory there is no disk.
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::path::Path;
 
 use anyhow::{Context, Result};
+use rustix::fs::{Advice, fadvise};
 
 use super::Done;
 use super::task::Signals;
@@ -32,6 +36,8 @@ pub(super) fn write_and_read(signals: &Signals) -> Result<Done> {
         if turn.is_multiple_of(SYNC_EVERY) {
             file.sync_data()
                 .context("the file of the load cannot be synced")?;
+            // It is an advice: without it the page cache is read.
+            let _ = fadvise(&file, 0, None, Advice::DontNeed);
             done.written_bytes += SYNC_EVERY * BLOCK_BYTES as u64;
             done.read_bytes += read(&file, turn, &mut block)?;
         }

@@ -7,8 +7,11 @@ use serde::Serialize;
 use super::Load;
 
 /// Counts of a load from its start to its end: the proof that it was there, and how strong.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Done {
+    /// How long the load worked, from when all of its threads worked to its end: with it, counts are rates \[s\].
+    /// Of one thread, zero.
+    pub seconds: f64,
     /// Rounds of 100 000 steps that the spinning threads made.
     pub spins: u64,
     /// Bytes of memory that were copied.
@@ -68,6 +71,7 @@ impl Done {
 
 impl AddAssign for Done {
     fn add_assign(&mut self, other: Self) {
+        self.seconds += other.seconds;
         self.spins += other.spins;
         self.copied_bytes += other.copied_bytes;
         self.written_bytes += other.written_bytes;

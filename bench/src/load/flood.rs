@@ -24,7 +24,8 @@ const OBSTACLES: u32 = 4;
 /// From the base of the robot \[m\]: out of reach of any.
 const AWAY_M: f64 = 50.0;
 
-/// Reference chunks of a client that holds no lease: the daemon looks at each, and refuses it.
+/// Reference chunks of a client that holds no lease: the daemon refuses those that it looks at, and the rest
+/// overflows its queue.
 pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
     let mut done = Done::default();
     let Some(connection) = connect(target, signals)? else {
@@ -46,8 +47,8 @@ pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
     Ok(done)
 }
 
-/// Obstacle updates: the daemon takes each in, but the robot cannot come near, so the solver has no more to
-/// do.
+/// Obstacle updates: the daemon takes in what its queue and its gather hold, and the rest overflows; the robot
+/// cannot come near, so the solver has no more to do.
 pub(super) fn obstacles(target: &Location, signals: &Signals) -> Result<Done> {
     let mut done = Done::default();
     let Some(connection) = connect(target, signals)? else {

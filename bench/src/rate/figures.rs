@@ -10,9 +10,8 @@ use crate::quantiles::Quantiles;
 const FULL: f64 = 0.93;
 /// From this share on, a remark says that solves were cut short, or that inputs were stale.
 const WORTH_A_REMARK: f64 = 0.01;
-/// A machine that stalls makes one cycle late now and then. A period of which so many cycles are late is too
-/// short, and a second trial would only say so again.
-const HOPELESS: f64 = 0.01;
+/// A period holds when at most this share of its releases got no cycle in time.
+const LOST_MAX: f64 = 1e-3;
 
 /// What the daemon did in one trial, in its own statistics, unless something else is said.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -39,6 +38,8 @@ pub struct Figures {
     pub wake_us: Quantiles,
     /// The solver.
     pub solve_us: Quantiles,
+    /// Start to hand-over of the command.
+    pub compute_us: Quantiles,
     /// Release to hand-over of the command.
     pub response_us: Quantiles,
     /// Share of its core that the cycle thread used, by the kernel's count.
@@ -108,17 +109,72 @@ impl Causes {
     }
 }
 
+/// What a trial says about its period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// It holds.
+    Holds,
+    /// A cycle was late by the daemon's own doing. Nothing excuses that.
+    Own,
+    /// Too many releases were lost, and the machine lost them: it came late, stood still or ran another task,
+    /// while the work itself fits into the period.
+    Machine,
+    /// Too many releases were lost, and nothing says that only the machine lost them.
+    Slow,
+}
+
+impl Verdict {
+    /// How many trials a period may have when one of them ends like this.
+    pub fn trials(self) -> usize {
+        match self {
+            Self::Holds | Self::Own => 1,
+            Self::Slow => 2,
+            Self::Machine => 3,
+        }
+    }
+}
+
 impl Figures {
-    /// Whether the period held: 99.9 % of the responses lie within it, and no cycle was late by the daemon's
-    /// own doing.
-    pub fn hold(&self, period_ms: f64) -> bool {
-        self.causes.own() == 0 && self.response_us.p999 <= period_ms * 1e3
+    /// Whether the period held, and if not, by whose doing.
+    pub fn verdict(&self, period_ms: f64) -> Verdict {
+        // What a release takes when the machine only does its usual part.
+        let work_us = self.wake_us.p50 + self.compute_us.p999;
+        if self.causes.own() > 0 {
+            Verdict::Own
+        } else if self.lost_share() <= LOST_MAX {
+            Verdict::Holds
+        } else if self.causes.all() > 0 && work_us <= period_ms * 1e3 {
+            Verdict::Machine
+        } else {
+            Verdict::Slow
+        }
     }
 
-    /// Whether so much was late that no single stall of the machine explains it.
-    pub fn are_hopeless(&self, period_ms: f64) -> bool {
-        self.response_us.p99 > period_ms * 1e3
-            || self.causes.own() as f64 > HOPELESS * self.cycles as f64
+    /// Releases that were due.
+    pub fn due(&self) -> u64 {
+        self.cycles + self.skipped_periods
+    }
+
+    /// Releases that got no command in time: those without a cycle, and those whose cycle missed its deadline.
+    pub fn lost(&self) -> u64 {
+        self.deadline_misses + self.skipped_periods
+    }
+
+    /// Lost releases as a share of those that were due.
+    pub fn lost_share(&self) -> f64 {
+        self.lost() as f64 / self.due().max(1) as f64
+    }
+
+    fn lost_words(&self, verdict: Verdict) -> String {
+        let whose = match verdict {
+            Verdict::Machine => "the machine: ",
+            _ => "",
+        };
+        let (late, skipped) = (self.deadline_misses, self.skipped_periods);
+        match self.causes.words().as_str() {
+            "" => format!("{whose}{late} late, {skipped} skipped"),
+            causes => format!("{whose}{late} late, {skipped} skipped ({causes})"),
+        }
     }
 
     /// Share of the core that both real-time threads used together.
@@ -130,15 +186,12 @@ impl Figures {
     pub fn remarks(&self, period_ms: f64) -> String {
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let mut remarks = Vec::new();
-        if self.response_us.p999 > period_ms * 1e3 {
-            let words = self.causes.words();
-            remarks.push(match words.as_str() {
-                "" => "response beyond the period".to_owned(),
-                words => format!("response beyond the period (late: {words})"),
-            });
-        }
+        let verdict = self.verdict(period_ms);
         if self.causes.own() > 0 {
             remarks.push(format!("{} own misses", self.causes.own()));
+        }
+        if self.lost_share() > LOST_MAX {
+            remarks.push(self.lost_words(verdict));
         }
         if self.core_share() >= FULL {
             let share = percent(self.core_share());
@@ -188,6 +241,7 @@ pub(super) mod tests {
             dropped_records: 0,
             wake_us: us(10.0),
             solve_us: us(20.0),
+            compute_us: us(22.0),
             response_us: us(30.0),
             cycle_core_share: 0.1,
             exchange_core_share: 0.1,
@@ -198,55 +252,74 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn a_period_holds_when_the_response_fits_and_no_miss_is_our_own() {
-        let quiet = quiet();
-        assert!(quiet.hold(0.09) && !quiet.hold(0.08));
-        assert!(quiet.remarks(0.09).is_empty());
-        let remarks = quiet.remarks(0.08);
-        assert!(remarks.contains("beyond the period"), "{remarks}");
+    fn releases_without_a_cycle_count_like_late_ones() {
+        let lost = |deadline_misses, skipped_periods| Figures {
+            deadline_misses,
+            skipped_periods,
+            ..quiet()
+        };
+        assert_eq!(lost(0, 0).verdict(0.5), Verdict::Holds);
+        assert!(lost(0, 0).remarks(0.5).is_empty());
+        assert_eq!(lost(4, 0).verdict(0.5), Verdict::Holds);
+        assert_eq!(lost(2, 2).verdict(0.5), Verdict::Holds);
+        assert!((lost(0, 1000).lost_share() - 0.2).abs() < 1e-12);
+        // No evidence that it was the machine.
+        for figures in [lost(5, 0), lost(1, 1000)] {
+            assert_eq!(figures.verdict(0.5), Verdict::Slow);
+            let remarks = figures.remarks(0.5);
+            assert!(
+                remarks.contains("late, ") && !remarks.contains("machine"),
+                "{remarks}"
+            );
+        }
+    }
 
-        let platform = Figures {
+    #[test]
+    fn a_machine_that_stalls_is_named_when_the_work_fits() {
+        let stalled = Figures {
+            deadline_misses: 3,
+            skipped_periods: 40,
             causes: Causes {
-                platform: 3,
-                load: 1,
+                platform: 2,
                 stall: 1,
                 ..Causes::default()
             },
-            ..quiet.clone()
+            ..quiet()
         };
-        assert!(platform.hold(0.5));
-        for causes in [
+        assert_eq!(stalled.verdict(0.5), Verdict::Machine);
+        let remarks = stalled.remarks(0.5);
+        let told = "the machine: 3 late, 40 skipped (2 platform, 1 stall)";
+        assert!(remarks.contains(told), "{remarks}");
+        // Wake-up 10 µs and compute 66 µs do not fit.
+        assert_eq!(stalled.verdict(0.07), Verdict::Slow);
+        assert!(Verdict::Machine.trials() > Verdict::Slow.trials());
+    }
+
+    #[test]
+    fn nothing_excuses_an_own_miss() {
+        let causes = [
             Causes {
                 compute: 1,
                 ..Causes::default()
             },
             Causes {
                 page_fault: 1,
+                platform: 10,
                 ..Causes::default()
             },
-        ] {
-            let own = Figures {
-                causes,
-                ..quiet.clone()
-            };
-            assert!(!own.hold(0.5) && !own.are_hopeless(0.5));
-            assert!(own.remarks(0.5).contains("1 own"), "{}", own.remarks(0.5));
+        ];
+        for causes in causes {
+            for skipped_periods in [0, 1000] {
+                let own = Figures {
+                    skipped_periods,
+                    causes,
+                    ..quiet()
+                };
+                assert_eq!(own.verdict(0.5), Verdict::Own);
+                assert!(own.remarks(0.5).contains("1 own"), "{}", own.remarks(0.5));
+            }
         }
-    }
-
-    #[test]
-    fn only_what_no_stall_explains_is_hopeless() {
-        let quiet = quiet();
-        // p99.9 beyond the period, p99 not: that may be one stall.
-        assert!(!quiet.are_hopeless(0.07) && quiet.are_hopeless(0.05));
-        let computing = Figures {
-            causes: Causes {
-                compute: 41,
-                ..Causes::default()
-            },
-            ..quiet
-        };
-        assert!(computing.are_hopeless(5.0));
+        assert_eq!(Verdict::Own.trials(), 1);
     }
 
     #[test]
@@ -258,7 +331,7 @@ pub(super) mod tests {
             ..quiet()
         };
         let remarks = cut.remarks(0.5);
-        assert!(cut.hold(0.5));
+        assert_eq!(cut.verdict(0.5), Verdict::Holds);
         for word in [
             "40 % of the solves",
             "core full (100 %)",

@@ -3,20 +3,20 @@
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
-use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
+use cdcr_client::{Connection, FeedError, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Status, Telemetry};
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::case::{Case, Stage};
-use super::figures::{Causes, Figures};
+use super::figures::{Causes, Figures, Verdict};
 use crate::closed_loop::histogram;
 use crate::interrupt;
 use crate::quantiles::Quantiles;
 use crate::subject::daemon::Daemon;
 use crate::subject::tracking::Tracking;
-use crate::system::counts::{ThreadCounts, threads};
+use crate::system::counts::{core_share, threads};
 
 /// Between the begin of tracking and that of the measurement.
 const WARM_UP: Duration = Duration::from_millis(300);
@@ -25,6 +25,8 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 /// A robot that does not follow with so long a period, or a longer one, does not fail because of the rate: the
 /// set-up is broken \[ms\].
 const EASY_MS: f64 = 2.0;
+/// What [`Tracking::start`] says of a robot that does not begin to follow.
+const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
 /// How long the status with the last cycles may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
 /// What start, begin of tracking, warm-up and end take, about \[s\].
@@ -84,8 +86,8 @@ impl Trial {
     /// Starts a daemon, lets it track, and measures.
     ///
     /// # Errors
-    /// When the daemon does not start, or a signal came, or the robot does not follow with a long period. With a
-    /// short one that is a result.
+    /// When the daemon does not start, ends by itself or does not tell what it did, or a signal came, or the robot
+    /// does not follow with a long period. With a short one that is a result.
     pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
         let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
         let begin_ns = monotonic_ns();
@@ -106,23 +108,36 @@ impl Trial {
         };
         match observed {
             Ok((figures, records)) => {
-                trial.holds = figures.hold(period_ms);
+                trial.holds = figures.verdict(period_ms) == Verdict::Holds;
                 trial.remarks = figures.remarks(period_ms);
                 trial.figures = Some(figures);
                 trial.responses = records.responses;
                 trial.begin_ns = records.begin_ns;
             }
-            Err(error) if period_ms >= EASY_MS => return Err(error),
-            Err(error) => trial.remarks = format!("did not follow: {}", one_line(&error)),
+            Err(error) if period_ms < EASY_MS && did_not_follow(&error) => {
+                trial.remarks = format!("did not follow: {}", one_line(&error));
+            }
+            Err(error) => return Err(error),
         }
         Ok(trial)
     }
 
-    /// Whether a second trial may end otherwise.
-    pub fn is_worth_another(&self) -> bool {
-        let hopeless = |figures: &Figures| figures.are_hopeless(self.period_ms);
-        !self.holds && !self.figures.as_ref().is_some_and(hopeless)
+    /// Whether it says, as the `count`-th trial of its period, whether that holds. A robot that did not follow has
+    /// no second trial.
+    pub fn decides(&self, count: usize) -> bool {
+        let figures = self.figures.as_ref();
+        let trials = figures.map_or(1, |figures| figures.verdict(self.period_ms).trials());
+        count >= trials
     }
+}
+
+/// Whether this error says that the robot does not follow; every other one says nothing about the period.
+fn did_not_follow(error: &anyhow::Error) -> bool {
+    error.chain().any(|cause| {
+        let feed = cause.downcast_ref::<FeedError>();
+        feed.is_some_and(|feed| matches!(feed, FeedError::LeftTracking { .. }))
+            || cause.to_string().starts_with(DOES_NOT_FOLLOW)
+    })
 }
 
 /// An error in a table.
@@ -170,21 +185,6 @@ fn status_after(connection: &Connection, time_ns: u64) -> Result<Status> {
         interrupt::sleep(Duration::from_millis(10))?;
     }
     anyhow::bail!("the daemon sends no status")
-}
-
-/// Share of a core that the threads of this name used between two counts.
-pub(crate) fn core_share(
-    before: &[ThreadCounts],
-    after: &[ThreadCounts],
-    name: &str,
-    passed: Duration,
-) -> f64 {
-    let on_core_ns = |all: &[ThreadCounts]| -> u64 {
-        let named = all.iter().filter(|thread| thread.name == name);
-        named.map(|thread| thread.on_core_ns).sum()
-    };
-    let used_ns = on_core_ns(after).saturating_sub(on_core_ns(before));
-    used_ns as f64 / passed.as_nanos().max(1) as f64
 }
 
 /// What the records of the cycles say.
@@ -247,6 +247,7 @@ impl Records {
             dropped_records: told.dropped_records,
             wake_us: times(&told.wake)?,
             solve_us: times(&told.solve)?,
+            compute_us: times(&told.compute)?,
             response_us: times(&told.response)?,
             cycle_core_share: 0.0,
             exchange_core_share: 0.0,
@@ -282,19 +283,24 @@ mod tests {
     }
 
     #[test]
-    fn the_use_of_a_core_is_that_of_the_named_thread() {
-        let thread = |name: &str, on_core_ns| ThreadCounts {
-            id: 1,
-            name: name.to_owned(),
-            on_core_ns,
-            run_delay_ns: 0,
+    fn only_a_robot_that_does_not_follow_did_not_follow() {
+        let left = FeedError::LeftTracking {
+            played_s: 1.0,
+            mode: "holding",
+            reason: "deadline misses",
+            remedy: "",
         };
-        let before = [thread("a", 100), thread("b", 0)];
-        let after = [thread("a", 400), thread("b", 1000)];
-        let passed = Duration::from_micros(1);
-        assert!((core_share(&before, &after, "a", passed) - 0.3).abs() < 1e-12);
-        assert!((core_share(&before, &after, "b", passed) - 1.0).abs() < 1e-12);
-        assert!(core_share(&before, &after, "c", passed).abs() < 1e-12);
+        let wrapped = |error: FeedError| anyhow::Error::new(error).context("the feed");
+        assert!(did_not_follow(&wrapped(left)));
+        assert!(!did_not_follow(&wrapped(FeedError::Restarted {
+            played_s: 1.0
+        })));
+        assert!(!did_not_follow(&anyhow::anyhow!(
+            "the daemon ended by itself"
+        )));
+        let slow = anyhow::anyhow!("{DOES_NOT_FOLLOW} within 10 s");
+        assert!(did_not_follow(&slow));
+        assert!(include_str!("../subject/tracking.rs").contains(DOES_NOT_FOLLOW));
     }
 
     #[test]

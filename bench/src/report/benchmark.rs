@@ -80,6 +80,7 @@ impl Request {
         Ok(Report {
             start,
             extent: self.extent,
+            default_config: self.config.is_none(),
             parts,
         })
     }

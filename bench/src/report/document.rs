@@ -6,24 +6,27 @@ use anyhow::{Context, Result, bail, ensure};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use super::{Extent, Report, Target};
-use crate::environment::Environment;
+use super::{Extent, Report, Start, Target};
+use crate::environment::{Environment, Options};
 use crate::metric::Metric;
 use crate::section::Section;
 
 /// Keys of a document beside those of its results.
-const OUR_KEYS: [&str; 6] = [
+const OUR_KEYS: [&str; 8] = [
     "environment",
     "extent",
     "failed",
     "metrics",
+    "options",
     "targets",
+    "targets_not_judged",
     "took_s",
 ];
 
 #[derive(Serialize)]
 struct One<'a> {
     environment: &'a Environment,
+    options: &'a Options,
     #[serde(flatten)]
     result: Map<String, Value>,
     metrics: Vec<Metric>,
@@ -32,8 +35,11 @@ struct One<'a> {
 #[derive(Serialize)]
 struct All<'a> {
     environment: &'a Environment,
+    options: &'a Options,
     extent: Extent,
     targets: Vec<Target>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    targets_not_judged: Option<&'static str>,
     failed: Vec<&'static str>,
     took_s: BTreeMap<&'static str, f64>,
     #[serde(flatten)]
@@ -42,9 +48,10 @@ struct All<'a> {
 }
 
 /// One result: the machine, its own keys, and its single numbers.
-pub(super) fn of_section(environment: &Environment, section: &dyn Section) -> Result<String> {
+pub(super) fn of_section(start: &Start, section: &dyn Section) -> Result<String> {
     line(&One {
-        environment,
+        environment: &start.environment,
+        options: &start.options,
         result: object(section)?,
         metrics: section.metrics(),
     })
@@ -55,8 +62,10 @@ pub(super) fn of_report(report: &Report) -> Result<String> {
     let took = report.parts.iter().map(|part| (part.name, part.took_s));
     line(&All {
         environment: &report.start.environment,
+        options: &report.start.options,
         extent: report.extent,
         targets: report.targets()?,
+        targets_not_judged: report.not_judged(),
         failed: report.failures().map(|(name, _)| name).collect(),
         took_s: took.collect(),
         results: results(report)?,
@@ -96,7 +105,7 @@ fn object(section: &dyn Section) -> Result<Map<String, Value>> {
     let Value::Object(object) = value else {
         bail!("{name} as JSON is no object");
     };
-    for key in ["environment", "metrics"] {
+    for key in ["environment", "metrics", "options"] {
         ensure!(
             !object.contains_key(key),
             "{name} has a key {key:?} of its own, which stands for something else beside it"

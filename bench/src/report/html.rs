@@ -30,7 +30,8 @@ pub(super) fn of_report(report: &Report) -> Result<String> {
     }
     let targets = report.targets()?;
     let mut entries = vec![("environment", "The machine")];
-    if !targets.is_empty() {
+    let not_judged = report.not_judged();
+    if !targets.is_empty() || not_judged.is_some() {
         entries.push(("targets", "Figures to reach"));
     }
     entries.extend(report.parts.iter().map(|part| (part.name, heading(part))));
@@ -40,6 +41,10 @@ pub(super) fn of_report(report: &Report) -> Result<String> {
         page.heading("Figures to reach", Some("targets"));
         page.text(targets::EXPLANATION);
         page.plain_table(&targets::table(&targets));
+    }
+    if let Some(why) = not_judged {
+        page.heading("Figures to reach", Some("targets"));
+        page.text(&format!("<p>{}</p>", escape(why)));
     }
     for part in &report.parts {
         page.heading(heading(part), Some(part.name));

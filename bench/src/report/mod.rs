@@ -18,7 +18,7 @@ use serde::Serialize;
 pub(crate) use targets::number;
 pub use targets::{Target, targets};
 
-use crate::environment::Environment;
+use crate::environment::{Environment, Options};
 use crate::hlog;
 use crate::metric::Metric;
 use crate::section::Section;
@@ -35,6 +35,8 @@ pub struct Start {
     pub time: SystemTime,
     /// The machine then.
     pub environment: Environment,
+    /// What was asked for.
+    pub options: Options,
 }
 
 impl Start {
@@ -46,6 +48,7 @@ impl Start {
         Ok(Self {
             time: SystemTime::now(),
             environment: Environment::find()?,
+            options: Options::find(),
         })
     }
 }
@@ -77,6 +80,8 @@ pub struct Report {
     pub start: Start,
     /// How much was asked for.
     pub extent: Extent,
+    /// The daemon had its default configuration.
+    pub default_config: bool,
     /// One for each benchmark that was asked for, in their order.
     pub parts: Vec<Part>,
 }
@@ -102,12 +107,33 @@ impl Report {
         self.sections().flat_map(Section::metrics).collect()
     }
 
-    /// What was asked of the project, and what was found; without rows when nothing of it was measured.
+    /// What was asked of the project, and what was found; without rows when nothing of it was measured, or
+    /// not under the conditions of the figures.
     ///
     /// # Errors
     /// When a result cannot be written as JSON.
     pub fn targets(&self) -> Result<Vec<Target>> {
+        if self.not_judged().is_some() {
+            return Ok(Vec::new());
+        }
         Ok(targets(&self.metrics(), &document::results(self)?))
+    }
+
+    /// Why the figures to reach were not judged, in a sentence; none when they were, or when no benchmark that
+    /// has any was asked for.
+    pub fn not_judged(&self) -> Option<&'static str> {
+        let mut parts = self.parts.iter();
+        let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
+        match (has_any, self.start.environment.privileges.realtime) {
+            (false, _) => None,
+            (true, false) => Some(
+                "The figures to reach were not judged: they are for real time, which this user is not granted.",
+            ),
+            (true, true) => (!self.default_config).then_some(
+                "The figures to reach were not judged: they are for the default configuration, and --config \
+                 named another.",
+            ),
+        }
     }
 
     /// The whole as text.
@@ -138,6 +164,7 @@ impl Report {
         if !targets.is_empty() {
             texts.push(targets::table(&targets).text());
         }
+        texts.extend(self.not_judged().map(|why| why.to_owned() + "\n"));
         for (name, cause) in self.failures() {
             texts.push(format!("{name} failed: {cause}\n"));
         }
@@ -184,7 +211,7 @@ impl Report {
 /// # Errors
 /// When it cannot be written as JSON.
 pub fn section_json(start: &Start, section: &dyn Section) -> Result<String> {
-    document::of_section(&start.environment, section)
+    document::of_section(start, section)
 }
 
 /// The tables of one result as text.

@@ -77,6 +77,10 @@ impl Launch {
                 command.env_remove(name);
             }
         }
+        // A service manager that watches us shall hear nothing of our daemons.
+        for name in ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"] {
+            command.env_remove(name);
+        }
         command
             .arg(subcommand)
             // Whatever ends us, SIGKILL too, ends the daemon.

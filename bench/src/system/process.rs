@@ -8,7 +8,9 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
-use rustix::process::{Pid, Signal, kill_process, kill_process_group};
+use rustix::process::{
+    Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
+};
 use tempfile::TempDir;
 
 use crate::interrupt;
@@ -23,6 +25,8 @@ const END_TIMEOUT: Duration = Duration::from_secs(3);
 pub struct Process {
     name: &'static str,
     child: Child,
+    /// How it ended, once it is known: then its id is no longer its own.
+    ended: Option<ExitStatus>,
     folder: TempDir,
 }
 
@@ -52,6 +56,7 @@ impl Process {
         Ok(Self {
             name,
             child,
+            ended: None,
             folder,
         })
     }
@@ -66,12 +71,12 @@ impl Process {
         self.folder.path()
     }
 
-    /// Whether it has ended by itself.
+    /// Whether it has ended by itself; what is left of its group then is killed.
     ///
     /// # Errors
     /// When the system does not tell.
     pub fn has_ended(&mut self) -> Result<bool> {
-        Ok(self.child.try_wait()?.is_some())
+        Ok(self.look()?.is_some())
     }
 
     /// Waits until it ends by itself, and hands over what it wrote to its standard output.
@@ -98,7 +103,8 @@ impl Process {
             .with_context(|| format!("what {} wrote", self.name))
     }
 
-    /// Asks it to end, and waits for it; kills it, with all of its group, when it does not.
+    /// Asks it to end, and waits for it; kills it when it does not. What is left of its group when it has ended, also
+    /// by itself, is killed.
     ///
     /// # Errors
     /// When it had to be killed.
@@ -115,7 +121,7 @@ impl Process {
         // Not yet waited for, so the id is still its own.
         let _ = kill_process_group(process, Signal::KILL);
         self.child.kill()?;
-        self.child.wait()?;
+        self.ended = Some(self.child.wait()?);
         let seconds = END_TIMEOUT.as_secs();
         let (name, words) = (self.name, self.last_words());
         bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
@@ -135,6 +141,20 @@ impl Process {
         }
     }
 
+    /// How it ended, if it has; then nobody is left to end the rest of its group but us.
+    fn look(&mut self) -> Result<Option<ExitStatus>> {
+        if self.ended.is_none() {
+            let process = Pid::from_child(&self.child);
+            let peek = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+            if waitid(WaitId::Pid(process), peek)?.is_some() {
+                // Not yet waited for, so the id is still its own.
+                let _ = kill_process_group(process, Signal::KILL);
+                self.ended = self.child.try_wait()?;
+            }
+        }
+        Ok(self.ended)
+    }
+
     fn ended_within(
         &mut self,
         limit: Duration,
@@ -143,7 +163,7 @@ impl Process {
         let deadline = Instant::now() + limit;
         loop {
             check()?;
-            let status = self.child.try_wait()?;
+            let status = self.look()?;
             if status.is_some() || Instant::now() >= deadline {
                 return Ok(status);
             }
@@ -252,6 +272,20 @@ mod tests {
         assert!(test_kill_process(id).is_ok() && folder.exists());
         drop(process);
         assert!(test_kill_process(id).is_err() && !folder.exists());
+    }
+
+    #[test]
+    fn what_a_program_leaves_in_its_group_ends_when_it_has_ended() {
+        let mut process = shell("sleep 100 & echo $!");
+        let left = process.wait(PATIENCE).unwrap();
+        let stat = Path::new("/proc").join(left.trim()).join("stat");
+        let deadline = Instant::now() + PATIENCE;
+        // It is gone, or dead and not yet waited for by whoever has inherited it.
+        while fs::read_to_string(&stat).is_ok_and(|stat| !stat.contains(") Z ")) {
+            assert!(Instant::now() < deadline, "{left} still runs");
+            thread::sleep(LOOK);
+        }
+        process.end().unwrap();
     }
 
     #[test]

@@ -4,7 +4,7 @@ use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
 use cdcr_shared_types::{Header, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
-use super::{Exchange, LastChunk};
+use super::{Exchange, LastChunk, LastLook};
 use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
@@ -35,7 +35,7 @@ impl Exchange {
     }
 
     /// Takes requests once more shortly before the release of `cycle`. What they change is handed over whole, as if the
-    /// gather had seen it; after the release it is too late, and the next gather takes them.
+    /// gather had seen it; when there is no time left for that, the next gather takes them.
     pub(super) fn look_again(
         &mut self,
         schedule: &Schedule,
@@ -43,7 +43,8 @@ impl Exchange {
         now_ns: u64,
         shared: &Shared,
     ) {
-        if now_ns < schedule.release_ns(cycle) && self.take_requests(now_ns, shared) {
+        let end_ns = schedule.release_ns(cycle) - self.spin_ns - LastLook::TAKES_NS;
+        if now_ns < end_ns && self.take_requests(now_ns, shared) {
             self.hand_over(schedule, cycle, now_ns);
         }
     }

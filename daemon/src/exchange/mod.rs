@@ -3,7 +3,8 @@
 //! ```text
 //! loop { sleep to shortly before the next release, or until the cycle has a record
 //!        publish: command, answers, telemetry, summary       (right after the cycle)
-//!        gather:  references, obstacles, measurements, requests → inputs of the next cycle }
+//!        gather:  references, obstacles, measurements, requests → inputs of the next cycle
+//!        look:    requests once more, just before the release }
 //! ```
 //!
 //! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
@@ -97,13 +98,15 @@ struct LastLook {
 }
 
 impl LastLook {
-    /// So long before the release it is due \[ns\]: about as late as it can be over in time.
+    /// So long before the cycle thread wakes up it is due \[ns\]: about as late as it can be over in time.
     const LEAD_NS: u64 = 50_000;
+    /// Longer than it takes \[ns\]: who comes later leaves the requests to the next gather, whole.
+    const TAKES_NS: u64 = 15_000;
     /// A shorter period is soon over, and has no time to spare \[ns\].
     const PERIOD_MIN_NS: u64 = 1_000_000;
 
-    fn before(schedule: &Schedule, cycle: u64) -> Option<Self> {
-        let due_ns = schedule.release_ns(cycle) - Self::LEAD_NS;
+    fn before(schedule: &Schedule, cycle: u64, spin_ns: u64) -> Option<Self> {
+        let due_ns = schedule.release_ns(cycle) - spin_ns - Self::LEAD_NS;
         (schedule.period_ns() >= Self::PERIOD_MIN_NS).then_some(Self { cycle, due_ns })
     }
 }
@@ -168,12 +171,14 @@ impl Exchange {
 
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
+        // While the cycle thread spins to a release, nobody else has the core.
+        let lead_ns = self.gather_lead_ns + self.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
         let mut look: Option<LastLook> = None;
         self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
-            let gather_ns = schedule.release_ns(next_cycle) - self.gather_lead_ns;
+            let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
             let due_ns = look.map_or(gather_ns, |look| look.due_ns);
             let left_ns = due_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
@@ -188,9 +193,8 @@ impl Exchange {
             if now_ns >= gather_ns {
                 self.gather(schedule, next_cycle, now_ns, shared);
                 self.gather_took_ns = clock.now_ns() - now_ns;
-                look = LastLook::before(schedule, next_cycle);
-                next_cycle =
-                    (next_cycle + 1).max(schedule.cycle_at(now_ns + self.gather_lead_ns) + 1);
+                look = LastLook::before(schedule, next_cycle, self.spin_ns);
+                next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
             if shared.has_cycle_ended() && self.ends.records.is_empty() {
                 self.publish(clock, shared);

@@ -1,7 +1,7 @@
 //! Slow and textual: signals, statistics, status, bad cycles, watchdog, service manager, log.
 //!
-//! Invariant: nothing here is in the way of the cycle. It runs at ordinary priority, and learns of the
-//! cycles through rings that never block who fills them.
+//! Invariant: nothing here is in the way of the cycle. It runs on another core where there is one, after all other
+//! real-time threads, and learns of the cycles through rings that never block who fills them.
 
 mod statistics;
 mod steal;

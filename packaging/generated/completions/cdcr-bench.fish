@@ -47,20 +47,20 @@ quality\t'What the time of a solve, the swarm and the horizon buy'
 paper\t'The paper\'s simulations'
 solver\t'Times of a solve'
 budget\t'How late a solve ends after its budget'"
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l config -d 'Configuration of the daemon that is measured; without it the default, three sections' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l config -d 'Configuration of the daemon in deadline and latency; without it the default, three sections. The other benchmarks choose their own, and with it no figure to reach is judged' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -l quick -d 'A look of a few minutes that proves little'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand all" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l format -d 'How to print the result' -r -f -a "text\t'What changed, for people'
 json\t'One JSON object with every number'"
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l fail-on-worse -d 'Exit status 1 when a number changed for the worse, beyond noise'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -l fail-on-worse -d 'Exit status 1 when more numbers changed for the worse, beyond noise, than chance explains: than half of those that chance alone would call changed, rounded up, and two more. Numbers with one value each do not count'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand compare" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l duration -d 'Measured time of each subject under each load, all rounds together' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l load -d 'What else the machine does meanwhile, on the cores of the client; several with commas. Without this option, every load but stress-ng, one after the other' -r -f -a "none\t'Nothing'
 cpu\t'A thread that computes on each core but the real-time one'
 memory\t'A thread on each core but the real-time one that copies memory far larger than the caches'
-io\t'A thread that writes a file of 64 MiB, syncs it every 4 MiB, and reads it'
+io\t'A thread that writes a file of 64 MiB, syncs it every 4 MiB, and reads it back from the disk'
 clients\t'30 clients a second that connect to the daemon and leave; every other one opens the telemetry'
-flood\t'10 000 reference chunks a second of a client without the lease, all refused, and 10 000 obstacle updates a second, all accepted, far out of reach'
+flood\t'10 000 reference chunks a second of a client without the lease, and 10 000 obstacle updates a second, far out of reach: sent, not taken. The daemon\'s queues hold 32 chunks and 16 updates, and one gather takes 8 updates; the rest overflows. What is taken of the chunks is refused, of the updates accepted'
 all\t'cpu, memory, io, clients and flood at once'
 cpu-everywhere\t'Threads that compute and copy memory on every core, also on the real-time one'
 stress-ng\t'stress-ng, if it is installed: processor, memory and sync, on each core but the real-time one'"
@@ -99,7 +99,7 @@ csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l solves -d 'Solves of each case with each budget, 1 to 1000000' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l rounds -d 'Rounds, in each of which everything is measured once, 1 to 1000' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l samples -d 'Samples of each kind in each round, 5 to 10000; a fifth of that for stops, eight times that for iceoryx2 alone' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l samples -d 'Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that for iceoryx2 alone' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l period -d 'Period of the loop, if another one than the configuration\'s' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l config -d 'Configuration of the daemon; without it the default, three sections' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
