@@ -1,10 +1,11 @@
 //! Periods, budgets, statistics and bad cycles of a running daemon.
 
+use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, Stream};
-use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, timing};
+use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status};
@@ -212,5 +213,52 @@ fn a_thread_that_spins_starts_more_punctually() {
     assert!(
         spinning_ns <= plain_ns,
         "{spinning_ns} against {plain_ns} ns"
+    );
+}
+
+/// Scheduling policy and real-time priority of a thread: fields 41 and 40 of `stat` (proc(5)).
+fn policy_and_priority(stat: &str) -> (u32, u32) {
+    // The name in field 2 may hold anything; field 3 follows its closing parenthesis.
+    let (_, rest) = stat.rsplit_once(')').unwrap();
+    let fields: Vec<&str> = rest.split_ascii_whitespace().collect();
+    (
+        fields[41 - 3].parse().unwrap(),
+        fields[40 - 3].parse().unwrap(),
+    )
+}
+
+#[test]
+fn every_thread_runs_before_those_that_may_wait() {
+    const SCHED_OTHER: u32 = 0;
+    const SCHED_FIFO: u32 = 1;
+    let daemon = Daemon::start(PATIENT);
+    let status = daemon.connect().status(PATIENCE).unwrap();
+    if status.realtime_missing & realtime::FIFO != 0 {
+        println!("skipped: this user is not granted SCHED_FIFO");
+        return;
+    }
+    let folder = format!("/proc/{}/task", daemon.id());
+    let threads = std::fs::read_dir(folder).unwrap().flatten();
+    let found: BTreeMap<String, (u32, u32)> = threads
+        .map(|thread| {
+            let read = |name: &str| std::fs::read_to_string(thread.path().join(name)).unwrap();
+            (
+                read("comm").trim().to_owned(),
+                policy_and_priority(&read("stat")),
+            )
+        })
+        .collect();
+    let expected = [
+        ("cdcr-cycle", (SCHED_FIFO, 80)),
+        ("cdcr-exchange", (SCHED_FIFO, 70)),
+        // The supervisor, which shares the lock of the address space with the exchange.
+        ("cdcrd", (SCHED_FIFO, 1)),
+        ("cdcr-log", (SCHED_OTHER, 0)),
+    ];
+    assert_eq!(
+        found,
+        expected
+            .map(|(name, policy)| (name.to_owned(), policy))
+            .into()
     );
 }
