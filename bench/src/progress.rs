@@ -27,6 +27,8 @@ impl Progress {
         let bar = std::io::stderr().is_terminal().then(|| {
             let template = "{bar:24} {percent:>3} %, {eta} left: {msg}";
             let bar = ProgressBar::new(milliseconds(total_s));
+            // A stretch may take minutes: the time that is left goes on meanwhile.
+            bar.enable_steady_tick(Duration::from_millis(500));
             match ProgressStyle::with_template(template) {
                 Ok(style) => bar.with_style(style),
                 Err(_) => bar,

@@ -126,7 +126,7 @@ fn due(counts: &Counts) -> u64 {
 }
 
 /// Misses in a million cycles that were due.
-fn per_million(counts: &Counts) -> f64 {
+pub(super) fn per_million(counts: &Counts) -> f64 {
     1e6 * counts.deadline_misses as f64 / due(counts).max(1) as f64
 }
 

@@ -8,9 +8,9 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::case::{Case, Cases, Key};
-use super::ratio::{Ratio, ratios};
+use super::ratio::{Ratio, per_million, ratios};
 use super::segment::Subject;
-use super::{Options, Run, Setup};
+use super::{Counts, Options, Run, Setup};
 use crate::chart::{BLUE, Curve, GREY, ORANGE, Panel, Point, Scale, sheet};
 use crate::csv::csv;
 use crate::figures::Figure;
@@ -406,6 +406,16 @@ impl Section for Report {
                 ("command_p50", command(|q| q.p50)),
                 ("command_p99", command(|q| q.p99)),
             ];
+            if case.key.subject == Subject::Daemon {
+                let counts = |count: fn(&Counts) -> f64| {
+                    let rounds = case.rounds.iter();
+                    rounds.map(move |round| count(&round.segment.tally.counts))
+                };
+                metrics.extend([
+                    Metric::lower(name("own_misses"), "", counts(|c| c.own_misses as f64)),
+                    Metric::lower(name("misses"), "per million", counts(per_million)),
+                ]);
+            }
             let known = all.into_iter().filter(|(_, rounds)| !rounds.is_empty());
             metrics.extend(known.map(|(what, rounds)| Metric::lower(name(what), "µs", rounds)));
         }
@@ -443,7 +453,7 @@ struct SheetRow {
     realtime: bool,
     round: usize,
     #[serde(flatten)]
-    counts: super::Counts,
+    counts: Counts,
     #[serde(flatten)]
     times: super::tally::TimeQuantiles,
 }
