@@ -4,9 +4,9 @@
 //! |---|---|---|
 //! | [`bare`] | sent, by one of two processes that do nothing else | received by the other, and back |
 //! | [`command`](Leg::CommandRelease) | release, hand-over, stamp of a command | in the client's hands |
-//! | [`inputs`] | reference, obstacle or measurement sent | first command that uses it in the client's hands |
-//! | [`requests`] | request sent | answer in the client's hands |
-//! | [`stops`] | stop sent | zero rates, without the ramp |
+//! | inputs | reference, obstacle or measurement sent | first command that uses it in the client's hands |
+//! | requests | request sent | answer in the client's hands |
+//! | stops | stop sent | zero rates, without the ramp |
 //!
 //! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
 //! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
