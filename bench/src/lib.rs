@@ -16,7 +16,7 @@
 //! | [`system`] | cores, threads, counts of the kernel, other programs |
 //! | [`interrupt`], [`progress`] | signals, and how far a run is |
 //! | [`section`], [`metric`], [`quantiles`], [`table`] | what every benchmark hands over |
-//! | [`report`], [`mod@page`], [`mod@figures`], [`folder`] | results as documents, pages, pictures, files |
+//! | [`report`], [`mod@page`], [`mod@figures`] | results as documents, pages, pictures, files |
 //! | [`hlog`], [`mod@csv`] | raw latencies, rows for programs |
 //! | [`environment`] | the machine that a result comes from |
 //! | [`compare`] | what changed between two runs beyond noise |
@@ -34,7 +34,6 @@ pub mod deadline;
 pub mod environment;
 pub mod experiment;
 pub mod figures;
-pub mod folder;
 pub mod footprint;
 pub mod growth;
 pub mod hlog;

@@ -165,18 +165,6 @@ pub(crate) fn work(experiment: &Experiment) -> u64 {
     u64::from(settings.horizon_steps * swarm)
 }
 
-/// Runs all experiments; `progress` is called after each run with the part of [`Effort::all_work`] that
-/// it was.
-///
-/// # Errors
-/// When a controller cannot be built.
-pub fn run_all(effort: Effort, mut progress: impl FnMut(u64)) -> Result<Vec<Outcome>> {
-    let experiments = Experiment::all().into_iter();
-    experiments
-        .map(|experiment| run(experiment, effort, || progress(work(&experiment))))
-        .collect()
-}
-
 /// Runs one experiment with every seed.
 ///
 /// # Errors

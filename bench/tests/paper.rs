@@ -1,8 +1,13 @@
 //! What `cdcr-bench paper` hands over, from runs of a few cycles.
 
+use std::path::Path;
+
 use cdcr_bench::experiment::{Experiment, Solver, Task};
-use cdcr_bench::folder::{self, Document};
-use cdcr_bench::simulation::{Effort, Outcome, run, run_all};
+use cdcr_bench::progress::Progress;
+use cdcr_bench::report::offline::paper;
+use cdcr_bench::report::{Bundle, Start, section_bundle};
+use cdcr_bench::section::Section;
+use cdcr_bench::simulation::{Effort, Outcome, run};
 use cdcr_controller::nmpc::Coordinates;
 use serde_json::Value;
 
@@ -11,13 +16,13 @@ const QUICK: Effort = Effort {
     cycles_max: 12,
 };
 
-fn outcomes() -> Vec<Outcome> {
-    run_all(QUICK, |_| ()).expect("all experiments run")
+fn report() -> paper::Report {
+    let options = paper::Options { effort: QUICK };
+    paper::run(&options, &mut Progress::silent()).expect("all experiments run")
 }
 
-fn rows(outcomes: &[Outcome]) -> Vec<Value> {
-    let json = Document::of(outcomes).json().expect("JSON");
-    let document: Value = serde_json::from_str(&json).expect("one object");
+fn rows(report: &paper::Report) -> Vec<Value> {
+    let document = report.json().expect("JSON");
     document["simulations"].as_array().expect("a list").clone()
 }
 
@@ -43,7 +48,7 @@ fn every_row_has_the_fields_of_its_simulation_and_no_others() {
         "solver",
         "swarm",
     ];
-    for row in rows(&outcomes()) {
+    for row in rows(&report()) {
         // The tip does not reach the circle in a few cycles, so it has neither mean nor peak.
         let own: &[&str] = match row["name"].as_str() {
             Some("spiral") => &[],
@@ -70,8 +75,7 @@ fn every_row_has_the_fields_of_its_simulation_and_no_others() {
 
 #[test]
 fn all_solvers_run_everywhere_and_the_spiral_in_both_coordinates() {
-    let outcomes = outcomes();
-    let rows = rows(&outcomes);
+    let rows = rows(&report());
     for solver in ["kpso", "kpso-verbatim", "gauss-newton", "kpso-refined"] {
         let of = |name: &str, coordinates: &str| {
             let is_it = |row: &&Value| {
@@ -90,11 +94,11 @@ fn all_solvers_run_everywhere_and_the_spiral_in_both_coordinates() {
 
 #[test]
 fn csv_has_the_columns_of_json() {
-    let outcomes = outcomes();
-    let csv = Document::of(&outcomes).csv().expect("CSV");
+    let report = report();
+    let csv = report.sheets().expect("CSV").remove(0).csv;
     let mut reader = csv::Reader::from_reader(csv.as_bytes());
     let heads = reader.headers().expect("heads").clone();
-    for row in rows(&outcomes) {
+    for row in rows(&report) {
         for (key, value) in row.as_object().expect("an object") {
             let names = match value.as_object() {
                 Some(inner) => inner.keys().map(|name| format!("{key}_{name}")).collect(),
@@ -105,29 +109,31 @@ fn csv_has_the_columns_of_json() {
             }
         }
     }
-    assert_eq!(reader.records().count(), outcomes.len());
+    assert_eq!(reader.records().count(), rows(&report).len());
 }
 
 #[test]
 fn the_folder_holds_figures_a_page_and_tables() {
     let place = tempfile::tempdir().expect("a folder");
     let folder = place.path().join("new").join("paper");
-    let written = folder::write(&folder, &outcomes()).expect("written");
+    let start = Start::now().expect("a machine");
+    let bundle = section_bundle(&start, &report()).expect("all formats");
+    bundle.write(&folder).expect("written");
     let mut figures = 0;
-    for file in &written {
-        let text = std::fs::read_to_string(file).expect("a text");
-        if file.extension().is_some_and(|ending| ending == "svg") {
-            let picture = roxmltree::Document::parse(&text).expect("XML");
-            let mut texts = picture.descendants().filter_map(|node| node.text());
-            let is_axis = |text: &str| ["time [s]", "x [mm]"].contains(&text.trim());
-            assert!(texts.any(is_axis), "{}", file.display());
-            figures += 1;
-        }
+    let is_picture = |name: &&str| Path::new(name).extension().is_some_and(|end| end == "svg");
+    for name in bundle.names().filter(is_picture) {
+        let text = std::fs::read_to_string(folder.join(name)).expect("a text");
+        let picture = roxmltree::Document::parse(&text).expect("XML");
+        let mut texts = picture.descendants().filter_map(|node| node.text());
+        let is_axis = |text: &str| ["time [s]", "x [mm]"].contains(&text.trim());
+        assert!(texts.any(is_axis), "{name}");
+        figures += 1;
     }
     assert_eq!(figures, 18);
     let page = std::fs::read_to_string(folder.join("paper.html")).expect("the page");
     assert_eq!(page.matches("<svg").count(), figures);
-    assert_eq!(page.matches("<table").count(), 3);
+    // One for each simulation, and the machine.
+    assert_eq!(page.matches("<table").count(), 3 + 1);
     for word in ["src=", "href=", "url(", "<script", "@import"] {
         assert!(
             !page.contains(word),
@@ -140,7 +146,10 @@ fn the_folder_holds_figures_a_page_and_tables() {
 #[test]
 fn a_folder_that_cannot_be_made_is_named() {
     let place = tempfile::NamedTempFile::new().expect("a file");
-    let error = folder::write(&place.path().join("inside"), &[]).expect_err("no folder");
+    let bundle = Bundle::default();
+    let error = bundle
+        .write(&place.path().join("inside"))
+        .expect_err("no folder");
     assert!(error.to_string().contains("inside"), "{error}");
 }
 

@@ -1,35 +1,28 @@
 //! `cdcr-bench budget`.
 
 use anyhow::Result;
-use cdcr_bench::budget;
-use cdcr_bench::csv::csv;
-use cdcr_bench::table;
-use serde::Serialize;
+use cdcr_bench::report::offline::budget;
 
-use super::bar::progress;
-use super::output::{Format, show};
+use super::output::Output;
 
-/// The cases with every budget.
-#[derive(Serialize)]
-struct Budgets<'a> {
-    cases: &'a [budget::Row],
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// How often all budgets are measured, 1 to 100; a time is the median, the largest of all.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// Solves of each case with each budget in a round, 1 to 1000000.
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    solves: u64,
+    #[command(flatten)]
+    output: Output,
 }
 
-pub(super) fn run(format: Format, solves: u64) -> Result<()> {
-    let cases = budget::cases()?;
-    let count = cases.len() * budget::BUDGETS_US.len();
-    let bar = progress(count as u64, "{pos}/{len} budgets")?;
-    let mut rows = Vec::new();
-    for case in &cases {
-        for budget_us in budget::BUDGETS_US {
-            rows.push(case.measure(budget_us, solves)?);
-            bar.inc(1);
-        }
-    }
-    bar.finish_and_clear();
-    show(&match format {
-        Format::Text => table::budgets(&rows).text(),
-        Format::Json => serde_json::to_string(&Budgets { cases: &rows })? + "\n",
-        Format::Csv => csv(&rows)?,
-    })
+pub(super) fn run(args: &Options) -> Result<()> {
+    args.output.prepare()?;
+    let options = budget::Options {
+        rounds: args.rounds,
+        solves: args.solves,
+    };
+    args.output
+        .measure(&options, budget::expected_s, budget::run)
 }

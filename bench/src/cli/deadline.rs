@@ -6,7 +6,6 @@ use std::time::Duration;
 use anyhow::{Result, ensure};
 use cdcr_bench::deadline;
 use cdcr_bench::load::Load;
-use cdcr_bench::progress::Progress;
 use cdcr_bench::system::thread::may_be_realtime;
 use clap::ValueEnum;
 
@@ -92,8 +91,7 @@ impl Options {
 pub(super) fn run(options: &Options) -> Result<()> {
     options.output.prepare()?;
     let plan = options.plan()?;
-    let mut progress = Progress::new(deadline::expected_s(&plan));
-    let report = deadline::run(&plan, &mut progress)?;
-    drop(progress);
-    options.output.deliver(&report)
+    options
+        .output
+        .measure(&plan, deadline::expected_s, deadline::run)
 }

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use cdcr_bench::footprint;
-use cdcr_bench::progress::Progress;
 
 use super::output::Output;
 
@@ -41,8 +40,6 @@ pub(super) fn run(args: &Options) -> Result<()> {
             tracking: args.duration,
         }
     };
-    let mut progress = Progress::new(footprint::expected_s(&options));
-    let report = footprint::run(&options, &mut progress)?;
-    drop(progress);
-    args.output.deliver(&report)
+    args.output
+        .measure(&options, footprint::expected_s, footprint::run)
 }

@@ -6,7 +6,6 @@ use std::time::Duration;
 use anyhow::Result;
 use cdcr_bench::latency;
 use cdcr_bench::latency::bare;
-use cdcr_bench::progress::Progress;
 use cdcr_shared_types::Location;
 
 use super::output::Output;
@@ -56,10 +55,9 @@ impl Options {
 pub(super) fn run(options: &Options) -> Result<()> {
     options.output.prepare()?;
     let plan = options.plan();
-    let mut progress = Progress::new(latency::expected_s(&plan));
-    let report = latency::run(&plan, &mut progress)?;
-    drop(progress);
-    options.output.deliver(&report)
+    options
+        .output
+        .measure(&plan, latency::expected_s, latency::run)
 }
 
 /// The other process of the bare measurement.

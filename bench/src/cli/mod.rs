@@ -1,7 +1,6 @@
 //! The command line of the benchmarks.
 
 mod all;
-mod bar;
 mod budget;
 mod compare;
 mod deadline;
@@ -15,7 +14,6 @@ mod solver;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
-use output::Format;
 
 /// What the controller reaches, measured.
 #[derive(Debug, Parser)]
@@ -48,22 +46,11 @@ enum Command {
     /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
     /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
-    Solver {
-        /// How to print the result.
-        #[arg(long, value_enum, default_value_t = Format::Text)]
-        format: Format,
-    },
+    Solver(solver::Options),
     /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
     /// worse than the warm start.
     #[command(after_help = "Example: cdcr-bench budget --format json > budget.json")]
-    Budget {
-        /// How to print the result.
-        #[arg(long, value_enum, default_value_t = Format::Text)]
-        format: Format,
-        /// Solves of each case with each budget, 1 to 1000000.
-        #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
-        solves: u64,
-    },
+    Budget(budget::Options),
     /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
     #[command(after_help = latency::AFTER_HELP)]
     Latency(latency::Options),
@@ -89,8 +76,8 @@ pub(crate) fn execute(cli: Cli) -> Result<()> {
         Command::Deadline(options) => deadline::run(&options),
         Command::Paper(options) => paper::run(&options),
         Command::Quality(options) => quality::run(&options),
-        Command::Solver { format } => solver::run(format),
-        Command::Budget { format, solves } => budget::run(format, solves),
+        Command::Solver(options) => solver::run(&options),
+        Command::Budget(options) => budget::run(&options),
         Command::Latency(options) => latency::run(&options),
         Command::Peer(options) => latency::peer(&options),
         Command::Rate(options) => rate::run(&options),

@@ -6,12 +6,13 @@ use std::sync::OnceLock;
 
 use anyhow::{Context, Result};
 use cdcr_bench::interrupt;
+use cdcr_bench::progress::Progress;
 use cdcr_bench::report::{Bundle, Start, section_bundle, section_json, section_text};
 use cdcr_bench::section::Section;
 use clap::ValueEnum;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(super) enum Format {
+enum Format {
     /// A table for people.
     Text,
     /// One JSON object.
@@ -44,8 +45,21 @@ impl Output {
         self.out.as_deref().map_or(Ok(()), make)
     }
 
+    /// Runs one benchmark with its progress, and delivers its result.
+    pub(super) fn measure<O, S: Section>(
+        &self,
+        options: &O,
+        expected_s: fn(&O) -> f64,
+        run: fn(&O, &mut Progress) -> Result<S>,
+    ) -> Result<()> {
+        let mut progress = Progress::new(expected_s(options));
+        let section = run(options, &mut progress)?;
+        drop(progress);
+        self.deliver(&section)
+    }
+
     /// Prints the result of one benchmark, and keeps it where that was asked for.
-    pub(super) fn deliver(&self, section: &dyn Section) -> Result<()> {
+    fn deliver(&self, section: &dyn Section) -> Result<()> {
         let start = self.start()?;
         // Kept before it is printed: whoever reads may close the pipe.
         if let Some(folder) = &self.out {

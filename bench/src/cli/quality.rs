@@ -1,7 +1,6 @@
 //! `cdcr-bench quality`.
 
 use anyhow::Result;
-use cdcr_bench::progress::Progress;
 use cdcr_bench::quality;
 
 use super::output::Output;
@@ -28,8 +27,6 @@ pub(super) fn run(args: &Options) -> Result<()> {
             ..quality::Options::full()
         }
     };
-    let mut progress = Progress::new(quality::expected_s(&options));
-    let report = quality::run(&options, &mut progress)?;
-    drop(progress);
-    args.output.deliver(&report)
+    args.output
+        .measure(&options, quality::expected_s, quality::run)
 }

@@ -1,7 +1,6 @@
 //! `cdcr-bench rate`.
 
 use anyhow::Result;
-use cdcr_bench::progress::Progress;
 use cdcr_bench::rate;
 
 use super::output::Output;
@@ -47,8 +46,5 @@ pub(super) fn run(args: &Options) -> Result<()> {
         spin_us: args.spin,
         ..base
     };
-    let mut progress = Progress::new(rate::expected_s(&options));
-    let report = rate::run(&options, &mut progress)?;
-    drop(progress);
-    args.output.deliver(&report)
+    args.output.measure(&options, rate::expected_s, rate::run)
 }

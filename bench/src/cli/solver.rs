@@ -1,41 +1,25 @@
 //! `cdcr-bench solver`.
 
 use anyhow::Result;
-use cdcr_bench::csv::csv;
-use cdcr_bench::growth::{Growth, growth};
-use cdcr_bench::solver::{self, Case};
-use cdcr_bench::table;
-use serde::Serialize;
+use cdcr_bench::report::offline::solver;
 
-use super::bar::progress;
-use super::output::{Format, show};
+use super::output::Output;
 
-/// The cases, and what follows from them.
-#[derive(Serialize)]
-struct Cases<'a> {
-    cases: &'a [Case],
-    growth: &'a [Growth],
+#[derive(Debug, clap::Args)]
+pub(super) struct Options {
+    /// How often all sizes are measured, 1 to 100; a number is the median.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    #[command(flatten)]
+    output: Output,
 }
 
-pub(super) fn run(format: Format) -> Result<()> {
-    let sizes = solver::sizes();
-    let bar = progress(sizes.len() as u64, "{pos}/{len} sizes")?;
-    let mut cases = Vec::new();
-    for size in &sizes {
-        cases.extend(solver::measure(size)?);
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
-    let growth = growth(&cases);
-    show(&match format {
-        Format::Text => table::cases(&cases).text() + "\n" + &table::growth(&growth).text(),
-        Format::Json => {
-            let all = Cases {
-                cases: &cases,
-                growth: &growth,
-            };
-            serde_json::to_string(&all)? + "\n"
-        }
-        Format::Csv => csv(&cases)?,
-    })
+pub(super) fn run(args: &Options) -> Result<()> {
+    args.output.prepare()?;
+    let options = solver::Options {
+        rounds: args.rounds,
+        ..solver::Options::default()
+    };
+    args.output
+        .measure(&options, solver::expected_s, solver::run)
 }

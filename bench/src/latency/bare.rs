@@ -5,9 +5,8 @@
 //! real-time priority: a real-time thread that never sleeps is halted by the system.
 
 use std::fs;
-use std::os::unix::process::CommandExt;
 use std::path::Path;
-use std::process::{Child, Command as Process, Stdio};
+use std::process;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
@@ -22,7 +21,7 @@ use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{Node, ipc};
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
-use rustix::process::{Pid, Signal, getppid, kill_process, set_parent_process_death_signal};
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 
 use super::leg::Leg;
@@ -31,6 +30,7 @@ use crate::interrupt;
 use crate::subject::daemon::program;
 use crate::subject::place::Place;
 use crate::system::cores::Cores;
+use crate::system::process::Process;
 use crate::system::thread::pin;
 
 /// Messages before one counts.
@@ -39,8 +39,6 @@ const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
 /// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(5);
-/// How long the peer may take to end.
-const END: Duration = Duration::from_secs(2);
 /// Looks of the peer between two looks whether it shall end.
 const LOOKS: u32 = 4096;
 
@@ -59,7 +57,7 @@ pub(super) fn expected_s(samples: usize) -> f64 {
 pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
     // Dropped last.
     let place = Place::new()?;
-    let _peer = Peer::start(&place, cores)?;
+    let _peer = start_peer(&place, cores)?;
     let shares = cores.is_alone();
     thread::scope(|scope| {
         let measuring = scope.spawn(|| {
@@ -75,46 +73,19 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
     })
 }
 
-/// The peer of a measurement, as a process.
-struct Peer(Child);
-
-impl Peer {
-    /// To be called from a thread that outlives it.
-    fn start(place: &Place, cores: &Cores) -> Result<Self> {
-        let mut process = Process::new(program("cdcr-bench")?);
-        process
-            .arg(PEER)
-            .args(["--prefix", place.location().prefix(), "--root"])
-            .arg(place.location().root())
-            .args(["--parent", &std::process::id().to_string()])
-            .args(["--core", &cores.realtime.to_string()])
-            .stdin(Stdio::null())
-            .stdout(Stdio::null())
-            // Ctrl-C reaches us alone.
-            .process_group(0);
-        if cores.is_alone() {
-            process.arg("--shares");
-        }
-        let child = cores.with_all(|| process.spawn());
-        Ok(Self(child.context(
-            "cannot start the peer of the bare measurement",
-        )?))
+/// Starts the peer of a measurement. To be called from a thread that outlives it.
+fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
+    let mut command = process::Command::new(program("cdcr-bench")?);
+    command
+        .arg(PEER)
+        .args(["--prefix", place.location().prefix(), "--root"])
+        .arg(place.location().root())
+        .args(["--parent", &process::id().to_string()])
+        .args(["--core", &cores.realtime.to_string()]);
+    if cores.is_alone() {
+        command.arg("--shares");
     }
-}
-
-impl Drop for Peer {
-    fn drop(&mut self) {
-        let _ = kill_process(Pid::from_child(&self.0), Signal::TERM);
-        let deadline = Instant::now() + END;
-        while Instant::now() < deadline {
-            if !matches!(self.0.try_wait(), Ok(None)) {
-                return;
-            }
-            thread::sleep(Duration::from_millis(2));
-        }
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
+    cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
 /// What the peer is told.

@@ -1,7 +1,5 @@
 //! Self-contained pages: one style, and all tables and pictures inside, so that a page can be sent alone.
 
-pub mod paper;
-
 use std::fmt::Write as _;
 
 use crate::figures::Figure;

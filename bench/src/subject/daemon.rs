@@ -1,10 +1,8 @@
 //! A daemon that is measured: the real `cdcrd`, started as a process.
 
 use std::fmt::Display;
-use std::fs::{self, File};
-use std::os::unix::process::CommandExt;
 use std::path::PathBuf;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -12,16 +10,14 @@ use anyhow::{Context, Result, bail, ensure};
 use cdcr_client::Connection;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use rustix::process::{Pid, Signal, kill_process};
 
 use super::place::{Place, ROBOT};
 use crate::interrupt;
 use crate::system::cores::Cores;
+use crate::system::process::Process;
 
 /// How long a daemon may take to control its robot.
 const START_TIMEOUT: Duration = Duration::from_secs(10);
-/// How long it may take to end.
-const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
 /// not stop the robot, or end the lease of its reference.
@@ -84,10 +80,7 @@ impl Launch {
         command
             .arg(subcommand)
             // Whatever ends us, SIGKILL too, ends the daemon.
-            .args(["--end-with-parent", &std::process::id().to_string()])
-            .stdin(Stdio::null())
-            // Ctrl-C reaches us alone; we stop the daemon in order.
-            .process_group(0);
+            .args(["--end-with-parent", &std::process::id().to_string()]);
         if let Some(config) = &self.config {
             command.arg("--config").arg(config);
         }
@@ -122,7 +115,8 @@ pub fn program(name: &str) -> Result<PathBuf> {
 /// A running daemon. Dropping it stops it and removes every trace.
 #[derive(Debug)]
 pub struct Daemon {
-    child: Child,
+    /// Before its place, which goes when it has ended.
+    process: Process,
     place: Place,
     /// How it was started.
     pub launch: Launch,
@@ -147,20 +141,14 @@ impl Daemon {
         change: impl FnOnce(&mut Command),
     ) -> Result<Self> {
         let place = Place::new()?;
-        let log = File::create(place.folder().join("cdcrd.log")).context("the daemon's log")?;
         let mut command = launch.command("run")?;
         command
             .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
             .arg("--root")
-            .arg(place.location().root())
-            .stdout(log.try_clone()?)
-            .stderr(log);
+            .arg(place.location().root());
         change(&mut command);
-        let child = cores
-            .with_all(|| command.spawn())
-            .context("cannot start cdcrd")?;
         Ok(Self {
-            child,
+            process: cores.with_all(|| Process::start("cdcrd", command))?,
             place,
             launch: launch.clone(),
         })
@@ -176,7 +164,7 @@ impl Daemon {
         while Instant::now() < deadline {
             interrupt::check()?;
             ensure!(
-                self.child.try_wait()?.is_none(),
+                !self.process.has_ended()?,
                 "the daemon ended at once{}",
                 self.last_words()
             );
@@ -206,7 +194,7 @@ impl Daemon {
 
     /// Its process.
     pub fn id(&self) -> u32 {
-        self.child.id()
+        self.process.id()
     }
 
     /// A new connection to it.
@@ -223,49 +211,16 @@ impl Daemon {
     /// When it had ended by itself, or did not end.
     pub fn stop(mut self) -> Result<()> {
         ensure!(
-            self.child.try_wait()?.is_none(),
+            !self.process.has_ended()?,
             "the daemon ended by itself{}",
             self.last_words()
         );
-        self.end()
+        self.process.end()
     }
 
     /// What it said, for an error message.
     pub fn last_words(&self) -> String {
-        let log = fs::read_to_string(self.place.folder().join("cdcrd.log")).unwrap_or_default();
-        match log.trim() {
-            "" => "; it said nothing".to_owned(),
-            log => format!("; it said:\n{log}"),
-        }
-    }
-
-    fn end(&mut self) -> Result<()> {
-        if self.child.try_wait()?.is_some() {
-            return Ok(());
-        }
-        kill_process(Pid::from_child(&self.child), Signal::TERM).context("SIGTERM to cdcrd")?;
-        let deadline = Instant::now() + STOP_TIMEOUT;
-        while Instant::now() < deadline {
-            if self.child.try_wait()?.is_some() {
-                return Ok(());
-            }
-            thread::sleep(Duration::from_millis(5));
-        }
-        self.child.kill()?;
-        self.child.wait()?;
-        bail!(
-            "the daemon did not end within {} s of SIGTERM and was killed{}",
-            STOP_TIMEOUT.as_secs(),
-            self.last_words()
-        )
-    }
-}
-
-impl Drop for Daemon {
-    fn drop(&mut self) {
-        if let Err(error) = self.end() {
-            eprintln!("warning: {error:#}");
-        }
+        self.process.last_words()
     }
 }
 

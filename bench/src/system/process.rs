@@ -18,7 +18,7 @@ use crate::interrupt;
 /// How often it is looked whether a program has ended.
 const LOOK: Duration = Duration::from_millis(20);
 /// How long a program may take to end in order.
-const END_TIMEOUT: Duration = Duration::from_secs(3);
+const END_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// A running program. Dropping it ends it, and removes what it wrote.
 #[derive(Debug)]
@@ -190,7 +190,7 @@ const COMPLAINED: &str = "stderr";
 /// When the folder for temporary files cannot be written.
 pub fn folder(name: &str) -> Result<TempDir> {
     tempfile::Builder::new()
-        .prefix(&format!("cdcr-bench-{name}-"))
+        .prefix(&format!("cdcr-bench-{}-", name.replace(' ', "-")))
         .tempdir()
         .context("a folder for temporary files: set TMPDIR to one that can be written")
 }

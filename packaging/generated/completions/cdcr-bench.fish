@@ -79,7 +79,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l seeds -d
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l out -d 'Folder for the figures as SVG, for paper.html with all of them, paper.json and paper.csv; made if it does not exist' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l cycles -d 'Cycles of a run at most: for a quick look' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l rounds -d 'Runs of each variant, each with another seed, 1 to 100' -r
@@ -89,14 +89,18 @@ csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick -d 'One round of a part of it: a look of some seconds, no measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l rounds -d 'How often all sizes are measured, 1 to 100; a number is the median' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l rounds -d 'How often all budgets are measured, 1 to 100; a time is the median, the largest of all' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l solves -d 'Solves of each case with each budget in a round, 1 to 1000000' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l solves -d 'Solves of each case with each budget, 1 to 1000000' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l rounds -d 'Rounds, in each of which everything is measured once, 1 to 1000' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l samples -d 'Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that for iceoryx2 alone' -r
