@@ -30,6 +30,9 @@ const STATUS_FRESH: Duration = Duration::from_secs(1);
 /// location, it removes what iceoryx2 would leave. A connection stays on the thread that opened it; a
 /// second thread opens a second connection.
 ///
+/// Who only watches (status, telemetry, incidents) is kept apart from the daemon's control loop. The port for requests is
+/// made with the first one, or by [`prepare_requests`](Self::prepare_requests).
+///
 /// It outlives its daemon, however that ended: when another one is started at the same place, everything
 /// goes on with it. Streams, requests, [`Driver`] and [`ObstacleSender`] need nothing. What the daemon kept
 /// for its clients is gone with it: the obstacles, the reference, and the lease, whose holder is told by
@@ -83,7 +86,7 @@ impl Connection {
             cause,
         };
         let sender = Sender::new();
-        let control = Control::open(&services.control, sender.clone()).map_err(memory)?;
+        let control = Control::new(services.control.clone(), sender.clone());
         let stream = Stream::open(&services.status).map_err(|cause| memory(cause.to_string()))?;
         let connection = Self {
             status: RefCell::new(StatusReader {
@@ -153,6 +156,16 @@ impl Connection {
         let record = self.telemetry()?.next_within(REQUEST_TIMEOUT)?;
         let silent = || LinkError::silent(Service::Telemetry, REQUEST_TIMEOUT);
         record.map(|record| record.settings).ok_or_else(silent)
+    }
+
+    /// Gets ready to ask. The first request does it otherwise, and takes a little longer: who may have to stop a
+    /// robot in a hurry does this beforehand.
+    ///
+    /// # Errors
+    /// [`LinkError::Port`] when the daemon has as many clients that ask as it allows, [`LinkError::Memory`] when shared
+    /// memory is full.
+    pub fn prepare_requests(&self) -> Result<(), LinkError> {
+        self.control.port().map(|_| ())
     }
 
     /// Asks the daemon for something and waits for the answer, at most 1 s. A daemon that takes the place

@@ -1,3 +1,4 @@
+use std::cell::OnceCell;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -6,7 +7,9 @@ use cdcr_shared_types::{Request, Response, Service, SolverSettings};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, ipc};
 
+use crate::LinkError;
 use crate::remedy::request_remedy;
+use crate::room::{self, PORT_BYTES};
 use crate::sender::Sender;
 use crate::services::ControlChannel;
 
@@ -64,21 +67,39 @@ pub enum RequestError {
     },
 }
 
-/// The asking end of the control service.
+type Port = Client<ipc::Service, Request, (), Response, ()>;
+
+/// The asking end of the control service. Its port is made when it is first used: with every client that joins or
+/// leaves a service the daemon makes or removes files, and who only reads must not cost the control loop anything.
 #[derive(Debug)]
 pub(crate) struct Control {
-    client: Client<ipc::Service, Request, (), Response, ()>,
+    channel: ControlChannel,
+    port: OnceCell<Port>,
     sender: Sender,
 }
 
 impl Control {
-    pub(crate) fn open(service: &ControlChannel, sender: Sender) -> Result<Self, String> {
-        let client = service
+    pub(crate) fn new(channel: ControlChannel, sender: Sender) -> Self {
+        Self {
+            channel,
+            port: OnceCell::new(),
+            sender,
+        }
+    }
+
+    /// The port, made if it is not there.
+    pub(crate) fn port(&self) -> Result<&Port, LinkError> {
+        if let Some(port) = self.port.get() {
+            return Ok(port);
+        }
+        room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(Service::Control, no_room))?;
+        let port = self
+            .channel
             .client_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(|cause| format!("{cause:?}"))?;
-        Ok(Self { client, sender })
+            .map_err(|cause| LinkError::port(Service::Control, cause))?;
+        Ok(self.port.get_or_init(|| port))
     }
 
     /// Asks, waits for the answer, and returns it when it says accepted. When the daemon that has the
@@ -118,8 +139,8 @@ impl Control {
         deadline: Instant,
     ) -> Result<Option<Response>, RequestError> {
         let link = |cause: String| RequestError::Link { kind, cause };
-        let pending = self
-            .client
+        let port = self.port().map_err(|cause| link(cause.to_string()))?;
+        let pending = port
             .send_copy(request)
             .map_err(|cause| link(format!("{cause:?}")))?;
         loop {

@@ -19,8 +19,9 @@ use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
 use crate::link::{DriverLink, SimulatedRobot};
 use crate::ports::{Clock, RobotLink};
+use crate::reporter::Reporter;
 use crate::rt::clock::MonotonicClock;
-use crate::rt::handoff::{CycleEnds, ExchangeEnds, Shared, channels};
+use crate::rt::handoff::{CycleEnds, ExchangeEnds, ReporterEnds, Shared, channels};
 use crate::rt::privileges::{ThreadPlan, go_before_ordinary_tasks};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
@@ -71,21 +72,29 @@ fn run_with<L: RobotLink + Send + 'static>(
 ) -> Result<()> {
     let daemon_id = random_id();
     let shared = Arc::new(Shared::default());
-    let (cycle_ends, exchange_ends, supervisor_ends) = channels(Settings::new(&validated.config));
+    let (cycle_ends, exchange_ends, reporter_ends, supervisor_ends) =
+        channels(Settings::new(&validated.config));
     let clock = MonotonicClock;
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
-    let exchange = spawn_exchange(validated, exchange_ends, &shared, daemon_id)?;
+    let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
+    // One after the other: each clears away what was left unfinished, and must not meet files in the making.
+    if let Err(error) = reporter.wait_ready() {
+        give_up([reporter]);
+        return Err(error);
+    }
+    let waker = reporter.thread().clone();
+    let exchange = spawn_exchange(validated, exchange_ends, &shared, daemon_id, waker)?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
     let waker = exchange.thread().clone();
     let cycle = spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch)?;
 
     // Held until the threads have ended.
-    let armed = match arm(&validated.config.realtime, &[&exchange, &cycle]) {
+    let armed = match arm(&validated.config.realtime, &[&reporter, &exchange, &cycle]) {
         Ok(armed) => armed,
         Err(error) => {
-            give_up([cycle, exchange]);
+            give_up([cycle, exchange, reporter]);
             return Err(error);
         }
     };
@@ -95,25 +104,31 @@ fn run_with<L: RobotLink + Send + 'static>(
     }
     let schedule = start::schedule(&validated.config, &clock);
     shared.set_origin_ns(schedule.release_ns(0));
+    reporter.go(&schedule);
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
     supervisor.run(&clock, &shared, should_end, || {
         // A thread that ends by itself takes the process with it.
-        if cycle.is_finished() || exchange.is_finished() {
+        if cycle.is_finished() || exchange.is_finished() || reporter.is_finished() {
             shared.end();
         }
         if cycle.is_finished() {
             shared.set_cycle_ended();
         }
+        // What has ended does not hang: only the others are watched on.
         if exchange.is_finished() {
-            // It has ended, and does not hang: only the cycle is watched on.
+            shared.set_exchange_ended();
             shared.beat_exchange();
         }
-        cycle.is_finished() && exchange.is_finished()
+        if reporter.is_finished() {
+            shared.beat_reporter();
+        }
+        cycle.is_finished() && exchange.is_finished() && reporter.is_finished()
     })?;
     cycle.join()?;
     exchange.join()?;
+    reporter.join()?;
     if shared.is_still_moving() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -152,6 +167,7 @@ fn spawn_exchange(
     ends: ExchangeEnds,
     shared: &Arc<Shared>,
     daemon_id: u64,
+    reporter: Thread,
 ) -> Result<Started> {
     let plan = ThreadPlan::new(
         &validated.config.realtime,
@@ -170,9 +186,38 @@ fn spawn_exchange(
         };
         let mut exchange = Exchange::new(&validated, ports, ends, daemon_id);
         if let Some(schedule) = stage.prepare(plan, || ()) {
-            exchange.run(&schedule, &MonotonicClock, &shared);
+            exchange.run(&schedule, &MonotonicClock, &shared, &reporter);
         }
+        shared.set_exchange_ended();
+        reporter.unpark();
         drop(exchange);
+        UnfinishedFiles::new(validated.location.file_prefix()).clear();
+        drop(node);
+    })
+}
+
+fn spawn_reporter(
+    validated: &Validated,
+    ends: ReporterEnds,
+    shared: &Arc<Shared>,
+    daemon_id: u64,
+) -> Result<Started> {
+    let plan = ThreadPlan::beside(&validated.config.realtime);
+    let (validated, shared) = (validated.clone(), Arc::clone(shared));
+    Started::spawn("cdcr-reporter", move |stage| {
+        let built = services::node(&validated.location).and_then(|node| {
+            let telemetry = services::telemetry(&node, &validated.config.robot.name)?;
+            Ok((node, telemetry))
+        });
+        let (node, telemetry) = match built {
+            Ok(built) => built,
+            Err(error) => return stage.fail(error.into()),
+        };
+        let mut reporter = Reporter::new(&validated, telemetry, ends, daemon_id);
+        if stage.prepare(plan, || ()).is_some() {
+            reporter.run(&MonotonicClock, &shared);
+        }
+        drop(reporter);
         UnfinishedFiles::new(validated.location.file_prefix()).clear();
         drop(node);
     })

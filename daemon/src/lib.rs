@@ -36,6 +36,7 @@ pub mod link;
 pub mod log;
 pub mod obstacles;
 pub mod ports;
+pub mod reporter;
 pub mod rt;
 pub mod service_manager;
 mod start;

@@ -4,6 +4,7 @@
 //! each thread: ready ─► (memory is locked) ─► warm up ─► priority, core, stack ─► schedule ─► first release
 //! ```
 
+use std::cell::Cell;
 use std::fs::File;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
@@ -28,7 +29,7 @@ const START_DELAY_NS: u64 = 10_000_000;
 /// How long the threads of a start that failed may take to end.
 const GIVE_UP: Duration = Duration::from_secs(2);
 /// Stack of a real-time thread.
-const STACK_BYTES: usize = 2 * 1024 * 1024;
+const STACK_BYTES: usize = 1024 * 1024;
 
 /// A flag that is set by the signals that ask the process to end.
 pub(crate) fn end_signals() -> Result<Arc<AtomicBool>> {
@@ -134,6 +135,7 @@ pub(crate) struct Started<T = ()> {
 #[derive(Debug)]
 struct Starter {
     ready: Receiver<Result<()>>,
+    is_ready: Cell<bool>,
     arm: Sender<()>,
     armed: Receiver<u32>,
     go: Sender<Schedule>,
@@ -155,6 +157,7 @@ fn stages() -> (Starter, Stage) {
     let (go_in, go_out) = channel();
     let starter = Starter {
         ready: ready_out,
+        is_ready: Cell::new(false),
         arm: arm_in,
         armed: armed_out,
         go: go_in,
@@ -189,9 +192,17 @@ impl<T: Send + 'static> Started<T> {
 }
 
 impl<T> Started<T> {
-    fn wait_ready(&self) -> Result<()> {
-        let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
-        answer.with_context(|| format!("the thread {} did not get ready", self.name))?
+    /// Waits until it is ready; at once when it was waited for before.
+    ///
+    /// # Errors
+    /// It does not get ready, or cannot.
+    pub(crate) fn wait_ready(&self) -> Result<()> {
+        if !self.starter.is_ready.get() {
+            let answer = self.starter.ready.recv_timeout(START_TIMEOUT);
+            answer.with_context(|| format!("the thread {} did not get ready", self.name))??;
+            self.starter.is_ready.set(true);
+        }
+        Ok(())
     }
 
     /// Lets the thread become real-time; returns what is missing.

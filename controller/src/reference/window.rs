@@ -4,7 +4,7 @@ use super::{ReferenceSample, ReferenceState, Trajectory};
 pub const HORIZON_STEPS_MAX: usize = 50;
 
 /// Samples of the reference on the grid of the cycle: at the release, and at each step of the longest
-/// horizon after it, plus some periods of slack for cycles that come late.
+/// horizon after it, plus slack for cycles that come late, and for an exchange that is held up.
 ///
 /// The exchange makes it before a release; the cycle reads it by grid index, so a cycle that was
 /// skipped does not make it wrong, only shorter.
@@ -14,7 +14,8 @@ pub struct ReferenceWindow {
     count: usize,
     /// How many periods past its last sample the window still holds.
     patience: u64,
-    samples: [ReferenceSample; Self::SAMPLES_MAX],
+    /// As many as the longest window has, made once.
+    samples: Box<[ReferenceSample]>,
 }
 
 impl Default for ReferenceWindow {
@@ -23,22 +24,37 @@ impl Default for ReferenceWindow {
             first_cycle: 0,
             count: 0,
             patience: 0,
-            samples: [ReferenceSample::default(); Self::SAMPLES_MAX],
+            samples: vec![ReferenceSample::default(); Self::SAMPLES_MAX].into_boxed_slice(),
         }
     }
 }
 
 impl ReferenceWindow {
-    /// Periods of slack: 20 periods, 100 ms at 5 ms, more than the longest stall that is survived.
-    pub const SLACK: usize = 20;
-    /// With shorter periods 20 of them are soon over: for this long after the release that it was made for \[ns\] the
-    /// last sample stands for those that are missing.
-    pub const PATIENCE_NS: u64 = 100_000_000;
+    /// How long a cycle that gets no new window goes on with an old one \[ns\]. An exchange that makes or removes a file
+    /// may wait for a starved client that has the folder's lock; 0.3 s were seen. One that hangs for longer is the
+    /// watchdog's.
+    pub const PATIENCE_NS: u64 = 1_000_000_000;
+    /// Periods of slack at least.
+    pub const SLACK_MIN: usize = 20;
+    /// Periods of slack at most.
+    pub const SLACK_MAX: usize = 200;
+    /// A sample costs some tens of nanoseconds. One of slack for so much of the period \[ns\] keeps their part of the time
+    /// below a percent, however short the period is.
+    const PERIOD_PER_SAMPLE_NS: u64 = 25_000;
     /// Samples of the longest window.
-    pub const SAMPLES_MAX: usize = HORIZON_STEPS_MAX + 1 + Self::SLACK;
+    pub const SAMPLES_MAX: usize = HORIZON_STEPS_MAX + 1 + Self::SLACK_MAX;
 
-    /// Samples `trajectory` at the release of `first_cycle` and `horizon_steps + SLACK` periods
-    /// after it.
+    /// Periods of slack with this period: those of the [patience](Self::PATIENCE_NS) from 5 ms on, fewer when it is
+    /// shorter. Then the last sample stands for those that are missing, as long as the patience lasts.
+    pub fn slack(period_ns: u64) -> usize {
+        let affordable = period_ns / Self::PERIOD_PER_SAMPLE_NS;
+        let useful = Self::PATIENCE_NS / period_ns.max(1);
+        let wanted = affordable.min(useful) as usize;
+        wanted.clamp(Self::SLACK_MIN, Self::SLACK_MAX)
+    }
+
+    /// Samples `trajectory` at the release of `first_cycle`, at those of the horizon, and for the
+    /// [slack](Self::slack) after it.
     pub fn fill(
         &mut self,
         trajectory: &Trajectory,
@@ -48,9 +64,9 @@ impl ReferenceWindow {
         horizon_steps: usize,
     ) {
         self.first_cycle = first_cycle;
-        self.count = horizon_steps.min(HORIZON_STEPS_MAX) + 1 + Self::SLACK;
-        let slack = Self::SLACK as u64;
-        self.patience = (Self::PATIENCE_NS / period_ns.max(1)).saturating_sub(slack);
+        let slack = Self::slack(period_ns);
+        self.count = horizon_steps.min(HORIZON_STEPS_MAX) + 1 + slack;
+        self.patience = (Self::PATIENCE_NS / period_ns.max(1)).saturating_sub(slack as u64);
         if trajectory.is_empty() {
             self.count = 0;
         }
@@ -138,9 +154,11 @@ mod tests {
     fn past_its_end_the_window_says_that_the_reference_ended() {
         let window = window(100);
         assert_eq!(window.at(500).state, ReferenceState::Ended);
-        assert_eq!(x(window.ahead(500, 2)), [122.0]);
-        assert_eq!(x(window.ahead(121, 2)), [122.0]);
-        assert_eq!(window.at(123).state, ReferenceState::Ended);
+        assert_eq!(x(window.ahead(500, 2)), [302.0]);
+        assert_eq!(x(window.ahead(301, 2)), [302.0]);
+        // A second of slack, and the horizon on top.
+        assert_eq!(window.at(302).state, ReferenceState::Inside);
+        assert_eq!(window.at(303).state, ReferenceState::Ended);
         let empty = ReferenceWindow::default();
         assert_eq!(empty.at(7).state, ReferenceState::None);
         assert!(empty.ahead(7, 3).is_empty());
@@ -148,7 +166,7 @@ mod tests {
 
     #[test]
     fn short_periods_get_the_same_time() {
-        let points = [0, 1_000_000_000].map(|time_ns| ReferencePoint {
+        let points = [0, 2_000_000_000].map(|time_ns| ReferencePoint {
             time_ns,
             position_m: Vector3::zeros(),
             orientation: Orientation::Free,
@@ -160,11 +178,18 @@ mod tests {
             .expect("legal points");
         let mut window = ReferenceWindow::default();
         window.fill(&trajectory, 0, 0, 100_000, 2);
-        // 1000 periods are 100 ms, and the horizon comes on top.
-        assert_eq!(window.at(1002).state, ReferenceState::Inside);
-        assert_eq!(window.at(1003).state, ReferenceState::Ended);
+        // 10 000 periods are a second, and the horizon comes on top.
+        assert_eq!(window.at(10_002).state, ReferenceState::Inside);
+        assert_eq!(window.at(10_003).state, ReferenceState::Ended);
         // A reference that ends within the window ends there.
-        window.fill(&trajectory, 0, 999_900_000, 100_000, 2);
+        window.fill(&trajectory, 0, 1_999_900_000, 100_000, 2);
         assert_eq!(window.at(30).state, ReferenceState::Ended);
+    }
+
+    #[test]
+    fn the_slack_is_a_second_where_that_costs_little() {
+        let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
+        assert_eq!([100_000, 20_000, 10_000].map(slack), [20, 50, 100]);
+        assert_eq!([5000, 1000, 500, 100].map(slack), [200, 40, 20, 20]);
     }
 }

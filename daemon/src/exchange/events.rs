@@ -2,7 +2,7 @@ use std::collections::VecDeque;
 
 use cdcr_shared_types::codes::{EventKind, Outcome};
 use cdcr_shared_types::limits::EVENTS_MAX;
-use cdcr_shared_types::{Header, InputEvent, Telemetry};
+use cdcr_shared_types::{Header, InputEvent};
 
 use super::convert::Refused;
 
@@ -78,22 +78,23 @@ impl Events {
         self.outcomes[outcome.code() as usize] += 1;
     }
 
-    /// Moves the events that the record's cycle knew of into its telemetry, as many as fit.
-    pub(super) fn report(&mut self, telemetry: &mut Telemetry) {
+    /// Takes out the events that a cycle with the inputs of `newest` knew of, as many as one record holds.
+    pub(super) fn report(&mut self, newest: u64) -> ([InputEvent; EVENTS_MAX], usize) {
+        let mut events = [InputEvent::default(); EVENTS_MAX];
         let mut count = 0;
         while count < EVENTS_MAX
             && let Some((gather, event)) = self.queue.front()
-            && *gather <= telemetry.gather
+            && *gather <= newest
         {
-            let gathers_ago = (telemetry.gather - gather) as u32;
-            telemetry.events[count] = InputEvent {
+            let gathers_ago = (newest - gather) as u32;
+            events[count] = InputEvent {
                 gathers_ago,
                 ..*event
             };
             self.queue.pop_front();
             count += 1;
         }
-        telemetry.event_count = count as u32;
+        (events, count)
     }
 
     /// Events that were lost because no record took them.
@@ -126,18 +127,9 @@ mod tests {
             note(&mut events, 1, sequence, Ok(0));
         }
         note(&mut events, 2, 99, Ok(0));
-        let mut telemetry = Telemetry {
-            gather: 1,
-            ..Telemetry::default()
-        };
-        events.report(&mut telemetry);
-        assert_eq!(telemetry.event_count as usize, EVENTS_MAX);
-        let mut telemetry = Telemetry {
-            gather: 3,
-            ..Telemetry::default()
-        };
-        events.report(&mut telemetry);
-        let late: Vec<_> = telemetry.events[..5]
+        assert_eq!(events.report(1).1, EVENTS_MAX);
+        let (reported, count) = events.report(3);
+        let late: Vec<_> = reported[..count]
             .iter()
             .map(|e| (e.sequence, e.gathers_ago))
             .collect();
@@ -157,14 +149,10 @@ mod tests {
         }
         note(&mut events, 1, 7, Ok(0));
         assert_eq!(events.outcomes()[Outcome::NoLease.code() as usize], 1000);
-        let mut telemetry = Telemetry {
-            gather: 1,
-            ..Telemetry::default()
-        };
-        events.report(&mut telemetry);
-        assert_eq!(telemetry.event_count as usize, REFUSALS_PER_GATHER + 1);
+        let (reported, count) = events.report(1);
+        assert_eq!(count, REFUSALS_PER_GATHER + 1);
         assert_eq!(
-            telemetry.events[REFUSALS_PER_GATHER].outcome,
+            reported[REFUSALS_PER_GATHER].outcome,
             Outcome::Accepted.code()
         );
     }

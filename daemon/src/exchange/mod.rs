@@ -2,14 +2,14 @@
 //!
 //! ```text
 //! loop { sleep to shortly before the next release, or until the cycle has a record
-//!        publish: command, answers, telemetry, summary       (right after the cycle)
+//!        publish: command, answers, a report to the reporter (right after the cycle)
 //!        gather:  references, obstacles, measurements, requests → inputs of the next cycle
 //!        look:    requests once more, just before the release }
 //! ```
 //!
 //! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
 //! client does (connect, flood, stop reading) costs time here and not there. Everything that it drains
-//! has a limit per gather.
+//! has a limit per gather. Who only watches costs nothing here: that is the [reporter](crate::reporter)'s.
 
 pub mod convert;
 mod events;
@@ -22,6 +22,7 @@ mod room;
 pub mod services;
 mod unfinished;
 
+use std::thread::Thread;
 use std::time::Duration;
 
 use cdcr_controller::reference::Trajectory;
@@ -34,10 +35,8 @@ use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::attribution::Attribution;
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
-use crate::rt::scheduler::SchedulerLooks;
 use events::Events;
 use lease::Lease;
 use requests::Waiting;
@@ -73,7 +72,6 @@ pub struct Exchange {
     waiting: Waiting,
     daemon_id: u64,
     commands_sent: u64,
-    telemetry_sent: u64,
     last_cycle: u64,
     last_mode: Mode,
     /// Stops that were asked for so far.
@@ -82,9 +80,6 @@ pub struct Exchange {
     requests_taken: usize,
     /// How long the newest gather took \[ns\].
     gather_took_ns: u64,
-    incidents_sent: u64,
-    scheduler: SchedulerLooks,
-    attribution: Attribution,
     /// How long before its release the cycle thread wakes up \[ns\].
     spin_ns: u64,
 }
@@ -156,26 +151,27 @@ impl Exchange {
             waiting: Waiting::new(),
             daemon_id,
             commands_sent: 0,
-            telemetry_sent: 0,
             last_cycle: 0,
             last_mode: Mode::Starting,
             stops: 0,
             requests_taken: 0,
             gather_took_ns: 0,
-            incidents_sent: 0,
-            scheduler: SchedulerLooks::default(),
-            attribution: Attribution::default(),
             spin_ns: ns(config.realtime.spin_us * 1e-3),
         }
     }
 
-    /// Runs until the cycle thread has ended and its last record is published.
-    pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
+    /// Runs until the cycle thread has ended and its last record is published. `reporter` is woken up for each report.
+    pub fn run(
+        &mut self,
+        schedule: &Schedule,
+        clock: &impl Clock,
+        shared: &Shared,
+        reporter: &Thread,
+    ) {
         // While the cycle thread spins to a release, nobody else has the core.
         let lead_ns = self.gather_lead_ns + self.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
         let mut look: Option<LastLook> = None;
-        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
@@ -185,7 +181,7 @@ impl Exchange {
                 // The cycle ends this early when it has a record.
                 std::thread::park_timeout(Duration::from_nanos(left_ns));
             }
-            self.publish(clock, shared);
+            self.publish(clock, shared, reporter);
             let now_ns = clock.now_ns();
             if let Some(last) = look.take_if(|look| now_ns >= look.due_ns) {
                 self.look_again(schedule, last.cycle, now_ns, shared);
@@ -197,7 +193,7 @@ impl Exchange {
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
             if shared.has_cycle_ended() && self.ends.records.is_empty() {
-                self.publish(clock, shared);
+                self.publish(clock, shared, reporter);
                 break;
             }
         }

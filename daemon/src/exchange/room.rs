@@ -102,7 +102,7 @@ mod tests {
 
     use cdcr_shared_types::Location;
 
-    use super::super::services::{Ports, ServiceError, incidents, node, publisher};
+    use super::super::services::{Ports, ServiceError, incidents, node, publisher, telemetry};
     use super::*;
 
     #[test]
@@ -113,6 +113,7 @@ mod tests {
         {
             let node = node(&location).unwrap();
             let _ports = Ports::create(&node, "cdcr").unwrap();
+            let _telemetry = telemetry(&node, "cdcr").unwrap();
             let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
             let _incidents = incidents(&node, "cdcr").unwrap();
             let sizes: u64 = files(&location.file_prefix())

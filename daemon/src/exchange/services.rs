@@ -104,14 +104,12 @@ pub struct Ports {
     pub measurement: Subscriber<ipc::Service, Measurement, ()>,
     /// Commands.
     pub command: Publisher<ipc::Service, Command, ()>,
-    /// Telemetry.
-    pub telemetry: Publisher<ipc::Service, Telemetry, ()>,
     /// Requests.
     pub control: Server<ipc::Service, Request, (), Response, ()>,
 }
 
 impl Ports {
-    /// Creates every service of `robot`, and our ends.
+    /// Creates the services of `robot` by which clients and driver take part, and our ends.
     ///
     /// # Errors
     /// [`ServiceError::Service`] or [`ServiceError::Full`] with the name of the service.
@@ -121,7 +119,6 @@ impl Ports {
             obstacles: subscriber(node, Service::Obstacles, robot)?,
             measurement: subscriber(node, Service::Measurement, robot)?,
             command: publisher(node, Service::Command, robot)?,
-            telemetry: publisher(node, Service::Telemetry, robot)?,
             control: control(node, robot)?,
         })
     }
@@ -193,6 +190,28 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
             .create()
             .map_err(|cause| failed(service, robot)(&cause))
     })
+}
+
+/// The publisher of the telemetry.
+///
+/// # Errors
+/// As [`publisher`].
+pub fn telemetry(
+    node: &Node<ipc::Service>,
+    robot: &str,
+) -> Result<Publisher<ipc::Service, Telemetry, ()>, ServiceError> {
+    publisher(node, Service::Telemetry, robot)
+}
+
+/// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no
+/// memory can be loaned, the message is lost and its readers see a gap in the sequence.
+pub(crate) fn send<T: ZeroCopySend + Debug + 'static>(
+    publisher: &Publisher<ipc::Service, T, ()>,
+    message: T,
+) {
+    if let Ok(sample) = publisher.loan_uninit() {
+        let _ = sample.write_payload(message).send();
+    }
 }
 
 /// The publisher of the bad cycles, which late joiners still get.

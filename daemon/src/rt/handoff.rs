@@ -4,8 +4,9 @@
 //!  exchange ── CycleInputs (newest counts: triple buffer) ──► cycle
 //!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
 //!  exchange ◄── CycleRecord (every one: ring, drops counted) ── cycle
-//!  supervisor ◄── Summary (every one: ring, drops counted) ──── exchange
-//!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) exchange
+//!  reporter ◄── CycleReport (every one: ring, drops counted) ── exchange
+//!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
+//!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
 //! ```
 
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
@@ -19,6 +20,7 @@ use triple_buffer::{Input, Output, triple_buffer};
 use crate::cycle::{CycleRecord, Settings};
 use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
+use crate::reporter::CycleReport;
 use crate::supervisor::Summary;
 
 /// Everything that one gather found out, as one consistent whole.
@@ -83,11 +85,13 @@ pub struct CycleAnswer {
 pub const REQUESTS_PER_CYCLE: usize = 4;
 /// Requests that wait for a cycle. One that stops answers all of them.
 pub const REQUESTS_WAITING: usize = 4 * REQUESTS_PER_CYCLE;
-/// Records between cycle and exchange: 0.64 s at 5 ms.
-const RECORDS: usize = 128;
-/// Summaries between exchange and supervisor: 5 s at 5 ms.
+/// Records between cycle and exchange: 0.32 s at 5 ms.
+const RECORDS: usize = 64;
+/// Records between exchange and reporter: 0.64 s at 5 ms.
+const REPORTS: usize = 128;
+/// Summaries between reporter and supervisor: 5 s at 5 ms.
 const SUMMARIES: usize = 1024;
-/// Bad cycles between exchange and supervisor.
+/// Bad cycles between reporter and supervisor.
 const INCIDENTS: usize = 16;
 
 /// Ends of the cycle thread.
@@ -110,6 +114,15 @@ pub struct ExchangeEnds {
     pub requests: Producer<CycleRequest>,
     /// Records.
     pub records: Consumer<CycleRecord>,
+    /// Records with what belongs to them.
+    pub reports: Producer<CycleReport>,
+}
+
+/// Ends of the reporter thread.
+#[derive(Debug)]
+pub struct ReporterEnds {
+    /// Records with what belongs to them.
+    pub reports: Consumer<CycleReport>,
     /// Summaries.
     pub summaries: Producer<Summary>,
     /// Bad cycles.
@@ -125,11 +138,12 @@ pub struct SupervisorEnds {
     pub incidents: Consumer<Incident>,
 }
 
-/// The channels between cycle, exchange and supervisor.
-pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds) {
+/// The channels between cycle, exchange, reporter and supervisor.
+pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, SupervisorEnds) {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
     let (record_in, record_out) = RingBuffer::new(RECORDS);
+    let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
     let cycle = CycleEnds {
@@ -141,6 +155,10 @@ pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds)
         inputs: input,
         requests: request_in,
         records: record_out,
+        reports: report_in,
+    };
+    let reporter = ReporterEnds {
+        reports: report_out,
         summaries: summary_in,
         incidents: incident_in,
     };
@@ -148,7 +166,7 @@ pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds)
         summaries: summary_out,
         incidents: incident_out,
     };
-    (cycle, exchange, supervisor)
+    (cycle, exchange, reporter, supervisor)
 }
 
 /// Flags and counters that all threads see.
@@ -156,11 +174,13 @@ pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, SupervisorEnds)
 pub struct Shared {
     ending: AtomicBool,
     cycle_ended: AtomicBool,
+    exchange_ended: AtomicBool,
     dropped_records: AtomicU64,
     origin_ns: AtomicU64,
     cycle_thread: AtomicU32,
     cycle_beats: AtomicU64,
     exchange_beats: AtomicU64,
+    reporter_beats: AtomicU64,
     statistics_resets: AtomicU64,
     still_moving: AtomicBool,
 }
@@ -196,9 +216,19 @@ impl Shared {
         self.exchange_beats.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Beats of cycle and exchange so far.
-    pub fn beats(&self) -> [u64; 2] {
-        [&self.cycle_beats, &self.exchange_beats].map(|beats| beats.load(Ordering::Relaxed))
+    /// The reporter thread lives.
+    pub fn beat_reporter(&self) {
+        self.reporter_beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Beats of cycle, exchange and reporter so far.
+    pub fn beats(&self) -> [u64; 3] {
+        [
+            &self.cycle_beats,
+            &self.exchange_beats,
+            &self.reporter_beats,
+        ]
+        .map(|beats| beats.load(Ordering::Relaxed))
     }
 
     /// A client wants the statistics to begin anew.
@@ -229,6 +259,16 @@ impl Shared {
     /// Whether the cycle thread has made its last record.
     pub fn has_cycle_ended(&self) -> bool {
         self.cycle_ended.load(Ordering::Acquire)
+    }
+
+    /// The exchange thread has handed its last report on.
+    pub fn set_exchange_ended(&self) {
+        self.exchange_ended.store(true, Ordering::Release);
+    }
+
+    /// Whether the exchange thread has handed its last report on.
+    pub fn has_exchange_ended(&self) -> bool {
+        self.exchange_ended.load(Ordering::Acquire)
     }
 
     /// A record or summary was lost because a ring was full.

@@ -13,13 +13,18 @@ use super::sys;
 use crate::config::{RealtimeConfig, RealtimeMode};
 
 /// What a thread asks for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ThreadPlan {
     /// Core, or none to stay where the system puts it.
     pub core: Option<usize>,
     /// `SCHED_FIFO` priority, or none for an ordinary thread.
     pub priority: Option<i32>,
+    /// A core to keep off, where there is another one.
+    pub keep_off: Option<usize>,
 }
+
+/// `SCHED_FIFO` priority of the threads beside the real-time core: before every ordinary task, and after all else.
+const BESIDE_PRIORITY: i32 = 1;
 
 /// Stack that a real-time thread touches beforehand.
 const STACK_BYTES: usize = 256 * 1024;
@@ -36,14 +41,24 @@ impl ThreadPlan {
     /// The plan of a thread with `priority` under the configuration.
     pub fn new(config: &RealtimeConfig, priority: i32) -> Self {
         if config.mode == RealtimeMode::Off {
-            return Self {
-                core: None,
-                priority: None,
-            };
+            return Self::default();
         }
         Self {
             core: choose_core(config),
             priority: Some(priority),
+            keep_off: None,
+        }
+    }
+
+    /// The plan of a thread that works for the real-time threads, off their core.
+    pub fn beside(config: &RealtimeConfig) -> Self {
+        if config.mode == RealtimeMode::Off {
+            return Self::default();
+        }
+        Self {
+            core: None,
+            priority: Some(BESIDE_PRIORITY),
+            keep_off: choose_core(config),
         }
     }
 
@@ -67,6 +82,7 @@ impl ThreadPlan {
                 missing |= realtime::PINNED;
             }
         }
+        stay_off_core(self.keep_off);
         touch_stack();
         missing
     }
@@ -98,7 +114,7 @@ pub fn stay_off_core(core: Option<usize>) {
 /// priority inheritance: mapping the memory of a client takes it. A supervisor that holds it and is not let run, on a
 /// core that is crowded, holds up the exchange (measured: 45 ms in one mmap of 358 bytes).
 pub fn go_before_ordinary_tasks() {
-    if let Err(error) = sys::set_fifo(1) {
+    if let Err(error) = sys::set_fifo(BESIDE_PRIORITY) {
         tracing::warn!(%error, "the supervisor runs at ordinary priority");
     }
 }

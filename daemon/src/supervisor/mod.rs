@@ -100,7 +100,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 const STATUS_EVERY: Duration = Duration::from_millis(100);
 /// How often a late cycle is logged, at most.
 const LATE_LINE_EVERY: Duration = Duration::from_secs(1);
-/// How long the exchange may take to publish its last record and close its ports.
+/// How long exchange and reporter may take to publish the last record and close their ports.
 const END_MAX: Duration = Duration::from_secs(5);
 /// Over how long cycles are counted for the service manager.
 const RATE_EVERY: Duration = Duration::from_secs(1);
@@ -216,7 +216,7 @@ impl Supervisor {
             if shared.has_cycle_ended() {
                 let since = *cycle_ended.get_or_insert_with(Instant::now);
                 let hangs = since.elapsed() > END_MAX;
-                hangs.then(exchange_does_not_end).map_or(Ok(()), Err)?;
+                hangs.then(ports_do_not_close).map_or(Ok(()), Err)?;
             } else {
                 self.watchdog.look(shared.beats(), Instant::now())?;
             }
@@ -243,7 +243,7 @@ impl Supervisor {
 
     /// Publishes bad cycles; the service keeps the last ones for whoever asks later.
     ///
-    /// The exchange hands a bad cycle on before its summary. One whose summary has not come waits for the
+    /// The reporter hands a bad cycle on before its summary. One whose summary has not come waits for the
     /// next look, so that both are judged by the same reading of the steal.
     fn take_incidents(&mut self, clock: &impl Clock) {
         while let Ok(next) = self.ends.incidents.peek()
@@ -348,11 +348,11 @@ fn is_news(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
 }
 
-fn exchange_does_not_end() -> Ended {
+fn ports_do_not_close() -> Ended {
     Ended {
         cause: ExitCause::ExchangeHung,
         message: format!(
-            "the exchange thread did not end within {} s; the robot rests, and the process ends without it",
+            "exchange and reporter did not end within {} s; the robot rests, and the process ends without it",
             END_MAX.as_secs()
         ),
     }

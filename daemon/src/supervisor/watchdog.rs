@@ -10,7 +10,7 @@ use crate::exit::{Ended, ExitCause};
 pub(super) struct Watchdog {
     timeout: Duration,
     looked: Instant,
-    threads: [Watched; 2],
+    threads: [Watched; 3],
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -18,6 +18,9 @@ struct Watched {
     beats: u64,
     still: Duration,
 }
+
+/// The reporter may stand still for so many times the timeout: it waits for files at times, and no robot waits for it.
+const REPORTER_TIMES: u32 = 5;
 
 /// Of the time between two looks, no more counts than this.
 const LOOK_MAX: Duration = Duration::from_millis(100);
@@ -28,15 +31,15 @@ impl Watchdog {
         Self {
             timeout,
             looked: now,
-            threads: [Watched::default(); 2],
+            threads: [Watched::default(); 3],
         }
     }
 
-    /// Looks at the beats of cycle and exchange.
+    /// Looks at the beats of cycle, exchange and reporter.
     ///
     /// # Errors
     /// A thread has made no beat for the timeout.
-    pub(super) fn look(&mut self, beats: [u64; 2], now: Instant) -> Result<(), Ended> {
+    pub(super) fn look(&mut self, beats: [u64; 3], now: Instant) -> Result<(), Ended> {
         let passed = now.duration_since(self.looked).min(LOOK_MAX);
         self.looked = now;
         for (thread, beats) in self.threads.iter_mut().zip(beats) {
@@ -47,19 +50,30 @@ impl Watchdog {
             };
             thread.beats = beats;
         }
-        let [cycle, exchange] = self.threads.map(|thread| thread.still >= self.timeout);
         // A cycle that hangs on the core may keep the exchange from it, so it is named first.
-        let (cause, name) = match (cycle, exchange) {
-            (true, _) => (ExitCause::CycleHung, "cycle"),
-            (_, true) => (ExitCause::ExchangeHung, "exchange"),
-            _ => return Ok(()),
+        let watched = [
+            (ExitCause::CycleHung, "cycle", 1),
+            (ExitCause::ExchangeHung, "exchange", 1),
+            (ExitCause::ExchangeHung, "reporter", REPORTER_TIMES),
+        ];
+        let hung = watched
+            .into_iter()
+            .zip(&self.threads)
+            .find(|((_, _, times), thread)| thread.still >= self.timeout * *times);
+        let Some(((cause, name, times), _)) = hung else {
+            return Ok(());
         };
         Err(Ended {
             cause,
             message: format!(
-                "the {name} thread made no progress for {} ms (cycle.watchdog_ms); the process ends, and the \
+                "the {name} thread made no progress for {} ms ({}cycle.watchdog_ms); the process ends, and the \
                  robot holds when its last command runs out (link.command_valid_ms)",
-                self.timeout.as_millis()
+                (self.timeout * times).as_millis(),
+                if times == 1 {
+                    String::new()
+                } else {
+                    format!("{times} times ")
+                }
             ),
         })
     }
@@ -71,7 +85,7 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    fn after(looks: u32, every: Duration, beats: impl Fn(u64) -> [u64; 2]) -> Option<ExitCause> {
+    fn after(looks: u32, every: Duration, beats: impl Fn(u64) -> [u64; 3]) -> Option<ExitCause> {
         let mut now = Instant::now();
         let mut watchdog = Watchdog::new(200 * MS, now);
         for look in 0..looks {
@@ -85,20 +99,27 @@ mod tests {
 
     #[test]
     fn the_thread_that_stands_still_is_named() {
-        assert_eq!(after(100, 20 * MS, |look| [look, look]), None);
-        let cause = after(100, 20 * MS, |look| [7, look]);
+        assert_eq!(after(100, 20 * MS, |look| [look; 3]), None);
+        let cause = after(100, 20 * MS, |look| [7, look, look]);
         assert_eq!(cause, Some(ExitCause::CycleHung));
-        let cause = after(100, 20 * MS, |look| [look, 7]);
+        let cause = after(100, 20 * MS, |look| [look, 7, look]);
         assert_eq!(cause, Some(ExitCause::ExchangeHung));
-        assert_eq!(after(100, 20 * MS, |_| [0, 0]), Some(ExitCause::CycleHung));
+        assert_eq!(after(100, 20 * MS, |_| [0; 3]), Some(ExitCause::CycleHung));
         // A beat now and then is progress.
-        assert_eq!(after(100, 20 * MS, |look| [look / 5, look]), None);
+        assert_eq!(after(100, 20 * MS, |look| [look / 5, look, look]), None);
+    }
+
+    #[test]
+    fn a_reporter_that_waits_for_files_has_five_times_as_long() {
+        assert_eq!(after(50, 20 * MS, |look| [look, look, 7]), None);
+        let cause = after(51, 20 * MS, |look| [look, look, 7]);
+        assert_eq!(cause, Some(ExitCause::ExchangeHung));
     }
 
     #[test]
     fn a_long_time_between_two_looks_is_not_the_threads_fault() {
         let hour = Duration::from_secs(3600);
-        assert_eq!(after(1, hour, |_| [0, 0]), None);
-        assert_eq!(after(2, hour, |_| [0, 0]), Some(ExitCause::CycleHung));
+        assert_eq!(after(1, hour, |_| [0; 3]), None);
+        assert_eq!(after(2, hour, |_| [0; 3]), Some(ExitCause::CycleHung));
     }
 }

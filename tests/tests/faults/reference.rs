@@ -1,6 +1,7 @@
 //! The reference and who feeds it.
 
 use cdcr_client::{Connection, Lease, ReferenceFeed, events, monotonic_ns};
+use cdcr_controller::reference::ReferenceWindow;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LeaseState, Mode, Outcome, Reason, RequestKind,
 };
@@ -13,8 +14,8 @@ use crate::trail::{Trail, assert_ramps_to_rest, is, late_ns, say};
 /// Slow enough for a ramp of many cycles, and a lease that survives a machine that stalls.
 const RAMP: &str = "[motion]\ndeceleration_rad_s2 = 2.0\n";
 const LEASE_MS: u64 = 400;
-/// Periods that the samples in a cycle's hands reach ahead.
-const WINDOW_PERIODS: u64 = 20;
+/// Periods that the samples in a cycle's hands reach ahead, at 5 ms.
+const WINDOW_PERIODS: u64 = ReferenceWindow::SLACK_MAX as u64;
 
 fn short_lease() -> Daemon {
     Daemon::start(&format!(
@@ -23,7 +24,7 @@ fn short_lease() -> Daemon {
 }
 
 /// A client that feeds a line to the side, 0.1 m/s, 10 ms between points.
-struct Feeding<'c> {
+pub(crate) struct Feeding<'c> {
     lease: Lease<'c>,
     feed: ReferenceFeed,
     end_ns: u64,
@@ -40,7 +41,7 @@ fn points(begin_ns: u64, count: u64) -> Vec<ReferencePoint> {
 }
 
 /// Sends `count` points and has them tracked.
-fn track(connection: &Connection, count: u64) -> Feeding<'_> {
+pub(crate) fn track(connection: &Connection, count: u64) -> Feeding<'_> {
     let lease = connection.acquire_lease().unwrap();
     let feed = connection.reference_feed().unwrap();
     let points = points(monotonic_ns() + 300_000_000, count);

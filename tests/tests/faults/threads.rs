@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, wait_status, wait_until};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, wait_status, wait_until};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
 
+use crate::reference::track;
 use crate::robot::Robot;
 use crate::trail::{Trail, is, rests};
 
@@ -139,6 +140,63 @@ fn a_hung_exchange_thread_ends_the_process() {
         "the exchange thread made no progress for 300 ms",
         81,
     );
+}
+
+#[test]
+fn an_exchange_that_is_held_up_does_not_end_the_reference() {
+    const HELD_UP: Duration = Duration::from_millis(400);
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let _feeding = track(&connection, 400);
+    trail.until("tracking", is(Mode::Tracking));
+
+    let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
+        return;
+    };
+    std::thread::sleep(HELD_UP);
+    drop(hung);
+    let end_ns = monotonic_ns();
+    let mut oldest_ns = 0;
+    trail.until("after it", |record| {
+        assert_eq!(record.mode, Mode::Tracking.code(), "{}", record.cycle);
+        oldest_ns = oldest_ns.max(record.release_ns.saturating_sub(record.gather_ns));
+        record.release_ns > end_ns
+    });
+    println!("the oldest inputs: {:.1} ms", oldest_ns as f64 * 1e-6);
+    assert!(oldest_ns > 300_000_000, "{oldest_ns}");
+}
+
+#[test]
+fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
+    let mut daemon = with_driver();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+
+    let Some(hung) = Hung::new(daemon.id(), "cdcr-reporter") else {
+        return;
+    };
+    let (hung_ns, begin) = (monotonic_ns(), Instant::now());
+    connection.request(RequestKind::Stop).unwrap();
+    wait_until("the commands stop the robot", || {
+        robot.turn();
+        let last = robot.last_command.unwrap();
+        last.release_ns > hung_ns && last.bend_rate_rad_s.iter().all(|rate| *rate == 0.0)
+    });
+    while daemon.runs() {
+        hung.reap();
+        robot.turn();
+        std::thread::sleep(Duration::from_millis(1));
+        assert!(begin.elapsed() < PATIENCE, "{}", daemon.log());
+    }
+    assert!(begin.elapsed() + Duration::from_millis(40) > 5 * WATCHDOG);
+    let ended = daemon.stop_after_signal();
+    assert_eq!(ended.code(), Some(81), "{}", daemon.log());
+    let sentence = "the reporter thread made no progress for 1500 ms (5 times cycle.watchdog_ms)";
+    assert!(daemon.log().contains(sentence), "{}", daemon.log());
 }
 
 /// A daemon with a service manager that expects a sign of life five times a second.

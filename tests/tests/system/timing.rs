@@ -251,6 +251,8 @@ fn every_thread_runs_before_those_that_may_wait() {
     let expected = [
         ("cdcr-cycle", (SCHED_FIFO, 80)),
         ("cdcr-exchange", (SCHED_FIFO, 70)),
+        // Off their core, before ordinary tasks.
+        ("cdcr-reporter", (SCHED_FIFO, 1)),
         // The supervisor, which shares the lock of the address space with the exchange.
         ("cdcrd", (SCHED_FIFO, 1)),
         ("cdcr-log", (SCHED_OTHER, 0)),

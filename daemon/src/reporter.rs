@@ -1,0 +1,267 @@
+//! Tells whoever watches what each cycle did: the reporter thread.
+//!
+//! ```text
+//! loop { sleep until the exchange has a report
+//!          judge:   was the cycle late, and why
+//!          publish: telemetry of every cycle
+//!          hand on: bad cycles and a summary to the supervisor }
+//! ```
+//!
+//! With each reader that joins or leaves, files in `/dev/shm` are made and removed under one lock of the whole machine.
+//! A client that is starved on a crowded core may hold it for a tenth of a second and more, and no priority helps. That
+//! is waited for here, so that neither inputs nor commands wait for those who only watch. It runs off the core of the
+//! cycle, before ordinary tasks.
+//!
+//! It must not know: references, obstacles, requests, the robot's driver.
+
+use std::time::Duration;
+
+use cdcr_controller::nmpc::SolveStatus;
+use cdcr_controller::robot::Robot;
+use cdcr_shared_types as wire;
+use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
+use cdcr_shared_types::limits::EVENTS_MAX;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::prelude::ipc;
+
+use crate::config::{LinkKind, Validated, ns};
+use crate::cycle::{CycleRecord, MeasurementUse};
+use crate::exchange::{convert, services};
+use crate::ports::Clock;
+use crate::rt::attribution::{Attribution, Blame, Judged, Timing};
+use crate::rt::handoff::{ReporterEnds, Shared};
+use crate::rt::scheduler::SchedulerLooks;
+use crate::supervisor::Summary;
+
+/// A cycle on its way to those who watch: what it did, and what the exchange knows of it.
+#[derive(Debug)]
+pub struct CycleReport {
+    /// What the cycle did.
+    pub record: CycleRecord,
+    /// Its command as it was published, or would have been.
+    pub command: wire::Command,
+    /// From the hand-over of the record until the command was out \[ns\].
+    pub publish_ns: u64,
+    /// What clients have to do with it.
+    pub inputs: InputReport,
+}
+
+/// What the exchange took in until a cycle.
+#[derive(Debug)]
+pub struct InputReport {
+    /// What was taken or refused and belongs to this record; the first `event_count` count.
+    pub events: [wire::InputEvent; EVENTS_MAX],
+    /// How many events there are.
+    pub event_count: usize,
+    /// Events lost so far because no record took them.
+    pub dropped_events: u64,
+    /// How often each outcome was given so far.
+    pub outcomes: [u64; Outcome::COUNT],
+    /// How long the newest gather took \[ns\].
+    pub gather_took_ns: u64,
+    /// Who holds the reference lease; 0: nobody.
+    pub lease_holder: u64,
+    /// Time of the reference's last point \[ns\]; 0: there is none.
+    pub reference_end_ns: u64,
+    /// Points of the reference that are still ahead.
+    pub reference_points: u32,
+    /// Obstacles refused so far.
+    pub obstacles_refused: u64,
+}
+
+/// The longest sleep without a report: by it a watchdog sees that the thread lives.
+const SLEEP_MAX: Duration = Duration::from_millis(20);
+
+/// The reporter of one daemon.
+#[derive(Debug)]
+pub struct Reporter {
+    telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
+    ends: ReporterEnds,
+    robot: Robot,
+    has_driver: bool,
+    period_ns: u64,
+    /// How long before its release the cycle thread wakes up \[ns\].
+    spin_ns: u64,
+    daemon_id: u64,
+    telemetry_sent: u64,
+    incidents_sent: u64,
+    last_mode: Mode,
+    scheduler: SchedulerLooks,
+    attribution: Attribution,
+}
+
+impl Reporter {
+    /// The reporter of a validated configuration that publishes through `telemetry`.
+    pub fn new(
+        validated: &Validated,
+        telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
+        ends: ReporterEnds,
+        daemon_id: u64,
+    ) -> Self {
+        let config = &validated.config;
+        Self {
+            telemetry,
+            ends,
+            robot: validated.robot.clone(),
+            has_driver: config.link.kind == LinkKind::Driver,
+            period_ns: ns(config.cycle.period_ms),
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            daemon_id,
+            telemetry_sent: 0,
+            incidents_sent: 0,
+            last_mode: Mode::Starting,
+            scheduler: SchedulerLooks::default(),
+            attribution: Attribution::default(),
+        }
+    }
+
+    /// Runs until the exchange has ended and its last report is published.
+    pub fn run(&mut self, clock: &impl Clock, shared: &Shared) {
+        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
+        loop {
+            shared.beat_reporter();
+            // Before the look at what waits: then nothing can come any more.
+            let is_last = shared.has_exchange_ended();
+            self.publish(clock, shared);
+            if is_last {
+                break;
+            }
+            std::thread::park_timeout(SLEEP_MAX);
+        }
+    }
+
+    /// Publishes every report that waits.
+    fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
+        let mut scheduling = None;
+        while let Ok(report) = self.ends.reports.pop() {
+            shared.beat_reporter();
+            let record = &report.record;
+            // Reports that wait together share one reading.
+            let looked = scheduling.get_or_insert_with(|| self.scheduler.look());
+            let judged = judged(record, self.spin_ns);
+            let blame = self.attribution.judge(&judged, looked.as_ref());
+            let scheduling =
+                convert::scheduling(looked.as_ref(), record.longest_gap_ns, blame.cause());
+            let mode = convert::mode(record.mode);
+            let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
+            self.last_mode = mode;
+            let telemetry = self.publish_telemetry(&report, scheduling, clock.now_ns());
+            // Releases that an overrun took belong to its incident.
+            if matches!(blame, Blame::Own(_)) || begins_fault {
+                self.hand_incident_on(&telemetry, shared);
+            }
+            let late_cause = match blame {
+                Blame::Own(_) => scheduling.late_cause,
+                Blame::InTime | Blame::Before(_) => LateCause::None.code(),
+            };
+            if self
+                .ends
+                .summaries
+                .push(self.sum_up(&report, late_cause))
+                .is_err()
+            {
+                shared.count_dropped_record();
+            }
+        }
+    }
+
+    fn publish_telemetry(
+        &mut self,
+        report: &CycleReport,
+        scheduling: wire::SchedulingReport,
+        now_ns: u64,
+    ) -> wire::Telemetry {
+        self.telemetry_sent += 1;
+        let telemetry = wire::Telemetry {
+            header: self.header(self.telemetry_sent, now_ns),
+            command: report.command,
+            scheduling,
+            events: report.inputs.events,
+            event_count: report.inputs.event_count as u32,
+            ..convert::telemetry(&report.record, &self.robot, self.period_ns)
+        };
+        services::send(&self.telemetry, telemetry);
+        telemetry
+    }
+
+    /// A bad cycle goes to the supervisor, which keeps it.
+    fn hand_incident_on(&mut self, telemetry: &wire::Telemetry, shared: &Shared) {
+        self.incidents_sent += 1;
+        let incident = wire::Incident {
+            header: self.header(self.incidents_sent, telemetry.header.sent_ns),
+            telemetry: *telemetry,
+            ..wire::Incident::default()
+        };
+        if self.ends.incidents.push(incident).is_err() {
+            shared.count_dropped_record();
+        }
+    }
+
+    fn sum_up(&self, report: &CycleReport, late_cause: u32) -> Summary {
+        let CycleReport { record, inputs, .. } = report;
+        let due_ns = record.release.due_ns;
+        Summary {
+            cycle: record.release.cycle,
+            wake_ns: record.release.start_ns - due_ns,
+            solve_ns: record.solve_end_ns - record.solve_start_ns,
+            solved: record.report.status != SolveStatus::Idle,
+            budget_hit: record.report.budget_spent,
+            compute_ns: record.handed_over_ns - record.release.start_ns,
+            response_ns: record.handed_over_ns - due_ns,
+            gather_ns: inputs.gather_took_ns,
+            publish_ns: report.publish_ns,
+            skipped_periods: record.release.skipped,
+            due_ns,
+            late_cause,
+            stale_inputs: record.stale_inputs,
+            stale_measurement: self.has_driver
+                && record.measurement_use == MeasurementUse::Repeated,
+            position_error_m: self.tracking_error_m(record),
+            verdict: record.verdict,
+            totals: record.totals,
+            mode: self.last_mode,
+            reason: convert::reason(record.mode.reason()),
+            faults: record.faults,
+            settings: convert::settings_to_wire(&record.settings),
+            lease_holder: inputs.lease_holder,
+            reference_end_ns: inputs.reference_end_ns,
+            reference_points: inputs.reference_points,
+            obstacle_count: record.obstacles.count() as u32,
+            obstacles_refused: inputs.obstacles_refused,
+            clearance_m: record.clearance_m,
+            clearance_guarded: record.clearance_hit,
+            dropped_events: inputs.dropped_events,
+            outcomes: inputs.outcomes,
+        }
+    }
+
+    fn tracking_error_m(&self, record: &CycleRecord) -> Option<f64> {
+        let tracks = self.last_mode == Mode::Tracking;
+        tracks.then(|| (record.tip.position_m - record.reference.position_m).norm())
+    }
+
+    fn header(&self, sequence: u64, now_ns: u64) -> wire::Header {
+        wire::Header {
+            sender_id: self.daemon_id,
+            sequence,
+            sent_ns: now_ns,
+        }
+    }
+}
+
+/// The cycle as far as its lateness is concerned; its thread wakes up `spin_ns` before its release.
+fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
+    let release = &record.release;
+    Judged {
+        count: record.totals.cycles,
+        verdict: record.verdict,
+        skipped: release.skipped,
+        timing: Timing {
+            early_ns: spin_ns,
+            wake_ns: release.start_ns - release.due_ns,
+            compute_ns: record.handed_over_ns - release.start_ns,
+            longest_gap_ns: record.longest_gap_ns,
+            after_solve_ns: record.handed_over_ns - record.solve_end_ns,
+        },
+    }
+}
