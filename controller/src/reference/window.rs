@@ -30,22 +30,23 @@ impl Default for ReferenceWindow {
 }
 
 impl ReferenceWindow {
-    /// How long a cycle that gets no new window goes on with an old one \[ns\]. An exchange that makes or removes a file
-    /// may wait for a starved client that has the folder's lock; 0.3 s were seen. One that hangs for longer is the
-    /// watchdog's.
+    /// How long a cycle that gets no new window goes on with an old one \[ns\]; beyond its slack with the last sample,
+    /// at which the robot waits. An exchange that makes or removes a file may wait for a starved client that has the
+    /// folder's lock; 0.3 s were seen. One that hangs for longer is the watchdog's.
     pub const PATIENCE_NS: u64 = 1_000_000_000;
     /// Periods of slack at least.
     pub const SLACK_MIN: usize = 20;
     /// Periods of slack at most.
-    pub const SLACK_MAX: usize = 200;
-    /// A sample costs some tens of nanoseconds. One of slack for so much of the period \[ns\] keeps their part of the time
-    /// below a percent, however short the period is.
-    const PERIOD_PER_SAMPLE_NS: u64 = 25_000;
+    pub const SLACK_MAX: usize = 60;
+    /// A sample costs about 0.1 µs. One of slack for so much of the period \[ns\] keeps their part of the time near a
+    /// thousandth, down to the periods where the least slack costs more.
+    const PERIOD_PER_SAMPLE_NS: u64 = 80_000;
     /// Samples of the longest window.
     pub const SAMPLES_MAX: usize = HORIZON_STEPS_MAX + 1 + Self::SLACK_MAX;
 
-    /// Periods of slack with this period: those of the [patience](Self::PATIENCE_NS) from 5 ms on, fewer when it is
-    /// shorter. Then the last sample stands for those that are missing, as long as the patience lasts.
+    /// Periods of slack with this period: 60, 0.3 s, at 5 ms; no more than the [patience](Self::PATIENCE_NS) at longer
+    /// ones, fewer at shorter ones. Past them the last sample stands for those that are missing, as long as the
+    /// patience lasts.
     pub fn slack(period_ns: u64) -> usize {
         let affordable = period_ns / Self::PERIOD_PER_SAMPLE_NS;
         let useful = Self::PATIENCE_NS / period_ns.max(1);
@@ -154,9 +155,10 @@ mod tests {
     fn past_its_end_the_window_says_that_the_reference_ended() {
         let window = window(100);
         assert_eq!(window.at(500).state, ReferenceState::Ended);
-        assert_eq!(x(window.ahead(500, 2)), [302.0]);
-        assert_eq!(x(window.ahead(301, 2)), [302.0]);
-        // A second of slack, and the horizon on top.
+        assert_eq!(x(window.ahead(500, 2)), [162.0]);
+        assert_eq!(x(window.ahead(161, 2)), [162.0]);
+        // A second, and the horizon on top; the last sample stands from 0.3 s on.
+        assert_eq!(window.at(302).position_m.x, 162.0);
         assert_eq!(window.at(302).state, ReferenceState::Inside);
         assert_eq!(window.at(303).state, ReferenceState::Ended);
         let empty = ReferenceWindow::default();
@@ -187,9 +189,9 @@ mod tests {
     }
 
     #[test]
-    fn the_slack_is_a_second_where_that_costs_little() {
+    fn the_slack_costs_little_and_is_no_longer_than_the_patience() {
         let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
-        assert_eq!([100_000, 20_000, 10_000].map(slack), [20, 50, 100]);
-        assert_eq!([5000, 1000, 500, 100].map(slack), [200, 40, 20, 20]);
+        assert_eq!([100_000, 20_000, 10_000].map(slack), [20, 50, 60]);
+        assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);
     }
 }

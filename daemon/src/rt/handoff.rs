@@ -85,8 +85,8 @@ pub struct CycleAnswer {
 pub const REQUESTS_PER_CYCLE: usize = 4;
 /// Requests that wait for a cycle. One that stops answers all of them.
 pub const REQUESTS_WAITING: usize = 4 * REQUESTS_PER_CYCLE;
-/// Records between cycle and exchange: 0.32 s at 5 ms.
-const RECORDS: usize = 64;
+/// Records between cycle and exchange: 0.48 s at 5 ms.
+const RECORDS: usize = 96;
 /// Records between exchange and reporter: 0.64 s at 5 ms.
 const REPORTS: usize = 128;
 /// Summaries between reporter and supervisor: 5 s at 5 ms.

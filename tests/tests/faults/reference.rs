@@ -14,8 +14,8 @@ use crate::trail::{Trail, assert_ramps_to_rest, is, late_ns, say};
 /// Slow enough for a ramp of many cycles, and a lease that survives a machine that stalls.
 const RAMP: &str = "[motion]\ndeceleration_rad_s2 = 2.0\n";
 const LEASE_MS: u64 = 400;
-/// Periods that the samples in a cycle's hands reach ahead, at 5 ms.
-const WINDOW_PERIODS: u64 = ReferenceWindow::SLACK_MAX as u64;
+/// Periods of 5 ms that a cycle goes on without new inputs.
+const WINDOW_PERIODS: u64 = ReferenceWindow::PATIENCE_NS / 5_000_000;
 
 fn short_lease() -> Daemon {
     Daemon::start(&format!(
