@@ -7,6 +7,7 @@
 
 mod bars;
 mod memory;
+mod quantity;
 mod report;
 mod round;
 mod start;

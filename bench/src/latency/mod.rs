@@ -23,10 +23,12 @@ mod asker;
 mod hands;
 mod inputs;
 mod leg;
+mod panels;
 mod phase;
 mod report;
 mod requests;
 mod round;
+mod rows;
 mod scene;
 mod stops;
 
@@ -48,9 +50,10 @@ use hands::Hands;
 pub use hands::Looks;
 use inputs::{Awakening, Inputs, Source};
 pub use leg::Leg;
-pub use report::{Ratio, Report, Row, Setting, Target};
+pub use report::{Report, Setting};
 use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
+pub use rows::{Ratio, Row, Target};
 use stops::Stops;
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.

@@ -8,8 +8,11 @@ use serde_json::json;
 use super::hands::Looks;
 use super::leg::Leg;
 use super::round::{Round, Unmeasured};
-use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, SKY, Scale, YELLOW, sheet};
-use crate::closed_loop::quantile_us;
+use super::rows::{
+    Ratio, RoundRow, Row, Target, VALUES_OF_P99, VALUES_OF_P999, p50_us, pooled, quantile_of, row,
+    supported,
+};
+use crate::chart::sheet;
 use crate::csv::csv;
 use crate::figures::Figure;
 use crate::metric::{Metric, median, range};
@@ -19,11 +22,6 @@ use crate::table::Table;
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
-/// Values without which a 99th percentile is no more than the largest of them.
-const VALUES_OF_P99: u64 = 100;
-/// The same of a 99.9th.
-const VALUES_OF_P999: u64 = 1000;
-
 /// How a run was made.
 #[derive(Debug, Clone, Serialize)]
 pub struct Setting {
@@ -47,69 +45,6 @@ pub struct Setting {
     pub client_core: usize,
     /// How often the client was late itself.
     pub looks: Looks,
-}
-
-/// One leg, all rounds together.
-#[derive(Debug, Clone, Serialize)]
-pub struct Row {
-    /// Which leg.
-    pub leg: Leg,
-    /// From which stamp.
-    pub from: &'static str,
-    /// To which.
-    pub to: &'static str,
-    /// Samples.
-    pub samples: u64,
-    /// Of all samples.
-    pub latency_us: Quantiles,
-    /// Medians over the rounds.
-    pub rounds_us: Middle,
-}
-
-/// Medians over the rounds \[µs\].
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Middle {
-    /// Of the median.
-    pub p50: f64,
-    /// Of the 99th percentile.
-    pub p99: f64,
-}
-
-/// One leg in one round.
-#[derive(Debug, Clone, Serialize)]
-struct RoundRow {
-    round: usize,
-    leg: Leg,
-    samples: u64,
-    latency_us: Quantiles,
-}
-
-/// A leg of the daemon beside one of iceoryx2 alone, each round by itself.
-#[derive(Debug, Clone, Serialize)]
-pub struct Ratio {
-    /// Which leg.
-    pub leg: Leg,
-    /// Beside which.
-    pub to: Leg,
-    /// Ratio of the medians: its median over the rounds.
-    pub p50: f64,
-    /// In each round.
-    pub rounds: Vec<f64>,
-}
-
-/// A bound that a leg shall keep at the 99th percentile.
-#[derive(Debug, Clone, Serialize)]
-pub struct Target {
-    /// Which leg.
-    pub leg: Leg,
-    /// Values of which the percentile is.
-    pub samples: u64,
-    /// The bound \[µs\].
-    pub limit_us: f64,
-    /// What was found \[µs\].
-    pub p99_us: f64,
-    /// Whether it was kept.
-    pub kept: bool,
 }
 
 /// What is compared with what.
@@ -172,7 +107,7 @@ impl Report {
         .collect()
     }
 
-    fn stop_limit_us(&self) -> f64 {
+    pub(super) fn stop_limit_us(&self) -> f64 {
         self.setting.period_us + STOP_MARGIN_US
     }
 
@@ -317,106 +252,8 @@ impl Report {
         )
     }
 
-    fn pooled(&self, leg: Leg) -> Option<Histogram<u64>> {
+    pub(super) fn pooled(&self, leg: Leg) -> Option<Histogram<u64>> {
         pooled(leg, &self.rounds)
-    }
-
-    fn panels(&self) -> Vec<Panel> {
-        use Leg::{
-            BareOneWay, BareRequest, BareRoundTrip, CommandHandover, CommandHop, CommandRelease,
-            LeaseAnswer, LeaseMachinery, MeasurementCommand, MeasurementMachinery, ObstacleCommand,
-            ObstacleMachinery, ReferenceCommand, ReferenceMachinery, TrackAnswer, TrackMachinery,
-        };
-        let panel = |title: &str, legs: &[Leg]| Panel {
-            title: title.to_owned(),
-            x: "one sample in so many takes longer",
-            y: "µs",
-            scale: Scale::LogLog { floor: 0.01 },
-            curves: self.tails(legs),
-        };
-        vec![
-            panel(
-                "Commands beside iceoryx2 alone",
-                &[
-                    BareOneWay,
-                    BareRoundTrip,
-                    CommandHop,
-                    CommandHandover,
-                    CommandRelease,
-                ],
-            ),
-            panel(
-                "Sent → first command that uses it: whole, and without the wait for the grid",
-                &[
-                    ReferenceCommand,
-                    ReferenceMachinery,
-                    ObstacleCommand,
-                    ObstacleMachinery,
-                    MeasurementCommand,
-                    MeasurementMachinery,
-                ],
-            ),
-            panel(
-                "Request → answer beside iceoryx2 alone",
-                &[
-                    BareRequest,
-                    LeaseMachinery,
-                    LeaseAnswer,
-                    TrackMachinery,
-                    TrackAnswer,
-                ],
-            ),
-            self.stop_panel(),
-        ]
-    }
-
-    /// The latency that one sample in x exceeds.
-    fn tails(&self, legs: &[Leg]) -> Vec<Curve> {
-        let colours = [BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE];
-        let curve = |(leg, colour): (&Leg, _)| {
-            let latencies = self.pooled(*leg)?;
-            // Up to 1.1²⁰⁰, far more than anybody samples.
-            let points = (0..200)
-                .map(|step| 1.1_f64.powi(step))
-                .take_while(|one_in| *one_in <= latencies.len() as f64)
-                .map(|one_in| (one_in, quantile_us(&latencies, 1.0 - 1.0 / one_in)))
-                .collect();
-            Some(Curve::line(leg.name(), points, colour))
-        };
-        legs.iter().zip(colours).filter_map(curve).collect()
-    }
-
-    /// The share of stops that took at most so long.
-    fn stop_panel(&self) -> Panel {
-        let share = |(leg, colour): (Leg, _)| {
-            let latencies = self.pooled(leg)?;
-            let quantiles = (0..=200).map(|step| f64::from(step) / 200.0);
-            let point = |share: f64| (quantile_us(&latencies, share) * 1e-3, 100.0 * share);
-            Some(Curve::line(
-                leg.name(),
-                quantiles.map(point).collect(),
-                colour,
-            ))
-        };
-        let limit_ms = self.stop_limit_us() * 1e-3;
-        let legs = [
-            (Leg::StopZeroHandover, BLUE),
-            (Leg::StopZeroCommand, ORANGE),
-            (Leg::StopGrid, GREEN),
-        ];
-        let mut curves: Vec<Curve> = legs.into_iter().filter_map(share).collect();
-        curves.push(Curve::line(
-            "bound for 99 %",
-            vec![(limit_ms, 0.0), (limit_ms, 100.0)],
-            GREY,
-        ));
-        Panel {
-            title: "Stop → zero rates, without the ramp".to_owned(),
-            x: "ms",
-            y: "stops that took no longer, %",
-            scale: Scale::Linear,
-            curves,
-        }
     }
 }
 
@@ -510,74 +347,6 @@ impl Section for Report {
         };
         self.rounds.iter().flat_map(of).collect()
     }
-}
-
-impl Target {
-    fn cells(&self) -> Vec<String> {
-        let verdict = match (self.samples < VALUES_OF_P99, self.kept) {
-            (true, _) => "too few values",
-            (false, true) => "kept",
-            (false, false) => "not kept",
-        };
-        let found = format!("{:.1}", self.p99_us);
-        vec![
-            format!("{} p99, µs", self.leg.name()),
-            supported(found, self.samples, VALUES_OF_P99),
-            format!("bound {:.1}: {verdict}", self.limit_us),
-        ]
-    }
-}
-
-/// A percentile for people: none of fewer values than it needs.
-fn supported(percentile: String, count: u64, least: u64) -> String {
-    if count < least {
-        "-".to_owned()
-    } else {
-        percentile
-    }
-}
-
-/// None without samples.
-fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
-    let all = pooled(leg, rounds)?;
-    let of = |quantile| {
-        let values = rounds
-            .iter()
-            .filter_map(|round| quantile_of(round, leg, quantile));
-        median(&values.collect::<Vec<_>>())
-    };
-    let (from, to) = leg.definition();
-    Some(Row {
-        leg,
-        from,
-        to,
-        samples: all.len(),
-        latency_us: Quantiles::of(&all)?,
-        rounds_us: Middle {
-            p50: of(0.5)?,
-            p99: of(0.99)?,
-        },
-    })
-}
-
-/// All rounds together; none without rounds.
-fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
-    let mut of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
-    let mut all = of_rounds.next()?.clone();
-    for latencies in of_rounds {
-        // All have the same bounds.
-        all.add(latencies).ok()?;
-    }
-    (!all.is_empty()).then_some(all)
-}
-
-fn quantile_of(round: &Round, leg: Leg, quantile: f64) -> Option<f64> {
-    let latencies = &round.leg(leg).latencies;
-    (!latencies.is_empty()).then(|| quantile_us(latencies, quantile))
-}
-
-fn p50_us(round: &Round, leg: Leg) -> Option<f64> {
-    quantile_of(round, leg, 0.5)
 }
 
 #[cfg(test)]

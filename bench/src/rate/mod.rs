@@ -11,6 +11,7 @@
 mod case;
 mod figures;
 mod report;
+mod rows;
 mod search;
 mod trial;
 
