@@ -1,14 +1,17 @@
-//! A private place in shared memory. Dropping it removes every trace; what a killed measurement could not remove, the
-//! next place does.
+//! A private place in shared memory. Dropping it removes every trace. What a killed measurement left in shared memory,
+//! the next place removes; its folder for temporary files stays.
 
 use std::collections::hash_map::RandomState;
 use std::fs::{self, File, OpenOptions};
 use std::hash::{BuildHasher, Hasher};
+use std::io;
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
 use cdcr_shared_types::{Location, memory_files};
+use rustix::fs::OFlags;
+use rustix::process::geteuid;
 use tempfile::TempDir;
 
 /// Name of the robot of every measurement.
@@ -71,6 +74,7 @@ impl Drop for Place {
         for file in self.memory_files() {
             let _ = fs::remove_file(file);
         }
+        // The last one, so that who is killed here is cleared up after.
         let _ = fs::remove_file(&self.lock.path);
     }
 }
@@ -88,37 +92,41 @@ struct Lock {
 impl Lock {
     fn new(prefix: &str) -> Result<Self> {
         let path = Path::new("/dev/shm").join(format!("{prefix}{LOCK}"));
-        let what = || format!("cannot write {}", path.display());
-        let file = OpenOptions::new()
+        loop {
+            let file =
+                Self::make(&path).with_context(|| format!("cannot write {}", path.display()))?;
+            // Who looks for abandoned places may have had it before us, and removed its name.
+            if is_file_at(&file, &path) {
+                return Ok(Self { path, file });
+            }
+        }
+    }
+
+    fn make(path: &Path) -> io::Result<File> {
+        let mut options = OpenOptions::new();
+        let file = options
             .write(true)
             .create_new(true)
             .mode(0o600)
-            .open(&path)
-            .with_context(what)?;
-        // Somebody who looks for abandoned places may hold it just now, and removes its name: then this place is not
-        // found should it be abandoned, which is no worse.
-        file.lock().with_context(what)?;
-        Ok(Self { path, file })
+            .open(path)?;
+        file.lock()?;
+        Ok(file)
     }
 }
 
-/// Removes the files of places whose process is gone. Other users' places are theirs; a lock that cannot be opened or
-/// is held is left alone.
+/// Removes what places of this user left in shared memory whose process is gone. Everybody may write to that folder:
+/// only regular files of our own with a name of ours are opened, no link is followed, and a lock that is held is left
+/// alone.
 fn remove_abandoned() {
-    let own = rustix::process::geteuid().as_raw();
     for path in memory_files(PREFIX) {
-        let Some(prefix) = path
-            .file_name()
-            .and_then(|name| name.to_str()?.strip_suffix(LOCK))
-        else {
+        let name = path.file_name().and_then(|name| name.to_str());
+        let Some(prefix) = name.and_then(prefix_of_lock) else {
             continue;
         };
-        let is_own_file =
-            fs::symlink_metadata(&path).is_ok_and(|file| file.is_file() && file.uid() == own);
-        let Some(lock) = is_own_file.then(|| File::open(&path).ok()).flatten() else {
+        let Ok(lock) = open_own(&path) else {
             continue;
         };
-        if lock.try_lock().is_ok() {
+        if lock.try_lock().is_ok() && is_file_at(&lock, &path) {
             // The lock last: who is killed here leaves the rest to the next one.
             for file in memory_files(prefix) {
                 if file != path {
@@ -128,6 +136,40 @@ fn remove_abandoned() {
             let _ = fs::remove_file(&path);
         }
     }
+}
+
+/// What the names of a place begin with, of the name of its lock.
+fn prefix_of_lock(name: &str) -> Option<&str> {
+    let prefix = name.strip_suffix(LOCK)?;
+    let (process, random) = prefix
+        .strip_prefix(PREFIX)?
+        .strip_suffix('_')?
+        .split_once('-')?;
+    let is_ours = !process.is_empty()
+        && process.bytes().all(|byte| byte.is_ascii_digit())
+        && random.len() == 8
+        && random.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_ours.then_some(prefix)
+}
+
+/// A regular file of this user that has no other name. Never waits, follows no link.
+fn open_own(path: &Path) -> io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let file = OpenOptions::new()
+        .read(true)
+        .custom_flags(flags.bits().cast_signed())
+        .open(path)?;
+    let found = file.metadata()?;
+    let is_own = found.is_file() && found.nlink() == 1 && found.uid() == geteuid().as_raw();
+    is_own
+        .then_some(file)
+        .ok_or_else(|| io::ErrorKind::PermissionDenied.into())
+}
+
+fn is_file_at(file: &File, path: &Path) -> bool {
+    let id = |file: fs::Metadata| (file.dev(), file.ino());
+    let (opened, there) = (file.metadata().map(id), fs::symlink_metadata(path).map(id));
+    matches!((opened, there), (Ok(opened), Ok(there)) if opened == there)
 }
 
 #[cfg(test)]
@@ -163,6 +205,35 @@ mod tests {
         let _next = Place::new().expect("a place");
         assert!(left.iter().all(|file| !file.exists()), "{left:?}");
         assert!(kept.iter().all(|file| file.exists()), "{kept:?}");
+    }
+
+    #[test]
+    fn only_names_of_locks_are_taken_for_locks() {
+        let prefix = "cdcr-bench-17-0123abcd_";
+        assert_eq!(prefix_of_lock(&format!("{prefix}{LOCK}")), Some(prefix));
+        for name in [
+            "cdcr-bench-lock",
+            "cdcr-bench-_lock",
+            "cdcr-bench-1-0_lock",
+            "cdcr-bench--0123abcd_lock",
+        ] {
+            assert_eq!(prefix_of_lock(name), None, "{name}");
+        }
+    }
+
+    #[test]
+    fn neither_a_link_nor_a_pipe_nor_a_file_with_two_names_is_opened() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = |name: &str| folder.path().join(name);
+        fs::write(path("file"), "").expect("a file");
+        assert!(open_own(&path("file")).is_ok());
+        std::os::unix::fs::symlink(path("file"), path("link")).expect("a link");
+        assert!(open_own(&path("link")).is_err());
+        fs::hard_link(path("file"), path("other")).expect("a second name");
+        assert!(open_own(&path("file")).is_err());
+        let mode = rustix::fs::Mode::RUSR | rustix::fs::Mode::WUSR;
+        rustix::fs::mkfifoat(rustix::fs::CWD, path("pipe"), mode).expect("a pipe");
+        assert!(open_own(&path("pipe")).is_err());
     }
 
     fn shared(place: &Place, name: &str) -> PathBuf {
