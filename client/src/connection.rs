@@ -147,22 +147,31 @@ impl Connection {
         self.status.borrow_mut().fresh_within(timeout)
     }
 
-    /// The settings of the solver that the newest cycle used; waits for it, at most 1 s.
+    /// The settings of the solver that the first cycle from now on uses; waits for it, at most 1 s.
     ///
     /// # Errors
     /// [`LinkError::Silent`] when no cycle came, [`LinkError::Port`] when the telemetry has as many readers
     /// as it allows.
     pub fn settings(&self) -> Result<SolverSettings, LinkError> {
-        let record = self.telemetry()?.next_within(REQUEST_TIMEOUT)?;
-        let silent = || LinkError::silent(Service::Telemetry, REQUEST_TIMEOUT);
-        record.map(|record| record.settings).ok_or_else(silent)
+        let begun_ns = monotonic_ns();
+        let deadline = Instant::now() + REQUEST_TIMEOUT;
+        let mut telemetry = self.telemetry()?;
+        loop {
+            let left = deadline.saturating_duration_since(Instant::now());
+            match telemetry.next_within(left)? {
+                // Records of before may still be on their way, with settings that were changed since.
+                Some(record) if record.start_ns < begun_ns => {}
+                Some(record) => return Ok(record.settings),
+                None => return Err(LinkError::silent(Service::Telemetry, REQUEST_TIMEOUT)),
+            }
+        }
     }
 
     /// Gets ready to ask. The first request does it otherwise, and takes a little longer: who may have to stop a
     /// robot in a hurry does this beforehand.
     ///
     /// # Errors
-    /// [`LinkError::Port`] when the daemon has as many clients that ask as it allows, [`LinkError::Memory`] when shared
+    /// [`LinkError::Askers`] when the daemon has as many clients that ask as it allows, [`LinkError::Memory`] when shared
     /// memory is full.
     pub fn prepare_requests(&self) -> Result<(), LinkError> {
         self.control.port().map(|_| ())

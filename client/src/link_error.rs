@@ -22,6 +22,15 @@ pub enum LinkError {
         /// Readers that the service allows.
         readers: usize,
     },
+    /// The port for requests could not be made.
+    #[error(
+        "cannot ask the daemon for anything: {cause}. At most {} clients may at one time; close one of them",
+        Service::CONTROL_CLIENTS
+    )]
+    Askers {
+        /// What iceoryx2 says.
+        cause: String,
+    },
     /// Shared memory has no room for a port.
     #[error("cannot open a port on the {service} service: {cause}")]
     Memory {
@@ -80,6 +89,12 @@ impl LinkError {
             cause: cause.to_string(),
             writers: queues.publishers,
             readers: queues.subscribers,
+        }
+    }
+
+    pub(crate) fn askers(cause: impl Display) -> Self {
+        Self::Askers {
+            cause: cause.to_string(),
         }
     }
 

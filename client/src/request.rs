@@ -98,7 +98,7 @@ impl Control {
             .client_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(|cause| LinkError::port(Service::Control, cause))?;
+            .map_err(LinkError::askers)?;
         Ok(self.port.get_or_init(|| port))
     }
 

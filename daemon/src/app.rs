@@ -78,6 +78,7 @@ fn run_with<L: RobotLink + Send + 'static>(
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
+    let cycle = Cycle::new(validated, link).context("the solver")?;
     let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
     // One after the other: each clears away what was left unfinished, and must not meet files in the making.
     if let Err(error) = reporter.wait_ready() {
@@ -85,8 +86,13 @@ fn run_with<L: RobotLink + Send + 'static>(
         return Err(error);
     }
     let waker = reporter.thread().clone();
-    let exchange = spawn_exchange(validated, exchange_ends, &shared, daemon_id, waker)?;
-    let cycle = Cycle::new(validated, link).context("the solver")?;
+    let exchange = match spawn_exchange(validated, exchange_ends, &shared, daemon_id, waker) {
+        Ok(exchange) => exchange,
+        Err(error) => {
+            give_up([reporter]);
+            return Err(error);
+        }
+    };
     let waker = exchange.thread().clone();
     let cycle = spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch)?;
 

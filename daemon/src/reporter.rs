@@ -28,14 +28,17 @@ use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::exchange::{convert, services};
 use crate::ports::Clock;
-use crate::rt::attribution::{Attribution, Blame, Judged, Timing};
+use crate::rt::attribution::{Attribution, Blame, Judged, Scheduling, Timing};
 use crate::rt::handoff::{ReporterEnds, Shared};
-use crate::rt::scheduler::SchedulerLooks;
 use crate::supervisor::Summary;
 
 /// A cycle on its way to those who watch: what it did, and what the exchange knows of it.
 #[derive(Debug)]
 pub struct CycleReport {
+    /// Its number; those that found no room leave gaps.
+    pub number: u64,
+    /// What the scheduler did to the cycle thread since the look before; none where the kernel does not tell.
+    pub scheduling: Option<Scheduling>,
     /// What the cycle did.
     pub record: CycleRecord,
     /// Its command as it was published, or would have been.
@@ -83,10 +86,8 @@ pub struct Reporter {
     /// How long before its release the cycle thread wakes up \[ns\].
     spin_ns: u64,
     daemon_id: u64,
-    telemetry_sent: u64,
     incidents_sent: u64,
     last_mode: Mode,
-    scheduler: SchedulerLooks,
     attribution: Attribution,
 }
 
@@ -107,17 +108,14 @@ impl Reporter {
             period_ns: ns(config.cycle.period_ms),
             spin_ns: ns(config.realtime.spin_us * 1e-3),
             daemon_id,
-            telemetry_sent: 0,
             incidents_sent: 0,
             last_mode: Mode::Starting,
-            scheduler: SchedulerLooks::default(),
             attribution: Attribution::default(),
         }
     }
 
     /// Runs until the exchange has ended and its last report is published.
     pub fn run(&mut self, clock: &impl Clock, shared: &Shared) {
-        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_reporter();
             // Before the look at what waits: then nothing can come any more.
@@ -132,16 +130,13 @@ impl Reporter {
 
     /// Publishes every report that waits.
     fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
-        let mut scheduling = None;
         while let Ok(report) = self.ends.reports.pop() {
             shared.beat_reporter();
             let record = &report.record;
-            // Reports that wait together share one reading.
-            let looked = scheduling.get_or_insert_with(|| self.scheduler.look());
+            let looked = report.scheduling.as_ref();
             let judged = judged(record, self.spin_ns);
-            let blame = self.attribution.judge(&judged, looked.as_ref());
-            let scheduling =
-                convert::scheduling(looked.as_ref(), record.longest_gap_ns, blame.cause());
+            let blame = self.attribution.judge(&judged, looked);
+            let scheduling = convert::scheduling(looked, record.longest_gap_ns, blame.cause());
             let mode = convert::mode(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
             self.last_mode = mode;
@@ -166,14 +161,13 @@ impl Reporter {
     }
 
     fn publish_telemetry(
-        &mut self,
+        &self,
         report: &CycleReport,
         scheduling: wire::SchedulingReport,
         now_ns: u64,
     ) -> wire::Telemetry {
-        self.telemetry_sent += 1;
         let telemetry = wire::Telemetry {
-            header: self.header(self.telemetry_sent, now_ns),
+            header: self.header(report.number, now_ns),
             command: report.command,
             scheduling,
             events: report.inputs.events,

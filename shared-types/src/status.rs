@@ -82,7 +82,7 @@ pub struct Statistics {
     pub stale_inputs: u64,
     /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
     pub stale_measurements: u64,
-    /// Records and events that were lost inside the daemon because a queue was full.
+    /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
     pub dropped_records: u64,
     /// Cycles that started late, missed their deadline or skipped periods, by their [`LateCause`]; index = code,
     /// so the first is 0. A punctual cycle whose skipped releases the late cycle before it took is not counted
@@ -142,7 +142,7 @@ pub struct Status {
     pub skipped_periods: u64,
     /// Solves that the time budget ended.
     pub budget_hits: u64,
-    /// Records and events that were lost inside the daemon because a queue was full.
+    /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
     pub dropped_records: u64,
     /// Faults since the start.
     pub faults: u64,

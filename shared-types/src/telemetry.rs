@@ -173,8 +173,8 @@ pub struct Telemetry {
     pub settings: SolverSettings,
     /// The robot.
     pub robot: RobotDescription,
-    /// First cycle of the reference window: the samples reach from its release past the horizon, by 60
-    /// periods at 5 ms, by fewer at shorter ones.
+    /// First cycle of the reference window: the samples reach from its release past the horizon, by up to 60
+    /// periods (60 at 5 ms).
     pub window_first_cycle: u64,
     /// How fast rates shrink when holding or stopping \[rad/s²\].
     pub deceleration_rad_s2: f64,

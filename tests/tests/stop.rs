@@ -268,7 +268,7 @@ fn judge(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let zero = assert_ramp(&records[at..], speed, step);
     let late_ns = late_ns(before, first);
     let allowed_ns = first.period_ns + GATHER_LEAD_NS + late_ns;
-    let took_ns = first.header.sent_ns.saturating_sub(asked.sent_ns);
+    let took_ns = first.command.header.sent_ns.saturating_sub(asked.sent_ns);
     assert!(
         took_ns <= allowed_ns,
         "{took_ns} ns from the request to the stop, {allowed_ns} ns are accounted for"
@@ -276,8 +276,9 @@ fn judge(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let ramp_ns = zero as u64 * first.period_ns;
     let rest = &records[at + zero];
     Some(Taken {
-        to_first_ns: first.header.sent_ns - asked.begun_ns,
-        to_zero_less_ramp_ns: (rest.header.sent_ns - asked.begun_ns).saturating_sub(ramp_ns),
+        to_first_ns: first.command.header.sent_ns - asked.begun_ns,
+        to_zero_less_ramp_ns: (rest.command.header.sent_ns - asked.begun_ns)
+            .saturating_sub(ramp_ns),
         ramp_cycles: zero + 1,
         late_ns,
     })
@@ -308,7 +309,7 @@ fn assert_taken_by_its_gather(before: &Telemetry, first: &Telemetry, asked: &Ask
 /// inputs that the cycle before had to use again because no gather came between.
 fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
     let skipped_ns = first.release_ns - before.release_ns - first.period_ns;
-    let after_release_ns = first.header.sent_ns - first.release_ns;
+    let after_release_ns = first.command.header.sent_ns - first.release_ns;
     let old_inputs_ns = (before.release_ns - GATHER_LEAD_NS).saturating_sub(before.gather_ns);
     skipped_ns + after_release_ns + old_inputs_ns
 }

@@ -34,7 +34,7 @@ impl ReferenceWindow {
     /// at which the robot waits. An exchange that makes or removes a file may wait for a starved client that has the
     /// folder's lock; 0.3 s were seen. One that hangs for longer is the watchdog's.
     pub const PATIENCE_NS: u64 = 1_000_000_000;
-    /// Periods of slack at least.
+    /// Periods of slack at least, as long as they are no longer than the patience.
     pub const SLACK_MIN: usize = 20;
     /// Periods of slack at most.
     pub const SLACK_MAX: usize = 60;
@@ -50,8 +50,8 @@ impl ReferenceWindow {
     pub fn slack(period_ns: u64) -> usize {
         let affordable = period_ns / Self::PERIOD_PER_SAMPLE_NS;
         let useful = Self::PATIENCE_NS / period_ns.max(1);
-        let wanted = affordable.min(useful) as usize;
-        wanted.clamp(Self::SLACK_MIN, Self::SLACK_MAX)
+        let wanted = affordable.clamp(Self::SLACK_MIN as u64, Self::SLACK_MAX as u64);
+        wanted.min(useful) as usize
     }
 
     /// Samples `trajectory` at the release of `first_cycle`, at those of the horizon, and for the
@@ -191,7 +191,7 @@ mod tests {
     #[test]
     fn the_slack_costs_little_and_is_no_longer_than_the_patience() {
         let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
-        assert_eq!([100_000, 20_000, 10_000].map(slack), [20, 50, 60]);
+        assert_eq!([100_000, 20_000, 10_000].map(slack), [10, 50, 60]);
         assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);
     }
 }

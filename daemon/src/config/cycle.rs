@@ -25,7 +25,8 @@ pub struct CycleConfig {
     /// Level of the leaky bucket (+1 for each miss and each skipped period, -1 for each good cycle)
     /// at which the robot is stopped.
     pub miss_limit: u32,
-    /// The process ends when a real-time thread makes no progress for this long \[ms\].
+    /// The process ends when the cycle or exchange thread makes no progress for this long \[ms\], or the reporter for
+    /// five times as long.
     pub watchdog_ms: f64,
 }
 

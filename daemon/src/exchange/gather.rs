@@ -20,6 +20,8 @@ const fn drain_limit(service: Service) -> usize {
 impl Exchange {
     /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
     pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64, shared: &Shared) {
+        let unheard_ns = now_ns.saturating_sub(self.gather_began_ns + 2 * self.period_ns);
+        self.lease.extend(self.gather_began_ns, unheard_ns);
         self.gather += 1;
         self.gather_began_ns = now_ns;
         self.events.begin_gather();

@@ -59,6 +59,15 @@ impl Lease {
         self.holder(now_ns) == Some(client) && self.acquire(client, now_ns)
     }
 
+    /// Lets one that still ran at `heard_ns` run for `unheard_ns` longer: who was not listened to was not silent.
+    pub(super) fn extend(&mut self, heard_ns: u64, unheard_ns: u64) {
+        if let Some(holder) = &mut self.holder
+            && holder.expires_ns > heard_ns
+        {
+            holder.expires_ns += unheard_ns;
+        }
+    }
+
     /// Gives it back. False when `client` does not hold it.
     pub(super) fn release(&mut self, client: u64, now_ns: u64) -> bool {
         let held = self.holder(now_ns) == Some(client);
@@ -91,5 +100,16 @@ mod tests {
         assert!(lease.release(2, 160) && lease.holder(160).is_none());
         assert_eq!(lease.state(160), LeaseState::Free);
         assert!(!lease.acquire(0, 200));
+    }
+
+    #[test]
+    fn time_in_which_nobody_listened_does_not_count() {
+        let mut lease = Lease::new(100);
+        assert!(lease.acquire(1, 0));
+        lease.extend(90, 400);
+        assert_eq!((lease.holder(499), lease.holder(500)), (Some(1), None));
+        // One that had run out before stays so.
+        lease.extend(600, 400);
+        assert_eq!(lease.holder(500), None);
     }
 }

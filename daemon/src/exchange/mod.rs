@@ -9,7 +9,8 @@
 //!
 //! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
 //! client does (connect, flood, stop reading) costs time here and not there. Everything that it drains
-//! has a limit per gather. Who only watches costs nothing here: that is the [reporter](crate::reporter)'s.
+//! has a limit per gather. Who only watches costs nothing here, readers of commands excepted: that is the
+//! [reporter](crate::reporter)'s.
 
 pub mod convert;
 mod events;
@@ -37,6 +38,7 @@ use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
+use crate::rt::scheduler::SchedulerLooks;
 use events::Events;
 use lease::Lease;
 use requests::Waiting;
@@ -72,6 +74,9 @@ pub struct Exchange {
     waiting: Waiting,
     daemon_id: u64,
     commands_sent: u64,
+    /// Records so far, also those that the reporter had no room for.
+    reports: u64,
+    scheduler: SchedulerLooks,
     last_cycle: u64,
     last_mode: Mode,
     /// Stops that were asked for so far.
@@ -151,6 +156,8 @@ impl Exchange {
             waiting: Waiting::new(),
             daemon_id,
             commands_sent: 0,
+            reports: 0,
+            scheduler: SchedulerLooks::default(),
             last_cycle: 0,
             last_mode: Mode::Starting,
             stops: 0,
@@ -172,6 +179,7 @@ impl Exchange {
         let lead_ns = self.gather_lead_ns + self.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
         let mut look: Option<LastLook> = None;
+        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;

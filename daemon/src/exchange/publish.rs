@@ -1,4 +1,7 @@
 //! Right after each cycle: the command first, then answers, then a report for those who watch.
+//!
+//! What the scheduler counted of the cycle thread is read here, on its core and before the next cycle, and not by the
+//! reporter: that may come later than the next cycle, whose lateness would then be told of this one.
 
 use std::thread::Thread;
 
@@ -13,18 +16,25 @@ use crate::rt::handoff::Shared;
 impl Exchange {
     /// Publishes the command of every record that the cycle has handed over, and hands the record on.
     pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared, reporter: &Thread) {
+        let mut scheduling = None;
         while let Ok(record) = self.ends.records.pop() {
             let command = self.publish_command(&record, clock.now_ns());
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
             self.last_cycle = record.release.cycle;
             self.last_mode = convert::mode(record.mode);
-            // A reporter that is held up loses records; what clients did is told with a later one.
+            // Records that wait together share one reading.
+            let scheduling = *scheduling.get_or_insert_with(|| self.scheduler.look());
+            self.reports += 1;
+            // A reporter that is held up loses records, which its readers see by the gap; what clients did is told with
+            // a later one.
             if self.ends.reports.is_full() {
                 shared.count_dropped_record();
                 continue;
             }
             let report = CycleReport {
+                number: self.reports,
+                scheduling,
                 inputs: self.report_inputs(record.gather, clock.now_ns()),
                 record,
                 command,

@@ -5,7 +5,8 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types::memory_files;
 
-/// A file that stays empty for this long was left by a dead process: the living need microseconds.
+/// A file that stays empty for this long was left by a dead process: the living need microseconds, and on a crowded core
+/// some tenths of a second until they are let run.
 const PATIENCE: Duration = Duration::from_secs(1);
 /// The same while a daemon starts or ends, which waits for it.
 const PATIENCE_AT_START: Duration = Duration::from_millis(250);

@@ -271,12 +271,12 @@ impl Shared {
         self.exchange_ended.load(Ordering::Acquire)
     }
 
-    /// A record or summary was lost because a ring was full.
+    /// A record, report, incident or summary was lost because a ring was full.
     pub fn count_dropped_record(&self) {
         self.dropped_records.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Records and summaries lost so far.
+    /// How many of them so far.
     pub fn dropped_records(&self) -> u64 {
         self.dropped_records.load(Ordering::Relaxed)
     }

@@ -104,7 +104,7 @@ pub fn stay_off_core(core: Option<usize>) {
         sched_setaffinity(None, &allowed)
     });
     if let Err(error) = moved {
-        tracing::info!(core, %error, "the supervisor may use the core of the real-time threads");
+        tracing::info!(core, %error, "a thread that should keep off may use the core of the real-time threads");
     }
 }
 

@@ -98,6 +98,8 @@ pub struct Summary {
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// How often the status is published.
 const STATUS_EVERY: Duration = Duration::from_millis(100);
+/// Without a summary for so long the status is not published: it would tell of a time long past.
+const SUMMARY_MAX: Duration = Duration::from_secs(1);
 /// How often a late cycle is logged, at most.
 const LATE_LINE_EVERY: Duration = Duration::from_secs(1);
 /// How long exchange and reporter may take to publish the last record and close their ports.
@@ -121,6 +123,8 @@ pub struct Supervisor {
     unfinished: UnfinishedFiles,
     rate: Rate,
     newest: Summary,
+    /// When it came.
+    summed: Instant,
     /// The newest cycle that was late and is not in the log.
     late: Option<Summary>,
     logged: Instant,
@@ -169,6 +173,7 @@ impl Supervisor {
                 hertz: 0.0,
             },
             newest: Summary::default(),
+            summed: now,
             late: None,
             logged: now,
         })
@@ -238,6 +243,7 @@ impl Supervisor {
                 self.manager.ready();
             }
             self.newest = summary;
+            self.summed = Instant::now();
         }
     }
 
@@ -337,6 +343,9 @@ impl Supervisor {
             take_over(&mut self.status, &self.newest);
         }
         self.statistics.report(&mut self.status);
+        if self.newest.totals.cycles > 0 && self.summed.elapsed() > SUMMARY_MAX {
+            return;
+        }
         if let Err(error) = self.publisher.send_copy(self.status) {
             tracing::warn!(%error, "the status could not be published");
         }
@@ -352,7 +361,7 @@ fn ports_do_not_close() -> Ended {
     Ended {
         cause: ExitCause::ExchangeHung,
         message: format!(
-            "exchange and reporter did not end within {} s; the robot rests, and the process ends without it",
+            "exchange and reporter did not both end within {} s; the robot rests, and the process ends without them",
             END_MAX.as_secs()
         ),
     }

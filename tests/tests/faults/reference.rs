@@ -25,7 +25,7 @@ fn short_lease() -> Daemon {
 
 /// A client that feeds a line to the side, 0.1 m/s, 10 ms between points.
 pub(crate) struct Feeding<'c> {
-    lease: Lease<'c>,
+    pub(crate) lease: Lease<'c>,
     feed: ReferenceFeed,
     end_ns: u64,
 }

@@ -63,7 +63,7 @@ fn a_machine_that_stands_still_for_too_long_stops_the_robot() {
     reset(&connection, &mut trail);
 }
 
-/// Longer than 20 periods.
+/// More periods than the limit of misses in the test.
 const HOGGED: Duration = Duration::from_millis(180);
 
 /// Takes `core` for itself for `time`, at the highest priority there is.

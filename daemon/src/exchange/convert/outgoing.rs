@@ -106,7 +106,7 @@ pub fn command(
     command
 }
 
-/// The telemetry of a cycle, all but what the exchange adds: header, events and command.
+/// The telemetry of a cycle, all but what the reporter adds: header, command, scheduling and events.
 pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Telemetry {
     let reference_known = record.reference.state != ReferenceState::None;
     let error_m = (record.tip.position_m - record.reference.position_m).norm();
