@@ -5,8 +5,10 @@
 
 #![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
 
+pub mod driver;
 pub mod load;
 pub mod record;
+pub mod system_calls;
 
 use std::io::Read;
 use std::path::{Path, PathBuf};

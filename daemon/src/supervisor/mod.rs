@@ -334,8 +334,6 @@ impl Supervisor {
             self.statistics.reset(now_ns);
             tracing::info!("the statistics begin anew");
         }
-        self.status.header.sequence += 1;
-        self.status.header.sent_ns = now_ns;
         self.status.origin_ns = shared.origin_ns();
         self.status.dropped_records = dropped;
         self.status.budget_hits = self.budget_hits;
@@ -346,6 +344,8 @@ impl Supervisor {
         if self.newest.totals.cycles > 0 && self.summed.elapsed() > SUMMARY_MAX {
             return;
         }
+        self.status.header.sequence += 1;
+        self.status.header.sent_ns = now_ns;
         if let Err(error) = self.publisher.send_copy(self.status) {
             tracing::warn!(%error, "the status could not be published");
         }

@@ -12,7 +12,6 @@ mod clearance;
 mod crowd;
 mod dice;
 mod director;
-mod driver;
 mod feeder;
 mod grid;
 mod half_made;
@@ -29,13 +28,13 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::{FeedOptions, Line};
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, Seen, View};
 use dice::Dice;
 use director::Director;
-use driver::DriverProcess;
 use tally::Tally;
 
 /// Whether an invariant holds, or how it is broken.

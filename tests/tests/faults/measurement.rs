@@ -4,9 +4,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use cdcr_client::{Connection, monotonic_ns};
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
-use cdcr_shared_types::{Location, Telemetry};
-use cdcr_tests::{Daemon, PATIENCE, Program, ROBOT, wait_status};
+use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::{Daemon, PATIENCE, wait_status};
 use rustix::process::Signal;
 
 use crate::robot::Robot;
@@ -367,49 +368,19 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
     trail.until("holding", is(Mode::Holding));
 }
 
-/// Runs this test binary again as a driver process.
-fn driver_process(daemon: &Daemon) -> Program {
-    let location = daemon.place().location();
-    let mut command = std::process::Command::new(std::env::current_exe().unwrap());
-    command
-        .args([
-            "--exact",
-            "measurement::the_driver_process",
-            "--ignored",
-            "--nocapture",
-        ])
-        .env("CDCR_TEST_PREFIX", location.prefix())
-        .env("CDCR_TEST_ROOT", location.root());
-    Program::start(&mut command)
-}
-
-#[test]
-#[ignore = "the driver process of a_killed_driver_is_a_lost_measurement"]
-fn the_driver_process() {
-    let prefix = std::env::var("CDCR_TEST_PREFIX").unwrap();
-    let root = std::env::var_os("CDCR_TEST_ROOT").unwrap();
-    let location = Location::new(&prefix, root.as_ref()).unwrap();
-    let connection = Connection::open_within(&location, ROBOT, PATIENCE).unwrap();
-    let mut robot = Robot::new(&connection, 1.0);
-    loop {
-        robot.turn();
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
-
 #[test]
 fn a_killed_driver_is_a_lost_measurement() {
     let daemon = daemon();
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
-    let mut driver = driver_process(&daemon);
+    let driver = DriverProcess::start_at(daemon.place(), 1.0);
     trail.until("holding", is(Mode::Holding));
     go_home(&connection, &mut trail, || {});
     driver.signal(Signal::KILL);
-    driver.output();
+    drop(driver);
     assert_lost(&mut trail, "driver killed", || {});
     // Another driver takes its place.
-    let _driver = driver_process(&daemon);
+    let _driver = DriverProcess::start_at(daemon.place(), 1.0);
     trail.until("measured", |record| state(record) == MeasurementState::Used);
     connection.request(RequestKind::Reset).unwrap();
     trail.until("holding", is(Mode::Holding));

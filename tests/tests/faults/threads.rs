@@ -73,6 +73,21 @@ fn with_driver() -> Daemon {
     ))
 }
 
+/// The driver goes on until a daemon with a hung thread has ended.
+fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
+    let begin = Instant::now();
+    while daemon.runs() {
+        hung.reap();
+        robot.turn();
+        std::thread::sleep(Duration::from_millis(1));
+        assert!(
+            begin.elapsed() < PATIENCE,
+            "it does not end:\n{}",
+            daemon.log()
+        );
+    }
+}
+
 /// A thread hangs while the robot moves: the process ends with `status`, and the driver has been told how
 /// long the last rates hold. Then a new daemon works at once.
 fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
@@ -87,16 +102,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
         return;
     };
     let (hung_ns, begin) = (monotonic_ns(), Instant::now());
-    while daemon.runs() {
-        hung.reap();
-        robot.turn();
-        std::thread::sleep(Duration::from_millis(1));
-        assert!(
-            begin.elapsed() < PATIENCE,
-            "it does not end:\n{}",
-            daemon.log()
-        );
-    }
+    drive_until_end(&mut daemon, &mut robot, &hung);
     let took = begin.elapsed();
     println!(
         "{thread} hung: the process ended after {:.1} ms",
@@ -207,12 +213,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     let other = daemon.connect();
     other.request(RequestKind::Stop).unwrap();
     drop(other);
-    while daemon.runs() {
-        hung.reap();
-        robot.turn();
-        std::thread::sleep(Duration::from_millis(1));
-        assert!(begin.elapsed() < PATIENCE, "{}", daemon.log());
-    }
+    drive_until_end(&mut daemon, &mut robot, &hung);
     let last = robot.last_command.unwrap();
     assert!(last.release_ns > hung_ns + WATCHDOG.as_nanos() as u64);
     assert!(begin.elapsed() + Duration::from_millis(40) > 5 * WATCHDOG);

@@ -7,8 +7,6 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
-mod system_calls;
-
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -17,10 +15,9 @@ use std::sync::{Mutex, PoisonError, RwLock};
 use cdcr_daemon::app::run_until;
 use cdcr_daemon::config::Config;
 use cdcr_daemon::rt::sys::{WatchedAllocator, count_allocations, forbid_allocations};
-use cdcr_tests::Place;
 use cdcr_tests::load::{self, Done};
-
-use system_calls::forbid_system_calls;
+use cdcr_tests::system_calls::forbid_system_calls;
+use cdcr_tests::{Place, binary};
 
 #[global_allocator]
 static ALLOCATOR: WatchedAllocator = WatchedAllocator;
@@ -109,60 +106,25 @@ fn the_counter_counts() {
     assert_eq!(count_allocations(|| drop(text)).0, 1);
 }
 
-/// Runs an ignored test of this file in a process of its own.
-fn in_its_own_process(test: &str) -> Output {
-    Command::new(std::env::current_exe().unwrap())
-        .args(["--exact", test, "--ignored", "--nocapture"])
+/// A process that does `what` under guard.
+fn guarded(what: &str) -> Output {
+    Command::new(binary("cdcr-test-guarded"))
+        .arg(what)
         .output()
         .unwrap()
 }
 
 #[test]
 fn a_broken_cycle_ends_the_process() {
-    let heap = in_its_own_process("uses_the_heap_under_guard");
+    let heap = guarded("use-the-heap");
     let said = String::from_utf8_lossy(&heap.stderr);
     assert_eq!(heap.status.signal(), Some(libc::SIGABRT), "{said}");
     assert!(
         said.contains("the heap was used where it is forbidden"),
         "{said}"
     );
-    let call = in_its_own_process("prints_under_guard");
+    let call = guarded("print");
     assert_eq!(call.status.signal(), Some(libc::SIGSYS));
-    let good = in_its_own_process("works_under_guard");
+    let good = guarded("work");
     assert!(good.status.success(), "{good:?}");
-}
-
-#[test]
-#[ignore = "run by a_broken_cycle_ends_the_process, because it ends its process"]
-fn uses_the_heap_under_guard() {
-    forbid_allocations(|| std::hint::black_box(vec![1_u8; 100])).clear();
-}
-
-#[test]
-#[ignore = "run by a_broken_cycle_ends_the_process, because it ends its process"]
-fn prints_under_guard() {
-    let printing = std::thread::spawn(|| {
-        forbid_system_calls();
-        println!("a cycle does not print");
-    });
-    printing.join().unwrap();
-}
-
-#[test]
-#[ignore = "run by a_broken_cycle_ends_the_process, beside those that end their process"]
-fn works_under_guard() {
-    use cdcr_daemon::ports::Clock;
-    use cdcr_daemon::rt::clock::MonotonicClock;
-    let waiting = std::thread::current();
-    let working = std::thread::spawn(move || {
-        // The first look at the clock finds out how to look at it without the kernel.
-        MonotonicClock.now_ns();
-        forbid_system_calls();
-        forbid_allocations(|| {
-            MonotonicClock.sleep_until(MonotonicClock.now_ns() + 2_000_000);
-            waiting.unpark();
-        });
-    });
-    std::thread::park();
-    working.join().unwrap();
 }

@@ -85,7 +85,9 @@ fn a_service_of_another_pattern_is_refused() {
 fn a_root_that_belongs_to_root_is_not_for_a_normal_user() {
     let user = rustix::process::geteuid();
     if user.is_root() {
-        eprintln!("skipped: for root, see access::every_command_of_another_user_is_refused");
+        eprintln!(
+            "skipped: for root, see access::refused::every_command_of_another_user_is_refused_and_changes_nothing"
+        );
         return;
     }
     let output = Place::new().cdcrctl(&["status", "--root", "/usr"]);

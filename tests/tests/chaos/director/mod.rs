@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, ObstacleSender, ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
 use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
+use cdcr_tests::driver::{DriverProcess, FAULTS};
 use cdcr_tests::{Daemon, PATIENCE, ROBOT, text, wait_until};
 use rustix::process::Signal;
 
@@ -15,7 +16,6 @@ use crate::action::{Action, ROUND};
 use crate::checker::View;
 use crate::crowd::Crowd;
 use crate::dice::Dice;
-use crate::driver::{DriverProcess, FAULTS};
 use crate::tally::Tally;
 use crate::{Verdict, ensure, obstacles};
 

@@ -21,11 +21,11 @@ const DONT_NEED: u64 = 4;
 ///   make one in a cycle, and the heap is forbidden, too.
 ///
 /// Uses the heap, so it comes before that is forbidden.
-pub(crate) fn forbid_system_calls() {
+pub fn forbid_system_calls() {
     let always = Vec::new;
     let with = |argument, value| {
         let is = SeccompCondition::new(argument, SeccompCmpArgLen::Dword, SeccompCmpOp::Eq, value);
-        vec![SeccompRule::new(vec![is.unwrap()]).unwrap()]
+        vec![SeccompRule::new(vec![is.expect("a legal filter")]).expect("a legal filter")]
     };
     let allowed: BTreeMap<i64, Vec<SeccompRule>> = [
         (libc::SYS_clock_nanosleep, always()),
@@ -38,13 +38,16 @@ pub(crate) fn forbid_system_calls() {
         (libc::SYS_exit, always()),
     ]
     .into();
-    let architecture = std::env::consts::ARCH.try_into().unwrap();
+    let architecture = std::env::consts::ARCH.try_into().expect("a legal filter");
     let filter = SeccompFilter::new(
         allowed,
         SeccompAction::Trap,
         SeccompAction::Allow,
         architecture,
     );
-    let program: BpfProgram = filter.unwrap().try_into().unwrap();
-    apply_filter(&program).unwrap();
+    let program: BpfProgram = filter
+        .expect("a legal filter")
+        .try_into()
+        .expect("a legal filter");
+    apply_filter(&program).expect("a legal filter");
 }

@@ -1,78 +1,33 @@
-//! A robot behind a driver, in a process of its own, that has every fault it is told to have.
+//! A robot behind a driver, in a process of its own, that has every fault it is told to have: the other end of
+//! `cdcr_tests::driver`. Arguments: prefix, root, and, if it is not where the last driver left it, the bend of its
+//! first section \[rad\]. It ends when its input does.
 
-use std::io::{BufRead, Write as _};
-use std::process::{Child, Command, Stdio};
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a helper of a test a panic is the report"
+)]
+
+use std::io::BufRead;
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Driver, monotonic_ns};
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Location, Measurement};
-use cdcr_tests::{PATIENCE, Place, ROBOT};
-use rustix::process::{Pid, Signal, kill_process};
-
-/// What can be wrong with a driver.
-pub(crate) const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
+use cdcr_tests::{PATIENCE, ROBOT};
 
 /// How old a late measurement is: beyond the timeout of the default configuration, or not.
 const LATE_NS: [u64; 2] = [20_000_000, 90_000_000];
 
-/// A driver process.
-#[derive(Debug)]
-pub(crate) struct DriverProcess(Child);
-
-impl DriverProcess {
-    pub(crate) fn start(place: &Place) -> Self {
-        let mut command = Command::new(std::env::current_exe().unwrap());
-        command
-            .args([
-                "--exact",
-                "driver::drives_a_robot",
-                "--ignored",
-                "--nocapture",
-            ])
-            .env("CDCR_CHAOS_PREFIX", place.location().prefix())
-            .env("CDCR_CHAOS_ROOT", place.location().root())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null());
-        Self(command.spawn().unwrap())
-    }
-
-    /// Makes it faulty for a while.
-    pub(crate) fn be(&mut self, fault: &str, duration: Duration) {
-        let pipe = self.0.stdin.as_mut().unwrap();
-        // A driver that is just being killed does not hear it.
-        let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
-    }
-
-    pub(crate) fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.0), signal).unwrap();
-    }
-
-    pub(crate) fn runs(&mut self) -> bool {
-        self.0.try_wait().unwrap().is_none()
-    }
-}
-
-impl Drop for DriverProcess {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-#[test]
-#[ignore = "the driver process of the randomised run, which starts it itself"]
-fn drives_a_robot() {
-    let given = |key| std::env::var_os(key);
-    let (Some(prefix), Some(root)) = (given("CDCR_CHAOS_PREFIX"), given("CDCR_CHAOS_ROOT")) else {
-        println!("skipped: nobody says where the daemon is");
-        return;
+fn main() {
+    let given: Vec<String> = std::env::args().skip(1).collect();
+    let [prefix, root, bend @ ..] = given.as_slice() else {
+        panic!("prefix and root are missing");
     };
-    let location = Location::new(prefix.to_str().unwrap(), root.as_ref()).unwrap();
+    let location = Location::new(prefix, root.as_ref()).unwrap();
     let connection = Connection::open_within(&location, ROBOT, PATIENCE).unwrap();
-    let mut robot = RobotBehindDriver::new(&connection);
+    let bend_rad = bend.first().map(|bend| bend.parse().unwrap());
+    let mut robot = RobotBehindDriver::new(&connection, bend_rad);
     let orders = orders();
     let mut fault = (String::new(), Instant::now());
     loop {
@@ -112,13 +67,19 @@ struct RobotBehindDriver {
 }
 
 impl RobotBehindDriver {
-    /// It is where the last driver left it, if that was followed by a command lately; else it is straight.
-    fn new(connection: &Connection) -> Self {
+    /// Its first section is bent as said. Else it is where the last driver left it, if that was followed by a command
+    /// lately; else it is straight.
+    fn new(connection: &Connection, bend_rad: Option<f64>) -> Self {
         let mut driver = connection.driver().unwrap();
-        let command = driver.next_command(Duration::from_millis(100)).unwrap();
+        let mut bends = [0.0; 12];
+        if let Some(bend_rad) = bend_rad {
+            bends[0] = bend_rad;
+        } else if let Some(command) = driver.next_command(Duration::from_millis(100)).unwrap() {
+            bends = command.bend_target_rad;
+        }
         Self {
             driver,
-            bend_rad: command.map_or([0.0; 12], |command| command.bend_target_rad),
+            bend_rad: bends,
             turns: 0,
         }
     }

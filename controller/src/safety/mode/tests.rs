@@ -1,0 +1,275 @@
+//! Every transition of the mode, observed or asked for, and every refusal.
+
+use super::*;
+
+const HOLDING: Mode = Mode::Holding {
+    reason: Reason::Start,
+};
+
+fn good() -> Observation {
+    Observation {
+        measured: true,
+        reference: ReferenceState::Inside,
+        lease: LeaseState::Held,
+        ..Observation::default()
+    }
+}
+
+fn machine(mode: Mode) -> ModeMachine {
+    ModeMachine {
+        mode,
+        ..ModeMachine::default()
+    }
+}
+
+fn after(mode: Mode, seen: Observation) -> Mode {
+    let mut machine = machine(mode);
+    machine.observe(&seen);
+    machine.mode()
+}
+
+fn asked(mode: Mode, request: Request, seen: Observation) -> Result<Mode, Refusal> {
+    let mut machine = machine(mode);
+    machine.request(request, &seen)?;
+    Ok(machine.mode())
+}
+
+#[test]
+fn every_observed_transition() {
+    let tracking = Mode::Tracking { begun: true };
+    let held = |reason| Mode::Holding { reason };
+    assert_eq!(after(Mode::Starting, good()), held(Reason::Start));
+    let unknown = Observation {
+        measured: false,
+        fault: Some(Reason::MeasurementLost),
+        ..good()
+    };
+    assert_eq!(after(Mode::Starting, unknown), Mode::Starting);
+    assert_eq!(after(tracking, good()), tracking);
+    let ended = Observation {
+        reference: ReferenceState::Ended,
+        ..good()
+    };
+    assert_eq!(after(tracking, ended), held(Reason::ReferenceEnded));
+    let silent = Observation {
+        lease: LeaseState::Expired,
+        ..good()
+    };
+    assert_eq!(after(tracking, silent), held(Reason::LeaseExpired));
+    let released = Observation {
+        lease: LeaseState::Free,
+        ..good()
+    };
+    assert_eq!(after(tracking, released), held(Reason::LeaseReleased));
+    let home = Observation {
+        at_home: true,
+        ..good()
+    };
+    assert_eq!(after(Mode::Homing, home), held(Reason::HomeReached));
+    assert_eq!(after(Mode::Homing, good()), Mode::Homing);
+    let late = Observation {
+        misses_overflow: true,
+        ..good()
+    };
+    assert_eq!(
+        after(tracking, late),
+        Mode::Stopped {
+            reason: Reason::DeadlineMisses
+        }
+    );
+    let lost = Observation {
+        fault: Some(Reason::MeasurementLost),
+        ..good()
+    };
+    for mode in [
+        Mode::Starting,
+        HOLDING,
+        tracking,
+        Mode::Homing,
+        Mode::Stopped {
+            reason: Reason::Request,
+        },
+    ] {
+        assert_eq!(
+            after(mode, lost),
+            Mode::Faulted {
+                reason: Reason::MeasurementLost
+            }
+        );
+    }
+}
+
+#[test]
+fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
+    let stopped = Mode::Stopped {
+        reason: Reason::Request,
+    };
+    let faulted = Mode::Faulted {
+        reason: Reason::NonFinite,
+    };
+    for mode in [stopped, faulted] {
+        assert_eq!(after(mode, good()), mode);
+        for request in [Request::Track, Request::Hold, Request::Home] {
+            assert_eq!(asked(mode, request, good()), Err(Refusal::WrongMode));
+        }
+        let standing = Observation {
+            fault: Some(Reason::NonFinite),
+            ..good()
+        };
+        assert_eq!(
+            asked(mode, Request::Reset, standing),
+            Err(Refusal::CauseStands)
+        );
+        let reset = asked(mode, Request::Reset, good());
+        assert_eq!(
+            reset,
+            Ok(Mode::Holding {
+                reason: Reason::Request
+            })
+        );
+    }
+    assert_eq!(asked(faulted, Request::Stop, good()), Ok(faulted));
+}
+
+#[test]
+fn tracking_needs_a_lease_and_a_reference_ahead() {
+    let begun = Ok(Mode::Tracking { begun: false });
+    assert_eq!(asked(HOLDING, Request::Track, good()), begun);
+    let before = Observation {
+        reference: ReferenceState::Before,
+        ..good()
+    };
+    assert_eq!(asked(HOLDING, Request::Track, before), begun);
+    for state in [ReferenceState::None, ReferenceState::Ended] {
+        let seen = Observation {
+            reference: state,
+            ..good()
+        };
+        assert_eq!(
+            asked(HOLDING, Request::Track, seen),
+            Err(Refusal::NoReference)
+        );
+    }
+    let seen = Observation {
+        lease: LeaseState::Expired,
+        ..good()
+    };
+    assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoLease));
+    assert_eq!(
+        asked(Mode::Homing, Request::Track, good()),
+        Err(Refusal::WrongMode)
+    );
+}
+
+#[test]
+fn a_stop_wins_over_every_other_request_of_its_cycle() {
+    let others = [Request::Track, Request::Hold, Request::Home, Request::Reset];
+    let stopped = Mode::Stopped {
+        reason: Reason::Request,
+    };
+    for mode in [
+        HOLDING,
+        Mode::Tracking { begun: true },
+        Mode::Homing,
+        stopped,
+    ] {
+        for other in others {
+            for order in [[other, Request::Stop], [Request::Stop, other]] {
+                let mut machine = machine(mode);
+                let asked = order.map(Some);
+                let answers = machine.requests(&asked, false, &good());
+                assert_eq!(machine.mode(), stopped);
+                for (asked, answer) in order.iter().zip(answers) {
+                    let expected = match asked {
+                        Request::Stop => Ok(()),
+                        _ => Err(Refusal::Overruled),
+                    };
+                    assert_eq!(answer, Some(expected));
+                }
+            }
+            let mut machine = machine(mode);
+            let answers = machine.requests(&[Some(other), None], true, &good());
+            assert_eq!(machine.mode(), stopped);
+            assert_eq!(answers, [Some(Err(Refusal::Overruled)), None]);
+        }
+    }
+}
+
+#[test]
+fn nothing_moves_a_robot_whose_daemon_ends() {
+    let faulted = Mode::Faulted {
+        reason: Reason::NonFinite,
+    };
+    for mode in [
+        Mode::Starting,
+        HOLDING,
+        Mode::Tracking { begun: true },
+        Mode::Homing,
+        faulted,
+    ] {
+        let mut machine = machine(mode);
+        machine.shut_down();
+        let rests = machine.mode();
+        assert!(machine.is_latched());
+        let all = [
+            Request::Reset,
+            Request::Track,
+            Request::Home,
+            Request::Hold,
+            Request::Stop,
+        ];
+        let answers = machine.requests(&all.map(Some), false, &good());
+        for request in all {
+            let alone = machine.request(request, &good());
+            assert_eq!(alone.is_ok(), request == Request::Stop);
+        }
+        machine.observe(&good());
+        assert_eq!(machine.mode(), rests);
+        assert_eq!(answers[0], Some(Err(Refusal::Ending)));
+    }
+}
+
+#[test]
+fn what_has_stopped_keeps_its_first_reason() {
+    let late = Mode::Stopped {
+        reason: Reason::DeadlineMisses,
+    };
+    assert_eq!(asked(late, Request::Stop, good()), Ok(late));
+}
+
+#[test]
+fn requests_of_one_cycle_are_carried_out_in_their_order() {
+    let mut machine = machine(Mode::Stopped {
+        reason: Reason::Request,
+    });
+    let asked = [Request::Track, Request::Reset, Request::Home, Request::Hold].map(Some);
+    let answers = machine.requests(&asked, false, &good());
+    let expected = [Err(Refusal::WrongMode), Ok(()), Ok(()), Ok(())].map(Some);
+    assert_eq!(answers, expected);
+    assert_eq!(machine.mode().reason(), Reason::Request);
+}
+
+#[test]
+fn stop_wins_everywhere_and_faults_are_counted_once() {
+    for mode in [
+        Mode::Starting,
+        HOLDING,
+        Mode::Tracking { begun: true },
+        Mode::Homing,
+    ] {
+        let stopped = asked(mode, Request::Stop, good());
+        assert_eq!(
+            stopped,
+            Ok(Mode::Stopped {
+                reason: Reason::Request
+            })
+        );
+    }
+    let mut machine = machine(HOLDING);
+    machine.fault(Reason::NonFinite);
+    machine.fault(Reason::LimitBroken);
+    assert_eq!(
+        (machine.faults(), machine.mode().reason()),
+        (1, Reason::NonFinite)
+    );
+}

@@ -1,0 +1,110 @@
+//! What is out of reach: further than the robot, or one of its sections, can travel.
+
+use core::f64::consts::PI;
+
+use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, SECTIONS_MAX};
+use cdcr_controller::wide::Wide;
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+use crate::oracle::axis_distance_m;
+use crate::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
+
+/// The clearance of one section alone (m), up to `enough_m`.
+fn section_below(
+    robot: &Robot,
+    shape: &Configuration,
+    obstacle: &Obstacle,
+    enough_m: f64,
+    section: usize,
+) -> f64 {
+    let body = robot.body_wide(|i| Wide([shape.as_slice()[i]]));
+    body.clearance_below(obstacle, enough_m, 1 << section).0[0]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn what_is_out_of_reach_is_further_than_the_travel(
+        (robot, shape) in robots_and_shapes(), place in places(), travel_m in -0.1..1.0_f64,
+    ) {
+        let [start_m, end_m] = segment(&robot, &shape, place);
+        for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.02)] {
+            let clearance_m = robot.clearance_m(&shape, &obstacle);
+            if !robot.reaches(&shape, &obstacle, travel_m) {
+                prop_assert!(clearance_m > travel_m);
+            }
+            // Within the diameter of the largest ball the bound has to let go.
+            let largest_m = robot.sections().iter().map(|section| section.length_m).fold(0.0, f64::max);
+            prop_assert!(robot.reaches(&shape, &obstacle, clearance_m));
+            prop_assert!(!robot.reaches(&shape, &obstacle, clearance_m - largest_m - 1e-9));
+        }
+    }
+
+    #[test]
+    fn no_point_moves_further_than_the_travel_and_no_section_out_of_reach_comes_near(
+        (robot, shape) in robots_and_shapes(), place in places(), safe_m in 0.0..0.1_f64,
+        changes in prop::array::uniform6((0.0..1.0_f64, -PI..PI, prop::bool::weighted(0.3))),
+    ) {
+        let mut moved = shape;
+        for (j, (size, phi, is_along)) in changes.iter().enumerate().take(robot.section_count()) {
+            // Along the bend an arc's end moves fastest.
+            let phi = if *is_along { shape.direction_rad(j) } else { *phi };
+            moved.as_mut_slice()[2 * j] += size * phi.cos();
+            moved.as_mut_slice()[2 * j + 1] += size * phi.sin();
+        }
+        let travel_m = robot.travel_m(&changes.map(|(size, _, _)| size));
+        let reach_m = travel_m.map(|travel_m| travel_m + safe_m);
+        let [start_m, end_m] = segment(&robot, &shape, place);
+        let obstacles = [sphere(start_m, 0.02), capsule(start_m, end_m, 0.01)];
+        let sections = obstacles.map(|obstacle| robot.body(shape.as_slice()).sections_in_reach(&obstacle, &reach_m));
+        for (j, parameters) in robot.sections().iter().enumerate() {
+            for i in 0..=20 {
+                let [before_m, after_m] = [shape, moved].map(|shape| robot.body_point(&shape, j, f64::from(i) / 20.0));
+                let moved_m = (after_m - before_m).norm();
+                prop_assert!(moved_m <= travel_m[j] + 1e-14, "section {j}: {moved_m} of {} m", travel_m[j]);
+                for (obstacle, sections) in obstacles.iter().zip(sections) {
+                    let radii_m = parameters.body_radius_m + obstacle.radius_m();
+                    let clearance_m = axis_distance_m(obstacle.shape(), after_m) - radii_m;
+                    prop_assert!(sections & (1 << j) != 0 || clearance_m > safe_m);
+                }
+            }
+        }
+        prop_assert_eq!(travel_m[robot.section_count()..].iter().sum::<f64>(), 0.0);
+    }
+
+    #[test]
+    fn a_section_is_in_reach_just_where_its_clearance_is_below_the_travel(
+        (robot, shape) in robots_and_shapes(), place in places(), travel_m in prop::array::uniform6(0.0..0.5_f64),
+    ) {
+        prop_assume!(bend_max_rad(&shape) <= PI);
+        let [start_m, end_m] = segment(&robot, &shape, place);
+        for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.01)] {
+            let sections = robot.body(shape.as_slice()).sections_in_reach(&obstacle, &travel_m);
+            for j in 0..robot.section_count() {
+                let clearance_m = section_below(&robot, &shape, &obstacle, 1e3, j);
+                let is_in_reach = sections & (1 << j) != 0;
+                let beyond_m = clearance_m - travel_m[j];
+                prop_assert!((is_in_reach && beyond_m < 1e-11) || (!is_in_reach && beyond_m > 0.0));
+            }
+            prop_assert_eq!(sections >> robot.section_count(), 0);
+        }
+    }
+}
+
+#[test]
+fn what_is_unknown_or_moves_without_bound_is_in_reach() {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let far = sphere(Vector3::repeat(1e3), 0.0);
+    let straight = [0.0; 6];
+    let body = robot.body(&straight);
+    assert_eq!(body.sections_in_reach(&far, &[1.0; SECTIONS_MAX]), 0);
+    let travel_m = robot.travel_m(&[0.0, f64::INFINITY, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!(body.sections_in_reach(&far, &travel_m), 0b110);
+    let travel_m = robot.travel_m(&[f64::NAN, 0.0, 0.0, 0.0, 0.0, 0.0]);
+    assert_eq!(body.sections_in_reach(&far, &travel_m), 0b111);
+    let unknown = [0.0, 0.0, f64::NAN, 0.0, 0.0, 0.0];
+    let body = robot.body(&unknown);
+    assert_eq!(body.sections_in_reach(&far, &[1.0; SECTIONS_MAX]), 0b110);
+}

@@ -1,0 +1,47 @@
+//! What is good: nothing at all, the default file, and every configuration that we ship.
+
+use std::path::Path;
+
+use cdcr_controller::robot::Configuration;
+
+use crate::config::{Config, DEFAULT_TEXT};
+
+#[test]
+fn the_default_file_is_the_default_and_every_key_is_in_it() {
+    let from_text: Config = toml::from_str(DEFAULT_TEXT).expect("the default file is TOML");
+    assert_eq!(from_text, Config::default());
+    let default = toml::Table::try_from(Config::default()).expect("serialises");
+    let written: toml::Table = toml::from_str(DEFAULT_TEXT).expect("the default file is TOML");
+    for (table, keys) in &default {
+        for key in keys.as_table().expect("a table").keys() {
+            assert!(
+                written[table].get(key).is_some(),
+                "{table}.{key} is not in default.toml"
+            );
+        }
+    }
+}
+
+#[test]
+fn every_configuration_that_we_ship_is_good() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs");
+    let mut count = 0;
+    for entry in std::fs::read_dir(folder).unwrap().flatten() {
+        if entry
+            .path()
+            .extension()
+            .is_some_and(|extension| extension == "toml")
+        {
+            Config::load(&entry.path()).unwrap_or_else(|error| panic!("{error}"));
+            count += 1;
+        }
+    }
+    assert!(count >= 4, "{count} configurations");
+}
+
+#[test]
+fn an_empty_file_is_the_papers_robot() {
+    let validated = Config::parse("", Path::new("x")).expect("empty is legal");
+    assert_eq!(validated.robot.section_count(), 3);
+    assert_eq!(validated.initial, Configuration::straight(3));
+}

@@ -1,0 +1,155 @@
+//! Texts with a mistake: each is named with its file, its line and its key, and none is a panic.
+
+use std::path::Path;
+
+use super::error_of;
+use crate::config::Config;
+
+#[test]
+fn unknown_keys_and_bad_values_are_named_with_file_and_line() {
+    assert_eq!(
+        error_of("[cycle]\nperiodms = 5\n"),
+        "robot.toml, line 2: unknown key cycle.periodms: did you mean cycle.period_ms?"
+    );
+    assert_eq!(
+        error_of("link.kind = \"simulated\"\nlink.colour = 7\n"),
+        "robot.toml, line 2: unknown key link.colour: `cdcrd config default` shows every key"
+    );
+
+    let message = error_of("# comment\n[cycle]\nperiod_ms = 0.05\n");
+    for part in [
+        "robot.toml",
+        "line 3",
+        "cycle.period_ms",
+        "0.05",
+        "0.1 to 100",
+    ] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let message = error_of("[controller]\nseed = 1\nswarm_size = 9999\n");
+    for part in ["line 3", "controller.swarm_size", "1 to 512"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    for (text, parts) in [
+        (
+            "[robot]\ncable_stroke_max_m = 0.0\n",
+            ["line 2", "robot.cable_stroke_max_m", "0.0001"],
+        ),
+        (
+            "[controller]\nsafe_distance_m = -0.1\n",
+            ["line 2", "controller.safe_distance_m", "0 to 10"],
+        ),
+        (
+            "[controller]\norientation_tolerance_rad = 2.0\n",
+            ["line 2", "controller.orientation_tolerance_rad", "0 to 1"],
+        ),
+        (
+            "[controller]\nobstacle_slope_penalty = 0.0\n",
+            [
+                "line 2",
+                "controller.obstacle_slope_penalty",
+                "allowed is 1 to 1000000000000",
+            ],
+        ),
+        (
+            "[controller]\ncoordinates = \"polar\"\n",
+            ["line 2", "polar", "bend-angles"],
+        ),
+    ] {
+        let message = error_of(text);
+        for part in parts {
+            assert!(message.contains(part), "{part}: {message}");
+        }
+    }
+    let message = error_of("[motion]\nhome_rate_rad_s = nan\n");
+    assert!(
+        message.contains("line 2") && message.contains("home_rate_rad_s"),
+        "{message}"
+    );
+}
+
+#[test]
+fn section_errors_name_the_section_and_its_line() {
+    let good = "[[robot.sections]]\nlength_m = 0.3\ncable_radius_m = 0.01\ncable_offset_rad = 0.0\n\
+                bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n";
+    assert!(Config::parse(good, Path::new("x")).is_ok());
+    let message = error_of(&format!("{good}{}", good.replace("0.3", "-0.3")));
+    for part in ["line 9", "robot.sections[1].length_m", "-0.3"] {
+        assert!(message.contains(part), "{part}: {message}");
+    }
+    let message = error_of("[[robot.sections]]\nlength_m = 0.3\n");
+    assert!(message.contains("missing field"), "{message}");
+}
+
+#[test]
+fn an_unknown_key_is_found_wherever_it_stands() {
+    for (text, start) in [
+        (
+            "[motion]\n[[cycl]]\n",
+            "robot.toml, line 2: unknown key cycl: ",
+        ),
+        (
+            "period_ms = 5\n[cycle]\n",
+            "robot.toml, line 1: unknown key period_ms: ",
+        ),
+        (
+            "cycle = { perod_ms = 5 }\n",
+            "robot.toml, line 1: unknown key cycle.perod_ms: ",
+        ),
+        (
+            "\ncycle.perod_ms = 5\n",
+            "robot.toml, line 2: unknown key cycle.perod_ms: ",
+        ),
+        (
+            "[[robot.sections]]\n[[robot.sections]]\nlenght_m = 1\n",
+            "robot.toml, line 3: unknown key robot.sections[1].lenght_m: did you mean \
+             robot.sections.length_m?",
+        ),
+        (
+            "[robot]\nsections = [\n  { body_radius = 1 },\n]\n",
+            "robot.toml, line 3: unknown key robot.sections[0].body_radius: did you mean \
+             robot.sections.body_radius_m?",
+        ),
+        (
+            "[transport]\nz = 1\n[cycle]\na = 1\n",
+            "robot.toml, line 2: unknown key transport.z: ",
+        ),
+    ] {
+        let message = error_of(text);
+        assert!(message.starts_with(start), "{message}");
+    }
+}
+
+#[test]
+fn no_text_makes_the_parser_panic() {
+    for text in [
+        "\u{feff}",
+        "\0",
+        "=",
+        "[",
+        "[[",
+        "a.b.c.d = 1",
+        "robot = []",
+        "robot.sections = 1",
+        "\"\" = 1",
+        "robot.sections = [1, {}]",
+        "[robot.sections]",
+        "[cycle.period_ms]",
+        "[[cycle.period_ms]]",
+        "[[cycle]]",
+        "\"a.b[\" = 1",
+        "[robot]\n\"sections[9]\" = 1",
+        "cycle.'period_ms' = 1979-05-27",
+        "controller.seed = 9223372036854775807",
+        "controller.seed = -1",
+        "[π]\nß = 'é'",
+        "cycle.period_ms = inf",
+        "link.initial_bend_rad = [[nan, nan], [nan, nan], [nan, nan]]",
+        "# expected struct\n# expected struct é\nrobot = 1",
+        "robot.sections = []",
+    ] {
+        if let Err(error) = Config::parse(text, Path::new("x")) {
+            assert!(error.to_string().len() > 5);
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! Texts, variables and options that make a configuration, and the messages of those that make none.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+mod defaults;
+mod explanation;
+mod layers;
+mod lines;
+mod rules;
+
+use std::path::Path;
+
+use super::Config;
+
+fn error_of(text: &str) -> String {
+    Config::parse(text, Path::new("robot.toml"))
+        .expect_err("it is wrong")
+        .to_string()
+}

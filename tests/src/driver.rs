@@ -1,0 +1,70 @@
+//! A driver in a process of its own, which can be faulty, and be killed.
+
+use std::io::Write as _;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::{Place, binary};
+
+/// What can be wrong with a driver.
+pub const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
+
+/// A driver process: `cdcr-test-driver`. Dropping it kills it.
+#[derive(Debug)]
+pub struct DriverProcess(Child);
+
+impl DriverProcess {
+    /// Starts one for the daemon of `place`. Its robot is where the last driver left it.
+    pub fn start(place: &Place) -> Self {
+        Self::spawn(Self::command(place))
+    }
+
+    /// The same with a straight robot whose first section is bent by `bend_rad`.
+    pub fn start_at(place: &Place, bend_rad: f64) -> Self {
+        let mut command = Self::command(place);
+        command.arg(bend_rad.to_string());
+        Self::spawn(command)
+    }
+
+    fn command(place: &Place) -> Command {
+        let mut command = Command::new(binary("cdcr-test-driver"));
+        command
+            .arg(place.location().prefix())
+            .arg(place.location().root());
+        command
+    }
+
+    fn spawn(mut command: Command) -> Self {
+        command
+            .stdin(Stdio::piped())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null());
+        Self(command.spawn().expect("the driver starts"))
+    }
+
+    /// Makes it faulty for a while.
+    pub fn be(&mut self, fault: &str, duration: Duration) {
+        let pipe = self.0.stdin.as_mut().expect("its input is a pipe");
+        // A driver that is just being killed does not hear it.
+        let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
+    }
+
+    /// Sends it a signal.
+    pub fn signal(&self, signal: Signal) {
+        kill_process(Pid::from_child(&self.0), signal).expect("it is a child");
+    }
+
+    /// Whether it has not ended.
+    pub fn runs(&mut self) -> bool {
+        self.0.try_wait().expect("it is a child").is_none()
+    }
+}
+
+impl Drop for DriverProcess {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
