@@ -22,10 +22,11 @@ use standard_error::{Text, TextGuard};
 use tracing::callsite::Identifier;
 use tracing::{Event, Subscriber};
 use tracing_journald::{Priority, PriorityMappings};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
 use tracing_subscriber::layer::{Context, SubscriberExt};
 use tracing_subscriber::registry::LookupSpan;
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer};
 
 /// How often one place in the program may log within [`INTERVAL`].
 pub const LINES_MAX: u32 = 20;
@@ -41,7 +42,8 @@ pub struct Log {
 }
 
 impl Log {
-    /// Sets the log of the process up. `RUST_LOG` chooses what is logged; without it, `info` and above.
+    /// Sets the log of the process up. `RUST_LOG` chooses what is logged: a level, or a list such as
+    /// `info,cdcr_daemon::exchange=debug`; without it, `info` and above.
     /// Errors of iceoryx2 are lines of it, and so are the words of a panic, in any thread.
     pub fn start() -> Self {
         let (text, guard) = Text::new();
@@ -65,20 +67,40 @@ impl Log {
 }
 
 fn start_lines(text: &Text) {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let (filter, misunderstood) = filter(std::env::var("RUST_LOG").ok().as_deref());
     let log = tracing_subscriber::registry()
         .with(filter)
         .with(RateLimit::new(LINES_MAX, INTERVAL));
     let stream = std::env::var("JOURNAL_STREAM").ok();
-    if !stream.is_some_and(|stream| is_standard_error(&stream)) {
-        return log.with(lines(text)).init();
-    }
-    match journal() {
-        Ok(journal) => log.with(journal).init(),
-        Err(error) => {
-            log.with(lines(text)).init();
-            tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
+    if stream.is_some_and(|stream| is_standard_error(&stream)) {
+        match journal() {
+            Ok(journal) => log.with(journal).init(),
+            Err(error) => {
+                log.with(lines(text)).init();
+                tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
+            }
         }
+    } else {
+        log.with(lines(text)).init();
+    }
+    if let Some(error) = misunderstood {
+        tracing::warn!(
+            "RUST_LOG is ignored: {error}; use a level (error, warn, info, debug, trace) or \
+             target=level, separated by commas"
+        );
+    }
+}
+
+/// What `RUST_LOG` asks for, and why it is ignored if it makes no sense.
+fn filter(rust_log: Option<&str>) -> (Targets, Option<ParseError>) {
+    let default = Targets::new().with_default(LevelFilter::INFO);
+    match rust_log
+        .filter(|text| !text.trim().is_empty())
+        .map(str::parse)
+    {
+        None => (default, None),
+        Some(Ok(filter)) => (filter, None),
+        Some(Err(error)) => (default, Some(error)),
     }
 }
 
@@ -247,7 +269,22 @@ mod tests {
 
     use std::process::Command;
 
+    use tracing::Level;
+
     use super::*;
+
+    #[test]
+    fn rust_log_is_a_level_or_a_list_of_targets() {
+        let enables = |rust_log, target, level| filter(rust_log).0.would_enable(target, &level);
+        assert!(enables(None, "cdcr_daemon", Level::INFO));
+        assert!(!enables(None, "cdcr_daemon", Level::DEBUG));
+        assert!(enables(Some("debug"), "cdcr_daemon", Level::DEBUG));
+        let list = Some("warn,cdcr_daemon::exchange=trace");
+        assert!(enables(list, "cdcr_daemon::exchange::gather", Level::TRACE));
+        assert!(!enables(list, "cdcr_daemon::cycle", Level::INFO));
+        let (fallback, error) = filter(Some("cdcr_daemon=loud"));
+        assert!(error.is_some() && fallback.would_enable("cdcr_daemon", &Level::INFO));
+    }
 
     #[test]
     fn so_many_lines_pass_and_the_rest_is_counted_and_said() {

@@ -1,19 +1,23 @@
 //! What the tests of the whole system share: a real daemon as a real process, on a prefix of its own.
 //!
 //! Binaries are found beside the test executable, where cargo puts them. Whatever a test leaves
-//! behind, a panic included, is removed when its [`Daemon`] is dropped.
+//! behind, a panic included, is removed when its [`Daemon`] is dropped; what a run left behind that was
+//! killed, the next one removes.
 
 #![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
 
 pub mod driver;
 pub mod load;
 pub mod record;
+mod sweep;
 pub mod system_calls;
 
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, TelemetryStream};
@@ -23,8 +27,9 @@ use rustix::process::{Pid, Signal, kill_process};
 
 /// Robot name of every test.
 pub const ROBOT: &str = "cdcr";
-/// How long anything may take before a test gives up. Generous: machines stall.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+/// How long anything may take before a test gives up. Generous, because machines stall; only a test that fails
+/// takes so long.
+pub const PATIENCE: Duration = Duration::from_secs(60);
 /// Configuration where timing is not the subject: on a machine that stalls no lease expires, and no
 /// missed deadline stops the robot.
 pub const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
@@ -53,13 +58,14 @@ pub struct Place {
 }
 
 impl Place {
-    /// A fresh place.
+    /// A fresh place. The first of a process sweeps what killed processes left.
     pub fn new() -> Self {
         static COUNT: AtomicU32 = AtomicU32::new(0);
+        sweep::sweep_once();
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let prefix = format!("cdcrtest_{}_{count}_", std::process::id());
+        let prefix = sweep::place_name(std::process::id(), count);
         let folder = tempfile::Builder::new()
-            .prefix("cdcrtest")
+            .prefix(&prefix)
             .tempdir()
             .expect("a folder");
         let location = Location::new(&prefix, &folder.path().join("root")).expect("a legal place");
@@ -270,14 +276,19 @@ impl Drop for Daemon {
 #[derive(Debug)]
 pub struct Program {
     child: Child,
+    out: Printed,
+    err: Printed,
 }
 
 impl Program {
     /// Starts it; what it prints is kept.
     pub fn start(command: &mut Command) -> Self {
         let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().expect("the program starts");
         Self {
-            child: command.spawn().expect("the program starts"),
+            out: Printed::read(child.stdout.take().expect("a pipe")),
+            err: Printed::read(child.stderr.take().expect("a pipe")),
+            child,
         }
     }
 
@@ -297,25 +308,23 @@ impl Program {
         status.is_none()
     }
 
-    /// Waits for its end. What it prints must fit into a pipe.
+    /// Lines that it has printed on standard output so far.
+    pub fn lines(&self) -> usize {
+        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
+        text.iter().filter(|byte| **byte == b'\n').count()
+    }
+
+    /// Waits for its end.
     pub fn output(&mut self) -> Output {
         let begin = Instant::now();
         while self.runs() {
             assert!(begin.elapsed() < PATIENCE, "the program does not end");
             std::thread::sleep(Duration::from_millis(5));
         }
-        let status = self.child.wait().expect("it is our child");
-        let (mut stdout, mut stderr) = (Vec::new(), Vec::new());
-        if let Some(mut pipe) = self.child.stdout.take() {
-            pipe.read_to_end(&mut stdout).expect("a pipe");
-        }
-        if let Some(mut pipe) = self.child.stderr.take() {
-            pipe.read_to_end(&mut stderr).expect("a pipe");
-        }
         Output {
-            status,
-            stdout,
-            stderr,
+            status: self.child.wait().expect("it is our child"),
+            stdout: self.out.to_the_end(),
+            stderr: self.err.to_the_end(),
         }
     }
 }
@@ -324,6 +333,40 @@ impl Drop for Program {
     fn drop(&mut self) {
         let _ = self.child.kill();
         let _ = self.child.wait();
+    }
+}
+
+/// What a program prints, read while it runs: a full pipe would hold it up.
+#[derive(Debug)]
+struct Printed {
+    text: Arc<Mutex<Vec<u8>>>,
+    reader: Option<JoinHandle<()>>,
+}
+
+impl Printed {
+    fn read(mut pipe: impl Read + Send + 'static) -> Self {
+        let text = Arc::<Mutex<Vec<u8>>>::default();
+        let kept = text.clone();
+        let reader = std::thread::spawn(move || {
+            let mut part = [0; 4096];
+            while let Ok(length @ 1..) = pipe.read(&mut part) {
+                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
+                kept.extend_from_slice(&part[..length]);
+            }
+        });
+        Self {
+            text,
+            reader: Some(reader),
+        }
+    }
+
+    /// All of it, of a program that has ended.
+    fn to_the_end(&mut self) -> Vec<u8> {
+        if let Some(reader) = self.reader.take() {
+            reader.join().expect("it only reads");
+        }
+        let text = self.text.lock().unwrap_or_else(PoisonError::into_inner);
+        text.clone()
     }
 }
 
@@ -381,5 +424,37 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
         }
         assert!(begin.elapsed() < PATIENCE, "no such status: {status:?}");
         std::thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as
+/// a client that lost its lease before the test could kill it.
+pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> R {
+    for _ in 0..UNDISTURBED_TRIES {
+        if let Some(result) = case() {
+            return result;
+        }
+        println!("once more, because the machine stalled: {what}");
+    }
+    panic!("in {UNDISTURBED_TRIES} tries the machine never let it happen: {what}");
+}
+
+/// More than a machine needs that stalls for a third of the time.
+const UNDISTURBED_TRIES: usize = 20;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_program_prints_may_be_more_than_a_pipe_holds() {
+        let mut command = Command::new("sh");
+        command.args(["-c", "yes | head -c 1000000; echo late >&2; exit 3"]);
+        let output = Program::start(&mut command).output();
+        assert_eq!(output.status.code(), Some(3));
+        assert_eq!(
+            (output.stdout.len(), &output.stderr[..]),
+            (1_000_000, &b"late\n"[..])
+        );
     }
 }

@@ -7,6 +7,8 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
+mod solver;
+
 use std::os::unix::process::ExitStatusExt;
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};

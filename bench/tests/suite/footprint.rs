@@ -1,0 +1,111 @@
+//! What `cdcr-bench footprint` hands over, from one daemon for a moment.
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+
+use cdcr_bench::system::counts;
+use cdcr_test_skip::{Need, skip};
+use serde_json::Value;
+
+fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
+    let child = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
+        .args(args)
+        .env("TMPDIR", temporary)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    (child.id(), child.wait_with_output().unwrap())
+}
+
+/// Files of a process of ours in shared memory.
+fn left_by(process: u32) -> Vec<String> {
+    let mark = format!("cdcr-bench-{process}-");
+    let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
+    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
+    names.filter(|name| name.contains(&mark)).collect()
+}
+
+#[test]
+fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let args = [
+        "footprint",
+        "--rounds",
+        "1",
+        "--duration",
+        "500ms",
+        "--format",
+        "json",
+    ];
+    let (process, output) = bench(folder.path(), &args);
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let document: Value = serde_json::from_slice(&output.stdout).unwrap();
+
+    let rounds = document["rounds"].as_array().unwrap();
+    assert_eq!(rounds.len(), 1);
+    let start = &rounds[0]["start"];
+    let ms = |key: &str| start[key].as_f64().unwrap();
+    // The first good cycle comes after its release, and the daemon cannot be seen before it is there.
+    assert!(
+        ms("first_release_ms") > 0.0 && ms("ready_ms") > ms("first_release_ms"),
+        "{start}"
+    );
+    assert!(ms("first_record_ms") > ms("first_release_ms"), "{start}");
+
+    let figure = |key: &str| {
+        let figures = document["figures"].as_array().unwrap();
+        let row = figures.iter().find(|row| row["key"] == key);
+        row.unwrap()["median"].as_f64().unwrap()
+    };
+    let parts = figure("own_mb") + figure("shared_mb") + figure("file_mb");
+    assert!((figure("resident_mb") - parts).abs() < 1e-6);
+    assert!(figure("peak_mb") >= figure("resident_mb"));
+    let steps = ["growth_idle_kb", "growth_by_client_kb", "growth_kb"].map(figure);
+    let added_mb = 1e-3 * steps.iter().sum::<f64>();
+    assert!((figure("resident_start_mb") + added_mb - figure("resident_mb")).abs() < 1e-6);
+    let locked = rounds[0]["memory_locked"].as_bool().unwrap();
+    assert!((figure("locked") - f64::from(locked)).abs() < 1e-9);
+    assert!(figure("memory_files") > 0.0 && figure("root_files") > 0.0);
+    assert_eq!(document["programs"].as_array().unwrap().len(), 3);
+
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+    assert_eq!(left_by(process), [""; 0]);
+
+    if counts::threads(std::process::id()).is_empty() {
+        skip(
+            Need::Kernel,
+            "it does not count what a thread ran (schedstat)",
+        );
+        return;
+    }
+    let threads = document["threads"].as_array().unwrap();
+    let used = |name: &str| {
+        let thread = threads.iter().find(|thread| thread["name"] == name);
+        thread.unwrap()["tracking_percent"].as_f64().unwrap()
+    };
+    assert!(used("cdcr-cycle") > 0.0 && used("cdcr-exchange") > 0.0 && used("cdcrd") > 0.0);
+
+    let sum = used("cdcr-cycle") + used("cdcr-exchange");
+    assert!((figure("core_tracking_percent") - sum).abs() < 1e-9);
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused_at_once() {
+    let folder = tempfile::tempdir().unwrap();
+    for (args, said) in [
+        (&["footprint", "--duration", "1ms"][..], "100ms to 1h"),
+        (&["footprint", "--rounds", "0"], "1..=100"),
+        (
+            &["footprint", "--quick", "--rounds", "2"],
+            "cannot be used with",
+        ),
+    ] {
+        let (_, output) = bench(folder.path(), args);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(
+            !output.status.success() && errors.contains(said),
+            "{args:?}: {errors}"
+        );
+    }
+}

@@ -1,0 +1,203 @@
+//! What `cdcr-bench latency` hands over, from a few samples; and that its peer leaves nothing.
+
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cdcr_bench::latency::bare::PEER;
+use cdcr_bench::latency::{Leg, Options, run};
+use cdcr_bench::progress::Progress;
+use cdcr_bench::section::Section;
+use cdcr_bench::subject::place::Place;
+use serde_json::Value;
+
+/// How long a process may take: machines stall.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn program() -> Command {
+    Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
+}
+
+/// Two rounds: each leg has its samples, and its parts make the whole.
+#[test]
+fn every_way_is_measured_in_every_round() {
+    let options = Options {
+        rounds: 2,
+        samples: 10,
+        ..Options::default()
+    };
+    let report = run(&options, &mut Progress::silent()).unwrap();
+    let samples = |leg: Leg| {
+        report
+            .rows
+            .iter()
+            .find(|row| row.leg == leg)
+            .map_or(0, |row| row.samples)
+    };
+    for leg in Leg::ALL {
+        assert!(samples(leg) > 0, "{}", leg.name());
+    }
+    for leg in [
+        Leg::ReferenceCommand,
+        Leg::ObstacleGrid,
+        Leg::MeasurementMachinery,
+        Leg::LeaseAnswer,
+    ] {
+        assert!(samples(leg) >= 20, "{}: {}", leg.name(), samples(leg));
+    }
+    assert_eq!(samples(Leg::StopZeroCommand), 8);
+    assert_eq!(samples(Leg::StopZeroCommand), samples(Leg::StopGrid));
+    assert_eq!(samples(Leg::BareOneWay), 160);
+    // Nobody can have an effect before what causes it.
+    let least = |leg: Leg| report.rows[leg as usize].latency_us.min;
+    assert!(least(Leg::BareRoundTrip) >= least(Leg::BareOneWay));
+    assert!(least(Leg::CommandRelease) >= least(Leg::CommandHandover));
+    assert!(least(Leg::CommandHandover) >= least(Leg::CommandHop));
+    assert!(least(Leg::CommandHop) > 0.0);
+    assert!(report.setting.looks.all > 0 && report.setting.looks.late <= report.setting.looks.all);
+    assert!((report.setting.period_us - 5000.0).abs() < 1e-9);
+    let metrics = report.metrics();
+    assert!(
+        metrics.iter().all(|metric| metric.rounds.len() == 2),
+        "{metrics:?}"
+    );
+    let json: Value = report.json().unwrap();
+    assert_eq!(json["targets"][0]["limit_us"], 5100.0);
+    assert!(json["unmeasured"]["spoilt_stops"].is_u64());
+    assert!(json["unmeasured"]["without_command"].is_u64());
+    assert_eq!(report.pictures().unwrap().len(), 1);
+}
+
+#[test]
+fn the_program_prints_csv_and_takes_another_period() {
+    let output = program()
+        .args([
+            "latency",
+            "--rounds",
+            "1",
+            "--samples",
+            "5",
+            "--period",
+            "10ms",
+            "--format",
+            "csv",
+        ])
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let mut reader = csv::Reader::from_reader(output.stdout.as_slice());
+    let heads = reader.headers().unwrap().clone();
+    for name in [
+        "leg",
+        "from",
+        "to",
+        "samples",
+        "latency_us_p50",
+        "latency_us_p999",
+        "rounds_us_p99",
+    ] {
+        assert!(heads.iter().any(|head| head == name), "{name} in {heads:?}");
+    }
+    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), Leg::ALL.len());
+}
+
+#[test]
+fn what_cannot_be_measured_is_refused_with_a_reason() {
+    for (arguments, word) in [
+        (vec!["--samples", "1"], "5..=10000"),
+        (vec!["--quick", "--rounds", "3"], "cannot be used with"),
+        (vec!["--period", "soon"], "--period"),
+        (
+            vec![
+                "--rounds",
+                "1",
+                "--samples",
+                "5",
+                "--config",
+                "/no/such/file.toml",
+            ],
+            "/no/such/file.toml",
+        ),
+    ] {
+        let output = program().arg("latency").args(&arguments).output().unwrap();
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{arguments:?}");
+        assert!(errors.contains(word), "{arguments:?}: {errors}");
+    }
+}
+
+/// A peer at `place` whose parent is, so it is told, the process `parent`.
+fn start_peer(place: &Place, parent: &str) -> Child {
+    program()
+        .args([
+            PEER,
+            "--prefix",
+            place.location().prefix(),
+            "--core",
+            "0",
+            "--shares",
+            "--root",
+        ])
+        .arg(place.location().root())
+        .args(["--parent", parent])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+fn wait_until(what: &str, mut is_true: impl FnMut() -> bool) {
+    let begin = Instant::now();
+    while !is_true() {
+        assert!(begin.elapsed() < PATIENCE, "{what} takes too long");
+        thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_peer_is_only_its_parents() {
+    let place = Place::new().unwrap();
+    let output = start_peer(&place, "0").wait_with_output().unwrap();
+    assert!(!output.status.success());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("the parent has ended"));
+    assert!(place.memory_files().is_empty());
+}
+
+#[test]
+fn a_peer_that_is_told_to_end_leaves_no_port() {
+    let place = Place::new().unwrap();
+    let mut peer = start_peer(&place, &std::process::id().to_string());
+    wait_until("the start of the peer", || place.memory_files().len() > 2);
+    // Asked twice, by the parent and by the kernel, it ends in order all the same.
+    let id = rustix::process::Pid::from_child(&peer);
+    for _ in 0..2 {
+        rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
+    }
+    wait_until("the end of the peer", || peer.try_wait().unwrap().is_some());
+    let left = place.memory_files();
+    assert!(
+        left.iter()
+            .all(|file| file.extension().is_some_and(|end| end == "global_mgmt")),
+        "{left:?}"
+    );
+}
+
+#[test]
+fn a_peer_whose_parent_is_killed_leaves_nothing() {
+    let place = Place::new().unwrap();
+    let script = r#""$0" "$@" --parent $$ & wait"#;
+    let mut parent = Command::new("sh")
+        .args(["-c", script, env!("CARGO_BIN_EXE_cdcr-bench"), PEER])
+        .args(["--prefix", place.location().prefix(), "--core", "0"])
+        .args(["--shares", "--root"])
+        .arg(place.location().root())
+        .spawn()
+        .unwrap();
+    wait_until("the start of the peer", || place.memory_files().len() > 2);
+    parent.kill().unwrap();
+    parent.wait().unwrap();
+    wait_until("the end of the peer", || {
+        place.memory_files().is_empty() && !place.location().root().exists()
+    });
+}

@@ -1,0 +1,12 @@
+//! Clearance against an independent oracle (the curve sampled by forward kinematics, each sample's distance to the obstacle
+//! in closed form, then refined), against geometry that is known, and its derivatives against differences.
+
+mod arc;
+mod body;
+mod curve;
+mod derivative;
+mod lanes;
+mod numbers;
+mod oracle;
+mod reach;
+mod scene;

@@ -1,0 +1,13 @@
+//! Tests of the public interface, in one program: each test program costs a link.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+mod clearance;
+mod jacobian;
+mod kinematics_golden;
+mod nmpc;
+mod scenes;
+mod subnormal;

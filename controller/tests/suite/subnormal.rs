@@ -1,0 +1,67 @@
+//! Subnormal numbers do not slow a solve down, so nobody needs to switch them off
+//! (docs/decisions/0008-subnormal-numbers.md).
+
+use std::time::{Duration, Instant};
+
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::Budget;
+use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+use nalgebra::Vector3;
+
+/// A solve at a configuration of about `bend_rad` with a tip that is off by about `error_m`.
+struct Scene {
+    nmpc: Nmpc,
+    configuration: Configuration,
+    rates: BendRates,
+    reference: [ReferenceSample; 2],
+}
+
+impl Scene {
+    fn new(bend_rad: f64, error_m: f64) -> Self {
+        let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+        let shape = [1.0, -0.5, 0.3, 1.0, 0.2, 0.7].map(|part| part * bend_rad);
+        let tip_m = robot.tip_position(&shape);
+        let sample = |step: f64| ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: tip_m + Vector3::new(step, -0.5 * step, -0.1) * error_m,
+            ..ReferenceSample::default()
+        };
+        Self {
+            nmpc: Nmpc::new(robot, 0.005, NmpcSettings::default()).unwrap(),
+            configuration: Configuration::from_slice(&shape).unwrap(),
+            rates: BendRates::from_slice(&shape.map(|bend| 0.1 * bend)).unwrap(),
+            reference: [sample(1.0), sample(2.0)],
+        }
+    }
+
+    fn solve(&mut self, seed: u64) -> Duration {
+        let input = SolveInput {
+            configuration: &self.configuration,
+            previous_rates: &self.rates,
+            reference: &self.reference,
+            obstacles: &[],
+            elapsed_periods: 1,
+            seed,
+        };
+        let begin = Instant::now();
+        std::hint::black_box(self.nmpc.solve(&input, &mut Budget::unlimited()));
+        begin.elapsed()
+    }
+}
+
+#[test]
+fn subnormal_numbers_cost_no_more_than_zeros() {
+    // A straight robot is singular whether by zeros or by numbers that are nearly zero.
+    let mut straight = Scene::new(0.0, 1e-3);
+    let mut subnormal = Scene::new(1e-310, 1e-3);
+    assert!(subnormal.configuration.as_slice()[0].is_subnormal());
+    // Side by side, so that a stall hits both.
+    let (mut of_zeros, mut of_subnormal): (Vec<_>, Vec<_>) = (0..401)
+        .map(|seed| (straight.solve(seed), subnormal.solve(seed)))
+        .unzip();
+    of_zeros.sort();
+    of_subnormal.sort();
+    let (zeros, tiny) = (of_zeros[200], of_subnormal[200]);
+    assert!(tiny <= 2 * zeros, "{tiny:?} against {zeros:?}");
+}

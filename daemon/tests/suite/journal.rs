@@ -1,0 +1,155 @@
+//! What `cdcrd run` writes into the system journal: the real program, with a journal of the test's own where
+//! the system's is, in a mount namespace.
+
+use std::collections::BTreeMap;
+use std::io::Read;
+use std::os::fd::OwnedFd;
+use std::os::unix::net::{UnixDatagram, UnixStream};
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::Duration;
+
+use cdcr_test_skip::{Need, skip};
+
+/// How long anything may take before the test gives up. Generous: machines stall.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Puts the folder of the test where the journal's socket is, and becomes the program.
+const SCRIPT: &str = "mount -t tmpfs none /run && mkdir -p /run/systemd/journal \
+    && mount --bind \"$0\" /run/systemd/journal && exec \"$@\"";
+
+/// The fields of an entry in the journal's own protocol: a name, then either `=` and a line, or a line feed,
+/// the length, and so many bytes.
+fn fields(mut entry: &[u8]) -> BTreeMap<String, String> {
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let mut fields = BTreeMap::new();
+    while let Some(end) = entry.iter().position(|byte| *byte == b'\n') {
+        let line = &entry[..end];
+        entry = &entry[end + 1..];
+        if let Some(equals) = line.iter().position(|byte| *byte == b'=') {
+            fields.insert(text(&line[..equals]), text(&line[equals + 1..]));
+        } else {
+            let (length, rest) = entry.split_at(8);
+            let length = u64::from_le_bytes(length.try_into().unwrap());
+            let (value, rest) = rest.split_at(usize::try_from(length).unwrap());
+            fields.insert(text(line), text(value));
+            entry = &rest[1..];
+        }
+    }
+    fields
+}
+
+/// `program`, with the journal in `folder`. As root, or where users may make namespaces.
+fn with_journal(folder: &Path, program: &str) -> Command {
+    let root = rustix::process::geteuid().is_root();
+    let mut command = Command::new("unshare");
+    command.arg("--mount");
+    if !root {
+        command.arg("--map-root-user");
+    }
+    command.args(["sh", "-c", SCRIPT]).arg(folder).arg(program);
+    command
+}
+
+fn may_have_a_journal(folder: &Path) -> bool {
+    match with_journal(folder, "true").output() {
+        Ok(output) if output.status.success() => true,
+        Ok(output) => {
+            let reason = String::from_utf8_lossy(&output.stderr);
+            skip(Need::Mount, reason.trim());
+            false
+        }
+        Err(error) => {
+            skip(
+                Need::UtilLinux,
+                format_args!("unshare cannot be run: {error}"),
+            );
+            false
+        }
+    }
+}
+
+/// The program, logging to a standard error that `JOURNAL_STREAM` names if `named`. Returns the fields of
+/// what came to the journal, and the text that came to the standard error.
+fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
+    let folder = tempfile::tempdir().unwrap();
+    let journal = UnixDatagram::bind(folder.path().join("socket")).unwrap();
+    if !may_have_a_journal(folder.path()) {
+        return None;
+    }
+    journal.set_read_timeout(Some(PATIENCE)).unwrap();
+    let (theirs, mut ours) = UnixStream::pair().unwrap();
+    ours.set_read_timeout(Some(PATIENCE)).unwrap();
+    let file = rustix::fs::fstat(&theirs).unwrap();
+    let inode = if named { file.st_ino } else { file.st_ino + 1 };
+    let mut child = with_journal(folder.path(), env!("CARGO_BIN_EXE_cdcrd"))
+        .args([
+            "run",
+            "--prefix",
+            &format!("cdcrtest_journal_{named}_{}_", std::process::id()),
+        ])
+        .args(["--robot", "journal", "--root"])
+        .arg(folder.path().join("root"))
+        .env("JOURNAL_STREAM", format!("{}:{inode}", file.st_dev))
+        .env_remove("RUST_LOG")
+        .env_remove("CDCR_CONFIG")
+        .stdin(Stdio::null())
+        .stderr(OwnedFd::from(theirs))
+        .spawn()
+        .unwrap();
+    let (mut entries, mut text) = (Vec::new(), String::new());
+    let mut buffer = vec![0; 65536];
+    while !entries.iter().any(is_running) && !text.contains("running") {
+        if named {
+            let length = journal.recv(&mut buffer).unwrap();
+            entries.push(fields(&buffer[..length]));
+        } else {
+            let length = ours.read(&mut buffer).unwrap();
+            assert!(length > 0, "the daemon ended: {text}");
+            text += &String::from_utf8_lossy(&buffer[..length]);
+        }
+    }
+    let id = rustix::process::Pid::from_child(&child);
+    rustix::process::kill_process(id, rustix::process::Signal::TERM).unwrap();
+    assert!(child.wait().unwrap().success());
+    ours.read_to_string(&mut text).unwrap();
+    if !named {
+        journal.set_nonblocking(true).unwrap();
+        assert!(journal.recv(&mut [0]).is_err(), "it is not the journal");
+    }
+    Some((entries, text))
+}
+
+fn is_running(entry: &BTreeMap<String, String>) -> bool {
+    entry
+        .get("MESSAGE")
+        .is_some_and(|message| message == "running")
+}
+
+#[test]
+fn lines_come_with_their_fields_when_the_standard_error_is_the_journal() {
+    let Some((entries, text)) = run(true) else {
+        return;
+    };
+    let running = entries.iter().find(|entry| is_running(entry)).unwrap();
+    for (field, value) in [
+        ("CDCR_ROBOT", "journal"),
+        ("CDCR_SECTIONS", "3"),
+        ("PRIORITY", "6"),
+        ("SYSLOG_IDENTIFIER", "cdcrd"),
+    ] {
+        assert_eq!(
+            running.get(field).map(String::as_str),
+            Some(value),
+            "{field}: {running:?}"
+        );
+    }
+    assert!(!text.contains("running"), "said twice: {text}");
+}
+
+#[test]
+fn lines_are_text_when_the_standard_error_is_something_else() {
+    let Some((_, text)) = run(false) else {
+        return;
+    };
+    assert!(text.contains("running robot=\"journal\""), "{text}");
+}

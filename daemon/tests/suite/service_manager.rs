@@ -1,0 +1,267 @@
+//! What `cdcrd run` tells the service manager that started it: the real program on a real socket.
+
+use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
+use std::os::unix::net::UnixDatagram;
+use std::path::Path;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::{Duration, Instant};
+
+use cdcr_daemon::exit::ExitCause;
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::process::{Pid, Signal, kill_process};
+use tempfile::TempDir;
+
+/// How long anything may take before the test gives up. Generous: machines stall.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// A stalled machine must not stop the robot.
+const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n";
+
+/// A service manager that started the daemon.
+struct Manager {
+    daemon: Child,
+    socket: UnixDatagram,
+    folder: TempDir,
+    prefix: String,
+}
+
+impl Manager {
+    fn start(name: &str) -> Self {
+        Self::start_onto(name, Stdio::null())
+    }
+
+    /// Starts the daemon with this standard error.
+    fn start_onto(name: &str, stderr: impl Into<Stdio>) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("notify");
+        let socket = UnixDatagram::bind(&path).unwrap();
+        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        let prefix = format!("cdcrtest_{name}_{}_", std::process::id());
+        let daemon = cdcrd(folder.path(), &prefix)
+            .env("NOTIFY_SOCKET", &path)
+            .env("WATCHDOG_USEC", "200000")
+            .env_remove("WATCHDOG_PID")
+            .env("RUST_LOG", "debug")
+            .stderr(stderr)
+            .spawn()
+            .unwrap();
+        Self {
+            daemon,
+            socket,
+            folder,
+            prefix,
+        }
+    }
+
+    /// Everything that was said, line by line, up to a line that starts with `what`.
+    fn hear_until(&self, what: &str) -> Vec<String> {
+        let begin = Instant::now();
+        let mut heard = Vec::new();
+        let mut buffer = [0; 4096];
+        while begin.elapsed() < PATIENCE {
+            let length = self.socket.recv(&mut buffer);
+            let length = length.unwrap_or_else(|error| panic!("{what}: {error}; heard {heard:?}"));
+            let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
+            heard.extend(text.lines().map(str::to_owned));
+            if heard.iter().any(|line| line.starts_with(what)) {
+                return heard;
+            }
+        }
+        panic!("{what} never came; heard {heard:?}")
+    }
+
+    fn end(&mut self) -> ExitStatus {
+        kill_process(Pid::from_child(&self.daemon), Signal::TERM).unwrap();
+        wait(&mut self.daemon)
+    }
+}
+
+fn wait(daemon: &mut Child) -> ExitStatus {
+    let begin = Instant::now();
+    loop {
+        if let Some(status) = daemon.try_wait().unwrap() {
+            return status;
+        }
+        if begin.elapsed() > PATIENCE {
+            let _ = daemon.kill();
+            panic!("the daemon does not end");
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+impl Drop for Manager {
+    fn drop(&mut self) {
+        let _ = self.daemon.kill();
+        let _ = self.daemon.wait();
+        for entry in std::fs::read_dir("/dev/shm")
+            .into_iter()
+            .flatten()
+            .flatten()
+        {
+            if entry
+                .file_name()
+                .to_string_lossy()
+                .starts_with(&self.prefix)
+            {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+/// The daemon, below `folder`.
+fn cdcrd(folder: &Path, prefix: &str) -> Command {
+    let configuration = folder.join("robot.toml");
+    std::fs::write(&configuration, PATIENT).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
+    command
+        .args(["run", "--robot", "cdcr", "--prefix", prefix])
+        .arg("--config")
+        .arg(configuration)
+        .arg("--root")
+        .arg(folder.join("root"))
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+/// A pipe that takes nothing more, and that nobody reads.
+fn full_pipe() -> (PipeReader, PipeWriter) {
+    let (reader, mut writer) = std::io::pipe().unwrap();
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    let full = loop {
+        if let Err(error) = writer.write(&[b' '; 4096]) {
+            break error;
+        }
+    };
+    assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
+    fcntl_setfl(&writer, flags).unwrap();
+    (reader, writer)
+}
+
+fn count(heard: &[String], what: &str) -> usize {
+    heard.iter().filter(|line| line.starts_with(what)).count()
+}
+
+#[test]
+fn a_life_is_told_from_ready_to_stopping() {
+    let mut manager = Manager::start("life");
+    let mut heard = manager.hear_until("READY=1");
+    heard.extend(manager.hear_until("STATUS="));
+    heard.extend(manager.hear_until("WATCHDOG=1"));
+    heard.extend(manager.hear_until("WATCHDOG=1"));
+    kill_process(Pid::from_child(&manager.daemon), Signal::TERM).unwrap();
+    heard.extend(manager.hear_until("STOPPING=1"));
+    assert!(manager.end().success());
+    assert_eq!(count(&heard, "READY=1"), 1, "{heard:?}");
+    let ready = heard.iter().position(|line| line == "READY=1").unwrap();
+    let stopping = heard.iter().position(|line| line == "STOPPING=1").unwrap();
+    assert!(ready < stopping, "{heard:?}");
+    let status = heard
+        .iter()
+        .find(|line| line.starts_with("STATUS="))
+        .unwrap();
+    for part in [" Hz, ", " miss", " skipped period"] {
+        assert!(status.contains(part), "{status}");
+    }
+}
+
+#[test]
+fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
+    let mut manager = Manager::start("still");
+    manager.hear_until("WATCHDOG=1");
+    kill_process(Pid::from_child(&manager.daemon), Signal::STOP).unwrap();
+    manager.socket.set_nonblocking(true).unwrap();
+    // What was under way when the signal came.
+    std::thread::sleep(Duration::from_millis(100));
+    let mut buffer = [0; 4096];
+    while manager.socket.recv(&mut buffer).is_ok() {}
+    std::thread::sleep(Duration::from_millis(500));
+    assert!(manager.socket.recv(&mut buffer).is_err(), "it stands still");
+    manager.socket.set_nonblocking(false).unwrap();
+    kill_process(Pid::from_child(&manager.daemon), Signal::CONT).unwrap();
+    manager.hear_until("WATCHDOG=1");
+    assert!(manager.end().success());
+}
+
+#[test]
+fn a_daemon_that_cannot_start_is_never_ready() {
+    let mut manager = Manager::start("first");
+    manager.hear_until("READY=1");
+    let path = manager.folder.path().join("second");
+    let socket = UnixDatagram::bind(&path).unwrap();
+    socket.set_nonblocking(true).unwrap();
+    // Another one for the same robot at the same place.
+    let status = cdcrd(manager.folder.path(), &manager.prefix)
+        .env("NOTIFY_SOCKET", &path)
+        .status()
+        .unwrap();
+    assert_eq!(status.code(), Some(69));
+    let mut buffer = [0; 4096];
+    while let Ok(length) = socket.recv(&mut buffer) {
+        let text = String::from_utf8_lossy(&buffer[..length]);
+        assert!(!text.contains("READY=1"), "{text}");
+    }
+    assert!(manager.end().success());
+}
+
+#[test]
+fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
+    let (_reader, writer) = full_pipe();
+    let mut manager = Manager::start_onto("unread", writer);
+    manager.hear_until("READY=1");
+    for _ in 0..3 {
+        manager.hear_until("STATUS=");
+        manager.hear_until("WATCHDOG=1");
+    }
+    assert!(manager.end().success());
+}
+
+#[test]
+fn a_failure_whose_message_nobody_reads_ends_the_process_with_its_status() {
+    let (_reader, writer) = full_pipe();
+    let folder = tempfile::tempdir().unwrap();
+    let prefix = format!("cdcrtest_mute_{}_", std::process::id());
+    let mut daemon = cdcrd(folder.path(), &prefix)
+        .args(["--set", "cycle.period_ms=-1"])
+        .stderr(writer)
+        .spawn()
+        .unwrap();
+    assert_eq!(wait(&mut daemon).code(), Some(78));
+}
+
+#[test]
+fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
+    let unit = include_str!("../../../packaging/cdcrd.service");
+    let line = unit
+        .lines()
+        .find_map(|line| line.strip_prefix("RestartPreventExitStatus="));
+    let named: Vec<u8> = line
+        .unwrap()
+        .split_whitespace()
+        .map(|number| number.parse().unwrap())
+        .collect();
+    let hopeless = [
+        ExitCause::Usage,
+        ExitCause::AlreadyRuns,
+        ExitCause::Root,
+        ExitCause::NotRealtime,
+        ExitCause::Configuration,
+    ];
+    assert_eq!(named, hopeless.map(ExitCause::code));
+}
+
+#[test]
+fn the_unit_starts_a_daemon_again_that_is_killed_fifty_times_in_a_row() {
+    let unit = include_str!("../../../packaging/cdcrd.service");
+    let value = |key: &str| {
+        unit.lines()
+            .find_map(|line| line.strip_prefix(key))
+            .unwrap()
+    };
+    let starts: u32 = value("StartLimitBurst=").parse().unwrap();
+    assert!(starts > 50, "the first start, and one after each kill");
+    assert_eq!(value("RestartSec="), "100ms");
+}

@@ -1,0 +1,81 @@
+//! What one run of all test programs skipped: a file beside the programs, by the process that started them.
+
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+/// Beginning of the files' names.
+const MARK: &str = "skipped-";
+
+/// All test programs that one process started, for example `cargo test`.
+#[derive(Debug)]
+pub struct Run {
+    folder: PathBuf,
+    starter: String,
+}
+
+impl Run {
+    /// The run that this program is a part of.
+    pub fn this() -> Self {
+        Self::started_by(std::os::unix::process::parent_id())
+    }
+
+    /// The run of the programs that a process starts.
+    pub fn started_by(process: u32) -> Self {
+        let program = std::env::current_exe().expect("the test has a path");
+        Self {
+            folder: program.parent().expect("a folder").to_owned(),
+            starter: mark_of(process),
+        }
+    }
+
+    fn file(&self) -> PathBuf {
+        self.folder.join(format!("{MARK}{}", self.starter))
+    }
+
+    /// Adds a line.
+    pub fn note(&self, line: &str) {
+        let file = OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(self.file());
+        // One call, so that lines of several programs do not mix. Where nothing can be written, the line was shown.
+        let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));
+    }
+
+    /// All lines in order of their text, and forgets them. Also forgets what runs left that have ended.
+    pub fn take(&self) -> Vec<String> {
+        let text = fs::read_to_string(self.file()).unwrap_or_default();
+        let _ = fs::remove_file(self.file());
+        forget_ended(&self.folder);
+        let mut lines: Vec<_> = text.lines().map(str::to_owned).collect();
+        lines.sort();
+        lines
+    }
+}
+
+/// Number and start time: numbers are used again.
+fn mark_of(process: u32) -> String {
+    // The start is field 22, and the name, field 2, may hold spaces.
+    let stat = fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
+    let after_name = stat.rsplit(')').next().unwrap_or_default();
+    let start = after_name.split_whitespace().nth(19).unwrap_or("ended");
+    format!("{process}-{start}")
+}
+
+fn forget_ended(folder: &Path) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let mark = name.to_str().and_then(|name| name.strip_prefix(MARK));
+        let Some((mark, (process, _))) = mark.and_then(|mark| Some((mark, mark.split_once('-')?)))
+        else {
+            continue;
+        };
+        if process
+            .parse()
+            .is_ok_and(|process| mark_of(process) != mark)
+        {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Invariant: nobody waits for ever for what a killed process began.
+//!
+//! iceoryx2 0.10 makes a file in shared memory in two steps: it has no bytes, then its size. Whoever opens one that
+//! stays without bytes, because its maker was killed between the steps, waits without end: a new client that clears
+//! away dead ones, and the daemon when it ends.
+
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use cdcr_tests::Place;
+
+use crate::chaos::Verdict;
+
+/// How old a file without bytes may become: far longer than any process is stopped in a run.
+const AGE_MAX: Duration = Duration::from_secs(10);
+
+/// Looks at the files of a place until `ending`. One that is half made for too long ends the run, and is removed so
+/// that those who wait for it can end.
+pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> Verdict {
+    while !ending.load(Ordering::Relaxed) {
+        for name in place.shared_memory_files() {
+            let path = Path::new("/dev/shm").join(&name);
+            if is_half_made(&path) {
+                ending.store(true, Ordering::Relaxed);
+                // Somebody may have been faster.
+                let _ = fs::remove_file(&path);
+                return Err(format!(
+                    "{name} has no bytes for {} s: whoever opens it waits for ever",
+                    AGE_MAX.as_secs()
+                ));
+            }
+        }
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    Ok(())
+}
+
+fn is_half_made(path: &Path) -> bool {
+    let Ok(file) = fs::metadata(path) else {
+        return false;
+    };
+    let age = file.modified().ok().and_then(|made| made.elapsed().ok());
+    file.len() == 0 && age.is_some_and(|age| age > AGE_MAX)
+}

@@ -1,0 +1,151 @@
+//! Invariant: no command leaves the limits of the robot, and every number of it is finite.
+
+use cdcr_controller::robot::Robot;
+use cdcr_shared_types::{Command, Telemetry};
+
+use crate::chaos::{Verdict, ensure};
+
+/// What rounding may add to a bend \[rad\], a stroke \[m\] or a speed \[m/s\].
+const TOLERANCE: f64 = 1e-9;
+
+/// Checks one command: rates in the box, target and cables inside their limits. Whoever is beyond a limit
+/// already, because rates held for longer than a period or a measurement says so, may not go farther.
+pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> Verdict {
+    let (width, cables) = (robot.coordinate_count(), robot.cable_count());
+    let rates = &command.bend_rate_rad_s[..width];
+    let target = &command.bend_target_rad[..width];
+    check_finite(command)?;
+    let from: Vec<f64> = target
+        .iter()
+        .zip(rates)
+        .map(|(target, rate)| target - period_s * rate)
+        .collect();
+    for (j, section) in robot.sections().iter().enumerate() {
+        let (u, v) = (2 * j, 2 * j + 1);
+        let rate = rates[u].abs().max(rates[v].abs());
+        ensure(rate <= section.rate_max_rad_s, || {
+            format!("section {j} is commanded to bend at {rate} rad/s")
+        })?;
+        let (bend, before) = (target[u].hypot(target[v]), from[u].hypot(from[v]));
+        ensure(bend <= section.bend_max_rad.max(before) + TOLERANCE, || {
+            format!("section {j} is commanded from {before} to {bend} rad")
+        })?;
+    }
+    let speed_max = robot.cable_speed_max_m_s();
+    for speed in &command.cable_speed_m_s[..cables] {
+        ensure(speed.abs() <= speed_max + TOLERANCE, || {
+            format!("a cable is commanded at {speed} m/s")
+        })?;
+    }
+    let (strokes, before) = (robot.cable_strokes(target), robot.cable_strokes(&from));
+    for (stroke, before) in strokes.iter().zip(before) {
+        let most = robot.cable_stroke_max_m().max(before.abs()) + TOLERANCE;
+        ensure(stroke.abs() <= most, || {
+            format!("a cable is commanded from {before} to {stroke} m")
+        })?;
+    }
+    check_cables(robot, command)
+}
+
+/// Cables say the same as bends.
+fn check_cables(robot: &Robot, command: &Command) -> Verdict {
+    let (width, cables) = (robot.coordinate_count(), robot.cable_count());
+    let lengths = robot.cable_lengths(&command.bend_target_rad[..width]);
+    let speeds = robot.cable_speeds(&command.bend_rate_rad_s[..width]);
+    ensure(
+        lengths[..cables] == command.cable_length_m[..cables]
+            && speeds[..cables] == command.cable_speed_m_s[..cables],
+        || "lengths or speeds of cables are not those of the bends".to_owned(),
+    )
+}
+
+fn check_finite(command: &Command) -> Verdict {
+    let numbers = command.bend_rate_rad_s.iter();
+    let numbers = numbers
+        .chain(&command.bend_target_rad)
+        .chain(&command.cable_length_m)
+        .chain(&command.cable_speed_m_s);
+    let finite = numbers.into_iter().all(|number| number.is_finite());
+    ensure(finite, || "a command is not finite".to_owned())
+}
+
+/// Checks that the command of a record is the one that its cycle made.
+pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
+    let command = &record.command;
+    let same = (command.cycle, command.release_ns, command.mode)
+        == (record.cycle, record.release_ns, record.mode);
+    ensure(same, || "the command is another cycle's".to_owned())?;
+    for i in 0..robot.coordinate_count() {
+        let target = record.bend_rad[i] + period_s * command.bend_rate_rad_s[i];
+        ensure(
+            (target - command.bend_target_rad[i]).abs() <= TOLERANCE,
+            || format!("component {i}: the rates lead to {target}, not to the target"),
+        )?;
+    }
+    let state = record.bend_rad.iter().chain(&record.tip_position_m);
+    let state = state
+        .chain(&record.tip_orientation)
+        .chain(&record.previous_rate_rad_s);
+    let finite = state.into_iter().all(|number| number.is_finite());
+    ensure(finite, || "the state of a record is not finite".to_owned())?;
+    check(robot, command, period_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::robot::RobotParameters;
+
+    use super::*;
+
+    fn command(rates: [f64; 6], from: [f64; 6]) -> Command {
+        let robot = robot();
+        let mut command = Command::default();
+        for i in 0..6 {
+            command.bend_rate_rad_s[i] = rates[i];
+            command.bend_target_rad[i] = from[i] + 0.005 * rates[i];
+        }
+        command.cable_length_m = robot.cable_lengths(&command.bend_target_rad[..6]);
+        command.cable_speed_m_s = robot.cable_speeds(&command.bend_rate_rad_s[..6]);
+        command
+    }
+
+    fn robot() -> Robot {
+        let mut parameters = RobotParameters::paper(3);
+        for section in &mut parameters.sections {
+            (section.rate_max_rad_s, section.bend_max_rad) = (2.0, 2.8);
+        }
+        (
+            parameters.cable_speed_max_m_s,
+            parameters.cable_stroke_max_m,
+        ) = (0.03, 0.04);
+        Robot::new(&parameters).unwrap()
+    }
+
+    #[test]
+    fn each_limit_is_held() {
+        let verdict = |rates, from| check(&robot(), &command(rates, from), 0.005);
+        let (slow, straight) = ([0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 6]);
+        assert_eq!(verdict(slow, straight), Ok(()));
+        for (rates, from, word) in [
+            ([2.1, 0.0, 0.0, 0.0, 0.0, 0.0], straight, "2.1 rad/s"),
+            (slow, [2.7999, 0.0, 0.0, 0.0, 0.0, 0.0], "section 0"),
+            ([2.0; 6], straight, "m/s"),
+            (slow, [1.0, 0.0, 1.0, 0.0, 1.5, 0.0], "a cable"),
+            ([f64::NAN; 6], straight, "not finite"),
+        ] {
+            let broken = verdict(rates, from).unwrap_err();
+            assert!(broken.contains(word), "{word}: {broken}");
+        }
+        // Beyond a limit it may come back.
+        assert_eq!(
+            verdict(
+                [-0.5, 0.0, 0.0, 0.0, 0.0, 0.0],
+                [2.9, 0.0, 0.0, 0.0, 0.0, 0.0]
+            ),
+            Ok(())
+        );
+        let mut other = command(slow, straight);
+        other.cable_length_m[4] += 1e-6;
+        assert!(check(&robot(), &other, 0.005).is_err());
+    }
+}

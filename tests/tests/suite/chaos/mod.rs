@@ -1,0 +1,201 @@
+//! The randomised run: everything that can happen to a daemon, drawn from a seed, while every record is held to
+//! the invariants. `docs/testing.md` says how to run it for longer and how to repeat a run.
+
+mod action;
+mod checker;
+mod clearance;
+mod crowd;
+mod dice;
+mod director;
+mod feeder;
+mod grid;
+mod half_made;
+mod limits;
+mod modes;
+mod obstacles;
+mod ramp;
+mod tally;
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use cdcr_client::{FeedOptions, Line};
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_until};
+
+use action::ROUND;
+use checker::{Checker, Seen, View};
+use dice::Dice;
+use director::Director;
+use tally::Tally;
+
+/// Whether an invariant holds, or how it is broken.
+pub(crate) type Verdict = Result<(), String>;
+
+/// Holds when `condition` does; `broken` says what is wrong when it does not.
+pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> Verdict {
+    if condition { Ok(()) } else { Err(broken()) }
+}
+
+/// Everything as in service, but for: cables that are as slow and short as to matter; a lease that expires soon; a
+/// bucket that a long stall fills; a watchdog that lets a stalled machine be.
+const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_max_m = 0.06\n\
+    [cycle]\nmiss_limit = 50\nwatchdog_ms = 10000.0\n[reference]\nlease_ms = 200.0\n";
+
+/// How long it takes until every kind of bad message has come.
+const KINDS_TAKE: Duration = Duration::from_secs(25);
+
+/// Two daemons on one core would be each other's load.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+/// A number from the environment.
+fn asked(key: &str) -> Option<u64> {
+    let text = std::env::var(key).ok()?;
+    Some(
+        text.parse()
+            .unwrap_or_else(|_| panic!("{key} = {text:?} is no whole number")),
+    )
+}
+
+/// The seed of the run: given, or the time.
+fn seed() -> u64 {
+    let now = || SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    asked("CDCR_CHAOS_SEED").unwrap_or_else(|| now().as_millis() as u64)
+}
+
+/// Half of the run: the other robot has the other half.
+fn half() -> Duration {
+    Duration::from_secs(asked("CDCR_CHAOS_S").unwrap_or(60)) / 2
+}
+
+#[test]
+fn whatever_happens_with_a_simulated_robot_the_invariants_hold() {
+    run("simulated");
+}
+
+#[test]
+fn whatever_happens_behind_a_driver_the_invariants_hold() {
+    run("driver");
+}
+
+fn run(link: &str) {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let (seed, duration) = (seed(), half());
+    println!("{link}: CDCR_CHAOS_SEED={seed}, {} s", duration.as_secs());
+    let mut dice = Dice::new(seed);
+    let mut daemon = Daemon::start(&format!("[link]\nkind = \"{link}\"\n{CONFIGURATION}"));
+    let has_driver = link == "driver";
+    let driver = has_driver.then(|| DriverProcess::start(daemon.place()));
+    let (view, tally, ending) = (View::default(), Tally::default(), AtomicBool::new(false));
+    let (seen, driver) = std::thread::scope(|scope| {
+        let (checking, feeding) = (daemon.place(), daemon.place());
+        let checker = scope.spawn(|| {
+            let connection = cdcr_tests::load::connect(checking);
+            Checker::new(connection, &view).run(&ending)
+        });
+        let files = scope.spawn(|| half_made::watch(checking, &ending));
+        let dice_of_feeder = dice.split();
+        let feeder = scope.spawn(|| {
+            let connection = cdcr_tests::load::connect(feeding);
+            feeder::feed(&connection, dice_of_feeder, &tally, &ending);
+        });
+        let director = Director::new(&daemon, driver, &view, &tally, dice);
+        let driver = {
+            let _ends = EndWhenDropped(&ending);
+            director.run(duration, &ending)
+        };
+        feeder.join().unwrap();
+        let seen = checker.join().unwrap();
+        (files.join().unwrap().and(seen), driver)
+    });
+    let again = format!("repeat it with CDCR_CHAOS_SEED={seed}; the daemon's log:");
+    let log = daemon.log();
+    let seen = seen.unwrap_or_else(|broken| panic!("{broken}\n{again}\n{log}"));
+    let driver = driver.unwrap_or_else(|broken| panic!("{broken}\n{again}\n{log}"));
+    println!("{}{seen:#?}", tally.table());
+    assert_it_happened(&tally, &seen, has_driver, duration);
+    assert!(daemon.runs(), "the daemon is gone\n{again}\n{log}");
+    come_back(&daemon);
+    assert!(driver.is_none_or(|mut driver| driver.runs()));
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    assert_eq!(daemon.place().leftovers_after_kills(), Vec::<String>::new());
+}
+
+/// Ends the run also when the director fails.
+struct EndWhenDropped<'a>(&'a AtomicBool);
+
+impl Drop for EndWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A run in which nothing happened proves nothing.
+fn assert_it_happened(tally: &Tally, seen: &Seen, has_driver: bool, duration: Duration) {
+    for (action, _) in ROUND {
+        let happened = tally.of(&format!("action: {action:?}")) > 0;
+        let possible = has_driver || !action.needs_driver();
+        assert!(happened == possible, "{action:?} did not happen");
+    }
+    for mode in [
+        Mode::Holding,
+        Mode::Tracking,
+        Mode::Homing,
+        Mode::Stopped,
+        Mode::Faulted,
+    ] {
+        assert!(seen.in_mode(mode) > 0, "it was never {mode}");
+    }
+    // Half of the cycles that were meant, because machines stall; of these one in fifty.
+    let meant = duration.as_secs() * 200;
+    assert!(seen.records > meant / 2, "{} records only", seen.records);
+    assert!(seen.commands > meant / 3 && seen.statuses > duration.as_secs());
+    assert!(seen.tracked_moving > seen.records / 50, "it hardly tracked");
+    assert!(
+        seen.with_obstacles > seen.records / 50,
+        "it had hardly any obstacle"
+    );
+    assert!(seen.guarded > 0, "no obstacle came near");
+    if duration < KINDS_TAKE {
+        return;
+    }
+    for outcome in [
+        Outcome::Accepted,
+        Outcome::NotFinite,
+        Outcome::NoLease,
+        Outcome::InThePast,
+        Outcome::BufferFull,
+    ] {
+        assert!(
+            seen.outcomes[outcome.text()] > 0,
+            "nothing was judged: {outcome}"
+        );
+    }
+    assert!(tally.of("bad or late points: with the lease") > 0);
+}
+
+/// After all that the daemon does what it did before: it can be reset, tracks to the end, and has no obstacle.
+fn come_back(daemon: &Daemon) {
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let line = Line {
+        duration_s: 0.3,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    // What the machine is still busy with may stop it once more.
+    wait_until("it tracks again", || {
+        let reset = connection.request_within(RequestKind::Reset, PATIENCE);
+        let feed = || connection.feed(&line, options);
+        let track = || feed()?.run(|_| ControlFlow::Continue(()));
+        reset.is_ok() && track().is_ok_and(|report| report.tracked)
+    });
+    let record = wait_mode(&mut telemetry, Mode::Tracking);
+    assert_eq!(record.obstacle_count, 0);
+}

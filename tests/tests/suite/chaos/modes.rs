@@ -1,0 +1,303 @@
+//! Invariant: the mode changes only along the diagram, and only a request that was accepted moves it where the
+//! diagram says "request".
+
+use std::collections::{BTreeSet, VecDeque};
+
+use cdcr_client::events;
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
+
+use crate::chaos::Verdict;
+
+/// Who moves the mode.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum By {
+    /// What the cycle sees.
+    World,
+    /// A request of a client.
+    Request(RequestKind),
+}
+
+/// One arrow of the diagram.
+struct Arrow {
+    from: &'static [Mode],
+    by: By,
+    to: Mode,
+    reason: Reason,
+}
+
+const MOVING: &[Mode] = &[Mode::Starting, Mode::Holding, Mode::Tracking, Mode::Homing];
+const NOT_FAULTED: &[Mode] = &[
+    Mode::Starting,
+    Mode::Holding,
+    Mode::Tracking,
+    Mode::Homing,
+    Mode::Stopped,
+];
+const LATCHED: &[Mode] = &[Mode::Stopped, Mode::Faulted];
+
+const fn world(from: &'static [Mode], to: Mode, reason: Reason) -> Arrow {
+    Arrow {
+        from,
+        by: By::World,
+        to,
+        reason,
+    }
+}
+
+const fn request(from: &'static [Mode], kind: RequestKind, to: Mode) -> Arrow {
+    Arrow {
+        from,
+        by: By::Request(kind),
+        to,
+        reason: Reason::Request,
+    }
+}
+
+/// The diagram of `controller/src/safety/mode.rs`, arrow by arrow. Of the end of a daemon there is none: during a
+/// run nobody asks for it.
+const ARROWS: &[Arrow] = &[
+    // The first measurement is there.
+    world(&[Mode::Starting], Mode::Holding, Reason::Start),
+    // Whoever feeds has come to the end, fell silent or gave the lease back.
+    world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceEnded),
+    world(&[Mode::Tracking], Mode::Holding, Reason::LeaseExpired),
+    world(&[Mode::Tracking], Mode::Holding, Reason::LeaseReleased),
+    // The robot is straight.
+    world(&[Mode::Homing], Mode::Holding, Reason::HomeReached),
+    // The leaky bucket is full.
+    world(MOVING, Mode::Stopped, Reason::DeadlineMisses),
+    // A fault: of the driver, of the solver, of the state, of the surroundings.
+    world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementLost),
+    world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementJump),
+    world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementFrozen),
+    world(NOT_FAULTED, Mode::Faulted, Reason::NonFinite),
+    world(NOT_FAULTED, Mode::Faulted, Reason::LimitBroken),
+    world(NOT_FAULTED, Mode::Faulted, Reason::ClearanceBroken),
+    // Clients. A fault stays one when a stop comes.
+    request(NOT_FAULTED, RequestKind::Stop, Mode::Stopped),
+    request(LATCHED, RequestKind::Reset, Mode::Holding),
+    request(&[Mode::Holding], RequestKind::Track, Mode::Tracking),
+    request(
+        &[Mode::Holding, Mode::Homing],
+        RequestKind::Home,
+        Mode::Homing,
+    ),
+    request(
+        &[Mode::Holding, Mode::Tracking, Mode::Homing],
+        RequestKind::Hold,
+        Mode::Holding,
+    ),
+];
+
+/// Mode and reason of a record.
+pub(crate) type Place = (Mode, Reason);
+
+pub(crate) fn place(record: &Telemetry) -> Result<Place, String> {
+    let known = |unknown: cdcr_shared_types::codes::UnknownCode| unknown.to_string();
+    let mode = Mode::try_from(record.mode).map_err(known)?;
+    Ok((mode, Reason::try_from(record.reason).map_err(known)?))
+}
+
+/// Adds the places that one arrow that `may` be used leads to.
+fn step(places: &mut BTreeSet<Place>, may: impl Fn(&Arrow) -> bool) {
+    let leaving = |arrow: &&Arrow| may(arrow) && places.iter().any(|p| arrow.from.contains(&p.0));
+    let reached: Vec<_> = ARROWS
+        .iter()
+        .filter(leaving)
+        .map(|arrow| (arrow.to, arrow.reason))
+        .collect();
+    places.extend(reached);
+}
+
+/// Whether one cycle can lead from one place to the other: what it sees moves the mode at most once, then come the
+/// requests that it accepted, then at most a fault that its solve found.
+fn one_cycle_leads(from: Place, to: Place, accepted: &[RequestKind]) -> bool {
+    let mut places = BTreeSet::from([from]);
+    step(&mut places, |arrow| arrow.by == By::World);
+    for _ in accepted {
+        step(
+            &mut places,
+            |arrow| matches!(arrow.by, By::Request(kind) if accepted.contains(&kind)),
+        );
+    }
+    step(&mut places, |arrow| {
+        arrow.by == By::World && arrow.to == Mode::Faulted
+    });
+    places.contains(&to)
+}
+
+/// Whether any number of cycles with any requests can: what is asked of records with others missing between them.
+fn some_cycles_lead(from: Place, to: Place) -> bool {
+    let mut places = BTreeSet::from([from]);
+    for _ in ARROWS {
+        step(&mut places, |_| true);
+    }
+    places.contains(&to)
+}
+
+/// A change that waits for the events that tell why.
+#[derive(Debug, Clone, Copy)]
+struct Change {
+    from: Place,
+    to: Place,
+    cycle: u64,
+    gather: u64,
+    number: u64,
+}
+
+/// Watches the modes of all records. Events may come some records after the cycle that they belong to, so each
+/// change is judged when those have come.
+#[derive(Debug, Default)]
+pub(crate) struct ModeWatch {
+    waiting: VecDeque<Change>,
+    accepted: VecDeque<(u64, RequestKind)>,
+    last: Option<Place>,
+    records: u64,
+    /// Number of the record that was the last to have a gap before it.
+    gap: Option<u64>,
+}
+
+/// Records that a change waits for its events. A daemon that comes out of a stall reports at most 24 of each record.
+const PATIENCE_RECORDS: u64 = 100;
+
+impl ModeWatch {
+    /// Takes a record; `is_neighbour`: nothing was lost before it.
+    pub(crate) fn look(&mut self, record: &Telemetry, is_neighbour: bool) -> Verdict {
+        self.records += 1;
+        if !is_neighbour {
+            self.gap = Some(self.records);
+        }
+        self.note_requests(record);
+        let to = place(record)?;
+        if let Some(from) = self.last.replace(to)
+            && from != to
+        {
+            self.waiting.push_back(Change {
+                from,
+                to,
+                cycle: record.cycle,
+                gather: record.gather,
+                number: self.records,
+            });
+        }
+        while let Some(change) = self.waiting.front()
+            && change.number + PATIENCE_RECORDS < self.records
+        {
+            self.judge_oldest()?;
+        }
+        Ok(())
+    }
+
+    /// Judges what still waits.
+    pub(crate) fn finish(&mut self) -> Verdict {
+        while !self.waiting.is_empty() {
+            self.judge_oldest()?;
+        }
+        Ok(())
+    }
+
+    fn note_requests(&mut self, record: &Telemetry) {
+        for event in events(record) {
+            let is_accepted = event.kind == EventKind::Request.code()
+                && event.outcome == Outcome::Accepted.code();
+            if let (true, Ok(kind)) = (is_accepted, RequestKind::try_from(event.detail)) {
+                let gather = record.gather - u64::from(event.gathers_ago);
+                self.accepted.push_back((gather, kind));
+            }
+        }
+    }
+
+    fn judge_oldest(&mut self) -> Verdict {
+        let Some(change) = self.waiting.pop_front() else {
+            return Ok(());
+        };
+        while self
+            .accepted
+            .front()
+            .is_some_and(|(gather, _)| *gather < change.gather)
+        {
+            self.accepted.pop_front();
+        }
+        // Records that were lost since may have had the events.
+        let is_whole = self.gap.is_none_or(|gap| gap < change.number);
+        let of_cycle = self
+            .accepted
+            .iter()
+            .filter(|(gather, _)| *gather == change.gather);
+        let kinds: Vec<_> = of_cycle.map(|(_, kind)| *kind).collect();
+        let Change {
+            from, to, cycle, ..
+        } = change;
+        let leads = if is_whole {
+            one_cycle_leads(from, to, &kinds)
+        } else {
+            some_cycles_lead(from, to)
+        };
+        if leads {
+            Ok(())
+        } else {
+            Err(format!(
+                "cycle {cycle}: from {from:?} to {to:?} with the requests {kinds:?}, lost records: {}",
+                !is_whole
+            ))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HOLDING: Place = (Mode::Holding, Reason::Request);
+    const TRACKING: Place = (Mode::Tracking, Reason::Request);
+    const STOPPED: Place = (Mode::Stopped, Reason::Request);
+
+    #[test]
+    fn a_cycle_goes_along_the_arrows_only() {
+        let track = [RequestKind::Track];
+        assert!(one_cycle_leads(HOLDING, TRACKING, &track));
+        assert!(!one_cycle_leads(HOLDING, TRACKING, &[]), "nobody asked");
+        let both = [RequestKind::Reset, RequestKind::Track];
+        assert!(one_cycle_leads(STOPPED, TRACKING, &both));
+        assert!(!one_cycle_leads(STOPPED, TRACKING, &track), "it is latched");
+        assert!(!one_cycle_leads(STOPPED, HOLDING, &[]), "it is latched");
+        let lost = (Mode::Faulted, Reason::MeasurementLost);
+        assert!(one_cycle_leads(TRACKING, lost, &[]));
+        assert!(!one_cycle_leads(lost, STOPPED, &[RequestKind::Stop]));
+        let ended = (Mode::Holding, Reason::ReferenceEnded);
+        assert!(one_cycle_leads(TRACKING, ended, &[]));
+        assert!(!one_cycle_leads(HOLDING, ended, &[]), "nothing ended");
+        let start = (Mode::Starting, Reason::Start);
+        assert!(!some_cycles_lead(HOLDING, start), "there is one start");
+        assert!(some_cycles_lead(STOPPED, TRACKING));
+    }
+
+    fn record(number: u64, place: Place) -> Telemetry {
+        Telemetry {
+            cycle: number,
+            gather: number,
+            mode: place.0.code(),
+            reason: place.1.code(),
+            ..Telemetry::default()
+        }
+    }
+
+    #[test]
+    fn a_change_waits_for_its_event() {
+        let verdict = |says_so: bool| {
+            let mut watch = ModeWatch::default();
+            watch.look(&record(1, STOPPED), true).unwrap();
+            watch.look(&record(2, HOLDING), true).unwrap();
+            let mut later = record(3, HOLDING);
+            later.event_count = u32::from(says_so);
+            later.events[0].kind = EventKind::Request.code();
+            later.events[0].detail = RequestKind::Reset.code();
+            later.events[0].gathers_ago = 1;
+            watch.look(&later, true).unwrap();
+            watch.finish()
+        };
+        assert_eq!(verdict(true), Ok(()));
+        assert!(verdict(false).is_err());
+    }
+}

@@ -1,0 +1,70 @@
+//! Invariant: a robot that shall rest comes to rest at the deceleration, never faster again.
+
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Mode, guard};
+use cdcr_tests::record::largest;
+
+use crate::chaos::{Verdict, ensure};
+
+/// What rounding may do to a rate \[rad/s\].
+const TOLERANCE_RAD_S: f64 = 1e-9;
+
+/// Checks the rates of a record that holds, is stopped, faulted or starting against the ones before: all shrink
+/// by one factor, the fastest by deceleration · period. The clearance guard and the limits of the cables may
+/// shorten them more; a bend beyond its limit may ask for rates of its own.
+pub(crate) fn check(record: &Telemetry, period_s: f64) -> Verdict {
+    let mode = Mode::try_from(record.mode).map_err(|unknown| unknown.to_string())?;
+    if matches!(mode, Mode::Tracking | Mode::Homing) || record.guard_flags & guard::BEND != 0 {
+        return Ok(());
+    }
+    // A fault of this very cycle, found after its solve: the rates are those of the solve.
+    if record.plan_length > 0 {
+        return Ok(());
+    }
+    let fastest = largest(&record.previous_rate_rad_s);
+    let left = (fastest - record.deceleration_rad_s2 * period_s).max(0.0);
+    let shrink = if fastest > 0.0 { left / fastest } else { 0.0 };
+    let ramp = record.previous_rate_rad_s.map(|rate| rate * shrink);
+    let rates = &record.command.bend_rate_rad_s;
+    if record.guard_flags == 0 {
+        let apart = core::array::from_fn::<f64, 12, _>(|i| rates[i] - ramp[i]);
+        return ensure(largest(&apart) <= TOLERANCE_RAD_S, || {
+            format!("{mode}: the rates are {rates:?}, and the ramp is at {ramp:?}")
+        });
+    }
+    let norm = |rates: &[f64]| rates.iter().map(|rate| rate * rate).sum::<f64>().sqrt();
+    ensure(norm(rates) <= norm(&ramp) + TOLERANCE_RAD_S, || {
+        format!("{mode}: the rates {rates:?} are faster than the ramp, {ramp:?}")
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_ramp_is_allowed() {
+        let mut record = Telemetry {
+            mode: Mode::Stopped.code(),
+            deceleration_rad_s2: 20.0,
+            ..Telemetry::default()
+        };
+        record.previous_rate_rad_s[..2].copy_from_slice(&[1.0, -0.5]);
+        for (rates, holds, shortened) in [
+            ([0.9, -0.45], true, true),
+            ([0.8, -0.40], false, true),
+            ([0.9, -0.46], false, false),
+            ([1.0, -0.5], false, false),
+            ([0.0, 0.0], false, true),
+        ] {
+            record.command.bend_rate_rad_s[..2].copy_from_slice(&rates);
+            record.guard_flags = 0;
+            assert_eq!(check(&record, 0.005).is_ok(), holds, "{rates:?}");
+            record.guard_flags = guard::CLEARANCE;
+            assert_eq!(check(&record, 0.005).is_ok(), shortened, "{rates:?}");
+        }
+        record.mode = Mode::Tracking.code();
+        record.command.bend_rate_rad_s[0] = 2.0;
+        assert_eq!(check(&record, 0.005), Ok(()));
+    }
+}

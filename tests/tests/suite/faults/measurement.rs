@@ -1,0 +1,387 @@
+//! The driver and what it measures.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use cdcr_client::{Connection, monotonic_ns};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::{Daemon, PATIENCE, wait_status};
+use rustix::process::Signal;
+
+use crate::faults::robot::Robot;
+use crate::faults::trail::{Trail, assert_ramps_to_rest, is, late_ns, say};
+
+const TIMEOUT_MS: u64 = 500;
+const HOME_RATE_RAD_S: f64 = 0.2;
+/// The largest rate of the default robot.
+const RATE_MAX_RAD_S: f64 = 2.0;
+
+/// A daemon with a driver; nothing but the measurement is a fault.
+fn daemon() -> Daemon {
+    Daemon::start(&format!(
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\
+         [motion]\nhome_rate_rad_s = {HOME_RATE_RAD_S}\ndeceleration_rad_s2 = 5.0\n\
+         [cycle]\nmiss_limit = 1000000\n"
+    ))
+}
+
+fn state(record: &Telemetry) -> MeasurementState {
+    MeasurementState::try_from(record.measurement_state).unwrap()
+}
+
+/// Has the robot go home, and waits until its rate has been steady for a while.
+fn go_home(connection: &Connection, trail: &mut Trail, mut turn: impl FnMut()) {
+    connection.request(RequestKind::Home).unwrap();
+    let mut homing = 0;
+    trail.until_while("homing", &mut turn, |record| {
+        homing += u64::from(record.mode == Mode::Homing.code());
+        homing > 20
+    });
+}
+
+/// The fault of a measurement that does not come any more: in the first cycle whose gather is later than the
+/// timeout after the last measurement. Between two gathers no more than two periods count.
+fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()) {
+    let (mut last, mut uncounted_ns, mut uncounted_before_ns) = (None::<Telemetry>, 0, 0);
+    let (before, now) = trail.until_while("the fault", meanwhile, |record| {
+        uncounted_before_ns = uncounted_ns;
+        if let Some(last) = last {
+            let gap_ns = record.gather_ns - last.gather_ns;
+            uncounted_ns += gap_ns.saturating_sub(2 * record.period_ns);
+            if record.measurement.measured_ns > last.measurement.measured_ns {
+                uncounted_ns = 0;
+            }
+        }
+        last = Some(*record);
+        record.mode == Mode::Faulted.code()
+    });
+    assert_eq!(now.reason, Reason::MeasurementLost.code());
+    let timeout_ns = TIMEOUT_MS * 1_000_000;
+    let silent_ns = |record: &Telemetry| record.gather_ns - record.measurement.measured_ns;
+    assert!(silent_ns(&before) <= timeout_ns + uncounted_before_ns);
+    assert!(silent_ns(&now) > timeout_ns + uncounted_ns);
+    let detected_ns = now.start_ns - now.measurement.measured_ns;
+    let bound_ns = timeout_ns + uncounted_ns + 2 * now.period_ns + late_ns(&now);
+    say(what, detected_ns, bound_ns);
+    assert!(detected_ns <= bound_ns);
+    assert_ramps_to_rest(trail, &now, || {});
+}
+
+#[test]
+fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.5));
+    let delay_ns = 30_000_000;
+    let mut under_way = VecDeque::new();
+    let mut turn = |robot: &mut Robot| {
+        robot.follow();
+        under_way.push_back((monotonic_ns(), robot.bend_rad));
+        while let Some(&(measured_ns, bend_rad)) = under_way.front()
+            && measured_ns + delay_ns <= monotonic_ns()
+        {
+            robot.measure_at(measured_ns, bend_rad);
+            under_way.pop_front();
+        }
+    };
+    trail.until_while("holding", || turn(&mut robot), is(Mode::Holding));
+    go_home(&connection, &mut trail, || turn(&mut robot));
+    let mut seen = 0;
+    trail.until_while(
+        "moved on",
+        || turn(&mut robot),
+        |record| {
+            assert_eq!(record.mode, Mode::Homing.code());
+            if state(record) == MeasurementState::Used {
+                let age_ns = record.release_ns - record.measurement.measured_ns;
+                assert!(age_ns + 1_000_000 >= delay_ns, "{age_ns} ns");
+                let moved = record.previous_rate_rad_s[0] * age_ns as f64 * 1e-9;
+                let expected = record.measurement.bend_rad[0] + moved;
+                let error = (record.bend_rad[0] - expected).abs();
+                // Homing is steady for a hundred ms only: of an older one a part was made at rest.
+                assert!(age_ns > 100_000_000 || error < 1e-9, "{error} rad");
+                seen += 1;
+            }
+            seen > 50
+        },
+    );
+    // A pause inside the timeout: predicted, counted, no fault.
+    let before = connection
+        .status(PATIENCE)
+        .unwrap()
+        .since_reset
+        .stale_measurements;
+    let mut repeated = 0;
+    trail.until("repeated", |record| {
+        repeated += u64::from(state(record) == MeasurementState::Repeated);
+        repeated == 10
+    });
+    let status = wait_status(&connection, |status| {
+        status.since_reset.stale_measurements >= before + 10
+    });
+    assert_eq!(status.faults, 0);
+}
+
+#[test]
+fn a_lost_measurement_is_a_fault_after_the_timeout() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    go_home(&connection, &mut trail, || robot.turn());
+    assert_lost(&mut trail, "measurement lost", || {});
+    assert!(
+        connection.request(RequestKind::Reset).is_err(),
+        "it still stands"
+    );
+    // Back again: the reset is granted.
+    trail.until_while(
+        "used",
+        || robot.turn(),
+        |r| state(r) == MeasurementState::Used,
+    );
+    connection.request(RequestKind::Reset).unwrap();
+}
+
+#[test]
+fn measurements_that_are_no_numbers_are_refused_until_the_last_good_one_is_lost() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+    robot.until_held(&mut trail);
+    let mut bad = robot.bend_rad;
+    bad[1] = f64::NAN;
+    assert_lost(&mut trail, "measurement not finite, then lost", || {
+        robot.measure(bad);
+    });
+    let code = Outcome::NotFinite.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] > 0);
+}
+
+#[test]
+fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    trail.catch_up();
+    connection.request(RequestKind::Home).unwrap();
+    // One sensor says the same for ever, with new stamps. The others live.
+    let mut measured = robot.bend_rad;
+    let (mut way_rad, mut judged_rad) = (0.0_f64, 0.0);
+    let (_, now) = trail.until_while(
+        "the fault",
+        || {
+            robot.follow();
+            for live in &mut measured[1..6] {
+                *live = if *live > 0.0 { -1e-6 } else { 1e-6 };
+            }
+            robot.measure(measured);
+            std::thread::sleep(Duration::from_millis(1));
+        },
+        |record| {
+            let elapsed_s = record.elapsed_ns as f64 * 1e-9;
+            way_rad += record.previous_rate_rad_s[0] * elapsed_s;
+            let is_fault = record.mode == Mode::Faulted.code();
+            if state(record) == MeasurementState::Used && !is_fault {
+                judged_rad = way_rad.abs();
+            }
+            is_fault
+        },
+    );
+    let way_rad = way_rad.abs();
+    assert_eq!(now.reason, Reason::MeasurementFrozen.code());
+    let limit_rad = now.measurement_frozen_rad;
+    println!(
+        "measurement frozen: after {way_rad:.6} rad of commanded way, {limit_rad} are allowed"
+    );
+    // The last one before it was inside the allowance, and this one is not.
+    assert!(judged_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
+    assert_ramps_to_rest(&mut trail, &now, || {
+        robot.measure(measured);
+    });
+    // At rest nobody sees that the sensor is still frozen: the reset is granted.
+    robot.measure(measured);
+    connection.request(RequestKind::Reset).unwrap();
+}
+
+/// Measurements that no robot makes, one in each cycle, until `is_it`. Says how many were left out.
+fn jump_until(
+    trail: &mut Trail,
+    robot: &Robot,
+    mut is_it: impl FnMut(&Telemetry, u32) -> bool,
+) -> (Telemetry, Telemetry) {
+    let mut far = robot.bend_rad;
+    far[0] += 2.0;
+    let (mut sent_ns, mut is_seen, mut jumps) = (0, true, 0);
+    let seen = std::cell::Cell::new(0);
+    trail.until_while(
+        "jumps",
+        || {
+            is_seen |= seen.get() == sent_ns;
+            if is_seen {
+                sent_ns = robot.measure(far);
+                is_seen = false;
+            }
+        },
+        |record| {
+            if state(record) == MeasurementState::Implausible {
+                seen.set(record.measurement.measured_ns);
+                jumps += 1;
+                assert!(record.bend_rad[0] < 0.5, "it moved the estimate");
+            }
+            is_it(record, jumps)
+        },
+    )
+}
+
+#[test]
+fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+    robot.until_held(&mut trail);
+    // Two are left out, and nothing else happens.
+    let (_, two) = jump_until(&mut trail, &robot, |_, jumps| jumps == 2);
+    assert_eq!(two.mode, Mode::Holding.code());
+    trail.until_while(
+        "used",
+        || robot.turn(),
+        |r| state(r) == MeasurementState::Used,
+    );
+    // The third in a row is a fault.
+    let mut counted = 0;
+    let (before, now) = jump_until(&mut trail, &robot, |record, jumps| {
+        counted = jumps;
+        record.mode == Mode::Faulted.code()
+    });
+    assert_eq!(now.reason, Reason::MeasurementJump.code());
+    assert_eq!(
+        (before.mode, counted),
+        (Mode::Holding.code(), now.measurement_jump_limit)
+    );
+    // The third came with this cycle: it is newer than the cycle before.
+    assert!(now.measurement.measured_ns > before.measurement.measured_ns);
+    println!("measurement jumping: in the cycle of number {counted} in a row");
+    assert_ramps_to_rest(&mut trail, &now, || robot.turn());
+    // The next measurement is believed.
+    trail.until_while(
+        "used",
+        || robot.turn(),
+        |r| state(r) == MeasurementState::Used,
+    );
+    connection.request(RequestKind::Reset).unwrap();
+    trail.until_while("holding", || robot.turn(), is(Mode::Holding));
+}
+
+#[test]
+fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+    robot.until_held(&mut trail);
+    let rest = trail.until_while(
+        "used",
+        || robot.turn(),
+        |r| state(r) == MeasurementState::Used,
+    );
+    // Half as fast again as the robot can move, from its last measurement at rest, each step a small one.
+    let rest_ns = rest.1.measurement.measured_ns;
+    let after_s = |measured_ns: u64| (measured_ns - rest_ns) as f64 * 1e-9;
+    let mut used_rad = 0.0;
+    let (_, now) = trail.until_while(
+        "the fault",
+        || {
+            let measured_ns = monotonic_ns();
+            let mut bend_rad = robot.bend_rad;
+            bend_rad[0] = 1.5 * RATE_MAX_RAD_S * after_s(measured_ns);
+            robot.measure_at(measured_ns, bend_rad);
+        },
+        |record| {
+            if state(record) == MeasurementState::Used {
+                let way_rad = RATE_MAX_RAD_S * after_s(record.measurement.measured_ns);
+                used_rad = record.measurement.bend_rad[0] - way_rad;
+                assert!(used_rad <= record.measurement_jump_rad + 1e-9);
+            }
+            record.mode == Mode::Faulted.code()
+        },
+    );
+    assert_eq!(now.reason, Reason::MeasurementJump.code());
+    println!("measurement running away: the last that was used was {used_rad:.6} rad ahead");
+    assert_ramps_to_rest(&mut trail, &now, || {});
+}
+
+/// Has the robot measured at `bend_rad` until `is_it`.
+fn measured_at(
+    trail: &mut Trail,
+    robot: &Robot,
+    bend_rad: f64,
+    is_it: impl FnMut(&Telemetry) -> bool,
+) -> (Telemetry, Telemetry) {
+    let bends = core::array::from_fn(|i| if i == 0 { bend_rad } else { 0.0 });
+    let measure = || {
+        robot.measure(bends);
+    };
+    trail.until_while("what the measurement does", measure, is_it)
+}
+
+#[test]
+fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+    // Finite, and nothing that anybody could compute with.
+    let mut records = 0;
+    let (_, now) = measured_at(&mut trail, &robot, f64::MAX, |_| {
+        records += 1;
+        records > 50
+    });
+    assert_eq!(now.mode, Mode::Starting.code());
+    let code = Outcome::OutOfRange.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] > 0);
+    // A number that can be computed with, beyond the largest bend.
+    let (before, now) = measured_at(&mut trail, &robot, 3.0, is(Mode::Faulted));
+    assert_eq!(
+        (before.mode, now.reason),
+        (Mode::Starting.code(), Reason::LimitBroken.code())
+    );
+    assert_eq!(
+        (state(&before), state(&now)),
+        (MeasurementState::None, MeasurementState::Used)
+    );
+    println!("limit broken: in the cycle of the measurement");
+    assert!(
+        connection.request(RequestKind::Reset).is_err(),
+        "it still stands"
+    );
+    // Bent back, as far as a robot can in a cycle.
+    let mut bend_rad = 3.0_f64;
+    while bend_rad > 2.7 {
+        bend_rad -= 0.01;
+        measured_at(&mut trail, &robot, bend_rad, |r| {
+            (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
+        });
+    }
+    connection.request(RequestKind::Reset).unwrap();
+    trail.until("holding", is(Mode::Holding));
+}
+
+#[test]
+fn a_killed_driver_is_a_lost_measurement() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let driver = DriverProcess::start_at(daemon.place(), 1.0);
+    trail.until("holding", is(Mode::Holding));
+    go_home(&connection, &mut trail, || {});
+    driver.signal(Signal::KILL);
+    drop(driver);
+    assert_lost(&mut trail, "driver killed", || {});
+    // Another driver takes its place.
+    let _driver = DriverProcess::start_at(daemon.place(), 1.0);
+    trail.until("measured", |record| state(record) == MeasurementState::Used);
+    connection.request(RequestKind::Reset).unwrap();
+    trail.until("holding", is(Mode::Holding));
+}

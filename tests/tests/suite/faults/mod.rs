@@ -1,0 +1,16 @@
+//! Fault injection: every row of `docs/faults.md` happens here to real processes, and what comes of it is
+//! asserted together with how long it took.
+//!
+//! Times come from the monotonic stamps in the records, because the machine that runs the tests may stall for
+//! longer than a fault takes to be detected. Each test prints what it measured.
+
+mod measurement;
+mod memory;
+mod obstacles;
+mod processes;
+mod reference;
+mod robot;
+mod table;
+mod threads;
+mod timing;
+mod trail;

@@ -1,0 +1,154 @@
+//! Obstacles that come too near, and too many of them.
+
+use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns};
+use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
+use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
+use cdcr_tests::{Daemon, PATIENT, wait_status};
+
+use crate::faults::trail::{Trail, is, late_ns, say};
+
+/// The safe distance of the default configuration.
+const SAFE_DISTANCE_M: f64 = 0.01;
+const BALL_RADIUS_M: f64 = 0.02;
+const BODY_RADIUS_M: f64 = 0.015;
+
+fn ball(id: u32, start_m: [f64; 3]) -> Obstacle {
+    Obstacle {
+        id,
+        start_m,
+        radius_m: BALL_RADIUS_M,
+        measured_ns: monotonic_ns(),
+        ..Obstacle::default()
+    }
+}
+
+/// What became of an update, in its record.
+fn event(record: &Telemetry, header: &Header) -> Option<InputEvent> {
+    let found = events(record).iter().find(|event| {
+        event.kind == EventKind::Obstacles.code()
+            && event.sender_id == header.sender_id
+            && event.sequence == header.sequence
+    });
+    found.copied()
+}
+
+/// Sends obstacles; the record that tells what became of them, and the event.
+fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
+    let header = sender.upsert(balls).unwrap();
+    let mut told = None;
+    let (_, record) = trail.until("the verdict", |record| {
+        told = event(record, &header);
+        told.is_some()
+    });
+    (record, told.unwrap())
+}
+
+/// A robot that goes slowly home, sideways, and what it would touch next.
+fn homing(connection: &Connection, trail: &mut Trail) -> [f64; 3] {
+    connection.request(RequestKind::Home).unwrap();
+    let mut tips = Vec::new();
+    trail.until("homing", |record| {
+        if record.mode == Mode::Homing.code() {
+            tips.push(record.tip_position_m);
+        }
+        tips.len() > 20
+    });
+    let (from, to) = (tips[0], tips[tips.len() - 1]);
+    let way: [f64; 3] = core::array::from_fn(|i| to[i] - from[i]);
+    let length = way.iter().map(|x| x * x).sum::<f64>().sqrt();
+    assert!(length > 0.0, "it moves");
+    let apart_m = BODY_RADIUS_M + BALL_RADIUS_M + SAFE_DISTANCE_M / 2.0;
+    core::array::from_fn(|i| to[i] + way[i] / length * apart_m)
+}
+
+#[test]
+fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() {
+    // 18 mm a second: what the test needs to place the ball, the robot does not spend to reach it.
+    let slowly = "[motion]\nhome_rate_rad_s = 0.02\n";
+    let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{slowly}{bent}"));
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let sender = connection.obstacle_sender().unwrap();
+    let ahead_m = homing(&connection, &mut trail);
+    let (first, told) = tell(&mut trail, &sender, &[ball(1, ahead_m)]);
+    assert_eq!(
+        (told.outcome, first.obstacle_count),
+        (Outcome::Accepted.code(), 1)
+    );
+    let begin_m = first.clearance_m;
+    assert!(0.0 < begin_m && begin_m < SAFE_DISTANCE_M, "{begin_m} m");
+    assert_ne!(
+        first.guard_flags & guard::CLEARANCE,
+        0,
+        "in the first cycle that knows it"
+    );
+    let detected_ns = first.release_ns.saturating_sub(told.judged_ns);
+    let bound_ns = 2 * first.period_ns + late_ns(&first);
+    say("obstacle inside the safe distance", detected_ns, bound_ns);
+    assert!(detected_ns <= bound_ns);
+    for _ in 0..100 {
+        let (before, now) = trail.until("the next record", |_| true);
+        assert_eq!(now.mode, Mode::Homing.code());
+        // Rates that hold for longer than the period they were checked for may go too far.
+        let checked = now.skipped_periods == 0;
+        assert!(!checked || now.clearance_m >= before.clearance_m - 1e-9);
+    }
+    let status = wait_status(&connection, |status| status.clearance_guarded > 0);
+    assert_eq!(status.faults, 0);
+}
+
+#[test]
+fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let sender = connection.obstacle_sender().unwrap();
+    trail.until("holding", is(Mode::Holding));
+    // Where the body is.
+    let (first, told) = tell(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
+    assert_eq!(told.outcome, Outcome::Accepted.code());
+    assert!(first.clearance_m < 0.0 && first.mode == Mode::Holding.code());
+    let (_, now) = trail.until("the next record", |_| true);
+    assert_eq!(
+        (now.mode, now.reason),
+        (Mode::Faulted.code(), Reason::ClearanceBroken.code())
+    );
+    let detected_ns = now.release_ns.saturating_sub(told.judged_ns);
+    let bound_ns = 3 * now.period_ns + late_ns(&first) + late_ns(&now);
+    say("contact", detected_ns, bound_ns);
+    assert!(detected_ns <= bound_ns);
+    match connection.request(RequestKind::Reset) {
+        Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::CauseStands),
+        other => panic!("{other:?}"),
+    }
+    sender.clear().unwrap();
+    trail.until("gone", |record| record.obstacle_count == 0);
+    connection.request(RequestKind::Reset).unwrap();
+    trail.until("holding", is(Mode::Holding));
+}
+
+#[test]
+fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let sender = connection.obstacle_sender().unwrap();
+    let all: Vec<_> = (0..64).map(|id| ball(id, [0.3, 0.0, 0.3])).collect();
+    let (_, told) = tell(&mut trail, &sender, &all);
+    assert_eq!((told.outcome, told.detail), (Outcome::Accepted.code(), 64));
+    let nearer = ball(1, [0.1, 0.0, 0.3]);
+    let (record, told) = tell(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
+    assert_eq!((told.outcome, told.detail), (Outcome::BufferFull.code(), 1));
+    let detected_ns = record.release_ns.saturating_sub(told.judged_ns);
+    let bound_ns = 2 * record.period_ns + late_ns(&record);
+    say("too many obstacles", detected_ns, bound_ns);
+    assert!(detected_ns <= bound_ns);
+    assert_eq!(record.obstacle_count, 64);
+    assert!(
+        record.clearance_m > 0.2,
+        "the nearer one of the same update does not count"
+    );
+    let status = wait_status(&connection, |status| status.obstacles_refused == 1);
+    assert_eq!((status.obstacle_count, status.faults), (64, 0));
+}

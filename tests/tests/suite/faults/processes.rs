@@ -1,0 +1,244 @@
+//! Daemons that do not start, end, or meet another version; and the number that each end has.
+
+use std::fs::OpenOptions;
+use std::os::unix::fs::{OpenOptionsExt, chown};
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
+use cdcr_daemon::app::run_until;
+use cdcr_daemon::config::Config;
+use cdcr_daemon::exit::ExitCause;
+use cdcr_shared_types::Service;
+use cdcr_shared_types::codes::RequestKind;
+use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, text, wait_status, wait_until};
+use iceoryx2::prelude::{Node, ipc};
+use rustix::process::Signal;
+
+use crate::faults::robot::Robot;
+use crate::faults::trail::{Trail, rests};
+
+/// User and group `nobody`.
+const NOBODY: u32 = 65_534;
+
+fn run(place: &Place, arguments: &[&str]) -> Output {
+    place.command("cdcrd").args(arguments).output().unwrap()
+}
+
+fn run_configured(place: &Place, configuration: &str) -> Output {
+    let path = place.write("robot.toml", configuration);
+    run(place, &["run", "--config", path.to_str().unwrap()])
+}
+
+/// It ended with this number, said this, and left nothing in shared memory.
+fn assert_refused(place: &Place, output: &Output, status: i32, parts: &[&str]) {
+    assert_eq!(output.status.code(), Some(status), "{}", text(output));
+    for part in parts {
+        assert!(text(output).contains(part), "{part}: {}", text(output));
+    }
+    assert_eq!(place.shared_memory_files(), Vec::<String>::new());
+}
+
+#[test]
+fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
+    let mut daemon = Daemon::start("");
+    let output = run(daemon.place(), &["run"]);
+    assert_eq!(output.status.code(), Some(69), "{}", text(&output));
+    let process = format!("process {}", daemon.id());
+    for part in ["runs already", &process, "kill"] {
+        assert!(text(&output).contains(part), "{part}: {}", text(&output));
+    }
+    let connection = daemon.connect();
+    let before = connection.status(PATIENCE).unwrap();
+    let after = wait_status(&connection, |status| status.cycles > before.cycles + 10);
+    assert_eq!((after.process_id, after.faults), (daemon.id(), 0));
+    drop(connection);
+    // One that was asked to end.
+    let ended = daemon.stop();
+    assert_eq!(ended.code(), Some(0), "{}", daemon.log());
+}
+
+#[test]
+fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
+    let mut daemon = Daemon::start(
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 80.0\n\
+         [cycle]\nmiss_limit = 1000000\n",
+    );
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+    daemon.kill();
+    let killed_ns = monotonic_ns();
+    wait_until("the last command runs out", || {
+        robot.turn();
+        let last = robot.last_command.unwrap();
+        last.header.sent_ns + last.valid_for_ns < monotonic_ns()
+    });
+    let last = robot.last_command.unwrap();
+    assert_eq!(last.valid_for_ns, 80_000_000);
+    assert!(last.header.sent_ns <= killed_ns);
+    let ran_out_ns = (last.header.sent_ns + last.valid_for_ns).saturating_sub(killed_ns);
+    println!(
+        "daemon killed: the last command ran out {:.1} ms later",
+        ran_out_ns as f64 * 1e-6
+    );
+    assert!(ran_out_ns <= last.valid_for_ns);
+    // Its clients know after a second, and a new one works at once.
+    wait_until("the status is stale", || {
+        let status = connection.status(Duration::ZERO);
+        matches!(status, Err(LinkError::Silent { .. }))
+    });
+    daemon.restart();
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    Robot::new(&connection, 0.9).until_held(&mut trail);
+}
+
+/// Kills a client, and leaves behind what one leaves that is killed while it makes a file.
+fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) -> Vec<PathBuf> {
+    let connections = || {
+        let mut names = daemon.place().shared_memory_files();
+        names.retain(|name| name.ends_with(".connection"));
+        names
+    };
+    // What earlier clients had, the daemon lets go when it looks.
+    let before = connections();
+    let news = || {
+        let mut names = connections();
+        names.retain(|name| !before.contains(name));
+        names
+    };
+    let mut command = daemon.place().command("cdcrctl");
+    let mut client = Program::start(command.args(["echo", topic]));
+    wait_until("the client's files", || news().len() >= 2);
+    // It may have a few more to make.
+    std::thread::sleep(Duration::from_millis(300));
+    client.signal(Signal::KILL);
+    client.output();
+    let names = news().into_iter();
+    let left: Vec<_> = names.map(|name| Path::new("/dev/shm").join(name)).collect();
+    for path in &left {
+        // The daemon keeps its own hold on what was there.
+        std::fs::remove_file(path).unwrap();
+        let mut options = OpenOptions::new();
+        options.write(true).create_new(true).mode(0o200);
+        options.open(path).unwrap();
+    }
+    assert!(!left.is_empty());
+    left
+}
+
+#[test]
+fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
+    let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
+    let left = kill_client_while_it_connects(&daemon, "status");
+    let begin = Instant::now();
+    wait_until("it is removed", || !left.iter().any(|path| path.exists()));
+    let took = begin.elapsed();
+    println!(
+        "client killed while it connects: cleared after {:.1} s",
+        took.as_secs_f64()
+    );
+    // Two looks a second apart, by nobody but the daemon.
+    assert!(took > Duration::from_millis(900), "{took:?}");
+    let output = daemon.place().cdcrctl(&["status"]);
+    assert!(output.status.success(), "{}", text(&output));
+    // A daemon that ends at once, and one that takes the place of a dead one, clear it themselves.
+    kill_client_while_it_connects(&daemon, "telemetry");
+    assert_eq!(daemon.stop().code(), Some(0), "{}", daemon.log());
+    daemon.restart();
+    kill_client_while_it_connects(&daemon, "command");
+    daemon.kill();
+    daemon.restart();
+    assert_eq!(daemon.stop().code(), Some(0), "{}", daemon.log());
+}
+
+#[test]
+fn a_wrong_configuration_ends_with_78() {
+    let place = Place::new();
+    let output = run_configured(&place, "[cycle]\nperiod_ms = 0.01\n");
+    assert_refused(&place, &output, 78, &["robot.toml", "line 2", "0.1 to 100"]);
+}
+
+#[test]
+fn real_time_that_is_not_granted_ends_with_77() {
+    let place = Place::new();
+    // No machine of ours has a core 1000.
+    let output = run_configured(&place, "[realtime]\nmode = \"require\"\ncore = 1000\n");
+    assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+}
+
+#[test]
+fn a_root_folder_of_another_user_ends_with_73() {
+    let place = Place::new();
+    let root = if rustix::process::geteuid().is_root() {
+        let root = place.folder().join("foreign");
+        std::fs::create_dir(&root).unwrap();
+        if let Err(cause) = chown(&root, Some(NOBODY), Some(NOBODY)) {
+            println!("skipped: the system does not let us give a folder away: {cause}");
+            return;
+        }
+        root
+    } else {
+        "/usr".into()
+    };
+    let output = run(&place, &["run", "--root", root.to_str().unwrap()]);
+    assert_refused(&place, &output, 73, &["belongs to user", "--root"]);
+}
+
+#[test]
+fn a_wrong_command_line_ends_with_2() {
+    let place = Place::new();
+    let output = run(&place, &["run", "--no-such-option"]);
+    assert_refused(&place, &output, 2, &["--no-such-option", "--help"]);
+}
+
+#[test]
+fn a_thread_that_panics_ends_with_70() {
+    let place = Place::new();
+    let configuration = format!(
+        "[transport]\nprefix = \"{}\"\nroot = \"{}\"\n",
+        place.location().prefix(),
+        place.location().root().display()
+    );
+    let validated = Config::parse(&configuration, &place.folder().join("robot.toml")).unwrap();
+    let error = run_until(&validated, || false, |_| panic!("a test of panics")).unwrap_err();
+    assert_eq!(ExitCause::of(&error), ExitCause::Panicked);
+    assert!(error.to_string().contains("cdcr-cycle panicked"), "{error}");
+    assert_eq!(place.shared_memory_files(), Vec::<String>::new());
+}
+
+#[test]
+fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too() {
+    let place = Place::new();
+    let node: Node<ipc::Service> = place.location().node_builder().unwrap().create().unwrap();
+    let other = node
+        .service_builder(&Service::Status.name(ROBOT).unwrap())
+        .publish_subscribe::<u64>()
+        .create()
+        .unwrap();
+    let output = run(&place, &["run"]);
+    assert_eq!(output.status.code(), Some(71), "{}", text(&output));
+    let service = format!("cdcr/{ROBOT}/status");
+    for part in [&service, "another version", "end the clients"] {
+        assert!(text(&output).contains(part), "{part}: {}", text(&output));
+    }
+    let error = Connection::open(place.location(), ROBOT).expect_err("another version");
+    assert!(
+        matches!(error, ConnectError::VersionMismatch { .. }),
+        "{error:?}"
+    );
+    let output = place.cdcrctl(&["status"]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output).contains("of one version"),
+        "{}",
+        text(&output)
+    );
+    drop(other);
+    drop(node);
+    place.location().tidy();
+}

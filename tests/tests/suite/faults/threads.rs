@@ -1,0 +1,313 @@
+//! Threads that hang: the test stops a single one as a debugger does.
+
+use std::os::unix::net::UnixDatagram;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, wait_status, wait_until};
+use nix::sys::ptrace;
+use nix::sys::wait::{WaitPidFlag, waitpid};
+use nix::unistd::Pid;
+
+use crate::faults::reference::track;
+use crate::faults::robot::Robot;
+use crate::faults::trail::{Trail, is, rests};
+
+/// A thread of another process that stands still until this is dropped.
+struct Hung {
+    thread: Pid,
+}
+
+impl Hung {
+    /// Stops the thread of `process` that has this name. None: the system does not let us; it is said why.
+    fn new(process: u32, name: &str) -> Option<Self> {
+        let thread = Pid::from_raw(thread_of(process, name));
+        if let Err(cause) = ptrace::seize(thread, ptrace::Options::empty()) {
+            println!("skipped: the thread {name} cannot be stopped by ptrace: {cause}");
+            return None;
+        }
+        ptrace::interrupt(thread).unwrap();
+        waitpid(thread, Some(WaitPidFlag::__WALL)).unwrap();
+        Some(Self { thread })
+    }
+
+    /// Lets a thread that died with its process go, so that the process can be waited for.
+    fn reap(&self) {
+        let _ = waitpid(
+            self.thread,
+            Some(WaitPidFlag::__WALL | WaitPidFlag::WNOHANG),
+        );
+    }
+}
+
+impl Drop for Hung {
+    fn drop(&mut self) {
+        // One that died cannot be let go any more.
+        let _ = ptrace::detach(self.thread, None);
+        self.reap();
+    }
+}
+
+fn thread_of(process: u32, name: &str) -> i32 {
+    let entries = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
+    let threads = entries.flatten().find_map(|entry| {
+        let comm = std::fs::read_to_string(entry.path().join("comm")).ok()?;
+        let id = entry.file_name().to_str()?.parse().ok()?;
+        (comm.trim() == name).then_some(id)
+    });
+    threads.unwrap_or_else(|| panic!("process {process} has no thread {name}"))
+}
+
+const WATCHDOG: Duration = Duration::from_millis(300);
+/// The process has to end this soon after the watchdog's time, on a machine that stalls.
+const SOON: Duration = Duration::from_secs(5);
+const VALID_FOR_NS: u64 = 100_000_000;
+
+fn with_driver() -> Daemon {
+    Daemon::start(&format!(
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 100.0\n\
+         [motion]\nhome_rate_rad_s = 0.1\n\
+         [cycle]\nmiss_limit = 1000000\nwatchdog_ms = {}.0\n",
+        WATCHDOG.as_millis()
+    ))
+}
+
+/// The driver goes on until a daemon with a hung thread has ended.
+fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
+    let begin = Instant::now();
+    while daemon.runs() {
+        hung.reap();
+        robot.turn();
+        std::thread::sleep(Duration::from_millis(1));
+        assert!(
+            begin.elapsed() < PATIENCE,
+            "it does not end:\n{}",
+            daemon.log()
+        );
+    }
+}
+
+/// A thread hangs while the robot moves: the process ends with `status`, and the driver has been told how
+/// long the last rates hold. Then a new daemon works at once.
+fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
+    let mut daemon = with_driver();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+
+    let Some(hung) = Hung::new(daemon.id(), thread) else {
+        return;
+    };
+    let (hung_ns, begin) = (monotonic_ns(), Instant::now());
+    drive_until_end(&mut daemon, &mut robot, &hung);
+    let took = begin.elapsed();
+    println!(
+        "{thread} hung: the process ended after {:.1} ms",
+        took.as_secs_f64() * 1e3
+    );
+    // The watchdog looks every 20 ms, and a look before the thread hung may count.
+    assert!(
+        took + Duration::from_millis(40) > WATCHDOG && took < WATCHDOG + SOON,
+        "{took:?}"
+    );
+    let ended = daemon.stop_after_signal();
+    assert_eq!(ended.code(), Some(status), "{}", daemon.log());
+    assert!(daemon.log().contains(sentence), "{}", daemon.log());
+    // No command came since, and the last one has run out.
+    let last = robot.last_command.unwrap();
+    assert_eq!(last.valid_for_ns, VALID_FOR_NS);
+    assert!(last.release_ns <= hung_ns, "a command of a later cycle");
+    wait_until("it has run out", || {
+        last.header.sent_ns + last.valid_for_ns < monotonic_ns()
+    });
+
+    daemon.restart();
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    Robot::new(&connection, 0.9).until_held(&mut trail);
+}
+
+#[test]
+fn a_hung_cycle_thread_ends_the_process() {
+    assert_ends_when_hung(
+        "cdcr-cycle",
+        "the cycle thread made no progress for 300 ms",
+        80,
+    );
+}
+
+#[test]
+fn a_hung_exchange_thread_ends_the_process() {
+    assert_ends_when_hung(
+        "cdcr-exchange",
+        "the exchange thread made no progress for 300 ms",
+        81,
+    );
+}
+
+/// An exchange that is held up for `held_up` beside a client that renews its lease as often as it should: the robot
+/// follows its reference all the time.
+fn assert_follows_while_held_up(lease_ms: u64, held_up: Duration) {
+    let daemon = Daemon::start(&format!(
+        "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n[reference]\nlease_ms = {lease_ms}.0\n"
+    ));
+    let connection = daemon.connect();
+    let feeding = track(&connection, 120);
+    let mut telemetry = connection.telemetry().unwrap();
+    wait_until("it tracks", || {
+        let record = telemetry.next_within(PATIENCE).unwrap();
+        record.unwrap().mode == Mode::Tracking.code()
+    });
+    feeding.lease.renew().unwrap();
+
+    let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
+        return;
+    };
+    std::thread::sleep(held_up);
+    drop(hung);
+    let (end_ns, mut oldest_ns) = (monotonic_ns(), 0);
+    loop {
+        // Of a long time some are lost: the ring to the exchange is full.
+        let record = telemetry.next_within(PATIENCE).unwrap().unwrap();
+        assert_eq!(record.mode, Mode::Tracking.code(), "{}", record.cycle);
+        oldest_ns = oldest_ns.max(record.release_ns.saturating_sub(record.gather_ns));
+        if record.release_ns > end_ns && record.gather_ns > end_ns {
+            break;
+        }
+    }
+    println!("the oldest inputs: {:.1} ms", oldest_ns as f64 * 1e-6);
+    assert!(oldest_ns > 200_000_000, "{oldest_ns}");
+}
+
+#[test]
+fn an_exchange_that_is_held_up_does_not_end_the_reference() {
+    assert_follows_while_held_up(60_000, Duration::from_millis(250));
+    // Longer than the samples reach, and longer than the lease.
+    assert_follows_while_held_up(400, Duration::from_millis(600));
+}
+
+#[test]
+fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
+    let mut daemon = with_driver();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until_while("moving", || robot.turn(), |record| !rests(record));
+
+    let begin = Instant::now();
+    let Some(hung) = Hung::new(daemon.id(), "cdcr-reporter") else {
+        return;
+    };
+    let hung_ns = monotonic_ns();
+    connection.request(RequestKind::Stop).unwrap();
+    wait_until("the commands stop the robot", || {
+        robot.turn();
+        let last = robot.last_command.unwrap();
+        last.release_ns > hung_ns && last.bend_rate_rad_s.iter().all(|rate| *rate == 0.0)
+    });
+    // Another one may still come, and be answered.
+    let other = daemon.connect();
+    other.request(RequestKind::Stop).unwrap();
+    drop(other);
+    drive_until_end(&mut daemon, &mut robot, &hung);
+    let last = robot.last_command.unwrap();
+    assert!(last.release_ns > hung_ns + WATCHDOG.as_nanos() as u64);
+    assert!(begin.elapsed() + Duration::from_millis(40) > 5 * WATCHDOG);
+    let ended = daemon.stop_after_signal();
+    assert_eq!(ended.code(), Some(81), "{}", daemon.log());
+    let sentence = "the reporter thread made no progress for 1500 ms (5 times cycle.watchdog_ms)";
+    assert!(daemon.log().contains(sentence), "{}", daemon.log());
+}
+
+/// A daemon with a service manager that expects a sign of life five times a second.
+struct Managed {
+    daemon: Program,
+    manager: UnixDatagram,
+    place: Place,
+}
+
+impl Managed {
+    fn start() -> Self {
+        let place = Place::new();
+        let socket = place.folder().join("notify");
+        let manager = UnixDatagram::bind(&socket).unwrap();
+        manager.set_nonblocking(true).unwrap();
+        let configuration = place.write("robot.toml", "[cycle]\nmiss_limit = 1000000\n");
+        let mut command = place.command("cdcrd");
+        command
+            .args(["run", "--config"])
+            .arg(configuration)
+            .env("NOTIFY_SOCKET", socket)
+            .env("WATCHDOG_USEC", "200000")
+            .env_remove("WATCHDOG_PID");
+        Self {
+            daemon: Program::start(&mut command),
+            manager,
+            place,
+        }
+    }
+
+    /// How often the watchdog was fed since the last look.
+    fn fed(&self) -> usize {
+        let (mut buffer, mut fed) = ([0; 4096], 0);
+        while let Ok(length) = self.manager.recv(&mut buffer) {
+            let text = String::from_utf8_lossy(&buffer[..length]);
+            fed += text.matches("WATCHDOG=1").count();
+        }
+        fed
+    }
+}
+
+#[test]
+fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_watchdog() {
+    let managed = Managed::start();
+    let location = managed.place.location();
+    let connection = Connection::open_within(location, ROBOT, PATIENCE).unwrap();
+    let mut trail = Trail::new(&connection);
+    trail.until("holding", is(Mode::Holding));
+    wait_until("the watchdog is fed", || managed.fed() > 0);
+
+    let Some(hung) = Hung::new(managed.daemon.id(), "cdcrd") else {
+        return;
+    };
+    managed.fed();
+    trail.catch_up();
+    let begin = Instant::now();
+    let mut cycles = 0;
+    let mut last = connection.status(PATIENCE).unwrap();
+    trail.until("the status is stale", |_| {
+        cycles += 1;
+        match connection.status(Duration::ZERO) {
+            Ok(status) => last = status,
+            Err(error) => return matches!(error, LinkError::Silent { .. }),
+        }
+        false
+    });
+    let silent_ns = monotonic_ns() - last.header.sent_ns;
+    println!(
+        "supervisor hung: silent after {:.1} ms, {cycles} cycles meanwhile",
+        silent_ns as f64 * 1e-6
+    );
+    assert!(
+        silent_ns >= 1_000_000_000 && begin.elapsed() < SOON,
+        "{silent_ns} ns"
+    );
+    assert!(cycles > 50, "the loop goes on: {cycles}");
+    assert_eq!(managed.fed(), 0, "five were due");
+    // New clients do not find a living daemon; old ones can still stop the robot.
+    let error = Connection::open(location, ROBOT).expect_err("no status");
+    assert!(
+        matches!(error, ConnectError::DaemonNotRunning { .. }),
+        "{error:?}"
+    );
+    connection.request(RequestKind::Stop).unwrap();
+    trail.until("stopped", is(Mode::Stopped));
+
+    drop(hung);
+    wait_until("the watchdog is fed", || managed.fed() > 0);
+    wait_status(&connection, |status| status.mode == Mode::Stopped.code());
+}

@@ -1,0 +1,250 @@
+//! Time: missed deadlines, a starved core, clocks that jump, results that are no numbers.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, monotonic_ns};
+use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
+use cdcr_controller::safety::{LeaseState, Mode as InnerMode, Reason as InnerReason, Request};
+use cdcr_daemon::config::Config;
+use cdcr_daemon::cycle::{Cycle, Settings};
+use cdcr_daemon::link::DriverLink;
+use cdcr_daemon::ports::{Clock, TimedMeasurement};
+use cdcr_daemon::rt::handoff::{CycleInputs, CycleRequest};
+use cdcr_daemon::rt::schedule::Release;
+use cdcr_daemon::rt::sys::set_fifo;
+use cdcr_shared_types::codes::{LateCause, Mode, Reason, RequestKind};
+use cdcr_tests::{Daemon, PATIENCE, wait_status, wait_until};
+use rustix::process::Signal;
+use rustix::thread::{CpuSet, sched_setaffinity};
+use rustix::time::{ClockId, Timespec, clock_gettime, clock_settime};
+
+use crate::faults::trail::{Trail, alone, is, say};
+
+/// A daemon that stops its robot after `periods` without a command.
+fn patient_for(periods: u32) -> Daemon {
+    Daemon::start(&format!("[cycle]\nmiss_limit = {periods}\n"))
+}
+
+/// The cycle after the one whose lateness filled the bucket stops the robot.
+fn assert_stops(trail: &mut Trail, what: &str) {
+    let (before, now) = trail.until("the stop", is(Mode::Stopped));
+    assert_eq!(now.reason, Reason::DeadlineMisses.code());
+    assert!(before.miss_bucket >= before.miss_limit);
+    let detected_ns = now.start_ns - before.handed_over_ns;
+    let bound_ns = now.start_ns - before.release_ns;
+    println!(
+        "{what}: bucket at {} of {} in cycle {}",
+        before.miss_bucket, before.miss_limit, before.cycle
+    );
+    say("  overflow to stop", detected_ns, bound_ns);
+    assert_eq!(now.cycle, before.cycle + 1 + u64::from(now.skipped_periods));
+}
+
+/// Refused while the bucket is not below its limit: it drains by one in each good cycle.
+fn reset(connection: &Connection, trail: &mut Trail) {
+    wait_until("the reset", || {
+        trail.catch_up();
+        connection.request(RequestKind::Reset).is_ok()
+    });
+    trail.until("holding", is(Mode::Holding));
+}
+
+#[test]
+fn a_machine_that_stands_still_for_too_long_stops_the_robot() {
+    let daemon = patient_for(60);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    trail.until("holding", is(Mode::Holding));
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(800));
+    daemon.signal(Signal::CONT);
+    assert_stops(&mut trail, "process stopped for 0.8 s");
+    reset(&connection, &mut trail);
+}
+
+/// More periods than the limit of misses in the test.
+const HOGGED: Duration = Duration::from_millis(180);
+
+/// Takes `core` for itself for `time`, at the highest priority there is.
+fn hog(core: usize, time: Duration) {
+    let mut cores = CpuSet::new();
+    cores.set(core);
+    sched_setaffinity(None, &cores).unwrap();
+    set_fifo(99).unwrap();
+    let begin = Instant::now();
+    while begin.elapsed() < time {
+        std::hint::spin_loop();
+    }
+}
+
+#[test]
+fn a_core_that_another_task_takes_stops_the_robot_and_names_the_load() {
+    let daemon = patient_for(20);
+    let connection = daemon.connect();
+    let status = wait_status(&connection, |status| status.cycles > 5);
+    if status.realtime_missing != 0 {
+        println!("skipped: the daemon is not real-time, so that nobody can take its core for good");
+        return;
+    }
+    let _alone = alone();
+    let mut trail = Trail::new_alone(&connection);
+    // A stall at the start may have stopped it.
+    reset(&connection, &mut trail);
+    let core = status.core as usize;
+    let hogging = std::thread::spawn(move || hog(core, HOGGED));
+    assert_stops(&mut trail, "core taken for 0.18 s");
+    hogging.join().unwrap();
+    let load = LateCause::Load.code() as usize;
+    wait_status(&connection, |status| status.since_reset.causes[load] > 0);
+}
+
+/// Lets the wall clock jump by `hours` and back.
+fn jump_wall_clock(hours: i64, meanwhile: impl FnOnce()) {
+    let begin = monotonic_ns();
+    let right = clock_gettime(ClockId::Realtime);
+    let moved = |seconds, nanoseconds| Timespec {
+        tv_sec: right.tv_sec + seconds,
+        tv_nsec: nanoseconds,
+    };
+    clock_settime(ClockId::Realtime, moved(hours * 3600, right.tv_nsec)).unwrap();
+    meanwhile();
+    let passed = right.tv_nsec + (monotonic_ns() - begin).cast_signed();
+    let back = moved(passed / 1_000_000_000, passed % 1_000_000_000);
+    clock_settime(ClockId::Realtime, back).unwrap();
+}
+
+#[test]
+fn a_wall_clock_that_jumps_is_not_noticed() {
+    if std::env::var_os("CDCR_TEST_SET_CLOCK").is_none() {
+        println!("skipped: it sets the clock of the machine; CDCR_TEST_SET_CLOCK=1 allows it");
+        return;
+    }
+    let daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let (_, first) = trail.until("holding", is(Mode::Holding));
+    let mut look = || {
+        let mut records = 0;
+        trail.until("the next record", |record| {
+            let passed = (record.cycle - first.cycle) * record.period_ns;
+            assert_eq!(
+                record.release_ns,
+                first.release_ns + passed,
+                "the grid stays"
+            );
+            records += 1;
+            records > 40
+        });
+        assert!(connection.status(PATIENCE).is_ok(), "the status is fresh");
+    };
+    jump_wall_clock(25, &mut look);
+    jump_wall_clock(-25, &mut look);
+    look();
+    assert_eq!(connection.status(PATIENCE).unwrap().faults, 0);
+}
+
+/// Every Rust file below a folder.
+fn sources(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).unwrap().flatten();
+    let mut files = Vec::new();
+    for path in entries.map(|entry| entry.path()) {
+        if path.is_dir() {
+            files.extend(sources(&path));
+        } else if path.extension().is_some_and(|end| end == "rs") {
+            files.push(path);
+        }
+    }
+    files
+}
+
+#[test]
+fn nothing_that_controls_looks_at_the_wall_clock() {
+    let workspace = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let mut looked = 0;
+    for folder in [
+        "controller/src",
+        "shared-types/src",
+        "daemon/src",
+        "client/src",
+    ] {
+        for path in sources(&workspace.join(folder)) {
+            looked += 1;
+            let text = std::fs::read_to_string(&path).unwrap();
+            for clock in [
+                "SystemTime",
+                "CLOCK_REALTIME",
+                "ClockId::Realtime",
+                "UNIX_EPOCH",
+            ] {
+                assert!(!text.contains(clock), "{} uses {clock}", path.display());
+            }
+        }
+    }
+    assert!(looked > 100, "{looked} files");
+}
+
+/// A clock that a test sets.
+struct Still;
+
+impl Clock for Still {
+    fn now_ns(&self) -> u64 {
+        PERIOD_NS
+    }
+    fn sleep_until(&self, _: u64) {}
+}
+
+const PERIOD_NS: u64 = 5_000_000;
+
+/// Inputs that no message can bring: what they come from has passed no check.
+fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
+    let mut trajectory = Trajectory::with_capacity(10);
+    let points = (0..10).map(|k| ReferencePoint {
+        time_ns: k * 10 * PERIOD_NS,
+        position_m: nalgebra::Vector3::new(position_m, 0.0, 0.89),
+        orientation: Orientation::Free,
+        interpolation: Interpolation::Linear,
+    });
+    trajectory.replace(points).unwrap();
+    let mut inputs = CycleInputs::new(settings);
+    inputs.window.fill(&trajectory, 1, PERIOD_NS, PERIOD_NS, 2);
+    inputs.lease = LeaseState::Held;
+    inputs
+}
+
+#[test]
+fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp() {
+    let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
+    for (position_m, expected) in [
+        (0.01, InnerMode::Tracking { begun: false }),
+        (
+            f64::NAN,
+            InnerMode::Faulted {
+                reason: InnerReason::NonFinite,
+            },
+        ),
+    ] {
+        let mut cycle = Cycle::new(&validated, DriverLink).unwrap();
+        let mut inputs = unchecked_inputs(Settings::new(&validated.config), position_m);
+        inputs.measurement = Some(TimedMeasurement {
+            measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
+            measured_ns: PERIOD_NS - 1,
+        });
+        let release = Release {
+            cycle: 1,
+            release_ns: PERIOD_NS,
+            due_ns: PERIOD_NS,
+            start_ns: PERIOD_NS,
+            skipped: 0,
+        };
+        let mut requests = vec![CycleRequest {
+            ticket: 1,
+            request: Request::Track,
+        }];
+        let record = cycle.run(release, &inputs, || requests.pop(), &Still);
+        assert_eq!(record.mode, expected);
+        assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
+        let is_fault = matches!(record.mode, InnerMode::Faulted { .. });
+        assert!(!is_fault || record.rates.as_slice().iter().all(|rate| *rate == 0.0));
+    }
+}

@@ -1,0 +1,286 @@
+//! The numbers of a message in the order in which they lie in memory. The messages are plain numbers of
+//! fixed size without gaps, so any bytes are a message; this reads and writes it without `unsafe`.
+
+use std::fmt;
+
+use cdcr_shared_types::{
+    Header, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint, Request,
+    SolverSettings,
+};
+
+/// One number of a message.
+#[derive(Debug)]
+pub(crate) enum Number<'a> {
+    U32(&'a mut u32),
+    U64(&'a mut u64),
+    F64(&'a mut f64),
+}
+
+impl Number<'_> {
+    pub(crate) fn size(&self) -> usize {
+        match self {
+            Self::U32(_) => 4,
+            Self::U64(_) | Self::F64(_) => 8,
+        }
+    }
+
+    pub(crate) fn bits(&self) -> u64 {
+        match self {
+            Self::U32(value) => u64::from(**value),
+            Self::U64(value) => **value,
+            Self::F64(value) => value.to_bits(),
+        }
+    }
+
+    pub(crate) fn set_bits(&mut self, bits: u64) {
+        match self {
+            Self::U32(value) => **value = bits as u32,
+            Self::U64(value) => **value = bits,
+            Self::F64(value) => **value = f64::from_bits(bits),
+        }
+    }
+
+    /// Takes the value that [`fmt::Display`] wrote.
+    pub(crate) fn parse(&mut self, text: &str) -> Option<()> {
+        match self {
+            Self::U32(value) => **value = text.parse().ok()?,
+            Self::U64(value) => **value = text.parse().ok()?,
+            Self::F64(value) => {
+                **value = match text.strip_prefix("bits 0x") {
+                    Some(bits) => f64::from_bits(u64::from_str_radix(bits, 16).ok()?),
+                    None => text.parse().ok()?,
+                }
+            }
+        }
+        Some(())
+    }
+}
+
+/// Decimal, so that all bits come back; a NaN by its bits.
+impl fmt::Display for Number<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::U32(value) => write!(f, "{value}"),
+            Self::U64(value) => write!(f, "{value}"),
+            Self::F64(value) if value.is_nan() => write!(f, "bits 0x{:016x}", value.to_bits()),
+            Self::F64(value) => write!(f, "{value:?}"),
+        }
+    }
+}
+
+/// A step on the way to a number.
+#[derive(Debug, Clone, Copy)]
+pub(crate) enum Part {
+    Field(&'static str),
+    Index(usize),
+}
+
+/// The way to a number, such as `points[3].time_ns`.
+pub(crate) fn name(path: &[Part]) -> String {
+    let mut text = String::new();
+    for part in path {
+        match part {
+            Part::Field(field) if text.is_empty() => text.push_str(field),
+            Part::Field(field) => text.extend([".", field]),
+            Part::Index(index) => text.extend(["[", &index.to_string(), "]"]),
+        }
+    }
+    text
+}
+
+/// What is done with each number.
+pub(crate) type Visit<'v> = dyn FnMut(&[Part], Number<'_>) + 'v;
+
+/// Something that is made of numbers.
+pub(crate) trait Fields {
+    /// Visits every number in the order of the layout.
+    fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>);
+
+    /// Visits every number in the order of the layout.
+    fn for_each(&mut self, mut visit: impl FnMut(&[Part], Number<'_>))
+    where
+        Self: Sized,
+    {
+        self.walk(&mut Vec::new(), &mut visit);
+    }
+
+    /// The message that these bytes are; what is missing at the end is zero.
+    fn from_bytes(bytes: &[u8]) -> Self
+    where
+        Self: Sized + Default,
+    {
+        let (mut message, mut rest) = (Self::default(), bytes);
+        message.for_each(|_, mut number| {
+            let (mine, others) = rest.split_at(number.size().min(rest.len()));
+            let mut word = [0; 8];
+            word[..mine.len()].copy_from_slice(mine);
+            number.set_bits(u64::from_le_bytes(word));
+            rest = others;
+        });
+        message
+    }
+
+    /// Changes the number at `index`.
+    fn change(&mut self, index: usize, change: impl Fn(u64) -> u64)
+    where
+        Self: Sized,
+    {
+        let mut at = 0;
+        self.for_each(|_, mut number| {
+            if at == index {
+                number.set_bits(change(number.bits()));
+            }
+            at += 1;
+        });
+    }
+}
+
+macro_rules! number {
+    ($($type:ty => $variant:ident),+) => { $(
+        impl Fields for $type {
+            fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
+                visit(path, Number::$variant(self));
+            }
+        }
+    )+ };
+}
+number!(u32 => U32, u64 => U64, f64 => F64);
+
+impl<T: Fields, const N: usize> Fields for [T; N] {
+    fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
+        for (index, element) in self.iter_mut().enumerate() {
+            path.push(Part::Index(index));
+            element.walk(path, visit);
+            path.pop();
+        }
+    }
+}
+
+/// Names every field of a struct, in order: a field that is forgotten does not compile.
+macro_rules! fields {
+    ($type:ident { $($field:ident),+ $(,)? }) => {
+        impl $crate::fuzz::fields::Fields for $type {
+            fn walk(
+                &mut self,
+                path: &mut Vec<$crate::fuzz::fields::Part>,
+                visit: &mut $crate::fuzz::fields::Visit<'_>,
+            ) {
+                let Self { $($field),+ } = self;
+                $(
+                    path.push($crate::fuzz::fields::Part::Field(stringify!($field)));
+                    $field.walk(path, visit);
+                    path.pop();
+                )+
+            }
+        }
+    };
+}
+pub(crate) use fields;
+
+fields!(Header {
+    sender_id,
+    sequence,
+    sent_ns
+});
+fields!(ReferencePoint {
+    time_ns,
+    position_m,
+    orientation,
+    orientation_kind,
+    reserved,
+});
+fields!(ReferenceChunk {
+    header,
+    mode,
+    interpolation,
+    count,
+    reserved,
+    points,
+});
+fields!(Obstacle {
+    id,
+    shape,
+    start_m,
+    end_m,
+    radius_m,
+    velocity_m_s,
+    measured_ns,
+    lifetime_ns,
+});
+fields!(ObstacleUpdate {
+    header,
+    action,
+    count,
+    obstacles
+});
+fields!(Measurement {
+    header,
+    measured_ns,
+    kind,
+    sections,
+    bend_rad,
+    tip_position_m,
+    tip_orientation,
+    cable_length_m,
+});
+fields!(SolverSettings {
+    solver,
+    coordinates,
+    horizon_steps,
+    control_blocks,
+    swarm_size,
+    swarm_iterations,
+    regenerate_after,
+    velocity_rule,
+    refinement_steps,
+    reserved,
+    inertia,
+    cognitive,
+    social,
+    damping,
+    position_weight,
+    orientation_weight,
+    orientation_tolerance_rad,
+    rate_weight,
+    rate_change_weight,
+    terminal_weight,
+    safe_distance_m,
+    obstacle_step_penalty,
+    obstacle_slope_penalty,
+    obstacle_square_penalty,
+    budget_ns,
+    seed,
+});
+fields!(Request {
+    header,
+    kind,
+    reserved,
+    settings
+});
+
+/// A message has no gaps, so its numbers in their order are its bytes.
+#[test]
+fn the_numbers_of_a_message_fill_it() {
+    fn filled<T: Fields + Default>() -> (usize, usize) {
+        let mut bytes = 0;
+        T::default().for_each(|_, number| bytes += number.size());
+        (bytes, size_of::<T>())
+    }
+    for (bytes, size) in [
+        filled::<ReferenceChunk>(),
+        filled::<ObstacleUpdate>(),
+        filled::<Measurement>(),
+        filled::<Request>(),
+    ] {
+        assert_eq!(bytes, size);
+    }
+}
+
+#[test]
+fn numbers_are_where_the_bytes_say() {
+    let mut bytes = [0; 48];
+    bytes[32..36].copy_from_slice(&7_u32.to_le_bytes());
+    bytes[40..48].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
+    let message = Measurement::from_bytes(&bytes);
+    assert_eq!((message.kind, message.bend_rad[0]), (7, f64::NEG_INFINITY));
+}

@@ -1,0 +1,309 @@
+//! The controlling half of a daemon in one thread with a clock of its own: messages go through the daemon's
+//! checks into its cycle, and every command that comes out is judged.
+
+use std::cell::Cell;
+use std::collections::VecDeque;
+use std::path::Path;
+
+use cdcr_controller::plant::KinematicPlant;
+use cdcr_controller::reference::Trajectory;
+use cdcr_controller::robot::Robot;
+use cdcr_controller::safety::{LeaseState, Mode};
+use cdcr_daemon::config::{Config, Validated, ns};
+use cdcr_daemon::cycle::{Cycle, CycleRecord, Settings};
+use cdcr_daemon::exchange::convert;
+use cdcr_daemon::link::{DriverLink, SimulatedRobot};
+use cdcr_daemon::ports::{Clock, RobotLink};
+use cdcr_daemon::rt::handoff::{CycleInputs, CycleRequest};
+use cdcr_daemon::rt::schedule::Release;
+use cdcr_shared_types::codes::{ChunkMode, MeasurementKind, RequestKind};
+use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
+use cdcr_shared_types::{Command, Measurement, ObstacleUpdate, ReferenceChunk, Request};
+
+use crate::fuzz::cases::Tally;
+use crate::fuzz::script::{BEGIN_NS, PERIOD_NS, Run, Script, Step};
+
+/// A section of the paper's robot.
+const SECTION: &str = "[[robot.sections]]
+length_m = 0.3
+cable_radius_m = 0.0125
+cable_offset_rad = 0.5
+bend_max_rad = 2.8
+rate_max_rad_s = 2.0
+body_radius_m = 0.015
+";
+/// Inputs are gathered this long before a release.
+const GATHER_LEAD_NS: u64 = 200_000;
+/// Time that passes whenever somebody looks at the clock: a solve is over after some hundred looks.
+const LOOK_NS: u64 = 10_000;
+
+/// A clock that goes on when it is looked at.
+#[derive(Debug, Default)]
+struct Watch(Cell<u64>);
+
+impl Clock for Watch {
+    fn now_ns(&self) -> u64 {
+        self.0.set(self.0.get() + LOOK_NS);
+        self.0.get()
+    }
+
+    fn sleep_until(&self, time_ns: u64) {
+        self.0.set(self.0.get().max(time_ns));
+    }
+}
+
+/// Plays a script, and says what happened.
+pub(crate) fn play(script: &Script, tally: &Tally) {
+    let Some(Step::Robot(robot)) = script.0.first() else {
+        panic!("a script begins with its [robot]");
+    };
+    let text = SECTION.repeat(robot.sections as usize);
+    let validated = Config::parse(&text, Path::new("script")).unwrap();
+    if robot.driver == 1 {
+        Rig::new(&validated, DriverLink).play(script, tally);
+    } else {
+        Rig::new(&validated, simulated(&validated)).play(script, tally);
+    }
+}
+
+/// The simulated robot of a configuration.
+pub(crate) fn simulated(validated: &Validated) -> SimulatedRobot {
+    SimulatedRobot::new(KinematicPlant::new(&validated.robot, validated.initial))
+}
+
+/// What belongs to the cycle, and the robot behind a good driver.
+#[derive(Debug)]
+pub(crate) struct Rig<L> {
+    robot: Robot,
+    period_ns: u64,
+    cycle: Cycle<L>,
+    real: KinematicPlant,
+    clock: Watch,
+    trajectory: Trajectory,
+    inputs: CycleInputs,
+    requests: VecDeque<CycleRequest>,
+    next_cycle: u64,
+}
+
+impl<L: RobotLink> Rig<L> {
+    pub(crate) fn new(validated: &Validated, link: L) -> Self {
+        let mut inputs = CycleInputs::new(Settings::new(&validated.config));
+        inputs.lease = LeaseState::Held;
+        Self {
+            robot: validated.robot.clone(),
+            period_ns: ns(validated.config.cycle.period_ms),
+            cycle: Cycle::new(validated, link).unwrap(),
+            real: KinematicPlant::new(&validated.robot, validated.initial),
+            clock: Watch::default(),
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
+            inputs,
+            requests: VecDeque::new(),
+            next_cycle: 0,
+        }
+    }
+
+    /// When the inputs of the next cycle are gathered.
+    pub(crate) fn now_ns(&self) -> u64 {
+        self.release_ns(self.next_cycle) - GATHER_LEAD_NS.min(self.period_ns / 2)
+    }
+
+    fn release_ns(&self, cycle: u64) -> u64 {
+        BEGIN_NS + cycle * self.period_ns
+    }
+
+    fn play(&mut self, script: &Script, tally: &Tally) {
+        assert_eq!(self.period_ns, PERIOD_NS);
+        for step in &script.0[1..] {
+            match step {
+                Step::Robot(_) => panic!("a script has one robot"),
+                Step::Run(run) => self.run(*run, tally),
+                Step::Chunk(chunk) => tally.count("played reference", self.take_chunk(chunk)),
+                Step::Update(update) => tally.count("played obstacles", self.take_update(update)),
+                Step::Measurement(message) => {
+                    tally.count("played measurement", self.take_measurement(message));
+                }
+                Step::Request(request) => tally.count("played request", self.take_request(request)),
+            }
+        }
+    }
+
+    /// As the gather of the daemon does it, without lease and sequence.
+    pub(crate) fn take_chunk(&mut self, chunk: &ReferenceChunk) -> bool {
+        let now_ns = self.now_ns();
+        let Ok(mode) = ChunkMode::try_from(chunk.mode) else {
+            return false;
+        };
+        let Ok(points) = convert::reference_points(chunk, &self.robot, now_ns) else {
+            return false;
+        };
+        match mode {
+            ChunkMode::Replace => self.trajectory.replace(points).is_ok(),
+            ChunkMode::Append => self.trajectory.append(points).is_ok(),
+        }
+    }
+
+    fn take_update(&mut self, update: &ObstacleUpdate) -> bool {
+        let now_ns = self.now_ns();
+        self.inputs.obstacles.expire(now_ns);
+        let updated = convert::updated_obstacles(update, &self.inputs.obstacles, now_ns);
+        updated.map(|set| self.inputs.obstacles = set).is_ok()
+    }
+
+    fn take_measurement(&mut self, message: &Measurement) -> bool {
+        let measured = convert::measurement(message, &self.robot, self.now_ns());
+        let last_ns = self.inputs.measurement.map_or(0, |last| last.measured_ns);
+        match measured {
+            Ok(timed) if timed.measured_ns > last_ns => {
+                self.inputs.measurement = Some(timed);
+                true
+            }
+            _ => false,
+        }
+    }
+
+    pub(crate) fn take_request(&mut self, request: &Request) -> bool {
+        let Ok(kind) = RequestKind::try_from(request.kind) else {
+            return false;
+        };
+        if let Some(request) = convert::mode_request(kind) {
+            self.requests.push_back(CycleRequest { ticket: 1, request });
+            return true;
+        }
+        if kind != RequestKind::Settings {
+            return false;
+        }
+        let settings = convert::settings_from_wire(&request.settings);
+        let taken = settings.map(|settings| {
+            self.inputs.settings = settings;
+            self.inputs.settings_revision += 1;
+        });
+        taken.is_ok()
+    }
+
+    /// What a good driver measures.
+    fn measure(&mut self) {
+        let mut message = Measurement {
+            measured_ns: self.now_ns(),
+            kind: MeasurementKind::Configuration.code(),
+            sections: self.robot.section_count() as u32,
+            ..Measurement::default()
+        };
+        let bends = self.real.configuration();
+        message.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+        // One that came before may have been a little ahead of its time; then this one is older.
+        self.take_measurement(&message);
+    }
+
+    fn run(&mut self, run: Run, tally: &Tally) {
+        self.inputs.lease = match run.lease {
+            0 => LeaseState::Free,
+            1 => LeaseState::Held,
+            _ => LeaseState::Expired,
+        };
+        for cycle in 0..run.cycles {
+            if run.measured == 1 {
+                self.measure();
+            }
+            let skipped = if cycle == 0 { run.skipped } else { 0 };
+            let record = self.run_cycle(skipped);
+            if matches!(record.mode, Mode::Tracking { .. }) {
+                tally.count("cycle that follows", true);
+            }
+            if matches!(record.mode, Mode::Faulted { .. }) {
+                tally.count("cycle with a fault", true);
+            }
+            if record.clearance_hit {
+                tally.count("cycle that is kept clear", true);
+            }
+        }
+    }
+
+    /// One cycle, `skipped` periods after the one that its inputs were gathered for.
+    pub(crate) fn run_cycle(&mut self, skipped: u32) -> CycleRecord {
+        let planned = self.next_cycle;
+        self.gather(planned);
+        let cycle = planned + u64::from(skipped);
+        self.next_cycle = cycle + 1;
+        let release_ns = self.release_ns(cycle);
+        let release = Release {
+            cycle,
+            release_ns,
+            due_ns: self.release_ns(planned),
+            start_ns: release_ns + 30_000,
+            skipped,
+        };
+        self.clock.sleep_until(release.start_ns);
+        let (requests, clock) = (&mut self.requests, &self.clock);
+        let next_request = || requests.pop_front();
+        let record = self.cycle.run(release, &self.inputs, next_request, clock);
+        self.judge(&record);
+        self.real.command(&record.rates);
+        self.real.advance(self.period_ns as f64 * 1e-9);
+        record
+    }
+
+    fn gather(&mut self, cycle: u64) {
+        let release_ns = self.release_ns(cycle);
+        self.trajectory.forget_before(release_ns - self.period_ns);
+        self.inputs.gather += 1;
+        self.inputs.gather_ns = self.now_ns();
+        self.inputs.window.fill(
+            &self.trajectory,
+            cycle,
+            release_ns,
+            self.period_ns,
+            self.inputs.settings.nmpc.horizon_steps as usize,
+        );
+    }
+
+    /// Rates are finite and inside the limits, and so is what they lead to, unless the robot was measured
+    /// outside before; and the message that a driver gets is finite.
+    fn judge(&self, record: &CycleRecord) {
+        let rates = &record.rates;
+        assert!(rates.is_finite(), "{rates:?} in {:?}", record.mode);
+        let period_s = self.period_ns as f64 * 1e-9;
+        let now = &record.configuration;
+        let next = now.advanced(rates, period_s);
+        for (index, section) in self.robot.sections().iter().enumerate() {
+            let fastest = rates
+                .section(index)
+                .map(f64::abs)
+                .into_iter()
+                .fold(0.0, f64::max);
+            assert!(
+                fastest <= section.rate_max_rad_s,
+                "section {index}: {fastest} rad/s"
+            );
+            let most_rad = section.bend_max_rad.max(now.bend_rad(index)) * (1.0 + 1e-12);
+            let bend_rad = next.bend_rad(index);
+            assert!(
+                bend_rad <= most_rad,
+                "section {index}: {bend_rad} > {most_rad} rad"
+            );
+        }
+        let most_m_s = self.robot.cable_speed_max_m_s() * (1.0 + 1e-12);
+        for speed_m_s in self.robot.cable_speeds(rates.as_slice()) {
+            assert!(speed_m_s.abs() <= most_m_s, "a cable at {speed_m_s} m/s");
+        }
+        let command = convert::command(record, &self.robot, self.period_ns, 100_000_000);
+        if record.measurement.is_some() {
+            assert_finite(&command);
+        }
+        let telemetry = convert::telemetry(record, &self.robot, self.period_ns);
+        assert_eq!(telemetry.cycle, record.release.cycle);
+    }
+}
+
+/// No number of a command is NaN or infinite.
+pub(crate) fn assert_finite(command: &Command) {
+    let angles = command
+        .bend_rate_rad_s
+        .iter()
+        .chain(&command.bend_target_rad);
+    let cables = command
+        .cable_length_m
+        .iter()
+        .chain(&command.cable_speed_m_s);
+    let finite = angles.chain(cables).all(|value| value.is_finite());
+    assert!(finite, "a command that is not finite: {command:?}");
+}

@@ -1,0 +1,321 @@
+//! A real daemon, a client that sends it nonsense on every service, and one that watches.
+
+use cdcr_client::{Connection, Driver, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::codes::{MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::{
+    Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status,
+};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_status, wait_until};
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+
+use crate::fuzz::cases::asked;
+use crate::fuzz::draft::{self, Draft, lay_out};
+use crate::fuzz::fields::Fields;
+use crate::fuzz::rig::assert_finite;
+use crate::fuzz::script::{Robot, Step};
+
+/// Who sends the nonsense.
+const STRANGER: u64 = 0xbad;
+/// Messages of each kind that are sent at once: half of what one writer's queue holds, at most.
+const BURST: [(Kind, usize); 4] = [
+    (Kind::Reference, 16),
+    (Kind::Obstacles, 8),
+    (Kind::Measurement, 8),
+    (Kind::Request, 1),
+];
+/// Requests before the nonsense, so that it meets a robot that moves. With them a client may have no more.
+const REQUESTS: [RequestKind; 3] = [
+    RequestKind::AcquireLease,
+    RequestKind::Reset,
+    RequestKind::Track,
+];
+const _: () = assert!(REQUESTS.len() < Service::CONTROL_REQUESTS);
+
+#[derive(Debug, Clone, Copy)]
+enum Kind {
+    Reference,
+    Obstacles,
+    Measurement,
+    Request,
+}
+
+/// Nonsense of one kind: any bytes, or a message that is nearly right at `now_ns`.
+fn nonsense(kind: Kind, now_ns: u64) -> BoxedStrategy<Step> {
+    fn any_bytes<T: Fields + Default + 'static>(to_step: fn(T) -> Step) -> BoxedStrategy<Step> {
+        let bytes = draft::bytes(size_of::<T>());
+        bytes
+            .prop_map(move |bytes| to_step(T::from_bytes(&bytes)))
+            .boxed()
+    }
+    fn near(drafts: impl Strategy<Value = Draft> + 'static, now_ns: u64) -> BoxedStrategy<Step> {
+        let robot = Robot {
+            sections: 3,
+            driver: 1,
+        };
+        let lay_out = move |draft| lay_out(now_ns, robot, vec![draft]).0.remove(1);
+        drafts.prop_map(lay_out).boxed()
+    }
+    let (any, near) = match kind {
+        Kind::Reference => (any_bytes(Step::Chunk), near(draft::chunk(), now_ns)),
+        Kind::Obstacles => (any_bytes(Step::Update), near(draft::update(), now_ns)),
+        Kind::Measurement => (
+            any_bytes(Step::Measurement),
+            near(draft::measurement(), now_ns),
+        ),
+        Kind::Request => (any_bytes(Step::Request), near(draft::request(), now_ns)),
+    };
+    prop_oneof![1 => any, 4 => near].boxed()
+}
+
+/// A client that knows the services and keeps to none of their rules.
+struct Stranger {
+    runner: TestRunner,
+    reference: Publisher<ipc::Service, ReferenceChunk, ()>,
+    obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
+    measurement: Publisher<ipc::Service, Measurement, ()>,
+    control: Client<ipc::Service, Request, (), Response, ()>,
+    /// Requests without an answer. Nobody reads the answers.
+    pending: Vec<PendingResponse<ipc::Service, Request, (), Response, ()>>,
+    sequence: u64,
+    sent: u64,
+    _node: Node<ipc::Service>,
+}
+
+fn publisher<T: ZeroCopySend + std::fmt::Debug + 'static>(
+    node: &Node<ipc::Service>,
+    service: Service,
+) -> Publisher<ipc::Service, T, ()> {
+    let name = service.name(ROBOT).unwrap();
+    let topic = node.service_builder(&name).publish_subscribe::<T>();
+    let opened = topic.open().unwrap();
+    let publisher = opened.publisher_builder();
+    publisher
+        .backpressure_strategy(BackpressureStrategy::DiscardData)
+        .create()
+        .unwrap()
+}
+
+impl Stranger {
+    fn arrive(place: &Place) -> Self {
+        let node = place.location().node_builder().unwrap();
+        let node = node.create::<ipc::Service>().unwrap();
+        let name = Service::Control.name(ROBOT).unwrap();
+        let control = node.service_builder(&name);
+        let control = control.request_response::<Request, Response>();
+        let opened = control.open().unwrap();
+        let control = opened.client_builder();
+        let control = control.backpressure_strategy(BackpressureStrategy::DiscardData);
+        Self {
+            runner: TestRunner::deterministic(),
+            reference: publisher(&node, Service::Reference),
+            obstacles: publisher(&node, Service::Obstacles),
+            measurement: publisher(&node, Service::Measurement),
+            control: control.create().unwrap(),
+            pending: Vec::new(),
+            sequence: 0,
+            sent: 0,
+            _node: node,
+        }
+    }
+
+    /// A little of every kind.
+    fn burst(&mut self) {
+        self.pending.clear();
+        for kind in REQUESTS {
+            self.send(&Step::Request(Request {
+                kind: kind.code(),
+                ..Request::default()
+            }));
+        }
+        for (kind, count) in BURST {
+            for _ in 0..count {
+                let tree = nonsense(kind, monotonic_ns()).new_tree(&mut self.runner);
+                let step = tree.unwrap().current();
+                self.send(&step);
+            }
+        }
+    }
+
+    /// Sends a message; one without a header gets one, so that it is not refused for that alone.
+    fn send(&mut self, step: &Step) {
+        let header = self.next_header();
+        let with = |given: Header| {
+            if given == Header::default() {
+                header
+            } else {
+                given
+            }
+        };
+        match step {
+            Step::Chunk(chunk) => {
+                let header = with(chunk.header);
+                let message = ReferenceChunk { header, ..*chunk };
+                self.reference.send_copy(message).unwrap();
+            }
+            Step::Update(update) => {
+                let header = with(update.header);
+                let message = ObstacleUpdate { header, ..*update };
+                self.obstacles.send_copy(message).unwrap();
+            }
+            Step::Measurement(measurement) => {
+                let header = with(measurement.header);
+                let message = Measurement {
+                    header,
+                    ..*measurement
+                };
+                self.measurement.send_copy(message).unwrap();
+            }
+            Step::Request(request) => {
+                let header = with(request.header);
+                let message = Request { header, ..*request };
+                self.pending.push(self.control.send_copy(message).unwrap());
+            }
+            Step::Robot(_) | Step::Run(_) => panic!("no message"),
+        }
+        self.sent += 1;
+    }
+
+    fn next_header(&mut self) -> Header {
+        self.sequence += 1;
+        Header {
+            sender_id: STRANGER,
+            sequence: self.sequence,
+            sent_ns: monotonic_ns(),
+        }
+    }
+}
+
+/// A client that behaves. It reads every record, and finds no command that is not finite.
+struct Watcher {
+    connection: Connection,
+    telemetry: TelemetryStream,
+    driver: Driver,
+    records: u64,
+    follows: bool,
+}
+
+impl Watcher {
+    fn arrive(daemon: &Daemon) -> Self {
+        let connection = daemon.connect();
+        Self {
+            telemetry: connection.telemetry().unwrap(),
+            driver: connection.driver().unwrap(),
+            connection,
+            records: 0,
+            follows: false,
+        }
+    }
+
+    fn look(&mut self) -> Status {
+        while let Some(record) = self.telemetry.try_next().unwrap() {
+            assert_finite(&record.command);
+            self.records += 1;
+            self.follows |= record.mode == Mode::Tracking.code();
+        }
+        self.connection.status(PATIENCE).unwrap()
+    }
+
+    /// How many messages were counted, those of the last moments included.
+    fn settled(&self) -> u64 {
+        let begin_ns = monotonic_ns();
+        let first = wait_status(&self.connection, |status| status.header.sent_ns > begin_ns);
+        let then = wait_status(&self.connection, |status| status.cycles > first.cycles + 10);
+        counted(&then)
+    }
+
+    /// Waits until the daemon has counted so many messages, and not one more.
+    fn wait_for(&mut self, count: u64) {
+        wait_until("every message is counted", || {
+            let status = self.look();
+            assert!(counted(&status) <= count, "{:?}", status.outcomes);
+            counted(&status) == count
+        });
+    }
+
+    /// Takes the obstacles away, measures a robot that stands straight, and makes the daemon hold it.
+    fn recover(&mut self) {
+        let obstacles = self.connection.obstacle_sender().unwrap();
+        wait_until("the daemon holds the robot", || {
+            self.measure();
+            obstacles.clear().unwrap();
+            // Refused while the daemon still sees what the stranger measured.
+            for kind in [RequestKind::Reset, RequestKind::Hold] {
+                let _ = self.connection.request(kind);
+            }
+            self.look().mode == Mode::Holding.code()
+        });
+    }
+
+    fn measure(&self) {
+        let message = Measurement {
+            measured_ns: monotonic_ns(),
+            kind: MeasurementKind::Configuration.code(),
+            sections: 3,
+            ..Measurement::default()
+        };
+        self.driver.send(message).unwrap();
+    }
+}
+
+fn counted(status: &Status) -> u64 {
+    status.outcomes.iter().sum()
+}
+
+/// Sends nonsense to a daemon with this kind of robot, and waits after each burst until all of it is counted.
+fn outlives(link: &str, must_follow: bool) {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = {link:?}\nmeasurement_timeout_ms = 10000.0\n"
+    ));
+    let mut watcher = Watcher::arrive(&daemon);
+    watcher.recover();
+    let before = watcher.settled();
+    let mut stranger = Stranger::arrive(daemon.place());
+    let least = asked().unwrap_or(0).max(15);
+    for burst in 0.. {
+        stranger.burst();
+        watcher.wait_for(before + stranger.sent);
+        if burst >= least && (watcher.follows || !must_follow) {
+            break;
+        }
+        assert!(burst < least + 100, "the robot never followed a reference");
+    }
+    let outcomes = watcher.look().outcomes;
+    let (accepted, all) = (outcomes[0], outcomes.iter().sum::<u64>());
+    println!(
+        "{link}: {accepted} of {all} accepted, {} records",
+        watcher.records
+    );
+    assert!(
+        accepted * 20 > all && accepted * 4 < all * 3,
+        "{outcomes:?}"
+    );
+
+    // A flood: what finds no room is lost, and the daemon does not mind.
+    for _ in 0..100 {
+        stranger.burst();
+    }
+    drop(stranger);
+    watcher.recover();
+    let (records, cycles) = (watcher.records, watcher.look().cycles);
+    wait_until("the loop goes on", || {
+        watcher.measure();
+        let status = watcher.look();
+        watcher.records > records + 20 && status.cycles > cycles + 20
+    });
+}
+
+#[test]
+fn a_daemon_with_a_driver_outlives_a_client_that_sends_nonsense() {
+    outlives("driver", false);
+}
+
+#[test]
+fn a_daemon_with_a_simulated_robot_outlives_a_client_that_sends_nonsense() {
+    outlives("simulated", true);
+}

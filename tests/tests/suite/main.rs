@@ -1,0 +1,13 @@
+//! Tests of the whole system in one program, each on a prefix of its own. What watches the allocator of its process is in `guards`.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+mod chaos;
+mod faults;
+mod fuzz;
+mod soak;
+mod stop;
+mod system;

@@ -1,0 +1,352 @@
+//! How long a stop takes: from the request to zero rates within one period plus the ramp.
+//!
+//! A robot tracks at speed and is stopped at ever other moments of the period. What the records say is compared
+//! with what was promised: the request is taken by the first gather after it was sent, or by the look just before the
+//! release, carried out by that release, and from there on the rates shrink by deceleration · T each cycle. Whatever took longer, the records
+//! have to account for: releases that were skipped, a gather or a start that came late.
+
+use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use cdcr_client::{
+    Connection, FeedEvent, FeedOptions, Line, TelemetryStream, events, monotonic_ns,
+};
+use cdcr_shared_types::codes::{EventKind, MeasurementKind, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::{Header, Measurement, Request, Response, Service, Telemetry};
+use cdcr_tests::record::largest;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_record};
+use iceoryx2::port::client::Client;
+use iceoryx2::prelude::{Node, ipc};
+
+/// Stops that are measured.
+const STOPS: usize = 30;
+/// A robot is at speed when its fastest component bends at this \[rad/s\].
+const SPEED_RAD_S: f64 = 0.8;
+/// How fast the rates shrink: a stop from the largest rate, 2 rad/s, takes 20 cycles.
+const DECELERATION_RAD_S2: f64 = 20.0;
+/// How long before a release the inputs are gathered, in the default configuration \[ns\].
+const GATHER_LEAD_NS: u64 = 200_000;
+/// What rounding may do to a rate \[rad/s\].
+const TOLERANCE_RAD_S: f64 = 1e-9;
+
+/// Two daemons on one core would be each other's load.
+static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
+
+#[test]
+fn a_simulated_robot_stops_within_one_period_and_the_ramp() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let daemon = Daemon::start(&configuration("simulated"));
+    measure_stops("simulated", &daemon);
+}
+
+#[test]
+fn a_robot_behind_a_driver_stops_within_one_period_and_the_ramp() {
+    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
+    let daemon = Daemon::start(&configuration("driver"));
+    let ending = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        scope.spawn(|| drive(daemon.place(), &ending));
+        let _ends = EndWhenDropped(&ending);
+        measure_stops("driver", &daemon);
+    });
+}
+
+fn configuration(link: &str) -> String {
+    format!(
+        "{PATIENT}[link]\nkind = \"{link}\"\nmeasurement_timeout_ms = 2000.0\n\
+         [motion]\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
+    )
+}
+
+/// Ends the driver also when the test fails.
+struct EndWhenDropped<'a>(&'a AtomicBool);
+
+impl Drop for EndWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// A robot that goes to every commanded target at once.
+fn drive(place: &Place, ending: &AtomicBool) {
+    let connection = cdcr_tests::load::connect(place);
+    let mut driver = connection.driver().unwrap();
+    let mut measurement = Measurement {
+        sections: 3,
+        kind: MeasurementKind::Configuration.code(),
+        ..Measurement::default()
+    };
+    while !ending.load(Ordering::Relaxed) {
+        if let Some(command) = driver.newest_command().unwrap() {
+            measurement.bend_rad = command.bend_target_rad;
+        }
+        measurement.measured_ns = monotonic_ns();
+        driver.send(measurement).unwrap();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Asks for a stop and knows when: the client of the library does not tell.
+struct Stopper {
+    control: Client<ipc::Service, Request, (), Response, ()>,
+    sequence: u64,
+    _node: Node<ipc::Service>,
+}
+
+/// A stop that was asked for and carried out.
+#[derive(Debug, Clone, Copy)]
+struct Asked {
+    /// Before and after the sending \[ns, `CLOCK_MONOTONIC`\].
+    begun_ns: u64,
+    sent_ns: u64,
+    response: Response,
+}
+
+/// Who asks.
+const STOPPER: u64 = 0x5709;
+
+impl Stopper {
+    fn new(place: &Place) -> Self {
+        let node = place.location().node_builder().unwrap();
+        let node = node.create::<ipc::Service>().unwrap();
+        let name = Service::Control.name(ROBOT).unwrap();
+        let service = node.service_builder(&name);
+        let service = service.request_response::<Request, Response>();
+        let opened = service.open().unwrap();
+        Self {
+            control: opened.client_builder().create().unwrap(),
+            sequence: 0,
+            _node: node,
+        }
+    }
+
+    fn stop(&mut self) -> Asked {
+        self.sequence += 1;
+        let begun_ns = monotonic_ns();
+        let request = Request {
+            header: Header {
+                sender_id: STOPPER,
+                sequence: self.sequence,
+                sent_ns: begun_ns,
+            },
+            kind: RequestKind::Stop.code(),
+            ..Request::default()
+        };
+        let pending = self.control.send_copy(request).unwrap();
+        let sent_ns = monotonic_ns();
+        let begin = Instant::now();
+        loop {
+            if let Some(response) = pending.receive().unwrap() {
+                let response = *response.payload();
+                assert_eq!(response.outcome, Outcome::Accepted.code());
+                assert_eq!(response.request_sequence, self.sequence);
+                return Asked {
+                    begun_ns,
+                    sent_ns,
+                    response,
+                };
+            }
+            assert!(begin.elapsed() < PATIENCE, "a stop was not answered");
+            std::thread::sleep(Duration::from_micros(200));
+        }
+    }
+}
+
+/// How long a stop took \[ns\].
+#[derive(Debug, Clone, Copy)]
+struct Taken {
+    to_first_ns: u64,
+    /// To the first command of zero rates, without the cycles of the ramp.
+    to_zero_less_ramp_ns: u64,
+    ramp_cycles: usize,
+    late_ns: u64,
+}
+
+fn measure_stops(link: &str, daemon: &Daemon) {
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
+    let mut stopper = Stopper::new(daemon.place());
+    let mut taken = Vec::new();
+    let mut turns = 0_usize;
+    while taken.len() < STOPS {
+        turns += 1;
+        assert!(
+            turns < 3 * STOPS,
+            "only {} stops in {turns} turns",
+            taken.len()
+        );
+        connection
+            .request_within(RequestKind::Reset, PATIENCE)
+            .unwrap();
+        // The golden ratio spreads the moments evenly over the period.
+        let phase = (turns as f64 * 0.618_034).fract();
+        let mut records = Vec::new();
+        if let Some(asked) = stop_at_speed(&connection, &mut stopper, turns, phase, |record| {
+            records.push(*record);
+        }) {
+            follow_to_rest(&mut telemetry, &mut records, asked.response.cycle);
+            taken.extend(judge(&records, &asked));
+        }
+        while telemetry.try_next().unwrap().is_some() {}
+    }
+    report(link, &taken);
+}
+
+/// Lets the robot go to a far place and stops it on the way. None when it never came to speed.
+fn stop_at_speed(
+    connection: &Connection,
+    stopper: &mut Stopper,
+    turn: usize,
+    phase: f64,
+    mut seen: impl FnMut(&Telemetry),
+) -> Option<Asked> {
+    let side = if turn.is_multiple_of(2) { 0.4 } else { -0.4 };
+    let place = Line {
+        start_m: [side, 0.1, 0.5],
+        velocity_m_s: [0.0; 3],
+        duration_s: 3.0,
+        tip_axis: None,
+    };
+    let options = FeedOptions {
+        lead: Duration::from_millis(50),
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut asked = None;
+    // It ends with an error, because the daemon leaves tracking.
+    let _ = connection.feed(&place, options).unwrap().run(|event| {
+        let FeedEvent::Record(record) = event else {
+            return ControlFlow::Continue(());
+        };
+        seen(record);
+        let at_speed = largest(&record.command.bend_rate_rad_s) > SPEED_RAD_S;
+        if asked.is_none() && record.mode == Mode::Tracking.code() && at_speed {
+            let later = phase * record.period_ns as f64;
+            std::thread::sleep(Duration::from_nanos(later as u64));
+            asked = Some(stopper.stop());
+        }
+        ControlFlow::Continue(())
+    });
+    asked
+}
+
+/// Adds what is missing between the last record and the robot at rest. Both streams have all records of the turn.
+fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>, cycle: u64) {
+    let last = records.last().map_or(0, |record| record.header.sequence);
+    wait_record(telemetry, |record| {
+        if record.header.sequence > last {
+            records.push(*record);
+        }
+        record.cycle > cycle && largest(&record.command.bend_rate_rad_s) == 0.0
+    });
+}
+
+/// Holds a stop to its promise. None when records are missing, or the robot was hardly moving any more.
+fn judge(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
+    let neighbours = |pair: &[Telemetry]| pair[0].header.sequence + 1 == pair[1].header.sequence;
+    let is_stopped = |record: &Telemetry| record.mode == Mode::Stopped.code();
+    let at = records.iter().position(is_stopped)?;
+    let first = &records[at];
+    let before = records.get(at.checked_sub(1)?)?;
+    let speed = largest(&first.previous_rate_rad_s);
+    let step = DECELERATION_RAD_S2 * first.period_ns as f64 * 1e-9;
+    if !records[at - 1..].windows(2).all(neighbours) || speed < 2.0 * step {
+        return None;
+    }
+    assert_eq!(before.mode, Mode::Tracking.code());
+    assert_eq!(first.cycle, asked.response.cycle, "another cycle answered");
+    assert_eq!(first.reason, Reason::Request.code());
+    assert_taken_by_its_gather(before, first, asked);
+    let zero = assert_ramp(&records[at..], speed, step);
+    let late_ns = late_ns(before, first);
+    let allowed_ns = first.period_ns + GATHER_LEAD_NS + late_ns;
+    let took_ns = first.command.header.sent_ns.saturating_sub(asked.sent_ns);
+    assert!(
+        took_ns <= allowed_ns,
+        "{took_ns} ns from the request to the stop, {allowed_ns} ns are accounted for"
+    );
+    let ramp_ns = zero as u64 * first.period_ns;
+    let rest = &records[at + zero];
+    Some(Taken {
+        to_first_ns: first.command.header.sent_ns - asked.begun_ns,
+        to_zero_less_ramp_ns: (rest.command.header.sent_ns - asked.begun_ns)
+            .saturating_sub(ramp_ns),
+        ramp_cycles: zero + 1,
+        late_ns,
+    })
+}
+
+/// The gather that took the request is the first that began after the request was sent, and the cycle that carried
+/// it out the first that started after that gather.
+fn assert_taken_by_its_gather(before: &Telemetry, first: &Telemetry, asked: &Asked) {
+    let ours = |event: &&cdcr_shared_types::InputEvent| {
+        event.kind == EventKind::Request.code()
+            && event.sender_id == STOPPER
+            && event.sequence == asked.response.request_sequence
+    };
+    if let Some(event) = events(first).iter().find(ours) {
+        assert_eq!(event.outcome, Outcome::Accepted.code());
+        assert_eq!(event.gathers_ago, 0);
+    }
+    // A gather that began later than that would have taken it, and the cycle before carried it out.
+    assert!(
+        before.gather_ns <= asked.sent_ns,
+        "the gather {} ns after the request did not take it",
+        before.gather_ns - asked.sent_ns
+    );
+    assert!(first.handed_over_ns > asked.begun_ns);
+}
+
+/// What the records say was late: periods that were skipped, the way from the release to the publication, and
+/// inputs that the cycle before had to use again because no gather came between.
+fn late_ns(before: &Telemetry, first: &Telemetry) -> u64 {
+    let skipped_ns = first.release_ns - before.release_ns - first.period_ns;
+    let after_release_ns = first.command.header.sent_ns - first.release_ns;
+    let old_inputs_ns = (before.release_ns - GATHER_LEAD_NS).saturating_sub(before.gather_ns);
+    skipped_ns + after_release_ns + old_inputs_ns
+}
+
+/// From the first stopped record on, the fastest rate is a step slower in each. Which record is the first at rest.
+fn assert_ramp(records: &[Telemetry], speed: f64, step: f64) -> usize {
+    let cycles = (speed / step - 1e-9).ceil() as usize;
+    for (k, record) in records.iter().take(cycles).enumerate() {
+        let expected = (speed - (k + 1) as f64 * step).max(0.0);
+        let rate = largest(&record.command.bend_rate_rad_s);
+        assert!(
+            (rate - expected).abs() <= TOLERANCE_RAD_S,
+            "{rate} instead of {expected} rad/s in cycle {k} of the ramp from {speed}"
+        );
+    }
+    let rest = records.get(cycles - 1).expect("the records reach to rest");
+    assert_eq!(largest(&rest.command.bend_rate_rad_s), 0.0);
+    cycles - 1
+}
+
+fn report(link: &str, taken: &[Taken]) {
+    println!("{link}: {} stops at speed, in ms", taken.len());
+    println!("{:<44} {:>8} {:>8} {:>8}", "", "p50", "p99", "max");
+    let row = |name: &str, value: fn(&Taken) -> u64| {
+        let mut values: Vec<_> = taken.iter().map(value).collect();
+        values.sort_unstable();
+        let at =
+            |part: f64| values[((values.len() - 1) as f64 * part).ceil() as usize] as f64 * 1e-6;
+        println!(
+            "{name:<44} {:>8.3} {:>8.3} {:>8.3}",
+            at(0.5),
+            at(0.99),
+            at(1.0)
+        );
+    };
+    row("request → first slower command", |taken| {
+        taken.to_first_ns
+    });
+    row("request → zero rates, less the ramp", |taken| {
+        taken.to_zero_less_ramp_ns
+    });
+    row("of it late, as the records say", |taken| taken.late_ns);
+    let longest = taken.iter().map(|taken| taken.ramp_cycles).max();
+    println!("longest ramp: {} cycles", longest.unwrap_or(0));
+}

@@ -1,0 +1,331 @@
+//! What another user asks, reads, sends and kills is refused, and changes nothing.
+
+use std::collections::BTreeSet;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::os::unix::process::CommandExt;
+use std::path::PathBuf;
+
+use cdcr_client::Connection;
+use cdcr_shared_types::Status;
+use cdcr_shared_types::codes::{Mode, Outcome};
+use cdcr_tests::{
+    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, text, wait_status, wait_until,
+};
+use rustix::process::Signal;
+
+use super::stranger::{
+    EXIT_ROOT, NOBODY, assert_says, busy_daemon, everything, folder_of_stranger, have_a_stranger,
+    in_view, left_by_stranger, of_stranger, open_to_all, stranger,
+};
+
+/// Everything that `cdcrctl` can ask of a daemon. PATH stands for a file that the other user can read.
+const COMMANDS: &[&str] = &[
+    "status",
+    "status --format json",
+    "status --watch",
+    "status --reset-statistics",
+    "echo telemetry --count 1",
+    "echo command --count 1",
+    "echo status --count 1",
+    "echo incidents --count 1",
+    "echo reference --count 1",
+    "echo obstacles --count 1",
+    "ref spiral --track",
+    "ref line --track",
+    "ref circle --track",
+    "ref file PATH --track",
+    "track",
+    "hold",
+    "home",
+    "stop",
+    "reset",
+    "incidents",
+    "settings",
+    "settings set horizon_steps=5",
+    "obstacle add --id 1 --at 0.1,0,0.5 --radius 0.02",
+    "obstacle remove 7",
+    "obstacle clear",
+];
+
+/// What the other user tries with each file: to read it, to write to it, to put something into it, to open it to
+/// all, to take it away. `:` opens and writes nothing; `cat` reads everything.
+const ATTEMPTS: &str = r#"
+for file in "$@"; do
+    if ( cat "$file" > /dev/null ) 2> /dev/null; then echo "read $file"; fi
+    if ( : >> "$file" ) 2> /dev/null; then echo "wrote $file"; fi
+    if ( : <> "$file" ) 2> /dev/null; then echo "opened $file"; fi
+    if ls "$file/" > /dev/null 2>&1; then echo "listed $file"; fi
+    if ln -s /etc/passwd "$file/planted" 2> /dev/null; then echo "planted a link in $file"; fi
+    if chmod 0666 "$file" 2> /dev/null; then echo "opened to all $file"; fi
+    if mv "$file" "$file.taken" 2> /dev/null; then echo "moved $file"; fi
+    if rm -rf "$file" 2> /dev/null; then echo "removed $file"; fi
+done
+echo "tried $#"
+"#;
+
+/// What a stranger must not be able to change.
+fn standing(status: &Status) -> (u32, u64, u32, [u64; Outcome::COUNT], u64, u64) {
+    (
+        status.mode,
+        status.lease_holder,
+        status.obstacle_count,
+        status.outcomes,
+        u64::from(status.settings.horizon_steps),
+        status.statistics_since_ns,
+    )
+}
+
+#[test]
+fn every_command_of_another_user_is_refused_and_changes_nothing() {
+    if !have_a_stranger() {
+        return;
+    }
+    let place = &Place::new();
+    let _busy = busy_daemon(place);
+    let location = place.location();
+    let program = open_to_all(place, &binary("cdcrctl"));
+    let path = place.write("path.csv", "t_s,x_m,y_m,z_m\n0,0,0,0.9\n1,0.01,0,0.9\n");
+    fs::set_permissions(&path, Permissions::from_mode(0o644)).unwrap();
+    let connection = Connection::open(location, ROBOT).unwrap();
+    let _lease = connection.acquire_lease().unwrap();
+    let before = wait_status(&connection, |status| {
+        status.lease_holder == connection.sender_id()
+    });
+    let files = everything(place);
+    let root = location.root().to_str().unwrap();
+    for command in COMMANDS {
+        let output = of_stranger(&program, location.prefix(), location.root())
+            .args(command.split(' ').map(|word| match word {
+                "PATH" => path.to_str().unwrap(),
+                word => word,
+            }))
+            .output()
+            .unwrap();
+        assert_says(
+            &output,
+            1,
+            &[
+                root,
+                "belongs to user 0, this program runs as user 65534",
+                "sudo -u '#0' cdcrctl",
+                "a daemon of your own with another --root",
+            ],
+        );
+        assert!(output.stdout.is_empty(), "{command}: {}", text(&output));
+    }
+    assert_eq!(everything(place), files);
+    assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
+    let after = wait_status(&connection, |status| status.cycles > before.cycles);
+    assert_eq!(standing(&after), standing(&before));
+    assert_eq!(after.mode, Mode::Holding.code());
+    assert_eq!(after.obstacle_count, 1);
+}
+
+#[test]
+fn a_root_that_belongs_to_root_is_not_for_a_normal_user() {
+    let place = &Place::new();
+    let ours = rustix::process::geteuid();
+    let (user, mut cdcrctl) = if ours.is_root() {
+        if !have_a_stranger() {
+            return;
+        }
+        in_view(place);
+        (NOBODY, stranger(open_to_all(place, &binary("cdcrctl"))))
+    } else {
+        (ours.as_raw(), place.command("cdcrctl"))
+    };
+    let output = cdcrctl.args(["status", "--root", "/usr"]).output().unwrap();
+    let refusal = format!("/usr belongs to user 0, this program runs as user {user}");
+    assert_says(&output, 1, &[&refusal]);
+}
+
+#[test]
+fn a_root_folder_that_the_other_user_cannot_even_see_is_said_to_be_closed() {
+    if !have_a_stranger() {
+        return;
+    }
+    let (closed, open) = (Place::new(), Place::new());
+    fs::create_dir(closed.location().root()).unwrap();
+    fs::set_permissions(closed.folder(), Permissions::from_mode(0o700)).unwrap();
+    in_view(&open);
+    let [cdcrctl, cdcrd] = ["cdcrctl", "cdcrd"].map(|name| open_to_all(&open, &binary(name)));
+    let root = closed.location().root();
+    let command = |program| of_stranger(program, closed.location().prefix(), root);
+    let output = command(&cdcrctl).arg("status").output().unwrap();
+    let words = [root.to_str().unwrap(), "permission denied"];
+    assert_says(&output, 1, &words);
+    let output = Program::start(command(&cdcrd).arg("run")).output();
+    assert_says(&output, EXIT_ROOT, &["Permission denied", "--root"]);
+}
+
+#[test]
+fn another_user_may_run_the_demo_beside_the_daemon() {
+    if !have_a_stranger() {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    in_view(place);
+    let connection = daemon.connect();
+    let before = wait_status(&connection, |status| status.cycles > 0);
+    open_to_all(place, &binary("cdcrd"));
+    let program = open_to_all(place, &binary("cdcrctl"));
+    let output = of_stranger(&program, place.location().prefix(), place.location().root())
+        .args(["demo", "--sections", "1", "--duration", "200ms"])
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &["1 section"]);
+    let after = wait_status(&connection, |status| status.cycles > before.cycles);
+    assert_eq!(standing(&after), standing(&before));
+    assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
+}
+
+/// What the other user could do with the files, one line for each success.
+fn attempts(files: &BTreeSet<PathBuf>, group: u32) -> Vec<String> {
+    let output = stranger("/bin/sh")
+        .gid(group)
+        .args(["-c", ATTEMPTS, "attempts"])
+        .args(files)
+        .output()
+        .unwrap();
+    let said = text(&output);
+    assert!(said.contains(&format!("tried {}", files.len())), "{said}");
+    said.lines()
+        .filter(|line| !line.starts_with("tried "))
+        .map(str::to_owned)
+        .collect()
+}
+
+#[test]
+fn the_kernel_refuses_another_user_every_file() {
+    if !have_a_stranger() {
+        return;
+    }
+    let place = &Place::new();
+    let _busy = busy_daemon(place);
+    let files = everything(place);
+    assert!(files.len() > 60, "{}", files.len());
+    assert!(files.iter().any(|path| path.ends_with("services")));
+    assert!(
+        files
+            .iter()
+            .any(|path| path.to_string_lossy().ends_with(".global_mgmt"))
+    );
+    assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
+    // One of the daemon's own group may see the names, and no more.
+    let group = fs::metadata(place.location().root()).unwrap().gid();
+    let mut done = attempts(&files, group);
+    done.retain(|line| !line.starts_with("listed "));
+    assert_eq!(done, Vec::<String>::new());
+    // Somebody opened the root folder for all to look into: the files are still closed.
+    fs::set_permissions(place.location().root(), Permissions::from_mode(0o755)).unwrap();
+    let mut done = attempts(&files, NOBODY);
+    done.retain(|line| !line.starts_with("listed "));
+    assert_eq!(done, Vec::<String>::new());
+    assert_eq!(everything(place), files);
+    // The attempts succeed where they may.
+    let open = place.write("open", "");
+    fs::set_permissions(&open, Permissions::from_mode(0o666)).unwrap();
+    let name = open.display();
+    let expected = ["read", "wrote", "opened"].map(|what| format!("{what} {name}"));
+    assert_eq!(attempts(&BTreeSet::from([open.clone()]), NOBODY), expected);
+}
+
+#[test]
+fn another_user_cannot_end_the_daemon_or_look_into_it() {
+    if !have_a_stranger() {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let id = connection.status(PATIENCE).unwrap().process_id;
+    for attempt in [
+        format!("kill -TERM {id}"),
+        format!("kill -KILL {id}"),
+        format!("kill -STOP {id}"),
+        format!("cat /proc/{id}/mem"),
+        format!("cat /proc/{id}/environ"),
+        format!("ls /proc/{id}/fd/"),
+    ] {
+        let output = stranger("/bin/sh").args(["-c", &attempt]).output().unwrap();
+        assert!(!output.status.success(), "{attempt}");
+        assert!(output.stdout.is_empty(), "{attempt}");
+    }
+    let cycles = connection.status(PATIENCE).unwrap().cycles;
+    wait_status(&connection, |status| status.cycles > cycles);
+}
+
+#[test]
+fn iceoryx2_by_hand_is_refused_to_another_user() {
+    if !have_a_stranger() {
+        return;
+    }
+    let place = &Place::new();
+    let _busy = busy_daemon(place);
+    let program = open_to_all(place, &binary("cdcr-test-stranger"));
+    let output = stranger(&program)
+        .arg(place.location().prefix())
+        .arg(place.location().root())
+        .output()
+        .unwrap();
+    assert_says(&output, 0, &["joined nothing as user 65534"]);
+    assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
+    if !have_a_stranger() {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    in_view(place);
+    let connection = daemon.connect();
+    let before = connection.status(PATIENCE).unwrap();
+    let prefix = place.location().prefix();
+    let cdcrd = open_to_all(place, &binary("cdcrd"));
+    let cdcrctl = open_to_all(place, &binary("cdcrctl"));
+    let config = place.folder().join("robot.toml");
+    // On our root folder: no.
+    let mut command = of_stranger(&cdcrd, prefix, place.location().root());
+    let output = Program::start(command.arg("run")).output();
+    let words = [
+        "belongs to user id 0, not to 65534",
+        "choose another with --root",
+    ];
+    assert_says(&output, EXIT_ROOT, &words);
+    // On a root folder of its own: yes, with the same prefix and robot.
+    let root = folder_of_stranger(place, "theirs").join("root");
+    let mut command = of_stranger(&cdcrd, prefix, &root);
+    let mut theirs = Program::start(command.args(["run", "--config"]).arg(config));
+    let ask = |words: &[&str]| {
+        let output = of_stranger(&cdcrctl, prefix, &root).args(words).output();
+        output.unwrap()
+    };
+    let process = format!("process {},", theirs.id());
+    wait_until("the other user's daemon", || {
+        text(&ask(&["status"])).contains(&process)
+    });
+    assert_ne!(before.process_id, theirs.id());
+    assert_says(
+        &ask(&[
+            "obstacle", "add", "--id", "1", "--at", "5,5,5", "--radius", "0.1",
+        ]),
+        0,
+        &[],
+    );
+    assert_says(&ask(&["stop"]), 0, &["accepted"]);
+    let after = wait_status(&connection, |status| status.cycles > before.cycles);
+    assert_eq!(after.process_id, before.process_id);
+    assert_eq!(standing(&after), standing(&before));
+    // And what we do does not reach it.
+    let said = text(&place.cdcrctl(&["stop"]));
+    assert!(said.contains("accepted"), "{said}");
+    assert_says(&ask(&["reset"]), 0, &["accepted"]);
+    let status = wait_status(&connection, |status| status.mode == Mode::Stopped.code());
+    assert_eq!(status.obstacle_count, 0);
+    theirs.signal(Signal::TERM);
+    assert_says(&theirs.output(), 0, &[]);
+    assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
+}

@@ -1,0 +1,160 @@
+//! The other user, and what both sides share.
+
+use std::collections::BTreeSet;
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use cdcr_client::{Connection, monotonic_ns};
+use cdcr_shared_types::{Obstacle, Service};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wait_until};
+
+/// User and group `nobody`.
+pub(super) const NOBODY: u32 = 65_534;
+
+/// Statuses that the manual gives.
+pub(super) const EXIT_SHARED_MEMORY: i32 = 71;
+pub(super) const EXIT_ROOT: i32 = 73;
+
+/// A place that the other user can see into, as far as its folder goes: what keeps the user out is the root.
+pub(super) fn in_view(place: &Place) {
+    fs::set_permissions(place.folder(), Permissions::from_mode(0o755)).unwrap();
+}
+
+/// `program` as the other user, with nothing of our environment.
+pub(super) fn stranger(program: impl AsRef<Path>) -> Command {
+    let mut command = Command::new(program.as_ref());
+    command
+        .env_clear()
+        .env("PATH", "/usr/bin:/bin")
+        .current_dir("/")
+        .stdin(Stdio::null())
+        .uid(NOBODY)
+        .gid(NOBODY);
+    command
+}
+
+/// Whether we can be another user here. If not, the test is skipped.
+pub(super) fn have_a_stranger() -> bool {
+    if !rustix::process::geteuid().is_root() {
+        skip(Need::Root, "only root can start a program as another user");
+        return false;
+    }
+    match stranger("/bin/true").status() {
+        Ok(status) if status.success() => true,
+        other => {
+            skip(
+                Need::Root,
+                format_args!("cannot run a program as user {NOBODY}: {other:?}"),
+            );
+            false
+        }
+    }
+}
+
+/// A copy that any user may run: the build may lie in a folder that is closed to others.
+pub(super) fn open_to_all(place: &Place, program: &Path) -> PathBuf {
+    let copy = place.folder().join(program.file_name().unwrap());
+    fs::copy(program, &copy).unwrap();
+    fs::set_permissions(&copy, Permissions::from_mode(0o755)).unwrap();
+    copy
+}
+
+/// `cdcrctl` or `cdcrd` of the other user, for the daemon with this prefix and root.
+pub(super) fn of_stranger(program: &Path, prefix: &str, root: &Path) -> Command {
+    let mut command = stranger(program);
+    command
+        .env("CDCR_ROBOT", ROBOT)
+        .env("CDCR_PREFIX", prefix)
+        .env("CDCR_ROOT", root);
+    command
+}
+
+pub(super) fn files_below(folder: &Path) -> BTreeSet<PathBuf> {
+    let mut files = BTreeSet::new();
+    for entry in fs::read_dir(folder).unwrap().flatten() {
+        if entry.file_type().unwrap().is_dir() {
+            files.extend(files_below(&entry.path()));
+        }
+        files.insert(entry.path());
+    }
+    files
+}
+
+/// Every file and folder of the daemon: below its root and in shared memory.
+pub(super) fn everything(place: &Place) -> BTreeSet<PathBuf> {
+    let shared = place.shared_memory_files().into_iter();
+    let mut files: BTreeSet<_> = shared
+        .map(|name| Path::new("/dev/shm").join(name))
+        .collect();
+    files.extend(files_below(place.location().root()));
+    files.insert(place.location().root().to_owned());
+    files
+}
+
+/// Of all that, what is the other user's.
+pub(super) fn left_by_stranger(place: &Place) -> Vec<PathBuf> {
+    let files = everything(place).into_iter();
+    files
+        .filter(|path| fs::symlink_metadata(path).is_ok_and(|file| file.uid() == NOBODY))
+        .collect()
+}
+
+/// Starts a daemon, and connects to it when it has everything. A client that comes earlier may take away what the
+/// daemon has just made.
+pub(super) fn start(place: &Place, cdcrd: &mut Command) -> (Program, Connection) {
+    in_view(place);
+    let daemon = Program::start(cdcrd);
+    let services = place.location().root().join("services");
+    wait_until("the services", || {
+        fs::read_dir(&services).is_ok_and(|all| all.count() == Service::ALL.len())
+    });
+    let connection = Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap();
+    (daemon, connection)
+}
+
+/// A daemon, with a client that has every kind of port open, so that every kind of file is there.
+pub(super) fn busy_daemon(place: &Place) -> impl Sized {
+    let config = place.write("robot.toml", PATIENT);
+    let mut command = place.command("cdcrd");
+    let (daemon, connection) = start(place, command.args(["run", "--config"]).arg(config));
+    let obstacles = connection.obstacle_sender().unwrap();
+    let far = Obstacle {
+        id: 7,
+        start_m: [5.0; 3],
+        end_m: [5.0; 3],
+        radius_m: 0.01,
+        measured_ns: monotonic_ns(),
+        ..Obstacle::default()
+    };
+    obstacles.upsert(&[far]).unwrap();
+    wait_status(&connection, |status| status.obstacle_count == 1);
+    let ports = (
+        connection.telemetry().unwrap(),
+        connection.commands().unwrap(),
+        connection.incidents().unwrap(),
+        connection.reference_feed().unwrap(),
+        connection.driver().unwrap(),
+    );
+    // In the order in which they go.
+    (ports, obstacles, connection, daemon)
+}
+
+pub(super) fn assert_says(output: &Output, status: i32, parts: &[&str]) {
+    let said = text(output);
+    assert_eq!(output.status.code(), Some(status), "{said}");
+    for part in parts {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+}
+
+/// A folder that belongs to the other user.
+pub(super) fn folder_of_stranger(place: &Place, name: &str) -> PathBuf {
+    let folder = place.folder().join(name);
+    fs::create_dir(&folder).unwrap();
+    chown(&folder, Some(NOBODY), Some(NOBODY)).unwrap();
+    folder
+}

@@ -1,0 +1,81 @@
+//! Whom the client does not talk to: services of another version. What a second user gets of a daemon is in `access`.
+
+use cdcr_client::{ConnectError, Connection};
+use cdcr_shared_types::{Service, Status};
+use cdcr_tests::{Place, ROBOT, text};
+use iceoryx2::prelude::{Node, ZeroCopySend, ipc};
+
+fn node(place: &Place) -> Node<ipc::Service> {
+    let builder = place.location().node_builder().unwrap();
+    builder.create().unwrap()
+}
+
+fn assert_mismatch(place: &Place) {
+    let error = Connection::open(place.location(), ROBOT).expect_err("another type");
+    assert!(
+        matches!(
+            error,
+            ConnectError::VersionMismatch {
+                service: "status",
+                ..
+            }
+        ),
+        "{error:?}"
+    );
+    let output = place.cdcrctl(&["status"]);
+    assert_eq!(output.status.code(), Some(1));
+    for part in ["another version of the status service", "of one version"] {
+        assert!(text(&output).contains(part), "{part}: {}", text(&output));
+    }
+}
+
+#[test]
+fn a_service_of_another_size_is_refused() {
+    let place = Place::new();
+    let _other = node(&place)
+        .service_builder(&Service::Status.name(ROBOT).unwrap())
+        .publish_subscribe::<u64>()
+        .create()
+        .unwrap();
+    assert_mismatch(&place);
+}
+
+/// The bytes of our status, with another meaning: only the name tells.
+#[derive(Debug, ZeroCopySend)]
+#[repr(C)]
+#[type_name("cdcr.Status.v999")]
+struct OtherStatus(Status);
+
+#[test]
+fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
+    let place = Place::new();
+    let other = node(&place)
+        .service_builder(&Service::Status.name(ROBOT).unwrap())
+        .publish_subscribe::<OtherStatus>()
+        .history_size(1)
+        .create()
+        .unwrap();
+    let publisher = other.publisher_builder().create().unwrap();
+    let mut status = OtherStatus(Status::default());
+    status.0.header.sent_ns = cdcr_client::monotonic_ns();
+    publisher.send_copy(status).unwrap();
+    assert_mismatch(&place);
+}
+
+#[test]
+fn a_service_of_another_pattern_is_refused() {
+    let place = Place::new();
+    let _other = node(&place)
+        .service_builder(&Service::Status.name(ROBOT).unwrap())
+        .event()
+        .create()
+        .unwrap();
+    let error = Connection::open(place.location(), ROBOT).expect_err("another pattern");
+    assert!(
+        matches!(
+            error,
+            ConnectError::VersionMismatch { .. } | ConnectError::DaemonNotRunning { .. }
+        ),
+        "{error:?}"
+    );
+}

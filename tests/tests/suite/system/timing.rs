@@ -1,0 +1,267 @@
+//! Periods, budgets, statistics and bad cycles of a running daemon.
+
+use std::collections::BTreeMap;
+use std::ops::ControlFlow;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, Stream};
+use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
+use cdcr_shared_types::limits::INCIDENTS_MAX;
+use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status};
+use rustix::process::Signal;
+
+/// Tracks a short line; the records in which it was tracked.
+fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
+    let line = Line {
+        duration_s,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut records = Vec::new();
+    let report = connection.feed(&line, options).unwrap().run(|event| {
+        if let FeedEvent::Record(record) = event
+            && record.mode == Mode::Tracking.code()
+        {
+            records.push(*record);
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(report.unwrap().tracked);
+    records
+}
+
+#[test]
+fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
+    for (period_ms, lead_ms, duration_s) in [(0.5, 0.1, 0.5), (2.0, 0.2, 0.5), (100.0, 5.0, 3.0)] {
+        let daemon = Daemon::start(&format!(
+            "[cycle]\nperiod_ms = {period_ms}\ngather_lead_ms = {lead_ms}\nmiss_limit = 1000000\n\
+             watchdog_ms = 20000.0\n[reference]\nlease_ms = 60000.0\n"
+        ));
+        let connection = daemon.connect();
+        let records = track(&connection, duration_s);
+        let status = connection.status(PATIENCE).unwrap();
+        let period_ns = (period_ms * 1e6) as u64;
+        assert_eq!(status.period_ns, period_ns);
+        assert!(
+            records.len() > 5,
+            "{period_ms} ms: {} records",
+            records.len()
+        );
+        for record in &records {
+            assert_eq!(
+                record.release_ns,
+                status.origin_ns + record.cycle * period_ns
+            );
+            assert_eq!(record.elapsed_ns % period_ns, 0);
+            assert!(record.start_ns >= record.due_ns);
+        }
+        let last = records.last().unwrap();
+        assert!(last.position_error_m < 1e-3, "{period_ms} ms: {last:?}");
+    }
+}
+
+#[test]
+fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan() {
+    let daemon = Daemon::start(PATIENT);
+    let (connection, feeding) = (daemon.connect(), daemon.connect());
+    let settings = connection.status(PATIENCE).unwrap().settings;
+    assert_eq!(settings.budget_ns, 0);
+    let tight = SolverSettings {
+        budget_ns: 1_000,
+        swarm_size: 64,
+        ..settings
+    };
+    connection.change_settings(tight).unwrap();
+    let records = track(&feeding, 0.5);
+    assert!(records.iter().all(|record| record.settings == tight));
+    let solved: Vec<_> = records
+        .iter()
+        .filter(|record| record.plan_length > 0)
+        .collect();
+    let spent = solved
+        .iter()
+        .filter(|record| record.report.budget_spent == 1);
+    assert!(
+        2 * spent.count() > solved.len(),
+        "1 µs is not enough for 64 particles"
+    );
+    for record in solved {
+        assert!(record.report.cost <= record.report.warm_cost);
+    }
+    connection.change_settings(settings).unwrap();
+    let free = track(&feeding, 0.5);
+    let quanta = |records: &[Telemetry]| records.iter().map(|r| u64::from(r.report.quanta)).max();
+    assert!(quanta(&free) > quanta(&records));
+    let status = connection.status(PATIENCE).unwrap();
+    assert!(status.budget_hits > 0 && status.since_reset.budget_hits > 0);
+}
+
+#[test]
+fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let before = wait_status(&connection, |status| status.since_reset.cycles > 200);
+    assert!(before.last_minute.cycles <= before.since_reset.cycles);
+    for window in [&before.since_reset, &before.last_minute] {
+        for latency in [
+            &window.wake,
+            &window.gather,
+            &window.compute,
+            &window.publish,
+        ] {
+            assert!(
+                latency.count > 0 && latency.p50_ns <= latency.max_ns,
+                "{window:?}"
+            );
+        }
+        // Each part of a cycle lies inside the whole.
+        assert!(window.compute.p50_ns <= window.response.p50_ns);
+        let bad: u64 = window.causes.iter().sum();
+        assert!(bad >= window.deadline_misses.max(window.late_starts));
+    }
+    connection.request(RequestKind::ResetStatistics).unwrap();
+    let after = wait_status(&connection, |status| {
+        status.statistics_since_ns > before.statistics_since_ns
+    });
+    assert!(after.since_reset.cycles < after.cycles - 150, "{after:?}");
+    assert!(after.cycles > before.cycles);
+}
+
+fn kept(connection: &Connection) -> (Stream<Incident>, Vec<Incident>) {
+    let mut stream = connection.incidents().unwrap();
+    let mut incidents = Vec::new();
+    let begin = Instant::now();
+    // What is kept comes at once; what is new, one by one.
+    while begin.elapsed() < Duration::from_millis(300) {
+        incidents.extend(stream.next_within(Duration::from_millis(50)).unwrap());
+    }
+    (stream, incidents)
+}
+
+#[test]
+fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+    daemon.signal(Signal::STOP);
+    std::thread::sleep(Duration::from_millis(200));
+    daemon.signal(Signal::CONT);
+    let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
+    let late = daemon.connect();
+    let mut stream = late.incidents().unwrap();
+    let incident = loop {
+        let incident = stream.next_within(PATIENCE).unwrap().expect("it is kept");
+        if incident.telemetry.cycle == bad.cycle {
+            break incident;
+        }
+    };
+    assert_eq!(incident.telemetry.header, bad.header);
+    let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause).unwrap();
+    assert_ne!(cause, LateCause::None);
+    // The steal may change the cause that the exchange saw, and nothing else.
+    let mut as_seen = incident.telemetry;
+    as_seen.scheduling.late_cause = bad.scheduling.late_cause;
+    assert_eq!(as_seen.scheduling, bad.scheduling);
+    assert!(cause == LateCause::Platform || incident.telemetry.scheduling == bad.scheduling);
+    let flags = timing::LATE_START | timing::DEADLINE_MISS;
+    assert_eq!(bad.timing_flags & flags, flags);
+    let status = wait_status(&late, |status| status.since_reset.longest_streak > 20);
+    assert!(status.since_reset.causes[cause.code() as usize] >= 1);
+}
+
+#[test]
+fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
+    // Every start is late by this measure.
+    let daemon = Daemon::start("[cycle]\nlate_start_ms = 0.001\nmiss_limit = 1000000\n");
+    let connection = daemon.connect();
+    wait_status(&connection, |status| {
+        status.late_starts > 2 * INCIDENTS_MAX as u64
+    });
+    let (stream, incidents) = kept(&connection);
+    assert_eq!(stream.lost(), 0);
+    assert!(incidents.len() >= INCIDENTS_MAX, "{}", incidents.len());
+    assert!(
+        incidents[0].header.sequence > INCIDENTS_MAX as u64 / 2,
+        "the first ones are gone"
+    );
+    for pair in incidents.windows(2) {
+        assert!(pair[0].telemetry.cycle < pair[1].telemetry.cycle);
+    }
+    for incident in &incidents {
+        assert_ne!(incident.telemetry.timing_flags & timing::LATE_START, 0);
+        assert_ne!(
+            incident.telemetry.scheduling.late_cause,
+            LateCause::None.code()
+        );
+    }
+}
+
+#[test]
+fn a_thread_that_spins_starts_more_punctually() {
+    let median = |spin_us: f64| {
+        let daemon = Daemon::start(&format!("[realtime]\nspin_us = {spin_us}\n{PATIENT}"));
+        let connection = daemon.connect();
+        let status = wait_status(&connection, |status| status.since_reset.cycles > 300);
+        status.since_reset.wake.p50_ns
+    };
+    let (plain_ns, spinning_ns) = (median(0.0), median(500.0));
+    assert!(
+        spinning_ns <= plain_ns,
+        "{spinning_ns} against {plain_ns} ns"
+    );
+}
+
+/// Scheduling policy and real-time priority of a thread: fields 41 and 40 of `stat` (proc(5)).
+fn policy_and_priority(stat: &str) -> (u32, u32) {
+    // The name in field 2 may hold anything; field 3 follows its closing parenthesis.
+    let (_, rest) = stat.rsplit_once(')').unwrap();
+    let fields: Vec<&str> = rest.split_ascii_whitespace().collect();
+    (
+        fields[41 - 3].parse().unwrap(),
+        fields[40 - 3].parse().unwrap(),
+    )
+}
+
+#[test]
+fn every_thread_runs_before_those_that_may_wait() {
+    const SCHED_OTHER: u32 = 0;
+    const SCHED_FIFO: u32 = 1;
+    let daemon = Daemon::start(PATIENT);
+    let status = daemon.connect().status(PATIENCE).unwrap();
+    if status.realtime_missing & realtime::FIFO != 0 {
+        skip(Need::Realtime, "the daemon is not granted SCHED_FIFO");
+        return;
+    }
+    let folder = format!("/proc/{}/task", daemon.id());
+    let threads = std::fs::read_dir(folder).unwrap().flatten();
+    let found: BTreeMap<String, (u32, u32)> = threads
+        .map(|thread| {
+            let read = |name: &str| std::fs::read_to_string(thread.path().join(name)).unwrap();
+            (
+                read("comm").trim().to_owned(),
+                policy_and_priority(&read("stat")),
+            )
+        })
+        .collect();
+    let expected = [
+        ("cdcr-cycle", (SCHED_FIFO, 80)),
+        ("cdcr-exchange", (SCHED_FIFO, 70)),
+        // Off their core, before ordinary tasks.
+        ("cdcr-reporter", (SCHED_FIFO, 1)),
+        // The supervisor, which shares the lock of the address space with the exchange.
+        ("cdcrd", (SCHED_FIFO, 1)),
+        ("cdcr-log", (SCHED_OTHER, 0)),
+    ];
+    assert_eq!(
+        found,
+        expected
+            .map(|(name, policy)| (name.to_owned(), policy))
+            .into()
+    );
+}

@@ -1,0 +1,28 @@
+//! The last of all test programs: says what the others skipped. Its name puts it behind them.
+//!
+//! It takes the arguments of a test harness. A harness that runs each test by itself, such as cargo-nextest, finds no
+//! test here.
+
+use std::process::ExitCode;
+
+use cdcr_test_skip::{REQUIRE, Run, required_here};
+
+fn main() -> ExitCode {
+    if std::env::args().any(|argument| argument == "--list") {
+        return ExitCode::SUCCESS;
+    }
+    if let Err(error) = required_here() {
+        eprintln!("{error}");
+        return ExitCode::FAILURE;
+    }
+    let skipped = Run::this().take();
+    for line in &skipped {
+        println!("{line}");
+    }
+    match skipped.len() {
+        0 => println!("nothing was skipped"),
+        1 => println!("1 test was skipped, see {REQUIRE} in docs/testing.md"),
+        count => println!("{count} tests were skipped, see {REQUIRE} in docs/testing.md"),
+    }
+    ExitCode::SUCCESS
+}
