@@ -27,7 +27,7 @@ impl Display for NoRoom {
         write!(
             f,
             "shared memory ({FOLDER}) is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed \
-             (ls -l {FOLDER}), or make it larger (mount -o remount,size=256M {FOLDER})",
+             (ls -l {FOLDER}), or make it larger (mount -o remount,size=256M {FOLDER}; a container: --shm-size=256m)",
             mb(self.needed_bytes),
             mb(self.free_bytes)
         )

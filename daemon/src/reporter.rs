@@ -212,6 +212,7 @@ impl Reporter {
                 && record.measurement_use == MeasurementUse::Repeated,
             position_error_m: self.tracking_error_m(record),
             verdict: record.verdict,
+            misses_tolerated: record.policy.tolerates(record.miss_bucket),
             totals: record.totals,
             mode: self.last_mode,
             reason: convert::reason(record.mode.reason()),

@@ -174,7 +174,7 @@ wire_enum! {
         /// The home configuration is reached.
         HomeReached = 4: "home is reached",
         /// Too many deadlines were missed.
-        DeadlineMisses = 5: "too many deadline misses",
+        DeadlineMisses = 5: "too many deadline misses (cycle.miss_limit)",
         /// The driver sends no fresh measurement.
         MeasurementLost = 6: "the measurement is lost",
         /// A measurement or a result was not a finite number.

@@ -105,7 +105,7 @@ pub struct Statistics {
 /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Status.v1")]
+#[type_name("cdcr.Status.v2")]
 pub struct Status {
     /// The daemon, sequence, time.
     pub header: Header,
@@ -176,6 +176,10 @@ pub struct Status {
     pub robot: RobotDescription,
     /// The solver's settings.
     pub settings: SolverSettings,
+
+    /// How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and the
+    /// configuration sets no `cycle.miss_limit`.
+    pub misses_tolerated: u64,
 }
 
 impl Default for Status {
@@ -213,6 +217,7 @@ impl Default for Status {
             clearance_m: 0.0,
             robot: RobotDescription::default(),
             settings: SolverSettings::default(),
+            misses_tolerated: 0,
         }
     }
 }

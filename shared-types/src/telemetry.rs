@@ -196,7 +196,7 @@ pub struct Telemetry {
     pub measurement_jump_limit: u32,
     /// [`codes::MeasurementState`](crate::codes::MeasurementState).
     pub measurement_state: u32,
-    /// Level at which the leaky bucket stops the robot.
+    /// Level at which the leaky bucket stops the robot; 0: it does not.
     pub miss_limit: u32,
     /// [`codes::LeaseState`](crate::codes::LeaseState).
     pub lease_state: u32,

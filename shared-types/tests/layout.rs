@@ -31,7 +31,7 @@ fn sizes_are_pinned() {
         ("SectionDescription", size_of::<SectionDescription>(), 48),
         ("RobotDescription", size_of::<RobotDescription>(), 320),
         ("Statistics", size_of::<Statistics>(), 408),
-        ("Status", size_of::<Status>(), 1760),
+        ("Status", size_of::<Status>(), 1768),
         ("SchedulingReport", size_of::<SchedulingReport>(), 40),
         ("Incident", size_of::<Incident>(), 13552),
     ];
@@ -157,6 +157,11 @@ fn offsets_are_pinned() {
         ("Status.outcomes", offset_of!(Status, outcomes), 240),
         ("Status.robot", offset_of!(Status, robot), 1272),
         ("Status.settings", offset_of!(Status, settings), 1592),
+        (
+            "Status.misses_tolerated",
+            offset_of!(Status, misses_tolerated),
+            1760,
+        ),
         (
             "Status.statistics_since_ns",
             offset_of!(Status, statistics_since_ns),

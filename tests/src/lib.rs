@@ -311,7 +311,7 @@ impl Program {
     /// Lines that it has printed on standard output so far.
     pub fn lines(&self) -> usize {
         let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
-        text.iter().filter(|byte| **byte == b'\n').count()
+        text.split(|byte| *byte == b'\n').count() - 1
     }
 
     /// Waits for its end.
@@ -323,8 +323,8 @@ impl Program {
         }
         Output {
             status: self.child.wait().expect("it is our child"),
-            stdout: self.out.to_the_end(),
-            stderr: self.err.to_the_end(),
+            stdout: self.out.finish(),
+            stderr: self.err.finish(),
         }
     }
 }
@@ -361,7 +361,7 @@ impl Printed {
     }
 
     /// All of it, of a program that has ended.
-    fn to_the_end(&mut self) -> Vec<u8> {
+    fn finish(&mut self) -> Vec<u8> {
         if let Some(reader) = self.reader.take() {
             reader.join().expect("it only reads");
         }

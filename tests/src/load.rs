@@ -29,6 +29,35 @@ pub struct Done {
     pub settings: AtomicU64,
 }
 
+impl Done {
+    /// One part in `part` of what the load is meant to do in `seconds`.
+    pub fn part_of(seconds: u64, part: u64) -> Self {
+        Self {
+            connections: (seconds * 30 / part).into(),
+            chunks: (seconds * 10_000 / part).into(),
+            updates: (seconds * 10_000 / part).into(),
+            settings: 1.into(),
+        }
+    }
+
+    /// Whether each count is at least that of `least`.
+    pub fn reaches(&self, least: &Self) -> bool {
+        let counts = |done: &Self| {
+            [
+                &done.connections,
+                &done.chunks,
+                &done.updates,
+                &done.settings,
+            ]
+            .map(|count| count.load(Ordering::Relaxed))
+        };
+        counts(self)
+            .iter()
+            .zip(counts(least))
+            .all(|(now, least)| *now >= least)
+    }
+}
+
 /// Connects as soon as the daemon is up.
 pub fn connect(place: &Place) -> Connection {
     Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
@@ -201,6 +230,7 @@ impl Busy {
             ..Spiral::for_sections(&[0.3; 3])
         };
         let options = FeedOptions {
+            lead: Duration::from_millis(100),
             track: true,
             ..FeedOptions::default()
         };
@@ -228,14 +258,18 @@ impl Busy {
     }
 }
 
-/// Keeps a daemon busy until it has made `cycles`. Returns its cycles, and the records of tracking cycles.
-pub fn keep_busy(place: &Place, cycles: u64, done: &Done) -> (u64, u64) {
+/// Keeps a daemon busy until it has made `cycles`, and there was the load that `done` is to hold at least. Returns its
+/// cycles, and the records of tracking cycles.
+pub fn keep_busy(place: &Place, cycles: u64, least: &Done, done: &Done) -> (u64, u64) {
     let begin = Instant::now();
     let mut busy = Busy::new(place);
-    while busy.cycles() < cycles {
+    while busy.cycles() < cycles || busy.tracked <= cycles / 20 || !done.reaches(least) {
         busy.turn(2.0, done);
-        let ran = busy.cycles();
-        assert!(begin.elapsed() < 15 * PATIENCE, "{ran} cycles only");
+        let (ran, tracked) = (busy.cycles(), busy.tracked);
+        assert!(
+            begin.elapsed() < 5 * PATIENCE,
+            "{tracked} of {ran} cycles tracked, beside {done:?} instead of {least:?}"
+        );
     }
     (busy.cycles(), busy.tracked)
 }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::{EventKind, Outcome};
+use cdcr_test_skip::{Need, skip};
 
 use super::*;
 use crate::subject::daemon::{Daemon, Launch};
@@ -182,7 +183,7 @@ fn a_daemon_that_is_not_there_is_a_failure_of_the_flood_alone() {
 #[test]
 fn stress_ng_works_and_ends_with_the_load() {
     if let Err(missing) = Load::StressNg.is_available() {
-        println!("skipped: {missing}");
+        skip(Need::StressNg, missing);
         return;
     }
     let done = prove(Load::StressNg, &Cores::find().unwrap(), None);

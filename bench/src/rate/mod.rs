@@ -103,6 +103,28 @@ pub struct Shortest {
     pub failed_tally: Tally,
 }
 
+impl Shortest {
+    /// Of the trials of one search, which found the period with this index.
+    fn of(case: Case, periods_ms: &[f64], index: Option<usize>, trials: &[Trial]) -> Self {
+        let with = |wanted_ms: Option<&f64>| -> Vec<&Trial> {
+            let is_wanted =
+                |trial: &&Trial| wanted_ms.is_some_and(|ms| trial.period_ms.total_cmp(ms).is_eq());
+            trials.iter().filter(is_wanted).collect()
+        };
+        let held = with(index.and_then(|index| periods_ms.get(index)));
+        let failed = with(periods_ms.get(index.map_or(0, |index| index + 1)));
+        // The last one decided.
+        let decided = |trials: &[&Trial]| trials.last().copied().cloned();
+        Self {
+            case,
+            held: decided(&held),
+            held_tally: Tally::of(held),
+            failed: decided(&failed),
+            failed_tally: Tally::of(failed),
+        }
+    }
+}
+
 /// Trials with one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tally {
@@ -170,6 +192,27 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     })
 }
 
+/// Index of the shortest of these periods that holds, after as many trials as that takes; all of them are kept.
+fn search_case(
+    periods_ms: &[f64],
+    guess: usize,
+    trials: &mut Vec<Trial>,
+    mut trial: impl FnMut(f64) -> Result<Trial>,
+) -> Result<Option<usize>> {
+    search::shortest(periods_ms.len(), guess, |index| {
+        let mut count = 0;
+        loop {
+            let trial = trial(periods_ms[index])?;
+            count += 1;
+            let (holds, is_decided) = (trial.holds, trial.decides(count));
+            trials.push(trial);
+            if is_decided {
+                return Ok(holds);
+            }
+        }
+    })
+}
+
 /// A measurement under way.
 struct Run<'a> {
     options: &'a Options,
@@ -200,55 +243,24 @@ impl Run<'_> {
         let mut guess = FIRST_GUESS;
         let mut all = Vec::new();
         for case in &self.options.cases {
-            let begun = self.trials.len();
-            let (shortest, index) = self.search(*case, guess)?;
+            let mut trials = Vec::new();
+            let index = search_case(&self.options.periods_ms, guess, &mut trials, |period_ms| {
+                self.trial(*case, period_ms)
+            })?;
             guess = index.unwrap_or(0);
-            all.push(shortest);
+            all.push(Shortest::of(
+                *case,
+                &self.options.periods_ms,
+                index,
+                &trials,
+            ));
             // How many trials a search takes, and how long ones, is known only now.
             let whole_s = |trial: &Trial| self.options.length.whole_s(trial.period_ms);
-            let spent_s: f64 = self.trials[begun..].iter().map(whole_s).sum();
+            let spent_s: f64 = trials.iter().map(whole_s).sum();
             self.progress.expect(spent_s - search_s(self.options));
+            self.trials.append(&mut trials);
         }
         Ok(all)
-    }
-
-    fn search(&mut self, case: Case, guess: usize) -> Result<(Shortest, Option<usize>)> {
-        let begun = self.trials.len();
-        let periods_ms = self.options.periods_ms.clone();
-        let index = search::shortest(periods_ms.len(), guess, |index| {
-            self.holds(case, periods_ms[index])
-        })?;
-        let with = |wanted_ms: Option<&f64>| -> Vec<&Trial> {
-            let is_wanted =
-                |trial: &&Trial| wanted_ms.is_some_and(|ms| trial.period_ms.total_cmp(ms).is_eq());
-            self.trials[begun..].iter().filter(is_wanted).collect()
-        };
-        let held = with(index.and_then(|index| periods_ms.get(index)));
-        let failed = with(periods_ms.get(index.map_or(0, |index| index + 1)));
-        // The last one decided.
-        let decided = |trials: &[&Trial]| trials.last().copied().cloned();
-        let shortest = Shortest {
-            case,
-            held: decided(&held),
-            held_tally: Tally::of(held),
-            failed: decided(&failed),
-            failed_tally: Tally::of(failed),
-        };
-        Ok((shortest, index))
-    }
-
-    /// Whether this period holds, after as many trials as that takes.
-    fn holds(&mut self, case: Case, period_ms: f64) -> Result<bool> {
-        let mut count = 0;
-        loop {
-            let trial = self.trial(case, period_ms)?;
-            count += 1;
-            let (holds, is_decided) = (trial.holds, trial.decides(count));
-            self.trials.push(trial);
-            if is_decided {
-                return Ok(holds);
-            }
-        }
     }
 
     fn trial(&mut self, case: Case, period_ms: f64) -> Result<Trial> {
@@ -259,5 +271,120 @@ impl Run<'_> {
         self.progress
             .advance(self.options.length.whole_s(period_ms));
         Ok(trial)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )]
+
+    use super::*;
+    use crate::closed_loop::histogram;
+
+    /// A trial that holds, or in which the machine or the loop lost releases.
+    fn trial(period_ms: f64, verdict: Verdict) -> Trial {
+        let quiet = figures::tests::quiet();
+        let lost = |platform, compute| Figures {
+            skipped_periods: 40,
+            causes: Causes {
+                platform,
+                compute,
+                ..Causes::default()
+            },
+            ..quiet.clone()
+        };
+        let figures = match verdict {
+            Verdict::Holds => quiet,
+            Verdict::Machine => lost(3, 0),
+            Verdict::Own => lost(0, 3),
+            Verdict::Slow => lost(0, 0),
+        };
+        assert_eq!(figures.verdict(period_ms), verdict);
+        Trial {
+            case: Case::DEFAULT,
+            period_ms,
+            spin_us: 0.0,
+            holds: verdict == Verdict::Holds,
+            remarks: figures.remarks(period_ms),
+            figures: Some(figures),
+            tag: String::new(),
+            responses: histogram().unwrap(),
+            begin_ns: 0,
+        }
+    }
+
+    /// Searches where `verdict` says what the trial of a period ends like, the how many-th of that period.
+    fn search(guess: usize, verdict: impl Fn(usize, usize) -> Verdict) -> (Shortest, Vec<Trial>) {
+        let mut counts = [0; PERIODS_MS.len()];
+        let mut trials = Vec::new();
+        let index = search_case(&PERIODS_MS, guess, &mut trials, |period_ms| {
+            let index = PERIODS_MS.iter().position(|ms| *ms == period_ms).unwrap();
+            counts[index] += 1;
+            Ok(trial(period_ms, verdict(index, counts[index])))
+        });
+        let shortest = Shortest::of(Case::DEFAULT, &PERIODS_MS, index.unwrap(), &trials);
+        (shortest, trials)
+    }
+
+    #[test]
+    fn the_border_lies_between_what_held_and_what_failed() {
+        for failing in [Verdict::Machine, Verdict::Own, Verdict::Slow] {
+            for holding in 0..=PERIODS_MS.len() {
+                for guess in 0..PERIODS_MS.len() {
+                    let (found, trials) = search(guess, |index, _| {
+                        if index < holding {
+                            Verdict::Holds
+                        } else {
+                            failing
+                        }
+                    });
+                    let period_ms = |index: usize| PERIODS_MS.get(index).copied();
+                    assert_eq!(
+                        found.period_ms(),
+                        holding.checked_sub(1).and_then(period_ms)
+                    );
+                    let failed = found.failed.as_ref().map(|trial| trial.period_ms);
+                    assert_eq!(failed, period_ms(holding));
+                    let held = usize::from(holding > 0);
+                    assert_eq!(
+                        (found.held_tally.held, found.held_tally.trials),
+                        (held, held)
+                    );
+                    let failures = failed.map_or(0, |_| failing.trials());
+                    assert_eq!(
+                        (found.failed_tally.held, found.failed_tally.trials),
+                        (0, failures)
+                    );
+                    assert!(
+                        trials
+                            .iter()
+                            .all(|trial| trial.holds || !trial.remarks.is_empty())
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
+        for spoilt in 0..Verdict::Machine.trials() {
+            let (found, trials) = search(2, |_, count| {
+                if count > spoilt {
+                    Verdict::Holds
+                } else {
+                    Verdict::Machine
+                }
+            });
+            assert_eq!(found.period_ms(), PERIODS_MS.last().copied());
+            assert_eq!(
+                (found.held_tally.held, found.held_tally.trials),
+                (1, spoilt + 1)
+            );
+            assert!(found.failed.is_none());
+            assert_eq!(trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
+        }
     }
 }

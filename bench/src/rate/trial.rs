@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 use cdcr_client::{Connection, FeedError, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Status, Telemetry};
@@ -27,8 +27,8 @@ const READ_EVERY: Duration = Duration::from_millis(2);
 const EASY_MS: f64 = 2.0;
 /// What [`Tracking::start`] says of a robot that does not begin to follow.
 const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
-/// How long the status with the last cycles may take.
-const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
+/// How long the status with the last cycles may take. Generous: machines stall.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(5);
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 1.0;
 
@@ -157,14 +157,9 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures,
     let mut records = Records::begin()?;
     connection.reset_statistics()?;
     let (before, begin) = (threads(daemon.id()), Instant::now());
-    records.watch(&mut telemetry, length)?;
+    let status = records.watch(&mut telemetry, &connection, length)?;
     let (after, passed) = (threads(daemon.id()), begin.elapsed());
-    let status = status_after(&connection, monotonic_ns())?;
     tracking.stop()?;
-    ensure!(
-        status.statistics_since_ns >= records.begin_ns,
-        "the daemon did not reset its statistics"
-    );
     let share = |name: &str| core_share(&before, &after, name, passed);
     let figures = Figures {
         cycle_core_share: share("cdcr-cycle"),
@@ -172,19 +167,6 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures,
         ..records.figures(&status)?
     };
     Ok((figures, records))
-}
-
-/// A status that counts everything until `time_ns`.
-fn status_after(connection: &Connection, time_ns: u64) -> Result<Status> {
-    let deadline = Instant::now() + STATUS_TIMEOUT;
-    while Instant::now() < deadline {
-        let status = connection.status(STATUS_TIMEOUT)?;
-        if status.header.sent_ns >= time_ns {
-            return Ok(status);
-        }
-        interrupt::sleep(Duration::from_millis(10))?;
-    }
-    anyhow::bail!("the daemon sends no status")
 }
 
 /// What the records of the cycles say.
@@ -207,16 +189,28 @@ impl Records {
         })
     }
 
-    fn watch(&mut self, telemetry: &mut TelemetryStream, length: Duration) -> Result<()> {
-        let end = Instant::now() + length;
-        while Instant::now() < end {
+    /// Until the statistics, which begin anew a moment after they were asked to, count for as long as `length`.
+    fn watch(
+        &mut self,
+        telemetry: &mut TelemetryStream,
+        connection: &Connection,
+        length: Duration,
+    ) -> Result<Status> {
+        let length_ns = length.as_nanos() as u64;
+        let deadline = Instant::now() + length + STATUS_TIMEOUT;
+        while Instant::now() < deadline {
             interrupt::check()?;
             while let Some(record) = telemetry.try_next()? {
                 self.take(&record);
             }
+            let status = connection.status(STATUS_TIMEOUT)?;
+            let since_ns = status.statistics_since_ns;
+            if since_ns >= self.begin_ns && status.header.sent_ns >= since_ns + length_ns {
+                return Ok(status);
+            }
             std::thread::sleep(READ_EVERY);
         }
-        Ok(())
+        anyhow::bail!("the daemon did not reset its statistics, or sends no status")
     }
 
     fn take(&mut self, record: &Telemetry) {

@@ -148,18 +148,18 @@ mod tests {
         for pair in cycles.windows(2) {
             let periods = (pair[1].due_ns - pair[0].due_ns) / 5_000_000;
             assert_eq!(pair[1].due_ns, pair[0].due_ns + periods * 5_000_000);
-            assert_eq!(periods, 1 + u64::from(pair[0].skipped_periods));
+            // The one before slept through its releases, or ran into those of the next one.
+            let skipped = pair[0].skipped_periods + pair[1].skipped_periods;
+            assert!((1..=1 + u64::from(skipped)).contains(&periods));
             assert!(pair[0].response_ns >= pair[0].wake_ns);
         }
-        let skipped: u64 = cycles
-            .iter()
-            .map(|cycle| u64::from(cycle.skipped_periods))
-            .sum();
-        let releases = cycles.len() as u64 + skipped;
-        assert!(
-            (90..=110).contains(&releases),
-            "{releases} releases in 0.5 s"
-        );
+        let releases = |cycles: &[Cycle]| -> u64 {
+            let of = |cycle: &Cycle| 1 + u64::from(cycle.skipped_periods);
+            cycles.iter().map(of).sum()
+        };
+        // It ends with the first cycle that is the hundredth, or comes after it.
+        let (_, before) = cycles.split_last().unwrap();
+        assert!(releases(before) < 100 && releases(&cycles) >= 100);
     }
 
     #[test]

@@ -253,6 +253,8 @@ mod tests {
         reason = "in a test a panic is the report, in its helpers, too"
     )]
 
+    use cdcr_test_skip::{Need, skip};
+
     use super::*;
     use crate::system::cores::Cores;
     use crate::system::thread::may_be_realtime;
@@ -266,19 +268,15 @@ mod tests {
 
     /// What is installed and may run.
     fn usable() -> Option<Cyclictest> {
+        if !may_be_realtime() {
+            skip(Need::Realtime, "cyclictest refuses to run without");
+            return None;
+        }
         let found = Cyclictest::find();
         if found.is_none() {
-            println!("skipped: cyclictest is not installed (Debian: apt install rt-tests)");
+            skip(Need::Cyclictest, "it is not installed");
         }
-        found.filter(|_| {
-            let may = may_be_realtime();
-            if !may {
-                println!(
-                    "skipped: this user may not have real-time threads, so cyclictest refuses"
-                );
-            }
-            may
-        })
+        found
     }
 
     #[test]

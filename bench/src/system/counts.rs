@@ -79,6 +79,8 @@ fn steal_in(stat: &str, core: usize) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_test_skip::{Need, skip};
+
     use super::*;
 
     #[test]
@@ -116,7 +118,10 @@ mod tests {
     fn our_own_threads_are_counted() {
         let all = threads(std::process::id());
         if all.is_empty() {
-            println!("skipped: this kernel does not count what a thread ran");
+            skip(
+                Need::Kernel,
+                "it does not count what a thread ran (schedstat)",
+            );
             return;
         }
         assert!(all.iter().any(|thread| thread.id == std::process::id()));

@@ -223,6 +223,7 @@ mod tests {
         reason = "in a test a panic is the report, in its helpers, too"
     )]
 
+    use cdcr_test_skip::{Need, skip};
     use rustix::process::test_kill_process;
 
     use super::*;
@@ -291,7 +292,7 @@ mod tests {
     #[test]
     fn a_program_ends_with_the_thread_that_started_it() {
         if on_path("setpriv").is_none() {
-            println!("skipped: there is no setpriv (util-linux)");
+            skip(Need::UtilLinux, "there is no setpriv");
             return;
         }
         // The program, not its guard, is what the thread leaves behind.

@@ -145,9 +145,10 @@ impl<'c> Feeder<'c> {
         while flow.is_continue() && !state.is_over(monotonic_ns()) {
             self.send_due(&mut state)?;
             flow = self.listen(&mut state, &mut observer)?;
+            // Right after all records were read: a program that was stopped for longer has not heard the daemon fall silent.
+            state.check_patience(monotonic_ns())?;
             self.track_once(&mut state)?;
             self.renew(&state)?;
-            state.check_patience(monotonic_ns())?;
             if flow.is_continue() {
                 flow = observer(FeedEvent::Progress(state.progress(self.trajectory)));
                 thread::sleep(turn(self.lease.left()));

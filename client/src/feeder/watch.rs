@@ -138,7 +138,8 @@ fn reason_remedy(reason: Reason) -> &'static str {
         }
         Reason::HomeReached => "Another client sent it home.",
         Reason::DeadlineMisses => {
-            "The machine is too busy: see the latencies in cdcrctl status, then cdcrctl reset."
+            "The machine is too busy: see the causes in cdcrctl status, then cdcrctl reset. The limit is the setting \
+             cycle.miss_limit."
         }
         Reason::MeasurementLost => "See whether the driver runs, then cdcrctl reset.",
         Reason::MeasurementJump => {

@@ -52,6 +52,7 @@ pub struct Kpso {
 /// The particles, by lanes.
 #[derive(Debug, Clone)]
 enum Flock {
+    #[cfg(any(test, feature = "scalar"))]
     Scalar(Swarm<1>),
     Wide(Swarm<LANES>),
 }
@@ -60,6 +61,7 @@ impl Kpso {
     /// Room for `size` particles of `dimension` unknowns, computed on `path`.
     pub fn with_capacity(path: Path, size: usize, dimension: usize) -> Self {
         let flock = match path {
+            #[cfg(any(test, feature = "scalar"))]
             Path::Scalar => Flock::Scalar(Swarm::with_capacity(size, dimension)),
             _ => Flock::Wide(Swarm::with_capacity(size, dimension)),
         };
@@ -79,6 +81,7 @@ impl Kpso {
         incumbent: &mut Incumbent,
     ) -> u32 {
         match &mut self.flock {
+            #[cfg(any(test, feature = "scalar"))]
             Flock::Scalar(swarm) => Search {
                 swarm,
                 task,

@@ -2,10 +2,12 @@ use pulp::NullaryFnOnce;
 
 /// How the swarm is computed. The same work gives the same bits on every path; they differ in speed. Under
 /// a limited budget that holds for all but the scalar one, whose quanta hold one particle instead of eight.
+/// Each path is compiled whole, which takes seconds: a release has those that run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Path {
-    /// One particle after the other: the reference.
+    /// One particle after the other: the reference for tests and benchmarks. Only with the feature `scalar`.
+    #[cfg(any(test, feature = "scalar"))]
     Scalar,
     /// Eight particles side by side, with the instructions that every processor of the target has.
     Portable,
@@ -18,9 +20,15 @@ pub enum Path {
 impl Path {
     /// The paths of this processor, slowest first.
     pub fn available() -> impl Iterator<Item = Self> {
-        [Self::Scalar, Self::Portable, Self::Avx2, Self::Avx512]
-            .into_iter()
-            .filter(|path| path.is_available())
+        [
+            #[cfg(any(test, feature = "scalar"))]
+            Self::Scalar,
+            Self::Portable,
+            Self::Avx2,
+            Self::Avx512,
+        ]
+        .into_iter()
+        .filter(|path| path.is_available())
     }
 
     /// The fastest path of this processor.
@@ -31,7 +39,9 @@ impl Path {
     #[cfg(target_arch = "x86_64")]
     fn is_available(self) -> bool {
         match self {
-            Self::Scalar | Self::Portable => true,
+            #[cfg(any(test, feature = "scalar"))]
+            Self::Scalar => true,
+            Self::Portable => true,
             Self::Avx2 => pulp::x86::V3::try_new().is_some(),
             Self::Avx512 => pulp::x86::V4::try_new().is_some(),
         }
@@ -39,7 +49,7 @@ impl Path {
 
     #[cfg(not(target_arch = "x86_64"))]
     fn is_available(self) -> bool {
-        matches!(self, Self::Scalar | Self::Portable)
+        !matches!(self, Self::Avx2 | Self::Avx512)
     }
 
     /// Runs `work` compiled for this path; a path that this processor lacks runs as the portable one.

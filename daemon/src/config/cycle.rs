@@ -23,7 +23,8 @@ pub struct CycleConfig {
     /// How long before the release inputs are gathered \[ms\].
     pub gather_lead_ms: f64,
     /// Level of the leaky bucket (+1 for each miss and each skipped period, -1 for each good cycle)
-    /// at which the robot is stopped.
+    /// at which the robot is stopped; 0: [`Self::MISS_LIMIT`], at which a simulated robot is not stopped: the daemon
+    /// logs a warning and goes on.
     pub miss_limit: u32,
     /// The process ends when the cycle or exchange thread makes no progress for this long \[ms\], or the reporter for
     /// five times as long.
@@ -39,13 +40,17 @@ impl Default for CycleConfig {
             budget_ms: 0.0,
             budget_margin_ms: 0.0,
             gather_lead_ms: 0.2,
-            miss_limit: 40,
+            miss_limit: 0,
             watchdog_ms: 1000.0,
         }
     }
 }
 
 impl CycleConfig {
+    /// Level at which the leaky bucket is full when the configuration sets no `miss_limit`: 200 ms without control at
+    /// 5 ms.
+    pub const MISS_LIMIT: u32 = 40;
+
     /// Deadline D after the release \[ns\].
     pub fn deadline_ns(&self) -> u64 {
         match ns(self.deadline_ms) {

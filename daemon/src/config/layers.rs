@@ -2,7 +2,6 @@ use std::ffi::OsString;
 use std::path::Path;
 use std::str::FromStr;
 
-use serde::Deserialize;
 use toml::{Table, Value};
 use toml_edit::{Document, DocumentMut, Item};
 
@@ -129,7 +128,8 @@ impl Layers {
     /// None that a layer did not report before.
     pub fn settings(self) -> Result<Settings, ConfigError> {
         let Self { values, origins } = self;
-        let config = Config::deserialize(Value::Table(values))
+        // By way of the text that each layer was checked as: a second way would be compiled, too.
+        let config = toml::from_str(&values.to_string())
             .map_err(|cause| error("the configuration", &Origin::Default, cause.message()))?;
         Ok(Settings { config, origins })
     }

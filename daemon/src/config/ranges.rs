@@ -87,7 +87,7 @@ pub(super) const RANGES: [Range; 50] = [
     range("cycle.budget_ms", 0.0, 100.0).also(AT_MOST_PERIOD),
     range("cycle.budget_margin_ms", 0.0, 50.0).also(AT_MOST_HALF),
     range("cycle.gather_lead_ms", 0.02, 50.0).also(AT_MOST_HALF),
-    range("cycle.miss_limit", 1.0, 1e6),
+    range("cycle.miss_limit", 0.0, 1e6),
     range("cycle.watchdog_ms", 50.0, 60_000.0).also("at least ten times cycle.period_ms"),
     range("motion.deceleration_rad_s2", 0.01, 1e6),
     range("motion.home_rate_rad_s", 1e-3, 100.0),

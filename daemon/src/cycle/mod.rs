@@ -350,7 +350,7 @@ impl<L: RobotLink> Cycle<L> {
             lease: inputs.lease,
             at_home: bends.iter().all(|bend| bend.abs() < HOME_EXACT_RAD)
                 || self.straight_ns >= HOME_SETTLED_NS,
-            misses_overflow: self.accounting.bucket().overflows(),
+            misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
             fault: self.fault(measurement),
         }
     }

@@ -1,7 +1,7 @@
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::safety::PlausibilityRules;
 
-use crate::config::{Config, ns};
+use crate::config::{Config, CycleConfig, LinkKind, ns};
 use crate::rt::accounting::Limits;
 
 /// The fixed rules of a cycle, from the configuration.
@@ -19,7 +19,7 @@ pub struct Policy {
     pub late_start_ns: u64,
     /// A measurement older than this is lost \[ns\].
     pub measurement_timeout_ns: u64,
-    /// Level at which the leaky bucket stops the robot.
+    /// Level at which the leaky bucket stops the robot; 0: misses are counted only.
     pub miss_limit: u32,
     /// A smaller clearance is a fault \[m\].
     pub clearance_fault_m: f64,
@@ -37,7 +37,7 @@ impl Policy {
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
-            miss_limit: config.cycle.miss_limit,
+            miss_limit: miss_limit(config),
             clearance_fault_m: config.safety.clearance_fault_m,
             plausibility: PlausibilityRules {
                 jump_rad: config.safety.measurement_jump_rad,
@@ -52,8 +52,31 @@ impl Policy {
         Limits {
             deadline_ns: self.deadline_ns,
             late_start_ns: self.late_start_ns,
-            miss_limit: self.miss_limit,
+            miss_limit: match self.miss_limit {
+                0 => CycleConfig::MISS_LIMIT,
+                limit => limit,
+            },
         }
+    }
+
+    /// Whether a full bucket stops the robot.
+    pub fn stops_on_misses(&self) -> bool {
+        self.miss_limit > 0
+    }
+
+    /// Whether a bucket at `level` would stop a robot behind a driver, and does not stop this one.
+    pub fn tolerates(&self, level: u32) -> bool {
+        !self.stops_on_misses() && level >= self.limits().miss_limit
+    }
+}
+
+/// Without a limit of its own, a robot behind a driver has the default one, and a simulated robot has none: a first
+/// trial on a machine that stalls should end with a report, not with a stop.
+fn miss_limit(config: &Config) -> u32 {
+    match (config.cycle.miss_limit, config.link.kind) {
+        (0, LinkKind::Simulated) => 0,
+        (0, LinkKind::Driver) => CycleConfig::MISS_LIMIT,
+        (limit, _) => limit,
     }
 }
 
@@ -72,6 +95,38 @@ impl Settings {
         Self {
             nmpc: config.controller,
             budget_ns: ns(config.cycle.budget_ms),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn policy(kind: LinkKind, miss_limit: u32) -> Policy {
+        let mut config = Config::default();
+        config.link.kind = kind;
+        config.cycle.miss_limit = miss_limit;
+        Policy::new(&config)
+    }
+
+    #[test]
+    fn only_a_simulated_robot_without_a_limit_goes_on_when_the_bucket_is_full() {
+        let simulated = policy(LinkKind::Simulated, 0);
+        assert!(!simulated.stops_on_misses());
+        assert!(!simulated.tolerates(39) && simulated.tolerates(40));
+        assert_eq!(simulated.limits().miss_limit, 40);
+        for (kind, set, limit) in [
+            (LinkKind::Driver, 0, 40),
+            (LinkKind::Driver, 7, 7),
+            (LinkKind::Simulated, 40, 40),
+            (LinkKind::Simulated, 7, 7),
+        ] {
+            let policy = policy(kind, set);
+            assert!(policy.stops_on_misses(), "{kind:?} {set}");
+            assert_eq!(policy.miss_limit, limit);
+            assert_eq!(policy.limits().miss_limit, limit);
+            assert!(!policy.tolerates(u32::MAX), "{kind:?} {set}");
         }
     }
 }

@@ -5,6 +5,7 @@ use cdcr_shared_types::{Header, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
 use super::{Exchange, LastChunk, LastLook};
+use crate::ports::Clock;
 use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
@@ -19,7 +20,14 @@ const fn drain_limit(service: Service) -> usize {
 
 impl Exchange {
     /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
-    pub(super) fn gather(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64, shared: &Shared) {
+    pub(super) fn gather(
+        &mut self,
+        schedule: &Schedule,
+        cycle: u64,
+        now_ns: u64,
+        clock: &impl Clock,
+        shared: &Shared,
+    ) {
         let unheard_ns = now_ns.saturating_sub(self.gather_began_ns + 2 * self.period_ns);
         self.lease.extend(self.gather_began_ns, unheard_ns);
         self.gather += 1;
@@ -28,8 +36,8 @@ impl Exchange {
         self.requests_taken = 0;
         self.end_silent_lease(now_ns);
         self.take_references(now_ns);
-        self.take_obstacles(now_ns);
-        self.take_measurements(now_ns);
+        self.take_obstacles(now_ns, clock);
+        self.take_measurements(clock);
         self.take_requests(now_ns, shared);
         self.trajectory
             .forget_before(schedule.release_ns(cycle.saturating_sub(1)));
@@ -139,13 +147,15 @@ impl Exchange {
         }
     }
 
-    fn take_obstacles(&mut self, now_ns: u64) {
+    fn take_obstacles(&mut self, now_ns: u64, clock: &impl Clock) {
         self.obstacles.expire(now_ns);
         let mut accepted = 0;
         for _ in 0..drain_limit(Service::Obstacles) {
             let Ok(Some(update)) = self.ports.obstacles.receive() else {
                 break;
             };
+            // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
+            let now_ns = clock.now_ns();
             let result = self.take_update(&update, now_ns);
             self.obstacles_refused += u64::from(result.is_err());
             self.events.note(
@@ -169,11 +179,13 @@ impl Exchange {
     }
 
     /// Keeps the newest measurement. Good ones are many and not reported one by one.
-    fn take_measurements(&mut self, now_ns: u64) {
+    fn take_measurements(&mut self, clock: &impl Clock) {
         for _ in 0..drain_limit(Service::Measurement) {
             let Ok(Some(message)) = self.ports.measurement.receive() else {
                 break;
             };
+            // As for obstacles: it may be newer than the gather.
+            let now_ns = clock.now_ns();
             let result = if self.has_driver {
                 convert::measurement(&message, &self.robot, now_ns)
             } else {

@@ -195,7 +195,7 @@ impl Exchange {
                 self.look_again(schedule, last.cycle, now_ns, shared);
             }
             if now_ns >= gather_ns {
-                self.gather(schedule, next_cycle, now_ns, shared);
+                self.gather(schedule, next_cycle, now_ns, clock, shared);
                 self.gather_took_ns = clock.now_ns() - now_ns;
                 look = LastLook::before(schedule, next_cycle, self.spin_ns);
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);

@@ -5,11 +5,10 @@
 
 use std::io::{Result, Write};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::channel;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, Sender, SyncSender, channel, sync_channel};
 use std::time::Duration;
 
-use tracing_appender::non_blocking::{ErrorCounter, NonBlocking, NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::fmt::MakeWriter;
 
 /// Lines that may wait: far more than an end or a start writes, and less than a megabyte.
@@ -20,14 +19,25 @@ const END_MAX: Duration = Duration::from_secs(2);
 /// Takes text at once, and writes it when somebody reads.
 #[derive(Debug, Clone)]
 pub(super) struct Text {
-    queue: NonBlocking,
-    lost: ErrorCounter,
-    lost_said: Arc<AtomicUsize>,
+    queue: SyncSender<Vec<u8>>,
+    counts: Arc<Counts>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    lost: AtomicUsize,
+    /// How many of them a line has told of.
+    told: AtomicUsize,
+    ending: AtomicBool,
 }
 
 /// Writes what waits when it is ended.
 #[derive(Debug)]
-pub(super) struct TextGuard(WorkerGuard);
+pub(super) struct TextGuard {
+    text: Text,
+    /// Closed when the thread has ended.
+    ended: Receiver<()>,
+}
 
 impl Text {
     /// The standard error.
@@ -36,34 +46,71 @@ impl Text {
     }
 
     fn onto(writer: impl Write + Send + 'static, lines_max: usize) -> (Self, TextGuard) {
-        let (queue, guard) = NonBlockingBuilder::default()
-            .lossy(true)
-            .buffered_lines_limit(lines_max)
-            .thread_name("cdcr-log")
-            .finish(writer);
+        let (queue, lines) = sync_channel(lines_max);
+        let (alive, ended) = channel();
         let text = Self {
-            lost: queue.error_counter(),
-            lost_said: Arc::default(),
             queue,
+            counts: Arc::default(),
         };
-        (text, TextGuard(guard))
+        let counts = Arc::clone(&text.counts);
+        // Without the thread every line is lost, and counted.
+        let _ = std::thread::Builder::new()
+            .name("cdcr-log".to_owned())
+            .spawn(move || write_all(&lines, writer, &counts, alive));
+        let guard = TextGuard {
+            text: text.clone(),
+            ended,
+        };
+        (text, guard)
     }
+
+    fn lost(&self) -> usize {
+        self.counts.lost.load(Ordering::Relaxed)
+    }
+
+    fn put(&self, line: Vec<u8>) -> bool {
+        let taken = self.queue.try_send(line).is_ok();
+        if !taken {
+            self.counts.lost.fetch_add(1, Ordering::Relaxed);
+        }
+        taken
+    }
+}
+
+/// Writes line after line until the log ends and none is left.
+fn write_all(
+    lines: &Receiver<Vec<u8>>,
+    mut writer: impl Write,
+    counts: &Counts,
+    alive: Sender<()>,
+) {
+    while let Ok(line) = lines.recv() {
+        // There is nobody to tell that nobody can be told.
+        let _ = writer.write_all(&line);
+        if counts.ending.load(Ordering::Acquire) {
+            for line in lines.try_iter() {
+                let _ = writer.write_all(&line);
+            }
+            break;
+        }
+    }
+    drop(alive);
 }
 
 impl Write for Text {
     fn write(&mut self, line: &[u8]) -> Result<usize> {
-        let lost = self.lost.dropped_lines();
-        if lost == self.lost_said.load(Ordering::Relaxed) {
-            return self.queue.write(line);
+        let lost = self.lost();
+        if lost == self.counts.told.load(Ordering::Relaxed) {
+            self.put(line.to_vec());
+            return Ok(line.len());
         }
         let mut both =
             format!("cdcrd: {lost} lines so far were lost: nobody read the standard error\n")
                 .into_bytes();
         both.extend_from_slice(line);
-        self.queue.write_all(&both)?;
         // Otherwise it was lost as well, and the next line says so.
-        if self.lost.dropped_lines() == lost {
-            self.lost_said.store(lost, Ordering::Relaxed);
+        if self.put(both) {
+            self.counts.told.store(lost, Ordering::Relaxed);
         }
         Ok(line.len())
     }
@@ -84,15 +131,10 @@ impl<'a> MakeWriter<'a> for Text {
 impl TextGuard {
     /// Writes what waits, as far as somebody reads it. Takes [`END_MAX`] at most.
     pub(super) fn end(self) {
-        let (alive, ended) = channel::<()>();
-        // Letting the guard go may itself write, and wait for a reader of the standard output.
-        let thread = std::thread::Builder::new().spawn(move || {
-            drop(self.0);
-            drop(alive);
-        });
-        if thread.is_ok() {
-            let _ = ended.recv_timeout(END_MAX);
-        }
+        self.text.counts.ending.store(true, Ordering::Release);
+        // Wakes the thread. A queue that is full needs no waking.
+        let _ = self.text.queue.try_send(Vec::new());
+        let _ = self.ended.recv_timeout(END_MAX);
     }
 }
 
@@ -104,7 +146,6 @@ mod tests {
     )]
 
     use std::sync::Mutex;
-    use std::sync::mpsc::Receiver;
     use std::time::Instant;
 
     use super::*;
@@ -128,7 +169,7 @@ mod tests {
         }
     }
 
-    fn unread() -> (Unread, std::sync::mpsc::Sender<()>, Arc<Mutex<Vec<u8>>>) {
+    fn unread() -> (Unread, Sender<()>, Arc<Mutex<Vec<u8>>>) {
         let (open, shut) = channel();
         let text = Arc::<Mutex<Vec<u8>>>::default();
         let writer = Unread {
@@ -153,7 +194,7 @@ mod tests {
             put(&mut text, &format!("line {line}"));
         }
         // One more may be in the hands of the thread that waits.
-        let lost = text.lost.dropped_lines();
+        let lost = text.lost();
         assert!(lost >= LINES - LINES_MAX - 1, "{lost}");
         drop(open);
         let read = || String::from_utf8(written.lock().unwrap().clone()).unwrap();

@@ -183,6 +183,7 @@ mod tests {
         reason = "in a test a panic is the report, in its helpers, too"
     )]
 
+    use cdcr_test_skip::{Need, skip};
     use rustix::thread::transparent_huge_pages_are_disabled;
 
     use super::*;
@@ -208,7 +209,10 @@ mod tests {
         });
         let (last, others) = before.split_last().unwrap();
         if others.is_empty() {
-            println!("skipped: core {last} is the only one that this test may use");
+            skip(
+                Need::Cores,
+                format_args!("core {last} is the only one that this test may use"),
+            );
             return;
         }
         assert_eq!(after, others);
@@ -245,7 +249,10 @@ mod tests {
     #[test]
     fn the_process_is_exempt_from_huge_pages() {
         if let Err(error) = disable_transparent_huge_pages(false) {
-            println!("skipped: PR_SET_THP_DISABLE is refused here ({error})");
+            skip(
+                Need::Kernel,
+                format_args!("PR_SET_THP_DISABLE is refused ({error})"),
+            );
             return;
         }
         assert!(!transparent_huge_pages_are_disabled().unwrap());

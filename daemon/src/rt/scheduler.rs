@@ -93,6 +93,8 @@ fn page_faults(text: &[u8]) -> Option<u64> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_test_skip::{Need, skip};
+
     use super::*;
 
     #[test]
@@ -109,7 +111,10 @@ mod tests {
     fn the_first_look_has_none_before_it() {
         let mut looks = SchedulerLooks::at(Some(this_thread()));
         if looks.reader.is_none() {
-            eprintln!("skipped: this kernel does not count what a thread ran");
+            skip(
+                Need::Kernel,
+                "it does not count what a thread ran (schedstat)",
+            );
             return;
         }
         assert_eq!(looks.look(), None);
@@ -120,7 +125,10 @@ mod tests {
     #[test]
     fn a_thread_that_works_is_seen_to_run() {
         let Some(reader) = SchedulerReader::open(this_thread()) else {
-            eprintln!("skipped: this kernel does not count what a thread ran");
+            skip(
+                Need::Kernel,
+                "it does not count what a thread ran (schedstat)",
+            );
             return;
         };
         let before = reader.read().expect("the thread lives");

@@ -64,6 +64,8 @@ pub struct Summary {
     pub position_error_m: Option<f64>,
     /// Whether the cycle was late.
     pub verdict: Verdict,
+    /// Whether the leaky bucket is full and the robot, a simulated one, goes on.
+    pub misses_tolerated: bool,
     /// Counts since the start.
     pub totals: Totals,
     /// Mode.
@@ -239,6 +241,7 @@ impl Supervisor {
             self.budget_hits += u64::from(summary.budget_hit);
             self.status.clearance_guarded += u64::from(summary.clearance_guarded);
             self.log(&summary);
+            self.count_tolerated(&summary);
             if !summary.verdict.deadline_miss {
                 self.manager.ready();
             }
@@ -318,6 +321,21 @@ impl Supervisor {
                 deadline_misses = summary.totals.deadline_misses,
                 skipped_periods = summary.totals.skipped_periods,
                 "late: {cause}"
+            );
+        }
+    }
+
+    /// Counts how often the leaky bucket became full and the robot went on; the log has the first time.
+    fn count_tolerated(&mut self, summary: &Summary) {
+        if !summary.misses_tolerated || self.newest.misses_tolerated {
+            return;
+        }
+        self.status.misses_tolerated += 1;
+        if self.status.misses_tolerated == 1 {
+            tracing::warn!(
+                cycle = summary.cycle,
+                "too many deadline misses: a robot behind a driver would have been stopped, the simulated robot goes \
+                 on; set cycle.miss_limit to stop it, too, and see cdcrd doctor"
             );
         }
     }

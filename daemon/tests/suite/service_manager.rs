@@ -1,5 +1,6 @@
 //! What `cdcrd run` tells the service manager that started it: the real program on a real socket.
 
+use std::fs::DirEntry;
 use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
 use std::os::unix::net::UnixDatagram;
 use std::path::Path;
@@ -67,6 +68,21 @@ impl Manager {
             }
         }
         panic!("{what} never came; heard {heard:?}")
+    }
+
+    /// Waits until a signal has stopped each thread of the daemon.
+    fn wait_until_it_stands_still(&self) {
+        let begin = Instant::now();
+        let folder = format!("/proc/{}/task", self.daemon.id());
+        let stands = |thread: std::io::Result<DirEntry>| {
+            let stat = std::fs::read_to_string(thread.unwrap().path().join("stat")).unwrap();
+            let state = stat.rsplit(')').next().unwrap();
+            state.trim_start().starts_with('T')
+        };
+        while !std::fs::read_dir(&folder).unwrap().all(stands) {
+            assert!(begin.elapsed() < PATIENCE, "it does not stand still");
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 
     fn end(&mut self) -> ExitStatus {
@@ -173,9 +189,9 @@ fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
     let mut manager = Manager::start("still");
     manager.hear_until("WATCHDOG=1");
     kill_process(Pid::from_child(&manager.daemon), Signal::STOP).unwrap();
+    manager.wait_until_it_stands_still();
     manager.socket.set_nonblocking(true).unwrap();
     // What was under way when the signal came.
-    std::thread::sleep(Duration::from_millis(100));
     let mut buffer = [0; 4096];
     while manager.socket.recv(&mut buffer).is_ok() {}
     std::thread::sleep(Duration::from_millis(500));

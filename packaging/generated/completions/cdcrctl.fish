@@ -29,7 +29,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l root -d 'Root path of t
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s V -l version -d 'Print version'
-complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "demo" -d 'Run the paper\'s spiral with a daemon of its own and report error and timing'
+complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "demo" -d 'Run the paper\'s spiral with a daemon of its own and report error, timing and what limits it'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "ref" -d 'Feed a reference to the daemon, ahead of time'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "track" -d 'Ask the daemon to follow the reference that a client feeds'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "hold" -d 'Stop following and keep the position'
@@ -45,7 +45,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l sections -d 'Se
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l duration -d 'How long the spiral lasts, 0.1 s to 20 s; the paper\'s lasts 4.97 s' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l format -d 'How to print the report' -r -f -a "text\t'For people'
 json\t'For programs'"
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l out -d 'Write telemetry.csv, path.svg, error.svg and timing.svg into this folder' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l out -d 'Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l robot -d 'Name of the robot' -r

@@ -1,6 +1,6 @@
 //! Proof, not hope: the cycle thread of a whole daemon runs under an allocator that ends the process when the
 //! cycle uses the heap, and under a filter of the kernel that ends it when the cycle makes a system call that
-//! is not its own; for 20 000 cycles, while clients come and go, flood and change settings.
+//! is not its own, while clients come and go, flood and change settings. `CDCR_GUARD_CYCLES` says for how many cycles.
 
 #![allow(
     clippy::unwrap_used,
@@ -24,8 +24,13 @@ use cdcr_tests::{Place, binary};
 #[global_allocator]
 static ALLOCATOR: WatchedAllocator = WatchedAllocator;
 
-/// Cycles under guard.
-const CYCLES: u64 = 20_000;
+/// Cycles under guard: 5 000 unless `CDCR_GUARD_CYCLES` says otherwise.
+fn guarded_cycles() -> u64 {
+    let asked = std::env::var("CDCR_GUARD_CYCLES").ok();
+    asked.map_or(5_000, |text| {
+        text.parse().expect("CDCR_GUARD_CYCLES is a whole number")
+    })
+}
 
 /// Two daemons on one core would be each other's load.
 static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
@@ -34,25 +39,28 @@ static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 static GUARDED_LIVES: AtomicU64 = AtomicU64::new(0);
 
 #[test]
-fn twenty_thousand_cycles_under_guard_with_a_simulated_robot() {
-    run_guarded("", |place, _, done| load::keep_busy(place, CYCLES, done));
+fn cycles_under_guard_with_a_simulated_robot() {
+    run_guarded("", |place, _, busy| busy(place));
 }
 
 #[test]
-fn twenty_thousand_cycles_under_guard_with_a_driver() {
-    run_guarded("[link]\nkind = \"driver\"\n", |place, ending, done| {
+fn cycles_under_guard_with_a_driver() {
+    run_guarded("[link]\nkind = \"driver\"\n", |place, ending, busy| {
         std::thread::scope(|scope| {
             scope.spawn(|| load::drive(place, ending));
-            let counts = load::keep_busy(place, CYCLES, done);
+            let counts = busy(place);
             ending.store(true, Ordering::Relaxed);
             counts
         })
     });
 }
 
-/// Runs a whole daemon whose cycle thread is guarded, under load. `work` returns the cycles that it saw, and
-/// how many of them tracked.
-fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, &Done) -> (u64, u64)) {
+/// Keeps a daemon busy, and returns its cycles, and how many of them tracked.
+type Busy<'a> = &'a dyn Fn(&Place) -> (u64, u64);
+
+/// Runs a whole daemon whose cycle thread is guarded, under load: for as many cycles as are asked for, and until half of
+/// the load was there that is meant for them.
+fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, Busy<'_>) -> (u64, u64)) {
     let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let place = Place::new();
     // Short periods, so that the cycles are soon over; everything else as in service.
@@ -64,6 +72,9 @@ fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, &Done) -> (u64
     );
     let validated = Config::parse(&text, &place.folder().join("robot.toml")).unwrap();
     let (ending, done) = (AtomicBool::new(false), Done::default());
+    let cycles = guarded_cycles();
+    let least = Done::part_of(cycles / 1000, 2);
+    let busy = |place: &Place| load::keep_busy(place, cycles, &least, &done);
     let gate = RwLock::new(());
     let lives = GUARDED_LIVES.load(Ordering::Acquire);
     std::thread::scope(|scope| {
@@ -83,22 +94,14 @@ fn run_guarded(link: &str, work: impl FnOnce(&Place, &AtomicBool, &Done) -> (u64
         }
         scope.spawn(|| load::flood_references(&place, &ending, &done));
         scope.spawn(|| load::flood_obstacles(&place, &ending, &done));
-        let (cycles, tracked) = work(&place, &ending, &done);
+        let (ran, tracked) = work(&place, &ending, &busy);
         ending.store(true, Ordering::Relaxed);
         daemon.join().unwrap().unwrap();
-        println!("{cycles} cycles, {tracked} of them tracked, beside {done:?}");
-        assert!(
-            cycles >= CYCLES && tracked > CYCLES / 20,
-            "{tracked} of {cycles} cycles tracked"
-        );
+        println!("{ran} cycles, {tracked} of them tracked, beside {done:?}");
+        assert!(ran >= cycles && tracked > cycles / 20);
     });
     assert!(GUARDED_LIVES.load(Ordering::Acquire) > lives);
-    // There was a load: half of what was meant, because machines stall.
-    let meant_s = CYCLES / 1000;
-    assert!(done.connections.into_inner() > meant_s * 30 / 2);
-    assert!(done.chunks.into_inner() > meant_s * 10_000 / 2);
-    assert!(done.updates.into_inner() > meant_s * 10_000 / 2);
-    assert!(done.settings.into_inner() > 0);
+    assert!(done.reaches(&least), "{done:?} instead of {least:?}");
 }
 
 #[test]

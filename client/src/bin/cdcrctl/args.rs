@@ -67,11 +67,28 @@ impl Target {
 /// What to do.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Task {
-    /// Run the paper's spiral with a daemon of its own and report error and timing
+    /// Run the paper's spiral with a daemon of its own and report error, timing and what limits it
     #[command(
         after_help = "Example:\n  cdcrctl demo --sections 3 --out demo-pictures\n\n\
         The demo starts its own cdcrd (found beside cdcrctl) on a private prefix, and removes all \
-        traces; --prefix, --root and --robot have no effect on it."
+        traces; --prefix, --root and --robot have no effect on it. Before the spiral, cdcrd bare runs for \
+        one second: the same loop without work shows what the machine alone does.\n\n\
+        Fields of --format json, counted over the cycles that tracked:\n  \
+        sections, duration_s, cycles, out\n  \
+        mean_error_mm, max_error_mm           tip of the ideal simulated robot to the exact curve\n  \
+        paper_mean_error_mm                   what the paper reports\n  \
+        wake_us, solve_us, response_us        p50, p99 and max of each\n  \
+        deadline_misses, late_starts          counts, each also per second (..._per_s)\n  \
+        misses_by_cause                       deadline misses by what caused them\n  \
+        skipped_periods                       releases that got no command\n  \
+        lost_records                          telemetry records that did not arrive\n  \
+        steal                                 steal_s of window_s that the hypervisor took from the core; or null\n  \
+        realtime, realtime_missing            whether all was granted, and what was not\n  \
+        baseline                              cdcrd bare: duration_s, cycles, counts, causes, wake_us\n  \
+        verdict.limited_by                    nothing, hypervisor, platform, other-task, no-real-time,\n                                        \
+        page-faults or cdcr\n  \
+        verdict.text, .next, .grant           one sentence, the command to run next, the command that\n                                        \
+        grants real time; or null"
     )]
     Demo(DemoOptions),
     /// Feed a reference to the daemon, ahead of time
@@ -149,7 +166,7 @@ pub(crate) struct DemoOptions {
     /// How to print the report
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Write telemetry.csv, path.svg, error.svg and timing.svg into this folder
+    /// Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
 }

@@ -46,8 +46,11 @@ pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result
     Ok(Done::Good)
 }
 
-/// What the daemon has kept, oldest first.
-fn kept(connection: &Connection, stream: &mut Stream<Incident>) -> anyhow::Result<Vec<Incident>> {
+/// What the daemon has kept and has not been read from `stream`, oldest first.
+pub(crate) fn kept(
+    connection: &Connection,
+    stream: &mut Stream<Incident>,
+) -> anyhow::Result<Vec<Incident>> {
     let mut snapshots = connection.statuses()?;
     let deadline = Instant::now() + PATIENCE;
     for _ in 0..SNAPSHOTS {

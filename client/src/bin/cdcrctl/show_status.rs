@@ -102,6 +102,14 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         status.faults,
         status.cycles,
     )?;
+    if status.misses_tolerated > 0 {
+        writeln!(
+            out,
+            "misses      the leaky bucket was full {} times; a robot behind a driver would have been stopped \
+             (cycle.miss_limit)",
+            status.misses_tolerated
+        )?;
+    }
     let missing = realtime_missing(status.realtime_missing);
     if missing.is_empty() {
         return writeln!(out, "real time   yes");
@@ -270,6 +278,7 @@ mod tests {
             obstacle_count: 2,
             clearance_m: 0.0105,
             clearance_guarded: 17,
+            misses_tolerated: 3,
             statistics_since_ns: 1_000_000_000,
             ..Status::default()
         };
@@ -282,6 +291,7 @@ mod tests {
         let table = table(&status, 124_900_000_000).expect("formatted");
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
+            "misses      the leaky bucket was full 3 times; a robot behind a driver would have been stopped",
             "SCHED_FIFO is missing: run as the service",
             "the last 2m 3s",
             "wake-up                     0.0       42.5        0.0             -          -          -\n",
@@ -297,5 +307,8 @@ mod tests {
             assert!(table.contains(expected), "{expected} in\n{table}");
         }
         assert!(!table.contains("page fault"), "{table}");
+        status.misses_tolerated = 0;
+        let table = super::table(&status, 0).expect("formatted");
+        assert!(!table.contains("leaky bucket"), "{table}");
     }
 }

@@ -5,8 +5,8 @@ use core::f64::consts::{FRAC_PI_2, PI, TAU};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 use nalgebra::Vector3;
 
-use crate::oracle::{axis_distance_m, check_against_oracle, check_consistent};
-use crate::scene::{capsule, sphere};
+use crate::clearance::oracle::{axis_distance_m, check_against_oracle, check_consistent};
+use crate::clearance::scene::{capsule, sphere};
 
 /// One section of 0.3 m without thickness.
 fn line_robot() -> Robot {

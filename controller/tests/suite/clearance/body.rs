@@ -6,8 +6,8 @@ use cdcr_controller::robot::{
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use crate::oracle::{axis_distance_m, check_consistent};
-use crate::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
+use crate::clearance::oracle::{axis_distance_m, check_consistent};
+use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]

@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 
-use crate::oracle::check_against_oracle;
-use crate::scene::{capsule, places, robots_and_shapes, segment, sphere};
+use crate::clearance::oracle::check_against_oracle;
+use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]

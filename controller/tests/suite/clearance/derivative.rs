@@ -4,8 +4,8 @@ use cdcr_controller::robot::{COORDINATES_MAX, Nearest, SECTIONS_MAX};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use crate::oracle::axis_distance_m;
-use crate::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
+use crate::clearance::oracle::axis_distance_m;
+use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(400))]

@@ -9,7 +9,7 @@ use cdcr_controller::wide::{LANES, Wide};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use crate::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
+use crate::clearance::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
 
 /// Bends of lane `lane` as a share of the shape that was drawn: among them the shape itself, straight and nearly straight.
 const SHARES: [f64; LANES] = [1.0, 0.5, 0.0, -1.0, 1e-9, 0.9, 0.999, 1e-16];

@@ -3,7 +3,7 @@
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, ranges};
 use nalgebra::Vector3;
 
-use crate::scene::{capsule, sphere};
+use crate::clearance::scene::{capsule, sphere};
 
 #[test]
 fn a_nan_is_never_a_clearance() {

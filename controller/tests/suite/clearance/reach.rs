@@ -7,8 +7,8 @@ use cdcr_controller::wide::Wide;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
-use crate::oracle::axis_distance_m;
-use crate::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
+use crate::clearance::oracle::axis_distance_m;
+use crate::clearance::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
 
 /// The clearance of one section alone (m), up to `enough_m`.
 fn section_below(

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream, events, obstacles};
 use cdcr_controller::robot::Robot;
@@ -14,20 +14,37 @@ use cdcr_tests::record::robot_of;
 use cdcr_tests::{PATIENCE, wait_status};
 
 use crate::chaos::modes::{ModeWatch, place};
-use crate::chaos::{Verdict, clearance, ensure, grid, limits, ramp};
+use crate::chaos::{KINDS_TAKE, Verdict, clearance, ensure, grid, limits, ramp};
 
-/// The newest record, for those who want to know where the robot is.
-#[derive(Debug, Default)]
-pub(crate) struct View(Mutex<Option<Box<Telemetry>>>);
+/// The newest record, for those who want to know where the robot is; and whether the run has seen all that it must.
+#[derive(Debug)]
+pub(crate) struct View {
+    newest: Mutex<Option<Box<Telemetry>>>,
+    has_seen_enough: AtomicBool,
+    duration: Duration,
+}
 
 impl View {
+    /// For a run that is meant to last for `duration`.
+    pub(crate) fn new(duration: Duration) -> Self {
+        Self {
+            newest: Mutex::default(),
+            has_seen_enough: AtomicBool::new(false),
+            duration,
+        }
+    }
+
     pub(crate) fn newest(&self) -> Option<Box<Telemetry>> {
-        let newest = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         newest.clone()
     }
 
+    pub(crate) fn has_seen_enough(&self) -> bool {
+        self.has_seen_enough.load(Ordering::Relaxed)
+    }
+
     fn show(&self, record: &Telemetry) {
-        let mut newest = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut newest = self.newest.lock().unwrap_or_else(PoisonError::into_inner);
         match newest.as_mut() {
             Some(shown) => **shown = *record,
             None => *newest = Some(Box::new(*record)),
@@ -62,6 +79,54 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
+    /// What a run of this length must still see: as many records as half of its cycles, every mode, a robot that tracks
+    /// and meets obstacles in one record of fifty; and in a long one every kind of bad message.
+    pub(crate) fn missing(&self, duration: Duration) -> Option<String> {
+        let meant = duration.as_secs() * 200;
+        let counts = [
+            ("records", self.records, meant / 2),
+            ("commands", self.commands, meant / 3),
+            ("statuses", self.statuses, duration.as_secs()),
+            (
+                "records of tracking",
+                self.tracked_moving,
+                self.records / 50,
+            ),
+            (
+                "records with obstacles",
+                self.with_obstacles,
+                self.records / 50,
+            ),
+            ("guarded records", self.guarded, 0),
+        ];
+        let modes = [
+            Mode::Holding,
+            Mode::Tracking,
+            Mode::Homing,
+            Mode::Stopped,
+            Mode::Faulted,
+        ]
+        .map(|mode| (mode.text(), self.in_mode(mode), 0));
+        let kinds = [
+            Outcome::Accepted,
+            Outcome::NotFinite,
+            Outcome::NoLease,
+            Outcome::InThePast,
+            Outcome::BufferFull,
+        ];
+        let kinds = kinds.map(|kind| {
+            let judged = self.outcomes.get(kind.text()).copied();
+            (kind.text(), judged.unwrap_or(0), 0)
+        });
+        let is_long = duration >= KINDS_TAKE;
+        let kinds = kinds.into_iter().filter(|_| is_long);
+        let mut all = counts.into_iter().chain(modes).chain(kinds);
+        let (what, seen, least) = all.find(|(_, seen, least)| seen <= least)?;
+        Some(format!(
+            "{what}: only {seen}, and more than {least} are due"
+        ))
+    }
+
     pub(crate) fn in_mode(&self, mode: Mode) -> u64 {
         self.modes.get(mode.text()).copied().unwrap_or(0)
     }
@@ -113,6 +178,10 @@ impl<'a> Checker<'a> {
                 ending.store(true, Ordering::Relaxed);
             }
             drained?;
+            let is_enough = self.seen.missing(self.view.duration).is_none();
+            self.view
+                .has_seen_enough
+                .store(is_enough, Ordering::Relaxed);
             std::thread::sleep(Duration::from_millis(2));
         }
         self.drain()?;
@@ -252,17 +321,22 @@ impl<'a> Checker<'a> {
         Ok(())
     }
 
-    /// A fault that was seen is counted. More may be counted: a reset in the cycle of a fault hides it.
+    /// A fault that was seen is counted, as soon as a status tells. More may be counted: a reset in the cycle of a fault
+    /// hides it.
     fn compare_counts(&mut self) -> Verdict {
-        let status = self
-            .connection
-            .status(PATIENCE)
-            .map_err(|error| error.to_string())?;
-        self.check_status(&status)?;
-        let (seen, counted) = (self.seen.entered_faults, self.seen.counted_faults);
-        ensure(counted >= seen, || {
-            format!("{seen} faults were seen, and {counted} are counted")
-        })
+        let (seen, begin) = (self.seen.entered_faults, Instant::now());
+        loop {
+            let status = self.connection.status(PATIENCE);
+            self.check_status(&status.map_err(|error| error.to_string())?)?;
+            let counted = self.seen.counted_faults;
+            if counted >= seen {
+                return Ok(());
+            }
+            ensure(begin.elapsed() < PATIENCE, || {
+                format!("{seen} faults were seen, and {counted} are counted")
+            })?;
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 }
 

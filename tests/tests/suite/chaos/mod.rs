@@ -18,16 +18,15 @@ mod tally;
 
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::{FeedOptions, Line};
-use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_until};
 
 use action::ROUND;
-use checker::{Checker, Seen, View};
+use checker::{Checker, View};
 use dice::Dice;
 use director::Director;
 use tally::Tally;
@@ -45,11 +44,8 @@ pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> Verdic
 const CONFIGURATION: &str = "[robot]\ncable_speed_max_m_s = 0.06\ncable_stroke_max_m = 0.06\n\
     [cycle]\nmiss_limit = 50\nwatchdog_ms = 10000.0\n[reference]\nlease_ms = 200.0\n";
 
-/// How long it takes until every kind of bad message has come.
+/// A run of this length must see every kind of bad message judged.
 const KINDS_TAKE: Duration = Duration::from_secs(25);
-
-/// Two daemons on one core would be each other's load.
-static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
 
 /// A number from the environment.
 fn asked(key: &str) -> Option<u64> {
@@ -68,7 +64,7 @@ fn seed() -> u64 {
 
 /// Half of the run: the other robot has the other half.
 fn half() -> Duration {
-    Duration::from_secs(asked("CDCR_CHAOS_S").unwrap_or(60)) / 2
+    Duration::from_secs(asked("CDCR_CHAOS_S").unwrap_or(16)) / 2
 }
 
 #[test]
@@ -82,14 +78,17 @@ fn whatever_happens_behind_a_driver_the_invariants_hold() {
 }
 
 fn run(link: &str) {
-    let _alone = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
     let (seed, duration) = (seed(), half());
     println!("{link}: CDCR_CHAOS_SEED={seed}, {} s", duration.as_secs());
     let mut dice = Dice::new(seed);
     let mut daemon = Daemon::start(&format!("[link]\nkind = \"{link}\"\n{CONFIGURATION}"));
     let has_driver = link == "driver";
     let driver = has_driver.then(|| DriverProcess::start(daemon.place()));
-    let (view, tally, ending) = (View::default(), Tally::default(), AtomicBool::new(false));
+    let (view, tally, ending) = (
+        View::new(duration),
+        Tally::default(),
+        AtomicBool::new(false),
+    );
     let (seen, driver) = std::thread::scope(|scope| {
         let (checking, feeding) = (daemon.place(), daemon.place());
         let checker = scope.spawn(|| {
@@ -116,7 +115,8 @@ fn run(link: &str) {
     let seen = seen.unwrap_or_else(|broken| panic!("{broken}\n{again}\n{log}"));
     let driver = driver.unwrap_or_else(|broken| panic!("{broken}\n{again}\n{log}"));
     println!("{}{seen:#?}", tally.table());
-    assert_it_happened(&tally, &seen, has_driver, duration);
+    assert_it_happened(&tally, has_driver);
+    assert_eq!(seen.missing(duration), None);
     assert!(daemon.runs(), "the daemon is gone\n{again}\n{log}");
     come_back(&daemon);
     assert!(driver.is_none_or(|mut driver| driver.runs()));
@@ -134,47 +134,12 @@ impl Drop for EndWhenDropped<'_> {
 }
 
 /// A run in which nothing happened proves nothing.
-fn assert_it_happened(tally: &Tally, seen: &Seen, has_driver: bool, duration: Duration) {
+fn assert_it_happened(tally: &Tally, has_driver: bool) {
     for (action, _) in ROUND {
         let happened = tally.of(&format!("action: {action:?}")) > 0;
         let possible = has_driver || !action.needs_driver();
         assert!(happened == possible, "{action:?} did not happen");
     }
-    for mode in [
-        Mode::Holding,
-        Mode::Tracking,
-        Mode::Homing,
-        Mode::Stopped,
-        Mode::Faulted,
-    ] {
-        assert!(seen.in_mode(mode) > 0, "it was never {mode}");
-    }
-    // Half of the cycles that were meant, because machines stall; of these one in fifty.
-    let meant = duration.as_secs() * 200;
-    assert!(seen.records > meant / 2, "{} records only", seen.records);
-    assert!(seen.commands > meant / 3 && seen.statuses > duration.as_secs());
-    assert!(seen.tracked_moving > seen.records / 50, "it hardly tracked");
-    assert!(
-        seen.with_obstacles > seen.records / 50,
-        "it had hardly any obstacle"
-    );
-    assert!(seen.guarded > 0, "no obstacle came near");
-    if duration < KINDS_TAKE {
-        return;
-    }
-    for outcome in [
-        Outcome::Accepted,
-        Outcome::NotFinite,
-        Outcome::NoLease,
-        Outcome::InThePast,
-        Outcome::BufferFull,
-    ] {
-        assert!(
-            seen.outcomes[outcome.text()] > 0,
-            "nothing was judged: {outcome}"
-        );
-    }
-    assert!(tally.of("bad or late points: with the lease") > 0);
 }
 
 /// After all that the daemon does what it did before: it can be reset, tracks to the end, and has no obstacle.

@@ -76,7 +76,7 @@ pub(crate) fn near(dice: &mut Dice, record: &Telemetry) -> Obstacle {
 
 /// Inside the safe distance; every third in contact.
 pub(crate) fn inside(dice: &mut Dice, record: &Telemetry, turn: u32) -> Obstacle {
-    let gap_m = if turn.is_multiple_of(3) {
+    let gap_m = if turn % 3 == 1 {
         -dice.between(0.001, 0.005)
     } else {
         record.settings.safe_distance_m * dice.between(0.0, 1.0)

@@ -7,6 +7,7 @@ use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::Mode;
+use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{Place, Program, binary, text, wait_until};
 use rustix::process::Signal;
 
@@ -43,7 +44,7 @@ impl SmallMemory {
         let mut holder = match holder {
             Ok(holder) => holder,
             Err(cause) => {
-                println!("skipped: no unshare (util-linux): {cause}");
+                skip(Need::UtilLinux, format!("no unshare: {cause}"));
                 return None;
             }
         };
@@ -57,7 +58,10 @@ impl SmallMemory {
         if line.trim() == "ready" {
             return Some(memory);
         }
-        println!("skipped: the system grants no private mount of /dev/shm");
+        skip(
+            Need::Mount,
+            "the system grants no private mount of /dev/shm",
+        );
         None
     }
 
@@ -196,6 +200,7 @@ fn assert_survives_full_memory(realtime: &str) {
         std::thread::sleep(2 * STATUS_PERIOD);
     }
     memory.shell("rm /dev/shm/fill");
+    wait_until("there is room again", || memory.status().is_some());
     let status = memory.status().unwrap();
     assert_eq!(
         status["mode"].as_str(),

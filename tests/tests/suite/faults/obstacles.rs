@@ -5,7 +5,7 @@ use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, gu
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
 use cdcr_tests::{Daemon, PATIENT, wait_status};
 
-use crate::faults::trail::{Trail, is, late_ns, say};
+use crate::faults::trail::{Trail, is, say};
 
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;
@@ -84,7 +84,7 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
         "in the first cycle that knows it"
     );
     let detected_ns = first.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 2 * first.period_ns + late_ns(&first);
+    let bound_ns = 2 * first.period_ns + trail.history().late_since_ns(told.judged_ns);
     say("obstacle inside the safe distance", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     for _ in 0..100 {
@@ -115,7 +115,7 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
         (Mode::Faulted.code(), Reason::ClearanceBroken.code())
     );
     let detected_ns = now.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 3 * now.period_ns + late_ns(&first) + late_ns(&now);
+    let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(told.judged_ns);
     say("contact", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     match connection.request(RequestKind::Reset) {
@@ -141,7 +141,7 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     let (record, told) = tell(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
     assert_eq!((told.outcome, told.detail), (Outcome::BufferFull.code(), 1));
     let detected_ns = record.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 2 * record.period_ns + late_ns(&record);
+    let bound_ns = 2 * record.period_ns + trail.history().late_since_ns(told.judged_ns);
     say("too many obstacles", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     assert_eq!(record.obstacle_count, 64);

@@ -12,6 +12,7 @@ use cdcr_daemon::config::Config;
 use cdcr_daemon::exit::ExitCause;
 use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::RequestKind;
+use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, text, wait_status, wait_until};
 use iceoryx2::prelude::{Node, ipc};
 use rustix::process::Signal;
@@ -97,8 +98,8 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
     Robot::new(&connection, 0.9).until_held(&mut trail);
 }
 
-/// Kills a client, and leaves behind what one leaves that is killed while it makes a file.
-fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) -> Vec<PathBuf> {
+/// Kills a client, and leaves behind what one leaves that is killed while it makes a file. Which files, and since when.
+fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) -> (Vec<PathBuf>, Instant) {
     let connections = || {
         let mut names = daemon.place().shared_memory_files();
         names.retain(|name| name.ends_with(".connection"));
@@ -113,13 +114,13 @@ fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) -> Vec<PathBuf> {
     };
     let mut command = daemon.place().command("cdcrctl");
     let mut client = Program::start(command.args(["echo", topic]));
-    wait_until("the client's files", || news().len() >= 2);
-    // It may have a few more to make.
-    std::thread::sleep(Duration::from_millis(300));
+    // With its heading and the first message printed it has made all its files.
+    wait_until("the client reads", || client.lines() >= 2);
     client.signal(Signal::KILL);
     client.output();
     let names = news().into_iter();
     let left: Vec<_> = names.map(|name| Path::new("/dev/shm").join(name)).collect();
+    let begin = Instant::now();
     for path in &left {
         // The daemon keeps its own hold on what was there.
         std::fs::remove_file(path).unwrap();
@@ -128,14 +129,13 @@ fn kill_client_while_it_connects(daemon: &Daemon, topic: &str) -> Vec<PathBuf> {
         options.open(path).unwrap();
     }
     assert!(!left.is_empty());
-    left
+    (left, begin)
 }
 
 #[test]
 fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
     let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
-    let left = kill_client_while_it_connects(&daemon, "status");
-    let begin = Instant::now();
+    let (left, begin) = kill_client_while_it_connects(&daemon, "status");
     wait_until("it is removed", || !left.iter().any(|path| path.exists()));
     let took = begin.elapsed();
     println!(
@@ -178,7 +178,10 @@ fn a_root_folder_of_another_user_ends_with_73() {
         let root = place.folder().join("foreign");
         std::fs::create_dir(&root).unwrap();
         if let Err(cause) = chown(&root, Some(NOBODY), Some(NOBODY)) {
-            println!("skipped: the system does not let us give a folder away: {cause}");
+            skip(
+                Need::Root,
+                format!("the system does not let us give a folder away: {cause}"),
+            );
             return;
         }
         root

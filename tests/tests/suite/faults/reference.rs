@@ -1,21 +1,26 @@
 //! The reference and who feeds it.
 
+use std::ops::RangeInclusive;
+use std::os::unix::process::ExitStatusExt as _;
+
 use cdcr_client::{Connection, Lease, ReferenceFeed, events, monotonic_ns};
 use cdcr_controller::reference::ReferenceWindow;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, LeaseState, Mode, Outcome, Reason, RequestKind,
 };
+use cdcr_shared_types::limits::CHUNK_POINTS_MAX;
 use cdcr_shared_types::{Header, ReferencePoint, Telemetry};
-use cdcr_tests::{Daemon, PATIENT, Program, text, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Program, text, until_undisturbed, wait_status};
 use rustix::process::Signal;
 
-use crate::faults::trail::{Trail, assert_ramps_to_rest, is, late_ns, say};
+use crate::faults::history::History;
+use crate::faults::trail::{Trail, assert_ramps_to_rest, late_ns, rests, say};
 
 /// Slow enough for a ramp of many cycles, and a lease that survives a machine that stalls.
 const RAMP: &str = "[motion]\ndeceleration_rad_s2 = 2.0\n";
 const LEASE_MS: u64 = 400;
 /// Periods of 5 ms that a cycle goes on without new inputs.
-const WINDOW_PERIODS: u64 = ReferenceWindow::PATIENCE_NS / 5_000_000;
+pub(crate) const WINDOW_PERIODS: u64 = ReferenceWindow::PATIENCE_NS / 5_000_000;
 
 fn short_lease() -> Daemon {
     Daemon::start(&format!(
@@ -23,38 +28,49 @@ fn short_lease() -> Daemon {
     ))
 }
 
-/// A client that feeds a line to the side, 0.1 m/s, 10 ms between points.
+/// A client that feeds a line to the side, 1 mm from point to point.
 pub(crate) struct Feeding<'c> {
     pub(crate) lease: Lease<'c>,
     feed: ReferenceFeed,
-    end_ns: u64,
+    pub(crate) end_ns: u64,
 }
 
-fn points(begin_ns: u64, count: u64) -> Vec<ReferencePoint> {
+/// How long after it is sent the reference begins.
+const LEAD_NS: u64 = 300_000_000;
+/// As many points as a chunk holds.
+pub(crate) const POINTS_MAX: u64 = CHUNK_POINTS_MAX as u64;
+
+fn points(begin_ns: u64, count: u64, step_ms: u64) -> Vec<ReferencePoint> {
     (0..count)
         .map(|k| ReferencePoint {
-            time_ns: begin_ns + k * 10_000_000,
+            time_ns: begin_ns + k * step_ms * 1_000_000,
             position_m: [0.001 * k as f64, 0.0, 0.89],
             ..ReferencePoint::default()
         })
         .collect()
 }
 
-/// Sends `count` points and has them tracked.
-pub(crate) fn track(connection: &Connection, count: u64) -> Feeding<'_> {
+/// Sends `count` points, `step_ms` apart, and has them tracked.
+pub(crate) fn track(connection: &Connection, count: u64, step_ms: u64) -> Feeding<'_> {
     let lease = connection.acquire_lease().unwrap();
     let feed = connection.reference_feed().unwrap();
-    let points = points(monotonic_ns() + 300_000_000, count);
-    feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)
-        .unwrap();
-    // Until the daemon has found the new writer there is nothing to track.
-    while connection.request(RequestKind::Track).is_err() {
-        lease.renew().unwrap();
-    }
+    let end_ns = until_undisturbed("the reference comes in time", || {
+        let points = points(monotonic_ns() + LEAD_NS, count, step_ms);
+        feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)
+            .unwrap();
+        // Until the daemon has found the new writer there is nothing to track.
+        while monotonic_ns() < points[0].time_ns {
+            if connection.request(RequestKind::Track).is_ok() {
+                return Some(points.last().unwrap().time_ns);
+            }
+            lease.renew().unwrap();
+        }
+        None
+    });
     Feeding {
         lease,
         feed,
-        end_ns: points.last().unwrap().time_ns,
+        end_ns,
     }
 }
 
@@ -82,7 +98,7 @@ fn a_reference_that_ends_is_held_at_the_next_release() {
     let daemon = Daemon::start(&format!("{PATIENT}{RAMP}"));
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
-    let feeding = track(&connection, 50);
+    let feeding = track(&connection, 50, 10);
     let now = assert_ends_at(&mut trail, feeding.end_ns);
     assert!(now.previous_rate_rad_s.iter().any(|rate| *rate != 0.0));
     assert_ramps_to_rest(&mut trail, &now, || {});
@@ -104,22 +120,42 @@ fn points_that_come_too_late_are_refused_and_the_rest_is_followed() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
-    let feeding = track(&connection, 80);
-    trail.until("tracking", is(Mode::Tracking));
-    let late = points(monotonic_ns() - 50_000_000, 10);
+    let mut refused = 0;
+    until_undisturbed("the verdict comes before the reference ends", || {
+        refuse_late_points(&connection, &mut trail, &mut refused)
+    });
+    let code = Outcome::InThePast.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] == refused);
+}
+
+/// None when the reference was over before the cycle of the verdict. Counts the chunks that were refused.
+fn refuse_late_points(connection: &Connection, trail: &mut Trail, refused: &mut u64) -> Option<()> {
+    let in_the_past = |record: &Telemetry| {
+        let outcomes = events(record).iter().map(|event| event.outcome);
+        outcomes
+            .filter(|outcome| *outcome == Outcome::InThePast.code())
+            .count() as u64
+    };
+    let feeding = track(connection, 80, 10);
+    trail.until("tracking", |record| {
+        *refused += in_the_past(record);
+        record.mode == Mode::Tracking.code()
+    });
+    let late = points(monotonic_ns() - 2_000_000_000, 10, 10);
     let header = feeding
         .feed
         .send(ChunkMode::Append, Interpolation::Cubic, &late)
         .unwrap();
-    let mut judged = None;
+    let (mut judged, mut is_held) = (None, false);
     let (_, now) = trail.until("the verdict", |record| {
+        *refused += in_the_past(record);
         judged = verdict(record, &header);
+        is_held |= record.mode == Mode::Holding.code();
         judged.is_some()
     });
     let (outcome, judged_ns) = judged.unwrap();
     assert_eq!(outcome, Outcome::InThePast);
-    // A gather that takes longer than its lead is used a cycle later.
-    let bound_ns = 2 * now.period_ns + late_ns(&now);
+    let bound_ns = 2 * now.period_ns + trail.history().late_since_ns(judged_ns);
     let told_ns = now.release_ns.saturating_sub(judged_ns);
     say(
         "reference late, judged before the release",
@@ -127,50 +163,77 @@ fn points_that_come_too_late_are_refused_and_the_rest_is_followed() {
         bound_ns,
     );
     assert!(told_ns <= bound_ns);
-    assert_eq!(now.mode, Mode::Tracking.code());
-    assert_ends_at(&mut trail, feeding.end_ns);
-    let code = Outcome::InThePast.code() as usize;
-    wait_status(&connection, |status| status.outcomes[code] == 1);
+    if is_held && now.release_ns > feeding.end_ns {
+        return None;
+    }
+    assert!(!is_held, "it left tracking before the end");
+    assert_ends_at(trail, feeding.end_ns);
+    Some(())
 }
 
-/// Remembers when the lease was last renewed, by what the records tell.
+/// The newest renewal of the lease, by what the records tell.
 #[derive(Default)]
-struct Renewals {
-    last_ns: u64,
+struct Renewal {
+    judged_ns: u64,
+    gather: u64,
+    gather_ns: u64,
 }
 
-impl Renewals {
+impl Renewal {
     fn look(&mut self, record: &Telemetry) {
         for event in events(record) {
             let renews = event.kind == EventKind::Reference.code()
                 || event.kind == EventKind::Request.code()
                     && event.detail == RequestKind::AcquireLease.code();
             if renews && event.outcome == Outcome::Accepted.code() {
-                self.last_ns = self.last_ns.max(event.judged_ns);
+                self.judged_ns = self.judged_ns.max(event.judged_ns);
+                self.gather = self
+                    .gather
+                    .max(record.gather - u64::from(event.gathers_ago));
+                self.gather_ns = self.judged_ns;
             }
         }
+        // A request that was taken shortly before the release was judged later than its gather began.
+        if record.gather == self.gather {
+            self.gather_ns = record.gather_ns;
+        }
+    }
+
+    /// When the lease runs out, as it looks at gather `gather`. Time in which the daemon did not listen does not count.
+    fn expires_ns(&self, history: &History, gather: u64) -> RangeInclusive<u64> {
+        let unheard_ns = history.unheard_ns(self.gather, self.gather_ns, gather);
+        let ends_ns = |unheard_ns| self.judged_ns + LEASE_MS * 1_000_000 + unheard_ns;
+        ends_ns(unheard_ns.start())..=ends_ns(unheard_ns.end())
     }
 }
 
-/// The first gather after the lease ran out ends it, and the robot holds in the cycle after that gather.
-fn assert_expires(trail: &mut Trail, renewals: &mut Renewals, what: &str) {
-    let (before, now) = trail.until("the end of the lease", |record| {
-        renewals.look(record);
-        record.mode == Mode::Holding.code() && record.reason == Reason::LeaseExpired.code()
+/// The first gather after the lease ran out ends it, and the robot holds in the cycle after that gather. None when the
+/// machine stalled for so long that something else ended the tracking first.
+fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
+    let (before, now) = trail.until("the end of the tracking", |record| {
+        renewal.look(record);
+        record.mode == Mode::Holding.code() && record.reason != Reason::Start.code()
     });
-    let expires_ns = renewals.last_ns + LEASE_MS * 1_000_000;
+    if now.reason != Reason::LeaseExpired.code() {
+        return None;
+    }
     assert_eq!(before.mode, Mode::Tracking.code());
     assert_eq!(before.lease_state, LeaseState::Held.code());
     assert_eq!(now.lease_state, LeaseState::Expired.code());
-    assert!(before.gather_ns < expires_ns && expires_ns <= now.gather_ns);
+    let history = trail.history();
+    let [ended_ns, held_ns] = [&now, &before]
+        .map(|record| (record.gather_ns, renewal.expires_ns(history, record.gather)));
+    assert!(ended_ns.0 >= *ended_ns.1.start(), "too early: {ended_ns:?}");
+    assert!(held_ns.0 < *held_ns.1.end(), "too late: {held_ns:?}");
     // Between the two gathers lies a period, and what the records say was late.
     let bound_ns = now.release_ns - before.gather_ns;
     say(
         what,
-        now.release_ns - renewals.last_ns,
-        LEASE_MS * 1_000_000 + bound_ns,
+        now.release_ns - renewal.judged_ns,
+        ended_ns.1.end() - renewal.judged_ns + bound_ns,
     );
     assert_ramps_to_rest(trail, &now, || {});
+    Some(())
 }
 
 #[test]
@@ -178,39 +241,54 @@ fn a_silent_holder_loses_the_lease() {
     let daemon = short_lease();
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
-    let feeding = track(&connection, 128);
-    let mut renewals = Renewals::default();
-    assert_expires(&mut trail, &mut renewals, "lease expired");
-    std::mem::forget(feeding.lease);
+    let mut renewal = Renewal::default();
+    until_undisturbed("the lease ends the tracking", || {
+        trail.until("at rest", |record| {
+            renewal.look(record);
+            record.mode == Mode::Holding.code() && rests(record)
+        });
+        let feeding = track(&connection, POINTS_MAX, 10);
+        std::mem::forget(feeding.lease);
+        trail.until("tracking", |record| {
+            renewal.look(record);
+            record.mode == Mode::Tracking.code()
+        });
+        expires(&mut trail, &mut renewal, "lease expired")
+    });
 }
 
-/// A client process that feeds and has the robot track.
-fn feeding_process(daemon: &Daemon, trail: &mut Trail, renewals: &mut Renewals) -> Program {
+/// A client process that feeds and has the robot track. None when it ended by itself: it came too late with its
+/// reference, or lost its lease.
+fn feeding_process(daemon: &Daemon, trail: &mut Trail, renewal: &mut Renewal) -> Option<Program> {
     let mut command = daemon.place().command("cdcrctl");
-    let arguments = ["ref", "line", "--track", "--duration", "15s"];
-    let program = Program::start(
+    let arguments = ["ref", "line", "--track", "--duration", "60s"];
+    let mut program = Program::start(
         command
             .args(arguments)
-            .args(["--velocity", "0.02,0,-0.005"]),
+            .args(["--velocity", "0.005,0,-0.001"]),
     );
-    let mut tracked = 0;
+    let (mut tracked, mut is_gone) = (0, false);
     trail.until("tracking", |record| {
-        renewals.look(record);
+        renewal.look(record);
         tracked += u64::from(record.mode == Mode::Tracking.code());
-        tracked > 80
+        is_gone = !program.runs();
+        is_gone || tracked > 80
     });
-    program
+    (!is_gone).then_some(program)
 }
 
 #[test]
 fn a_killed_client_loses_the_lease_to_whoever_comes() {
     let daemon = short_lease();
     let connection = daemon.connect();
-    let (mut trail, mut renewals) = (Trail::new(&connection), Renewals::default());
-    let mut client = feeding_process(&daemon, &mut trail, &mut renewals);
-    client.signal(Signal::KILL);
-    client.output();
-    assert_expires(&mut trail, &mut renewals, "client killed");
+    let (mut trail, mut renewal) = (Trail::new(&connection), Renewal::default());
+    until_undisturbed("a client is killed that feeds", || {
+        let mut client = feeding_process(&daemon, &mut trail, &mut renewal)?;
+        client.signal(Signal::KILL);
+        // One that had given up before gave its lease back.
+        client.output().status.signal()?;
+        expires(&mut trail, &mut renewal, "client killed")
+    });
     connection.acquire_lease().unwrap();
 }
 
@@ -218,12 +296,16 @@ fn a_killed_client_loses_the_lease_to_whoever_comes() {
 fn a_stopped_client_loses_the_lease_and_is_told_when_it_wakes() {
     let daemon = short_lease();
     let connection = daemon.connect();
-    let (mut trail, mut renewals) = (Trail::new(&connection), Renewals::default());
-    let mut client = feeding_process(&daemon, &mut trail, &mut renewals);
-    client.signal(Signal::STOP);
-    assert_expires(&mut trail, &mut renewals, "client stopped");
-    client.signal(Signal::CONT);
-    let output = client.output();
-    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
-    assert!(text(&output).contains("lease expired"), "{}", text(&output));
+    let (mut trail, mut renewal) = (Trail::new(&connection), Renewal::default());
+    until_undisturbed("a client is stopped that feeds", || {
+        let mut client = feeding_process(&daemon, &mut trail, &mut renewal)?;
+        client.signal(Signal::STOP);
+        let expired = expires(&mut trail, &mut renewal, "client stopped");
+        client.signal(Signal::CONT);
+        let output = client.output();
+        assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+        expired?;
+        assert!(text(&output).contains("lease expired"), "{}", text(&output));
+        Some(())
+    });
 }

@@ -39,7 +39,7 @@ fn every_row_names_a_test_that_is_there() {
         for test in tests {
             let (file, function) = test.split_once("::").unwrap();
             let folder = if file.contains('/') { "" } else { "faults/" };
-            let path = workspace().join(format!("tests/tests/{folder}{file}.rs"));
+            let path = workspace().join(format!("tests/tests/suite/{folder}{file}.rs"));
             let source = std::fs::read_to_string(&path).unwrap_or_default();
             let is_there = source.contains(&format!("#[test]\nfn {function}()"));
             assert!(is_there, "{} has no test {function}", path.display());

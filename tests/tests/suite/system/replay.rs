@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
+use std::time::Duration;
 
 use cdcr_client::{
     FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns,
@@ -148,6 +149,7 @@ impl Recording {
         let mut sent = connection.references().unwrap();
         let mut recording = Self::default();
         let options = FeedOptions {
+            lead: Duration::from_secs(1),
             track: true,
             ..FeedOptions::default()
         };
@@ -200,6 +202,9 @@ impl Recording {
     }
 }
 
+/// The bar may come nearer than it should, and what it touches goes on.
+const CONTACT: &str = "[safety]\nclearance_fault_m = -1.0\n";
+
 fn spiral() -> Spiral {
     Spiral {
         duration_s: 1.5,
@@ -229,13 +234,13 @@ fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
 
 #[test]
 fn every_recorded_cycle_is_computed_again_bit_for_bit() {
-    let (_, guarded) = Recording::make("", &[], &spiral()).replay();
+    let (_, guarded) = Recording::make(PATIENT, &[], &spiral()).replay();
     assert_eq!(guarded, 0);
 }
 
 #[test]
 fn cycles_with_obstacles_are_computed_again_bit_for_bit() {
-    let recording = Recording::make(PATIENT, &in_the_way(), &spiral());
+    let recording = Recording::make(&format!("{PATIENT}{CONTACT}"), &in_the_way(), &spiral());
     assert!(recording.records.iter().all(|r| r.obstacle_count == 2));
     recording.replay();
 }
@@ -244,9 +249,7 @@ fn cycles_with_obstacles_are_computed_again_bit_for_bit() {
 fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
     // The solver sees no obstacle in its cost, so that the guard has to act.
     let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
-    // The bar comes nearer than it should, and what it touches goes on.
-    let contact = "[safety]\nclearance_fault_m = -1.0\n";
-    let configuration = format!("{PATIENT}{blind}{contact}");
+    let configuration = format!("{PATIENT}{blind}{CONTACT}");
     let line = Line::for_sections(&[0.3; 3]);
     let (solved, guarded) = Recording::make(&configuration, &in_the_way(), &line).replay();
     assert!(guarded > 10, "{guarded} of {solved}");

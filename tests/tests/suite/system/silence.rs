@@ -11,6 +11,8 @@ use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status, wait_until};
 use rustix::process::Signal;
 
+use super::freeze;
+
 /// Longer than anything here takes, slow enough to stay within reach.
 fn long_line() -> Line {
     Line {
@@ -102,9 +104,7 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
     let daemon = Daemon::start(&configuration);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    daemon.signal(Signal::STOP);
-    std::thread::sleep(Duration::from_secs(1));
-    daemon.signal(Signal::CONT);
+    freeze(&daemon, Duration::from_secs(1));
     let record = wait_mode(&mut telemetry, Mode::Stopped);
     assert_eq!(record.reason, Reason::DeadlineMisses.code());
     // Refused while the bucket is full: the machine must have been well for a while.

@@ -2,15 +2,16 @@
 
 use std::collections::BTreeMap;
 use std::ops::ControlFlow;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, Stream};
+use cdcr_client::{Connection, FeedEvent, FeedOptions, Line};
 use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status};
-use rustix::process::Signal;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status, wait_until};
+
+use super::{error_max_m, freeze};
 
 /// Tracks a short line; the records in which it was tracked.
 fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
@@ -19,6 +20,7 @@ fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
         ..Line::for_sections(&[0.3; 3])
     };
     let options = FeedOptions {
+        lead: Duration::from_secs(1),
         track: true,
         ..FeedOptions::default()
     };
@@ -60,8 +62,13 @@ fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
             assert_eq!(record.elapsed_ns % period_ns, 0);
             assert!(record.start_ns >= record.due_ns);
         }
+        let elapsed_ns: u64 = records.iter().map(|record| record.elapsed_ns).sum();
+        let lost_s = (elapsed_ns - records.len() as u64 * period_ns) as f64 * 1e-9;
         let last = records.last().unwrap();
-        assert!(last.position_error_m < 1e-3, "{period_ms} ms: {last:?}");
+        assert!(
+            last.position_error_m < error_max_m(1e-3, lost_s),
+            "{period_ms} ms, {lost_s} s lost: {last:?}"
+        );
     }
 }
 
@@ -97,8 +104,9 @@ fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan(
     let free = track(&feeding, 0.5);
     let quanta = |records: &[Telemetry]| records.iter().map(|r| u64::from(r.report.quanta)).max();
     assert!(quanta(&free) > quanta(&records));
-    let status = connection.status(PATIENCE).unwrap();
-    assert!(status.budget_hits > 0 && status.since_reset.budget_hits > 0);
+    wait_status(&connection, |status| {
+        status.budget_hits > 0 && status.since_reset.budget_hits > 0
+    });
 }
 
 #[test]
@@ -132,15 +140,21 @@ fn statistics_begin_anew_on_request_and_the_counts_since_the_start_do_not() {
     assert!(after.cycles > before.cycles);
 }
 
-fn kept(connection: &Connection) -> (Stream<Incident>, Vec<Incident>) {
-    let mut stream = connection.incidents().unwrap();
-    let mut incidents = Vec::new();
-    let begin = Instant::now();
-    // What is kept comes at once; what is new, one by one.
-    while begin.elapsed() < Duration::from_millis(300) {
-        incidents.extend(stream.next_within(Duration::from_millis(50)).unwrap());
-    }
-    (stream, incidents)
+/// As many as are kept: they come at once, what is new one by one.
+fn kept(connection: &Connection) -> Vec<Incident> {
+    let mut kept = Vec::new();
+    wait_until("all that is kept", || {
+        let mut stream = connection.incidents().unwrap();
+        kept.clear();
+        while kept.len() < INCIDENTS_MAX
+            && let Some(incident) = stream.next_within(PATIENCE).unwrap()
+        {
+            kept.push(incident);
+        }
+        // A reader that the machine held up loses some.
+        stream.lost() == 0
+    });
+    kept
 }
 
 #[test]
@@ -149,9 +163,7 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
-    daemon.signal(Signal::STOP);
-    std::thread::sleep(Duration::from_millis(200));
-    daemon.signal(Signal::CONT);
+    freeze(&daemon, Duration::from_millis(200));
     let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
     let late = daemon.connect();
     let mut stream = late.incidents().unwrap();
@@ -183,9 +195,8 @@ fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
     wait_status(&connection, |status| {
         status.late_starts > 2 * INCIDENTS_MAX as u64
     });
-    let (stream, incidents) = kept(&connection);
-    assert_eq!(stream.lost(), 0);
-    assert!(incidents.len() >= INCIDENTS_MAX, "{}", incidents.len());
+    let incidents = kept(&connection);
+    assert_eq!(incidents.len(), INCIDENTS_MAX);
     assert!(
         incidents[0].header.sequence > INCIDENTS_MAX as u64 / 2,
         "the first ones are gone"
@@ -204,13 +215,20 @@ fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
 
 #[test]
 fn a_thread_that_spins_starts_more_punctually() {
-    let median = |spin_us: f64| {
+    // Of the most punctual tenth: the others say how busy the machine was.
+    let wake_ns = |spin_us: f64| {
         let daemon = Daemon::start(&format!("[realtime]\nspin_us = {spin_us}\n{PATIENT}"));
         let connection = daemon.connect();
-        let status = wait_status(&connection, |status| status.since_reset.cycles > 300);
-        status.since_reset.wake.p50_ns
+        let mut telemetry = connection.telemetry().unwrap();
+        let mut wakes_ns = Vec::new();
+        while wakes_ns.len() < 300 {
+            let record = wait_record(&mut telemetry, |_| true);
+            wakes_ns.push(record.start_ns - record.due_ns);
+        }
+        wakes_ns.sort_unstable();
+        wakes_ns[wakes_ns.len() / 10]
     };
-    let (plain_ns, spinning_ns) = (median(0.0), median(500.0));
+    let (plain_ns, spinning_ns) = (wake_ns(0.0), wake_ns(500.0));
     assert!(
         spinning_ns <= plain_ns,
         "{spinning_ns} against {plain_ns} ns"

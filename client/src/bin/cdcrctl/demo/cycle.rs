@@ -3,7 +3,7 @@ use std::path::Path;
 use anyhow::Context;
 use cdcr_client::{Spiral, Trajectory};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, ReferenceState, SolverStatus, Winner, timing};
+use cdcr_shared_types::codes::{LateCause, Mode, ReferenceState, SolverStatus, Winner, timing};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 
 /// One cycle in which the daemon tracked the reference, as the report, the table and the pictures need
@@ -23,7 +23,10 @@ pub(super) struct Cycle {
     pub(super) wake_us: f64,
     pub(super) solve_us: f64,
     pub(super) response_us: f64,
+    pub(super) late_start: bool,
     pub(super) deadline_miss: bool,
+    /// What made it late, as its record says.
+    pub(super) late_cause: LateCause,
     pub(super) skipped_periods: u32,
     bend_rad: [f64; COORDINATES_MAX],
     bend_rate_rad_s: [f64; COORDINATES_MAX],
@@ -59,7 +62,9 @@ impl Cycle {
             wake_us: between_us(record.due_ns, record.start_ns),
             solve_us: between_us(record.solve_start_ns, record.solve_end_ns),
             response_us: between_us(record.due_ns, record.handed_over_ns),
+            late_start: record.timing_flags & timing::LATE_START != 0,
             deadline_miss: record.timing_flags & timing::DEADLINE_MISS != 0,
+            late_cause: LateCause::try_from(record.scheduling.late_cause).unwrap_or_default(),
             skipped_periods: record.skipped_periods,
             bend_rad: record.bend_rad,
             bend_rate_rad_s: record.command.bend_rate_rad_s,
@@ -68,6 +73,11 @@ impl Cycle {
             evaluations: record.report.evaluations,
             cost: record.report.cost,
         })
+    }
+
+    /// The bend vector at the release \[rad\].
+    pub(super) fn bend_rad(&self, sections: usize) -> &[f64] {
+        &self.bend_rad[..2 * sections]
     }
 
     fn cells(&self, sections: usize) -> Vec<String> {
@@ -154,7 +164,17 @@ pub(super) mod tests {
             ..Telemetry::default()
         };
         record.reference.state = ReferenceState::Inside.code();
+        // As in the paper: the last of three sections draws the spiral.
+        let (bend_rad, direction_rad) = spiral_angles(spiral, time_ns as f64 * 1e-9);
+        record.bend_rad[4] = bend_rad * direction_rad.cos();
+        record.bend_rad[5] = bend_rad * direction_rad.sin();
         record
+    }
+
+    /// θ = 2t/15, φ = t
+    fn spiral_angles(spiral: &Spiral, time_s: f64) -> (f64, f64) {
+        let t = spiral.start_rad + time_s.clamp(0.0, spiral.duration_s);
+        (2.0 * t / 15.0, t)
     }
 
     /// A run that never was, for arithmetic and pictures.
@@ -173,6 +193,7 @@ pub(super) mod tests {
             cycle.wake_us += 60.0 * noise.powi(4) + if k % 331 == 330 { 6000.0 } else { 0.0 };
             cycle.solve_us += 25.0 * noise * noise;
             cycle.response_us = cycle.wake_us + cycle.solve_us + 5.0;
+            cycle.late_start = cycle.wake_us > 1000.0;
             cycle.deadline_miss = cycle.response_us > 5000.0;
             Some(cycle)
         };

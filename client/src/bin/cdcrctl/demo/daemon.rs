@@ -1,27 +1,23 @@
-use std::fs::{self, DirBuilder, File};
-use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io;
-use std::os::unix::fs::DirBuilderExt;
+use std::fs::{self, File};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow, bail};
 use cdcr_client::Connection;
-use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use rustix::process::{Pid, Signal, kill_process};
 
+use super::place::PrivatePlace;
 use crate::interrupt::Interrupt;
 
 /// How long the daemon may take to run.
 const START_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long it may take to end.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
-/// Where iceoryx2 keeps shared memory.
-const SHARED_MEMORY: &str = "/dev/shm";
+const LOG: &str = "cdcrd.log";
 /// Name of the demo's robot.
 const ROBOT: &str = "demo";
 
@@ -33,20 +29,20 @@ pub(super) struct DemoDaemon {
 
 impl DemoDaemon {
     /// Starts the `cdcrd` that lies beside this program.
-    pub(super) fn start(config: &str) -> anyhow::Result<Self> {
+    pub(super) fn start(place: PrivatePlace) -> anyhow::Result<Self> {
         let program = beside_ourselves("cdcrd")?;
-        let place = PrivatePlace::make()?;
-        fs::write(place.config(), config).context("cannot write the demo's configuration")?;
-        let log = File::create(place.log()).context("cannot write the daemon's log")?;
+        let log =
+            File::create(place.folder().join(LOG)).context("cannot write the daemon's log")?;
         let child = Command::new(&program)
             // Whatever ends us, SIGKILL too, ends the daemon.
             .args(["run", "--end-with-parent", &std::process::id().to_string()])
             .arg("--config")
-            .arg(place.config())
-            .args(["--robot", ROBOT, "--prefix", place.location.prefix()])
+            .arg(place.folder().join(PrivatePlace::CONFIG))
+            .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
             .arg("--root")
-            .arg(place.location.root())
-            .stdin(Stdio::null())
+            .arg(place.location().root())
+            // It reads nothing. While it runs, nobody takes the place for abandoned.
+            .stdin(place.lock()?)
             .stdout(log.try_clone()?)
             .stderr(log)
             // Ctrl-C reaches us alone; we stop the daemon in order.
@@ -70,7 +66,7 @@ impl DemoDaemon {
                     self.last_words()
                 );
             }
-            match Connection::open(&self.place.location, ROBOT) {
+            match Connection::open(self.place.location(), ROBOT) {
                 Ok(connection) if is_running(&connection) => return Ok(Some(connection)),
                 Ok(_) => {}
                 Err(cause) => last = cause.to_string(),
@@ -84,13 +80,9 @@ impl DemoDaemon {
         ))
     }
 
-    /// What the daemon said, for an error message.
+    /// What the daemon wrote into its log, for an error message.
     pub(super) fn last_words(&self) -> String {
-        let log = fs::read_to_string(self.place.log()).unwrap_or_default();
-        match log.trim() {
-            "" => "; the daemon said nothing".to_owned(),
-            log => format!("; the daemon said:\n{log}"),
-        }
+        last_words(&self.place.folder().join(LOG))
     }
 
     /// Ends the daemon and waits for it.
@@ -125,6 +117,13 @@ impl Drop for DemoDaemon {
     }
 }
 
+/// What a program wrote into its log, for an error message; lines of a good run are left out.
+pub(super) fn last_words(log: &Path) -> String {
+    let log = fs::read_to_string(log).unwrap_or_default();
+    let lines = log.lines().filter(|line| !line.contains("Z  INFO "));
+    lines.fold(String::new(), |words, line| words + "\n" + line)
+}
+
 fn is_running(connection: &Connection) -> bool {
     connection
         .status(Duration::from_secs(1))
@@ -132,7 +131,7 @@ fn is_running(connection: &Connection) -> bool {
 }
 
 /// A program in the folder of this one.
-fn beside_ourselves(name: &str) -> anyhow::Result<PathBuf> {
+pub(super) fn beside_ourselves(name: &str) -> anyhow::Result<PathBuf> {
     let ourselves = std::env::current_exe().context("cannot tell where cdcrctl lies")?;
     let program = ourselves.with_file_name(name);
     if !program.exists() {
@@ -145,71 +144,22 @@ fn beside_ourselves(name: &str) -> anyhow::Result<PathBuf> {
     Ok(program)
 }
 
-/// A prefix and a folder that nobody else uses. Dropping it removes what they hold.
-struct PrivatePlace {
-    folder: PathBuf,
-    location: Location,
-}
-
-impl PrivatePlace {
-    fn make() -> anyhow::Result<Self> {
-        let random = RandomState::new().build_hasher().finish() as u32;
-        let name = format!("cdcr-demo-{}-{random:08x}", std::process::id());
-        let folder = std::env::temp_dir().join(&name);
-        let root = folder.join("root");
-        let location = Location::new(&format!("{name}_"), &root)
-            .context("the demo's folder lies in TMPDIR: set TMPDIR to a shorter absolute path")?;
-        DirBuilder::new()
-            .mode(0o700)
-            .create(&folder)
-            .with_context(|| format!("cannot make {}", folder.display()))?;
-        Ok(Self { folder, location })
-    }
-
-    fn config(&self) -> PathBuf {
-        self.folder.join("demo.toml")
-    }
-
-    fn log(&self) -> PathBuf {
-        self.folder.join("cdcrd.log")
-    }
-}
-
-impl Drop for PrivatePlace {
-    fn drop(&mut self) {
-        let swept = sweep(Path::new(SHARED_MEMORY), &self.location.file_prefix());
-        if let Err(error) = swept.and_then(|()| fs::remove_dir_all(&self.folder)) {
-            eprintln!("warning: cannot remove {}: {error}", self.folder.display());
-        }
-    }
-}
-
-/// Removes the files whose names begin with `prefix`: a killed daemon leaves some.
-fn sweep(folder: &Path, prefix: &str) -> io::Result<()> {
-    for entry in fs::read_dir(folder)? {
-        let entry = entry?;
-        if entry.file_name().to_string_lossy().starts_with(prefix) {
-            fs::remove_file(entry.path())?;
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn a_private_place_is_private_and_leaves_nothing() {
-        let place = PrivatePlace::make().expect("a folder");
-        let other = PrivatePlace::make().expect("another folder");
-        assert_ne!(place.location, other.location);
-        fs::write(place.config(), "x").expect("written");
-        let stray = Path::new(SHARED_MEMORY).join(format!("{}x", place.location.file_prefix()));
-        fs::write(&stray, "x").expect("written");
-        let folder = place.folder.clone();
-        drop(place);
-        assert!(!folder.exists() && !stray.exists());
-        assert!(other.folder.exists());
+    fn last_words_are_those_of_trouble() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let log = folder.path().join("log");
+        let text = "2026-01-01T00:00:00.000001Z  INFO running robot=\"demo\"\n\
+                    2026-01-01T00:00:00.000002Z  WARN late: platform\n\
+                    cdcrd: shared memory is full\n";
+        fs::write(&log, text).expect("written");
+        assert_eq!(
+            last_words(&log),
+            "\n2026-01-01T00:00:00.000002Z  WARN late: platform\ncdcrd: shared memory is full"
+        );
+        assert_eq!(last_words(&folder.path().join("none")), "");
     }
 }

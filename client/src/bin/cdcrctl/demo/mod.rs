@@ -1,11 +1,19 @@
 //! Everything at once: a daemon of its own, the paper's spiral, and what came of it.
 
+mod baseline;
+mod canvas;
+mod causes;
 mod config;
 mod cycle;
 mod daemon;
 mod pictures;
+mod place;
 mod report;
+mod shape;
+mod sketch;
+mod steal;
 mod table;
+mod verdict;
 
 use std::fs;
 use std::io::Write;
@@ -13,21 +21,30 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, anyhow};
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, PAPER_SECTION_M, Spiral};
 use cdcr_shared_types::Status;
 
 use crate::Done;
 use crate::args::{DemoOptions, Format};
 use crate::bar::Bar;
+use crate::incidents;
 use crate::interrupt::Interrupt;
+use baseline::Baseline;
+use causes::JudgedCycles;
 use cycle::Cycle;
 use daemon::DemoDaemon;
-use report::Report;
+use place::PrivatePlace;
+use report::{Report, Run};
+use shape::Backbone;
+use sketch::Sketch;
+use steal::{Steal, StealReading};
 
-/// What one run left behind.
-struct Run {
+/// What came of feeding the spiral.
+struct Fed {
     cycles: Vec<Cycle>,
+    judged: JudgedCycles,
+    steal: Option<Steal>,
     status: Status,
     lost_records: u64,
 }
@@ -44,49 +61,82 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
         ..Spiral::for_sections(&vec![PAPER_SECTION_M; sections])
     };
     let interrupt = Interrupt::catch()?;
-    let Some(run) = track(sections, &spiral, &interrupt)? else {
+    place::sweep_abandoned();
+    let Some(run) = measure(sections, &spiral, &interrupt)? else {
         eprintln!("interrupted: the demo's daemon is stopped");
         return Ok(Done::Interrupted);
     };
-    let report = Report::new(options, &run.cycles, &run.status, run.lost_records)?;
-    print(&report, &run.status, options.format)?;
+    let report = Report::new(options, &run)?;
+    let backbone = Backbone::new(sections)?;
+    match options.format {
+        Format::Text => {
+            let text = table::text(&report, &run.status)?;
+            let sketch = sketch(&run.cycles, &spiral, &backbone);
+            write!(anstream::stdout(), "{text}\n{sketch}")?;
+        }
+        Format::Json => writeln!(
+            std::io::stdout(),
+            "{}",
+            serde_json::to_string_pretty(&report)?
+        )?,
+    }
     if let Some(out) = &options.out {
-        write_files(out, &run.cycles, &spiral, &report)?;
+        write_files(out, &run.cycles, &spiral, &backbone, &report)?;
     }
     Ok(Done::Good)
 }
 
-/// Starts a daemon, feeds it the spiral, and stops it whatever happens. `None`: interrupted.
-fn track(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
-    let mut daemon = DemoDaemon::start(&config::text(sections, spiral))?;
+/// The bare loop, then a daemon that tracks the spiral; both end whatever happens. `None`: interrupted.
+fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
+    let place = PrivatePlace::new(&config::text(sections, spiral))?;
+    let Some(baseline) = Baseline::measure(&place, interrupt)? else {
+        return Ok(None);
+    };
+    let mut daemon = DemoDaemon::start(place)?;
     let Some(connection) = daemon.connect(interrupt)? else {
         return Ok(None);
     };
-    let run = feed(&connection, spiral, interrupt).with_context(|| daemon.last_words());
+    let fed = feed(&connection, spiral, interrupt)
+        .map_err(|cause| anyhow!("{cause:#}{}", daemon.last_words()));
     // The client leaves before its daemon does, so that nothing of it stays behind.
     drop(connection);
     daemon.stop()?;
-    run
+    Ok(fed?.map(|fed| Run {
+        baseline,
+        cycles: fed.cycles,
+        judged: fed.judged,
+        steal: fed.steal,
+        status: fed.status,
+        lost_records: fed.lost_records,
+    }))
 }
 
 fn feed(
     connection: &Connection,
     spiral: &Spiral,
     interrupt: &Interrupt,
-) -> anyhow::Result<Option<Run>> {
+) -> anyhow::Result<Option<Fed>> {
     let options = FeedOptions {
         track: true,
         ..FeedOptions::default()
     };
     let bar = Bar::new("spiral");
     let mut cycles = Vec::new();
+    let mut judged = JudgedCycles::default();
     let mut origin_ns = 0;
+    let mut incidents = connection.incidents()?;
+    let core = connection.status(Duration::from_secs(1))?.core;
+    let steal = StealReading::now((core != u32::MAX).then_some(core));
     let feed = connection.feed(spiral, options)?.run(|event| {
         match event {
             FeedEvent::Scheduled { start_ns } => origin_ns = start_ns,
             FeedEvent::Record(record) => cycles.extend(Cycle::of(record, spiral, origin_ns)),
             FeedEvent::Progress(progress) => bar.show(&progress),
             _ => {}
+        }
+        // More of them than the queue holds may come in five seconds.
+        while let Ok(Some(incident)) = incidents.try_next() {
+            judged.take(&incident);
         }
         if interrupt.is_raised() {
             ControlFlow::Break(())
@@ -97,30 +147,43 @@ fn feed(
     if feed.end == FeedEnd::Interrupted {
         return Ok(None);
     }
-    Ok(Some(Run {
+    let steal = steal.and_then(|reading| reading.since());
+    for incident in incidents::kept(connection, &mut incidents)? {
+        judged.take(&incident);
+    }
+    Ok(Some(Fed {
         cycles,
+        judged,
+        steal,
         status: connection.status(Duration::from_secs(1))?,
         lost_records: feed.lost_records,
     }))
 }
 
-fn print(report: &Report, status: &Status, format: Format) -> anyhow::Result<()> {
-    let text = match format {
-        Format::Text => table::text(report, status)?,
-        Format::Json => serde_json::to_string_pretty(report)? + "\n",
+/// The robot at the end of the run.
+fn sketch(cycles: &[Cycle], spiral: &Spiral, backbone: &Backbone) -> String {
+    let Some(last) = cycles.last() else {
+        return String::new();
     };
-    Ok(std::io::stdout().write_all(text.as_bytes())?)
+    let sketch = Sketch {
+        backbone: backbone.points(last),
+        reference: shape::curve(spiral),
+        time_s: last.time_s,
+    };
+    sketch.text(sketch::columns())
 }
 
 fn write_files(
     out: &Path,
     cycles: &[Cycle],
     spiral: &Spiral,
+    backbone: &Backbone,
     report: &Report,
 ) -> anyhow::Result<()> {
     let sections = report.sections as usize;
     cycle::write_csv(&out.join("telemetry.csv"), cycles, sections)?;
     pictures::path(&out.join("path.svg"), cycles, spiral, report)?;
+    pictures::shape(&out.join("shape.svg"), cycles, spiral, backbone, report)?;
     pictures::error(&out.join("error.svg"), cycles, report)?;
     pictures::timing(&out.join("timing.svg"), cycles, report)?;
     Ok(())

@@ -3,13 +3,29 @@ use cdcr_client::realtime_missing;
 use cdcr_shared_types::Status;
 use serde::Serialize;
 
+use super::baseline::Baseline;
+use super::causes::{JudgedCycles, MissCauses};
 use super::cycle::Cycle;
+use super::steal::Steal;
+use super::verdict::Verdict;
 use crate::args::DemoOptions;
 
 /// Mean errors that the paper claims for 1, 2 and 3 sections \[mm\].
 const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
 
-/// What the demo found.
+/// What one run left behind.
+#[derive(Debug)]
+pub(super) struct Run {
+    pub(super) baseline: Baseline,
+    /// The cycles that tracked and whose release lay inside the reference.
+    pub(super) cycles: Vec<Cycle>,
+    pub(super) judged: JudgedCycles,
+    pub(super) steal: Option<Steal>,
+    pub(super) status: Status,
+    pub(super) lost_records: u64,
+}
+
+/// What the demo found. The fields are those of `--format json`, where they are explained: `cdcrctl demo --help`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct Report {
     pub(super) sections: u32,
@@ -18,7 +34,15 @@ pub(super) struct Report {
     pub(super) mean_error_mm: f64,
     pub(super) max_error_mm: f64,
     pub(super) deadline_misses: usize,
+    pub(super) deadline_misses_per_s: f64,
+    pub(super) misses_by_cause: MissCauses,
+    pub(super) late_starts: usize,
+    pub(super) late_starts_per_s: f64,
     pub(super) skipped_periods: u64,
+    /// `None` where the kernel does not tell.
+    pub(super) steal: Option<Steal>,
+    pub(super) baseline: Baseline,
+    pub(super) verdict: Verdict,
     pub(super) realtime: bool,
     pub(super) realtime_missing: Vec<&'static str>,
     pub(super) wake_us: Spread,
@@ -39,23 +63,32 @@ pub(super) struct Spread {
 }
 
 impl Report {
-    pub(super) fn new(
-        options: &DemoOptions,
-        cycles: &[Cycle],
-        status: &Status,
-        lost_records: u64,
-    ) -> anyhow::Result<Self> {
+    pub(super) fn new(options: &DemoOptions, run: &Run) -> anyhow::Result<Self> {
+        let Run { cycles, status, .. } = run;
+        let lost_records = run.lost_records;
         if cycles.is_empty() {
             bail!("the daemon tracked, but no record of it arrived ({lost_records} were lost)");
         }
         let errors_mm = || cycles.iter().map(|cycle| 1e3 * cycle.error_m);
         let missing = realtime_missing(status.realtime_missing);
+        let duration_s = options.duration.as_secs_f64();
+        let count = |is: fn(&Cycle) -> bool| cycles.iter().filter(|cycle| is(cycle)).count();
+        let (deadline_misses, late_starts) = (count(|c| c.deadline_miss), count(|c| c.late_start));
+        let causes = MissCauses::new(cycles, &run.judged);
+        let verdict = Verdict::new(&causes, &run.baseline, run.steal, status.realtime_missing);
         Ok(Self {
             sections: options.sections,
             cycles: cycles.len(),
             mean_error_mm: errors_mm().sum::<f64>() / cycles.len() as f64,
             max_error_mm: errors_mm().fold(0.0, f64::max),
-            deadline_misses: cycles.iter().filter(|cycle| cycle.deadline_miss).count(),
+            deadline_misses,
+            deadline_misses_per_s: deadline_misses as f64 / duration_s,
+            misses_by_cause: causes,
+            late_starts,
+            late_starts_per_s: late_starts as f64 / duration_s,
+            steal: run.steal,
+            baseline: run.baseline.clone(),
+            verdict,
             skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
             realtime: missing.is_empty(),
             realtime_missing: missing.iter().map(|&(name, _)| name).collect(),
@@ -64,7 +97,7 @@ impl Report {
             response_us: Spread::of(cycles.iter().map(|cycle| cycle.response_us)),
             paper_mean_error_mm: PAPER_MEAN_ERROR_MM[options.sections as usize - 1],
             lost_records,
-            duration_s: options.duration.as_secs_f64(),
+            duration_s,
             out: options.out.as_ref().map(|out| out.display().to_string()),
         })
     }
@@ -90,20 +123,39 @@ fn nearest_rank(sorted: &[f64], share: f64) -> f64 {
 
 #[cfg(test)]
 pub(super) mod tests {
+    use super::super::baseline::tests::baseline;
+    use super::super::causes::tests::missed;
     use super::super::cycle::tests::synthetic;
     use super::*;
     use crate::args::Format;
-    use cdcr_shared_types::codes::realtime;
+    use cdcr_shared_types::codes::{LateCause, realtime};
     use std::time::Duration;
 
-    pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> Report {
-        let options = DemoOptions {
+    fn options() -> DemoOptions {
+        DemoOptions {
             sections: 3,
             duration: Duration::from_millis(4970),
             format: Format::Text,
             out: None,
-        };
-        Report::new(&options, cycles, status, 0).expect("cycles were tracked")
+        }
+    }
+
+    pub(in crate::demo) fn run(cycles: &[Cycle], status: &Status) -> Run {
+        Run {
+            baseline: baseline(3, 4),
+            cycles: cycles.to_vec(),
+            judged: JudgedCycles::default(),
+            steal: Some(Steal {
+                steal_s: 1.3,
+                window_s: 5.0,
+            }),
+            status: *status,
+            lost_records: 0,
+        }
+    }
+
+    pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> Report {
+        Report::new(&options(), &run(cycles, status)).expect("cycles were tracked")
     }
 
     #[test]
@@ -171,12 +223,41 @@ pub(super) mod tests {
 
     #[test]
     fn a_run_without_tracking_is_an_error() {
-        let options = DemoOptions {
-            sections: 1,
-            duration: Duration::from_secs(1),
-            format: Format::Json,
-            out: None,
-        };
-        assert!(Report::new(&options, &[], &Status::default(), 5).is_err());
+        assert!(Report::new(&options(), &run(&[], &Status::default())).is_err());
+    }
+
+    #[test]
+    fn misses_have_causes_a_baseline_and_a_verdict_in_the_json() {
+        let mut cycles = missed(&[LateCause::Platform, LateCause::Platform, LateCause::Load]);
+        cycles[7].late_start = true;
+        let json = serde_json::to_value(report(&cycles, &Status::default())).expect("JSON");
+        assert_eq!(
+            (&json["deadline_misses"], &json["late_starts"]),
+            (&3.into(), &1.into())
+        );
+        let rate = json["deadline_misses_per_s"].as_f64().expect("a number");
+        assert!((rate - 3.0 / 4.97).abs() < 1e-12, "{rate}");
+        assert_eq!(json["misses_by_cause"]["platform"], 2);
+        assert_eq!(json["misses_by_cause"]["another task had the core"], 1);
+        assert_eq!(json["misses_by_cause"]["compute"], 0);
+        assert_eq!(json["steal"]["steal_s"], 1.3);
+        assert_eq!(json["steal"]["window_s"], 5.0);
+        assert_eq!(json["verdict"]["limited_by"], "hypervisor");
+        assert_eq!(json["verdict"]["next"], "cdcrd doctor");
+        assert!(json["verdict"]["grant"].is_null());
+        let baseline = &json["baseline"];
+        for field in [
+            "duration_s",
+            "cycles",
+            "late_starts",
+            "late_starts_per_s",
+            "deadline_misses",
+            "deadline_misses_per_s",
+            "skipped_periods",
+        ] {
+            assert!(baseline[field].is_number(), "{field}");
+        }
+        assert_eq!(baseline["wake_us"]["p99"], 90.0);
+        assert_eq!(baseline["causes"]["platform"], 3);
     }
 }

@@ -2,8 +2,14 @@ use std::fmt::{Error, Write};
 
 use cdcr_client::realtime_missing;
 use cdcr_shared_types::Status;
+use cdcr_shared_types::codes::LateCause;
 
 use super::report::{Report, Spread};
+use super::steal::Steal;
+use super::verdict::Verdict;
+
+/// Width of a usual terminal.
+const WIDTH: usize = 80;
 
 /// The report for people.
 pub(super) fn text(report: &Report, status: &Status) -> Result<String, Error> {
@@ -24,8 +30,8 @@ pub(super) fn text(report: &Report, status: &Status) -> Result<String, Error> {
     )?;
     writeln!(
         out,
-        "{:<24}{:>12.2e}{:>12.2e}{:>16.0e}\n",
-        "  tip to exact curve",
+        "{:<24}{:>12.2e}{:>12.2e}{:>16.0e}   (tip to exact curve: the controller's share)\n",
+        "  ideal simulated robot",
         report.mean_error_mm,
         report.max_error_mm,
         report.paper_mean_error_mm
@@ -39,11 +45,13 @@ pub(super) fn text(report: &Report, status: &Status) -> Result<String, Error> {
     row(&mut out, "  solve", &report.solve_us)?;
     row(&mut out, "  response", &report.response_us)?;
     counts(&mut out, report, status)?;
+    beside(&mut out, report)?;
     real_time(&mut out, status)?;
+    verdict(&mut out, &report.verdict)?;
     if let Some(folder) = &report.out {
         writeln!(
             out,
-            "\nwritten to {folder}: telemetry.csv, path.svg, error.svg, timing.svg"
+            "\nwritten to {folder}: telemetry.csv, path.svg, shape.svg, error.svg, timing.svg"
         )?;
     }
     Ok(out)
@@ -64,6 +72,7 @@ fn counts(out: &mut String, report: &Report, status: &Status) -> Result<(), Erro
         "\n{:<24}{:>12}   of {} (deadline {deadline_ms} ms after the release)",
         "deadline misses", report.deadline_misses, report.cycles
     )?;
+    causes(out, report)?;
     writeln!(
         out,
         "{:<24}{:>12}   (releases that got no command)",
@@ -76,12 +85,86 @@ fn counts(out: &mut String, report: &Report, status: &Status) -> Result<(), Erro
     )
 }
 
+/// What made the misses; without a miss, nothing.
+fn causes(out: &mut String, report: &Report) -> Result<(), Error> {
+    for (cause, count) in report.misses_by_cause.ranked() {
+        write!(out, "{:<24}{count:>12}   {cause}", "  caused by")?;
+        let is_platform = cause == LateCause::Platform.text();
+        if let Some(Steal { steal_s, window_s }) =
+            report.steal.filter(|s| is_platform && s.steal_s > 0.05)
+        {
+            write!(
+                out,
+                " (the hypervisor took {steal_s:.1} of {window_s:.1} s)"
+            )?;
+        }
+        writeln!(out)?;
+    }
+    Ok(())
+}
+
+/// The loop of the daemon beside the same loop without work.
+fn beside(out: &mut String, report: &Report) -> Result<(), Error> {
+    let bare = &report.baseline;
+    writeln!(
+        out,
+        "\n{:<24}{:>12}{:>12}   (cdcrd bare: the same loop without work, {:.1} s before)",
+        "beside a bare loop", "daemon", "bare loop", bare.duration_s
+    )?;
+    let rows = [
+        ("  wake-up p50 [µs]", report.wake_us.p50, bare.wake_us.p50),
+        ("  wake-up p99 [µs]", report.wake_us.p99, bare.wake_us.p99),
+        ("  wake-up max [µs]", report.wake_us.max, bare.wake_us.max),
+        (
+            "  late starts per s",
+            report.late_starts_per_s,
+            bare.late_starts_per_s,
+        ),
+        (
+            "  misses per s",
+            report.deadline_misses_per_s,
+            bare.deadline_misses_per_s,
+        ),
+    ];
+    for (name, daemon, bare) in rows {
+        writeln!(out, "{name:<24}{daemon:>12.1}{bare:>12.1}")?;
+    }
+    Ok(())
+}
+
+fn verdict(out: &mut String, verdict: &Verdict) -> Result<(), Error> {
+    writeln!(out, "\n{}", wrapped(&verdict.text))?;
+    if let Some(grant) = verdict.grant {
+        writeln!(out, "Grant real time: {grant}")?;
+    }
+    match verdict.next {
+        Some(next) => writeln!(out, "Next: {next}"),
+        None => Ok(()),
+    }
+}
+
+/// The text in lines of at most [`WIDTH`].
+fn wrapped(text: &str) -> String {
+    let mut lines = vec![String::new()];
+    for word in text.split(' ') {
+        match lines.last_mut() {
+            Some(line) if line.is_empty() => word.clone_into(line),
+            Some(line) if line.chars().count() + 1 + word.chars().count() <= WIDTH => {
+                *line += " ";
+                *line += word;
+            }
+            _ => lines.push(word.to_owned()),
+        }
+    }
+    lines.join("\n")
+}
+
 fn real_time(out: &mut String, status: &Status) -> Result<(), Error> {
     let missing = realtime_missing(status.realtime_missing);
     if missing.is_empty() {
-        return writeln!(out, "{:<24}{:>12}", "real time", "yes");
+        return writeln!(out, "\n{:<24}{:>12}", "real time", "yes");
     }
-    writeln!(out, "{:<24}{:>12}   missing:", "real time", "no")?;
+    writeln!(out, "\n{:<24}{:>12}   missing:", "real time", "no")?;
     for (name, remedy) in missing {
         writeln!(out, "  {name}: {remedy}")?;
     }
@@ -90,6 +173,7 @@ fn real_time(out: &mut String, status: &Status) -> Result<(), Error> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::causes::tests::missed;
     use super::super::cycle::tests::synthetic;
     use super::super::report::tests::report;
     use super::*;
@@ -123,5 +207,71 @@ mod tests {
             text.lines()
                 .any(|l| l.starts_with("real time") && l.ends_with("yes"))
         );
+    }
+
+    #[test]
+    fn misses_have_their_causes_below_them_and_a_verdict_at_the_end() {
+        use LateCause::{Load, Platform};
+        let cycles = missed(&[Load, Platform, Platform]);
+        let report = report(&cycles, &Status::default());
+        let text = text(&report, &Status::default()).expect("formatted");
+        let lines: Vec<&str> = text.lines().collect();
+        let misses = lines
+            .iter()
+            .position(|line| line.starts_with("deadline misses"));
+        let misses = misses.expect("a row");
+        assert_eq!(
+            lines[misses + 1..misses + 3],
+            [
+                "  caused by                        2   platform (the hypervisor took 1.3 of 5.0 s)",
+                "  caused by                        1   another task had the core",
+            ]
+        );
+        for expected in [
+            "  wake-up p99 [µs]              ",
+            "        90.0\n",
+            "  misses per s                   0.6         6.0\n",
+            "  late starts per s              0.0         8.0\n",
+            "  ideal simulated robot ",
+        ] {
+            assert!(text.contains(expected), "{expected} in\n{text}");
+        }
+        assert!(text.ends_with("\nNext: cdcrd doctor\n"), "{text}");
+        let one_line = text.replace('\n', " ");
+        assert!(one_line.contains(&report.verdict.text), "{text}");
+    }
+
+    #[test]
+    fn without_misses_there_are_no_causes_and_nothing_to_run_next() {
+        let report = report(&missed(&[]), &Status::default());
+        let text = text(&report, &Status::default()).expect("formatted");
+        assert!(text.contains("No deadline was missed"), "{text}");
+        assert!(
+            !text.contains("caused by") && !text.contains("Next"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn missing_real_time_has_one_command() {
+        let status = Status {
+            realtime_missing: realtime::FIFO | realtime::LOCKED,
+            ..Status::default()
+        };
+        let text = text(&report(&missed(&[]), &status), &status).expect("formatted");
+        assert_eq!(text.matches("Grant real time").count(), 1, "{text}");
+    }
+
+    #[test]
+    fn a_long_sentence_is_wrapped_between_words() {
+        let text = "word ".repeat(40) + "end.";
+        let wrapped = wrapped(&text);
+        assert!(wrapped.lines().count() > 2);
+        assert!(
+            wrapped
+                .lines()
+                .all(|line| line.chars().count() <= WIDTH && line == line.trim())
+        );
+        assert_eq!(wrapped.replace('\n', " "), text);
     }
 }

@@ -217,6 +217,7 @@ pub(crate) fn status(status: &Status) -> Value {
         "late_starts": status.late_starts,
         "deadline_misses": status.deadline_misses,
         "skipped_periods": status.skipped_periods,
+        "misses_tolerated": status.misses_tolerated,
         "budget_hits": status.budget_hits,
         "dropped_records": status.dropped_records,
         "faults": status.faults,
@@ -415,6 +416,7 @@ mod tests {
         let value = status(&status_record);
         assert_eq!(value["outcomes"]["a value is not a finite number"], 5);
         assert_eq!(value["realtime"], true);
+        assert_eq!(value["misses_tolerated"], 0);
     }
 
     #[test]

@@ -64,18 +64,26 @@ impl<'a> Director<'a> {
         }
     }
 
-    /// Lets things happen for `duration`, or until `ending`. The driver, if there is one, is given back whole.
+    /// Lets things happen for `duration`, for whole rounds, and until the run has seen all that it must; or until
+    /// `ending`. The driver, if there is one, is given back whole.
     pub(crate) fn run(
         mut self,
         duration: Duration,
         ending: &AtomicBool,
     ) -> Result<Option<DriverProcess>, String> {
         let begin = Instant::now();
-        let is_over = || begin.elapsed() >= duration || ending.load(Ordering::Relaxed);
+        let is_broken = || ending.load(Ordering::Relaxed);
+        let is_over = |dealt: bool| {
+            let passed = begin.elapsed();
+            is_broken()
+                || dealt && passed >= duration && self.view.has_seen_enough()
+                || passed >= duration + PATIENCE
+        };
         self.go_home();
-        while !is_over() {
+        let mut rounds = 0;
+        while !is_over(rounds > 0) {
             for action in self.round() {
-                if is_over() {
+                if is_over(rounds > 0) {
                     break;
                 }
                 self.log.push(format!(
@@ -87,15 +95,16 @@ impl<'a> Director<'a> {
                 self.crowd.tend();
                 std::thread::sleep(self.dice.duration_ms(0, 120));
             }
+            rounds += 1;
         }
-        if ending.load(Ordering::Relaxed) {
+        if is_broken() {
             let newest = self.log.iter().rev().take(20).rev().cloned();
             println!(
                 "the last actions:\n{}",
                 newest.collect::<Vec<_>>().join("\n")
             );
         }
-        self.leave();
+        self.leave(ending);
         Ok(self.driver)
     }
 
@@ -365,7 +374,7 @@ impl<'a> Director<'a> {
     }
 
     /// Leaves the robot without obstacles and the solver with the settings it began with.
-    fn leave(&mut self) {
+    fn leave(&mut self, ending: &AtomicBool) {
         self.crowd = Crowd::default();
         let begin = Instant::now();
         while self
@@ -375,8 +384,14 @@ impl<'a> Director<'a> {
         {
             assert!(begin.elapsed() < PATIENCE, "the settings cannot be changed");
         }
-        self.obstacles.clear().unwrap();
-        // A sender that leaves takes with it what the daemon has not yet taken in.
-        std::thread::sleep(Duration::from_millis(100));
+        let cleared_ns = self.obstacles.clear().unwrap().sent_ns;
+        // A sender that leaves takes with it what the daemon has not yet taken in. A run that failed shows no more records.
+        let has_none = || {
+            let newest = self.view.newest();
+            newest.is_some_and(|record| record.gather_ns > cleared_ns && record.obstacle_count == 0)
+        };
+        wait_until("it has no obstacle", || {
+            ending.load(Ordering::Relaxed) || has_none()
+        });
     }
 }

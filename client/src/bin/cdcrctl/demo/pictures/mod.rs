@@ -1,11 +1,14 @@
 //! Pictures of one run, as SVG.
 
 mod error;
+mod panel;
 mod path;
+mod shape;
 mod timing;
 
 pub(super) use error::error;
 pub(super) use path::path;
+pub(super) use shape::shape;
 pub(super) use timing::timing;
 
 use plotters::style::RGBColor;
@@ -32,6 +35,7 @@ fn section_words(sections: u32) -> String {
 mod tests {
     use super::super::cycle::tests::synthetic;
     use super::super::report::tests::report;
+    use super::super::shape::Backbone;
     use super::*;
     use cdcr_shared_types::Status;
 
@@ -46,6 +50,15 @@ mod tests {
         path(&folder.join("path.svg"), &cycles, &spiral, &report).expect("drawn");
         error(&folder.join("error.svg"), &cycles, &report).expect("drawn");
         timing(&folder.join("timing.svg"), &cycles, &report).expect("drawn");
+        let backbone = Backbone::new(3).expect("the paper's");
+        shape(
+            &folder.join("shape.svg"),
+            &cycles,
+            &spiral,
+            &backbone,
+            &report,
+        )
+        .expect("drawn");
         let has = |file: &str, words: &[&str]| {
             let svg = std::fs::read_to_string(folder.join(file)).expect("written");
             for word in words {
@@ -63,6 +76,21 @@ mod tests {
                 "reference",
             ],
         );
+        has(
+            "shape.svg",
+            &[
+                "x [mm]",
+                "y [mm]",
+                "z [mm]",
+                "3 sections",
+                "backbone",
+                "reference",
+                "every 0.5 s",
+            ],
+        );
+        // Ten moments in 4.97 s: a tip in each view, and one in the legend.
+        let svg = std::fs::read_to_string(folder.join("shape.svg")).expect("written");
+        assert_eq!(svg.matches("<circle").count(), 2 * 10 + 1);
         has("error.svg", &["time [s]", "error [mm]", "mean", "paper"]);
         has(
             "timing.svg",
@@ -110,5 +138,8 @@ mod tests {
         path(&folder.path().join("path.svg"), &cycles, &spiral, &report).expect("drawn");
         error(&folder.path().join("error.svg"), &cycles, &report).expect("drawn");
         timing(&folder.path().join("timing.svg"), &cycles, &report).expect("drawn");
+        let backbone = Backbone::new(3).expect("the paper's");
+        let file = folder.path().join("shape.svg");
+        shape(&file, &cycles, &spiral, &backbone, &report).expect("drawn");
     }
 }

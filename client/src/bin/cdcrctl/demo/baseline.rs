@@ -1,0 +1,212 @@
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use serde::{Deserialize, Serialize};
+
+use super::daemon::{beside_ourselves, last_words};
+use super::place::PrivatePlace;
+use super::report::Spread;
+use crate::interrupt::Interrupt;
+
+/// How long the loop runs, as its option.
+const DURATION: &str = "1s";
+/// How long it may take in all: it ends by itself, and a machine that stalls needs longer.
+const TIMEOUT: Duration = Duration::from_secs(10);
+const RESULT: &str = "bare.json";
+const LOG: &str = "bare.log";
+
+/// What the machine alone does to the loop of the demo's daemon: `cdcrd bare`, a moment before.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Baseline {
+    /// Time that its cycles cover \[s\].
+    pub(super) duration_s: f64,
+    pub(super) cycles: u64,
+    pub(super) late_starts: u64,
+    pub(super) late_starts_per_s: f64,
+    pub(super) deadline_misses: u64,
+    pub(super) deadline_misses_per_s: f64,
+    pub(super) skipped_periods: u64,
+    /// What made its cycles late, and how many; causes without a cycle are left out.
+    pub(super) causes: BTreeMap<String, u64>,
+    pub(super) wake_us: Spread,
+}
+
+/// The part of the output of `cdcrd bare --format json` that is used here.
+#[derive(Debug, Deserialize)]
+struct BareSummary {
+    duration_s: f64,
+    cycles: u64,
+    late_starts: u64,
+    deadline_misses: u64,
+    skipped_periods: u64,
+    causes: BTreeMap<String, u64>,
+    wake: BarePercentiles,
+}
+
+#[derive(Debug, Deserialize)]
+#[allow(
+    clippy::struct_field_names,
+    reason = "the names that cdcrd bare writes"
+)]
+struct BarePercentiles {
+    p50_ns: u64,
+    p99_ns: u64,
+    max_ns: u64,
+}
+
+impl Baseline {
+    /// Runs the loop with the configuration of `place`. `None`: interrupted.
+    pub(super) fn measure(
+        place: &PrivatePlace,
+        interrupt: &Interrupt,
+    ) -> anyhow::Result<Option<Self>> {
+        let mut bare = BareLoop::start(place)?;
+        if !bare.wait(interrupt)? {
+            return Ok(None);
+        }
+        let json = fs::read_to_string(place.folder().join(RESULT))
+            .context("cannot read the result of cdcrd bare")?;
+        let summary: BareSummary = serde_json::from_str(&json)
+            .context("cdcrd bare wrote no result that cdcrctl knows; build both at one time")?;
+        Ok(Some(summary.into()))
+    }
+}
+
+impl From<BareSummary> for Baseline {
+    fn from(bare: BareSummary) -> Self {
+        let per_s = |count: u64| count as f64 / bare.duration_s.max(f64::MIN_POSITIVE);
+        let us = |time_ns: u64| time_ns as f64 * 1e-3;
+        Self {
+            duration_s: bare.duration_s,
+            cycles: bare.cycles,
+            late_starts: bare.late_starts,
+            late_starts_per_s: per_s(bare.late_starts),
+            deadline_misses: bare.deadline_misses,
+            deadline_misses_per_s: per_s(bare.deadline_misses),
+            skipped_periods: bare.skipped_periods,
+            wake_us: Spread {
+                p50: us(bare.wake.p50_ns),
+                p99: us(bare.wake.p99_ns),
+                max: us(bare.wake.max_ns),
+            },
+            causes: bare.causes,
+        }
+    }
+}
+
+/// The running `cdcrd bare`. Dropping it ends it.
+struct BareLoop<'a> {
+    child: Child,
+    place: &'a PrivatePlace,
+}
+
+impl<'a> BareLoop<'a> {
+    fn start(place: &'a PrivatePlace) -> anyhow::Result<Self> {
+        let folder = place.folder();
+        let file = |name: &str| {
+            File::create(folder.join(name))
+                .with_context(|| format!("cannot write to {}", folder.display()))
+        };
+        let program = beside_ourselves("cdcrd")?;
+        let child = Command::new(&program)
+            .args(["bare", "--end-with-parent", &std::process::id().to_string()])
+            .args(["--config", PrivatePlace::CONFIG])
+            .args(["--duration", DURATION, "--format", "json"])
+            .current_dir(folder)
+            // It meets nobody, so where does not matter.
+            .env_remove("CDCR_ROBOT")
+            .env_remove("CDCR_PREFIX")
+            .env_remove("CDCR_ROOT")
+            .stdin(Stdio::null())
+            .stdout(file(RESULT)?)
+            .stderr(file(LOG)?)
+            // Ctrl-C reaches us alone.
+            .process_group(0)
+            .spawn()
+            .with_context(|| format!("cannot start {}", program.display()))?;
+        Ok(Self { child, place })
+    }
+
+    /// Waits until it has ended. `false`: interrupted.
+    fn wait(&mut self, interrupt: &Interrupt) -> anyhow::Result<bool> {
+        let deadline = Instant::now() + TIMEOUT;
+        let words = |place: &PrivatePlace| last_words(&place.folder().join(LOG));
+        while Instant::now() < deadline {
+            if interrupt.is_raised() {
+                return Ok(false);
+            }
+            match self.child.try_wait()? {
+                Some(code) if code.success() => return Ok(true),
+                Some(code) => bail!("cdcrd bare failed ({code}){}", words(self.place)),
+                None => thread::sleep(Duration::from_millis(5)),
+            }
+        }
+        bail!(
+            "cdcrd bare did not end within {} s{}",
+            TIMEOUT.as_secs(),
+            words(self.place)
+        )
+    }
+}
+
+impl Drop for BareLoop<'_> {
+    fn drop(&mut self) {
+        // Both fail only when it has ended already.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+
+    /// As `cdcrd bare` writes it, for arithmetic and texts.
+    pub(in crate::demo) fn baseline(deadline_misses: u64, late_starts: u64) -> Baseline {
+        let json = serde_json::json!({
+            "period_ns": 5_000_000, "deadline_ns": 5_000_000, "late_start_ns": 1_000_000, "spin_ns": 0,
+            "duration_s": 0.5, "cycles": 100, "late_starts": late_starts,
+            "deadline_misses": deadline_misses, "skipped_periods": 2,
+            "causes": { "platform": deadline_misses },
+            "wake": { "min_ns": 1, "p50_ns": 20_500, "p99_ns": 90_000, "p999_ns": 1, "max_ns": 1_234_500 },
+            "run_delay": null, "page_faults": null,
+            "realtime": true, "realtime_missing": [], "core": 1
+        });
+        let summary: BareSummary = serde_json::from_value(json).expect("known");
+        summary.into()
+    }
+
+    #[test]
+    fn counts_are_per_second_and_times_in_microseconds() {
+        let baseline = baseline(3, 4);
+        assert_eq!((baseline.cycles, baseline.skipped_periods), (100, 2));
+        assert!((baseline.deadline_misses_per_s - 6.0).abs() < 1e-12);
+        assert!((baseline.late_starts_per_s - 8.0).abs() < 1e-12);
+        assert!((baseline.wake_us.p50 - 20.5).abs() < 1e-12);
+        assert!((baseline.wake_us.max - 1234.5).abs() < 1e-12);
+        assert_eq!(baseline.causes["platform"], 3);
+    }
+
+    #[test]
+    fn a_loop_without_a_cycle_has_no_rates_that_are_not_numbers() {
+        let none = BareSummary {
+            duration_s: 0.0,
+            cycles: 0,
+            late_starts: 0,
+            deadline_misses: 0,
+            skipped_periods: 0,
+            causes: BTreeMap::new(),
+            wake: BarePercentiles {
+                p50_ns: 0,
+                p99_ns: 0,
+                max_ns: 0,
+            },
+        };
+        assert_eq!(Baseline::from(none).deadline_misses_per_s, 0.0);
+    }
+}

@@ -1,0 +1,83 @@
+use std::fs;
+use std::time::Instant;
+
+use serde::Serialize;
+
+/// One tick of `/proc/stat` \[s\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
+const TICK_S: f64 = 0.01;
+
+/// What the hypervisor took from the core of the loop while it ran.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub(super) struct Steal {
+    /// Time taken \[s\], in steps of 0.01 s; of a loop that is not pinned the mean of all cores.
+    pub(super) steal_s: f64,
+    /// How long was looked \[s\].
+    pub(super) window_s: f64,
+}
+
+/// A reading of the steal counter, to be compared with a later one.
+#[derive(Debug)]
+pub(super) struct StealReading {
+    core: Option<u32>,
+    time: Instant,
+    steal_s: f64,
+}
+
+impl StealReading {
+    /// Reads the counter of `core`, or of all cores. `None` where the kernel has none.
+    pub(super) fn now(core: Option<u32>) -> Option<Self> {
+        let text = fs::read_to_string("/proc/stat").ok()?;
+        Some(Self {
+            core,
+            time: Instant::now(),
+            steal_s: steal_s(&text, core)?,
+        })
+    }
+
+    /// What was taken since this reading.
+    pub(super) fn since(&self) -> Option<Steal> {
+        let now = Self::now(self.core)?;
+        Some(Steal {
+            steal_s: (now.steal_s - self.steal_s).max(0.0),
+            window_s: (now.time - self.time).as_secs_f64(),
+        })
+    }
+}
+
+/// The eighth number of the line of a core (`proc_stat(5)`), or its mean over all cores \[s\].
+fn steal_s(text: &str, core: Option<u32>) -> Option<f64> {
+    let cores = text.lines().filter_map(|line| {
+        let (name, numbers) = line.strip_prefix("cpu")?.split_once(' ')?;
+        let steal: f64 = numbers.split_ascii_whitespace().nth(7)?.parse().ok()?;
+        Some((name.parse::<u32>().ok()?, TICK_S * steal))
+    });
+    let counted: Vec<f64> = cores
+        .filter(|(name, _)| core.is_none_or(|core| core == *name))
+        .map(|(_, steal_s)| steal_s)
+        .collect();
+    (!counted.is_empty()).then(|| counted.iter().sum::<f64>() / counted.len() as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn steal_is_the_eighth_number_of_the_core_or_the_mean_of_all() {
+        let text = "cpu  9 9 9 9 9 9 9 997 0 0\ncpu0 1 2 3 4 5 6 7 490 9 10\n\
+                    cpu1 1 2 3 4 5 6 7 510 9 10\nintr 5\n";
+        let close = |core, expected_s: f64| {
+            steal_s(text, core).is_some_and(|is_s| (is_s - expected_s).abs() < 1e-9)
+        };
+        assert!(close(Some(1), 5.1) && close(Some(0), 4.9) && close(None, 5.0));
+        assert_eq!(steal_s(text, Some(7)), None);
+        assert_eq!(steal_s("cpu0 1 2\n", None), None);
+    }
+
+    #[test]
+    fn two_readings_of_this_machine_have_a_time_between_them() {
+        let first = StealReading::now(None).expect("/proc is there");
+        let steal = first.since().expect("/proc is there");
+        assert!(steal.window_s > 0.0 && steal.steal_s >= 0.0, "{steal:?}");
+    }
+}
