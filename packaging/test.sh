@@ -36,8 +36,7 @@ fi
 step "the package"
 package=${1:-}
 if [ -z "$package" ]; then
-  command -v cargo-deb >/dev/null || fail "cargo-deb is missing: cargo install cargo-deb --locked"
-  package=$(cargo deb -q --locked -p cdcr-daemon | tail -n 1)
+  package=$(packaging/build.sh | tail -n 1)
 fi
 [ -f "$package" ] || fail "there is no package $package"
 ls -l "$package"

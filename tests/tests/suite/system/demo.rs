@@ -27,6 +27,10 @@ fn demo(place: &Place, arguments: &[&str]) -> (bool, String, String) {
     )
 }
 
+fn is_braille(character: char) -> bool {
+    ('\u{2801}'..='\u{28ff}').contains(&character)
+}
+
 /// Of a demo of 1 s: its cycles are those of a second, and how far the tip was from its reference is explained by those that
 /// are missing.
 fn assert_error_is_explained(report: &Value) {
@@ -53,6 +57,33 @@ fn assert_error_is_explained(report: &Value) {
     assert!(mean_mm < 1e3 * error_max_m(1e-3, lost_s), "{report}");
 }
 
+/// Each miss has a cause, a bare loop ran beside, and the verdict follows from both.
+fn assert_misses_are_explained(report: &Value) {
+    let causes = report["misses_by_cause"].as_object().unwrap();
+    assert_eq!(causes.len(), 5, "{report}");
+    let total: u64 = causes.values().map(|count| count.as_u64().unwrap()).sum();
+    assert_eq!(total, report["deadline_misses"], "{report}");
+    let baseline = &report["baseline"];
+    let bare_cycles = baseline["cycles"].as_u64().unwrap();
+    assert!((1..=200).contains(&bare_cycles), "{report}");
+    let [p50, p99, max] =
+        ["p50", "p99", "max"].map(|key| baseline["wake_us"][key].as_f64().unwrap());
+    assert!(p50 <= p99 && p99 <= max, "{report}");
+    let verdict = &report["verdict"];
+    let is_fine = verdict["limited_by"] == "nothing";
+    assert_eq!(is_fine, verdict["next"].is_null(), "{report}");
+    assert!(verdict["text"].as_str().unwrap().ends_with('.'), "{report}");
+    assert!(!is_fine || total == 0, "{report}");
+    if report["realtime"] == true {
+        assert!(verdict["grant"].is_null(), "{report}");
+        assert_eq!(is_fine, total == 0, "{report}");
+    }
+    if let Some(steal) = report["steal"].as_object() {
+        let [taken_s, window_s] = ["steal_s", "window_s"].map(|key| steal[key].as_f64().unwrap());
+        assert!(taken_s >= 0.0 && window_s > 0.0, "{report}");
+    }
+}
+
 #[test]
 fn the_demo_prints_one_json_object_with_every_field() {
     let place = Place::new();
@@ -70,6 +101,8 @@ fn the_demo_prints_one_json_object_with_every_field() {
         let report: Value = serde_json::from_str(&out).expect("one JSON object");
         assert_eq!(report["sections"].to_string(), sections);
         assert_error_is_explained(&report);
+        assert_misses_are_explained(&report);
+        assert!(!out.contains(is_braille), "{out}");
         let missing = report["realtime_missing"].as_array().unwrap();
         assert_eq!(report["realtime"].as_bool().unwrap(), missing.is_empty());
         for field in ["deadline_misses", "skipped_periods"] {
@@ -94,6 +127,10 @@ fn the_demo_writes_telemetry_and_pictures() {
         out.contains("mm") && out.contains("cycles of 5 ms"),
         "{out}"
     );
+    assert!(out.contains("ideal simulated robot"), "{out}");
+    assert!(out.contains("beside a bare loop"), "{out}");
+    assert!(out.contains(is_braille), "the robot is drawn: {out}");
+    assert!(!out.contains('\x1b'), "no colours in a pipe: {out:?}");
     let table = fs::read_to_string(folder.join("telemetry.csv")).unwrap();
     let head = table.lines().next().unwrap();
     assert!(head.contains("error_m") && head.contains("_us"), "{head}");
@@ -102,7 +139,7 @@ fn the_demo_writes_telemetry_and_pictures() {
         "{} lines",
         table.lines().count()
     );
-    for picture in ["path.svg", "error.svg", "timing.svg"] {
+    for picture in ["path.svg", "error.svg", "timing.svg", "shape.svg"] {
         let text = fs::read_to_string(folder.join(picture)).unwrap();
         assert!(
             text.contains("<svg") && text.trim_end().ends_with("</svg>"),
@@ -240,4 +277,20 @@ fn the_daemon_of_a_killed_demo_ends() {
         left.iter().all(|name| name.ends_with(".global_mgmt")),
         "{left:?}"
     );
+    // The next one removes what is left, says so, and leaves nothing itself.
+    let next = demo
+        .place
+        .command("cdcrctl")
+        .args(["demo", "--duration", "500ms"])
+        .env("TMPDIR", demo.place.folder().join("tmp"))
+        .output()
+        .unwrap();
+    assert!(next.status.success(), "{}", text(&next));
+    assert!(
+        text(&next).contains("left by a demo that was killed"),
+        "{}",
+        text(&next)
+    );
+    assert_eq!(demo.temporary(), Vec::<String>::new());
+    assert_eq!(shared_memory_files(&demo.prefix()), Vec::<String>::new());
 }
