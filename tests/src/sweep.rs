@@ -60,6 +60,8 @@ fn end_programs() -> Vec<String> {
             .any(is_abandoned);
         if is_abandoned
             && is_ours(&process)
+            && is_built_with_us(&process)
+            && is_beside_us(&process)
             && let Some(pid) = Pid::from_raw(id.cast_signed())
             && kill_process(pid, Signal::KILL).is_ok()
         {
@@ -67,6 +69,32 @@ fn end_programs() -> Vec<String> {
         }
     }
     ended
+}
+
+/// Whether it runs one of the programs that were built with this test: nobody else's process has its end here, whatever
+/// its environment says.
+fn is_built_with_us(process: &Path) -> bool {
+    let is_in = |folder: &Path| {
+        fs::read_link(process.join("exe")).is_ok_and(|program| program.starts_with(folder))
+    };
+    let test = std::env::current_exe().unwrap_or_default();
+    // target/<profile>/deps/<test>
+    id_of(process) != std::process::id()
+        && test.ancestors().nth(2).is_some_and(is_in)
+        && !fs::read_link(process.join("exe"))
+            .is_ok_and(|program| program.parent() == test.parent())
+}
+
+fn id_of(process: &Path) -> u32 {
+    let name = process.file_name().unwrap_or_default();
+    number(name.as_bytes()).unwrap_or_default()
+}
+
+/// Whether process numbers mean the same to it and to us: a container counts its own.
+fn is_beside_us(process: &Path) -> bool {
+    let of = |process: &Path| fs::read_link(process.join("ns/pid")).ok();
+    let ours = of(Path::new("/proc/self"));
+    ours.is_some() && of(process) == ours
 }
 
 fn entries(folder: &Path) -> Vec<PathBuf> {
@@ -129,17 +157,28 @@ mod tests {
         fs::write(&memory, "").unwrap();
         fs::create_dir_all(folder.join("root")).unwrap();
         fs::write(folder.join("root/file"), "").unwrap();
-        let mut program = waiting(&name);
+        let mut daemon = Command::new(crate::binary("cdcrd"));
+        daemon.args(["bare", "--duration", "60s"]);
+        let mut daemon = daemon
+            .env("CDCR_PREFIX", &name)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        // What somebody else runs with a variable that was left over in a shell.
+        let mut foreign = waiting(&name);
 
         sweep();
         assert!(memory.exists() && folder.join("root/file").exists());
-        assert!(program.try_wait().unwrap().is_none());
+        assert!(daemon.try_wait().unwrap().is_none());
 
         test.kill().unwrap();
         test.wait().unwrap();
         sweep();
         assert!(!memory.exists() && !folder.exists());
-        assert_eq!(program.wait().unwrap().signal(), Some(libc::SIGKILL));
+        assert_eq!(daemon.wait().unwrap().signal(), Some(libc::SIGKILL));
+        assert!(foreign.try_wait().unwrap().is_none());
+        foreign.kill().unwrap();
+        foreign.wait().unwrap();
     }
 
     #[test]

@@ -57,6 +57,44 @@ pub fn guard(
     safe_distance_m: f64,
     period_s: f64,
 ) -> Guarded {
+    let step = Step {
+        robot,
+        at,
+        period_s,
+    };
+    guarded(&step, rates, obstacles, safe_distance_m, |near, step| {
+        near.corrected(step, rates)
+            .unwrap_or_else(|| near.scaled(step, rates))
+    })
+}
+
+/// The same for a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
+pub fn guard_ramp(
+    robot: &Robot,
+    at: &Configuration,
+    ramp: &BendRates,
+    obstacles: &[Obstacle],
+    safe_distance_m: f64,
+    period_s: f64,
+) -> Guarded {
+    let step = Step {
+        robot,
+        at,
+        period_s,
+    };
+    guarded(&step, ramp, obstacles, safe_distance_m, |near, step| {
+        near.scaled(step, ramp)
+    })
+}
+
+/// The rates where they hold the rule, and what `mend` makes of them elsewhere.
+fn guarded(
+    step: &Step<'_>,
+    rates: &BendRates,
+    obstacles: &[Obstacle],
+    safe_distance_m: f64,
+    mend: impl FnOnce(&Near, &Step<'_>) -> BendRates,
+) -> Guarded {
     let unchanged = |clearance_m| Guarded {
         rates: *rates,
         hit: false,
@@ -65,19 +103,12 @@ pub fn guard(
     if obstacles.is_empty() {
         return unchanged(f64::INFINITY);
     }
-    let body = robot.body(at.as_slice());
+    let body = step.robot.body(step.at.as_slice());
     let clearance_m = least_clearance_m(&body, obstacles);
-    let step = Step {
-        robot,
-        at,
-        period_s,
-    };
-    let allowed = match Near::find(&step, &body, rates, obstacles, safe_distance_m) {
-        Some(near) if near.holds(&step, rates) => return unchanged(clearance_m),
-        Some(near) => near
-            .corrected(&step, rates)
-            .unwrap_or_else(|| near.scaled(&step, rates)),
-        None => BendRates::zero(robot.section_count()),
+    let allowed = match Near::find(step, &body, rates, obstacles, safe_distance_m) {
+        Some(near) if near.holds(step, rates) => return unchanged(clearance_m),
+        Some(near) => mend(&near, step),
+        None => BendRates::zero(step.robot.section_count()),
     };
     Guarded {
         rates: allowed,
@@ -297,6 +328,17 @@ mod tests {
             )
         }
 
+        fn guard_ramp(&self) -> Guarded {
+            guard_ramp(
+                &self.robot,
+                &self.at,
+                &self.wish,
+                &self.obstacles,
+                self.safe_distance_m,
+                PERIOD_S,
+            )
+        }
+
         fn clearance_after_m(&self, rates: &BendRates, obstacle: &Obstacle) -> f64 {
             let next = self.at.advanced(rates, PERIOD_S);
             self.robot.clearance_m(&next, &obstacle.moved(PERIOD_S))
@@ -383,6 +425,11 @@ mod tests {
         fn what_leaves_keeps_clear_and_inside_the_limits(moment in moments()) {
             let guarded = moment.guard();
             prop_assert!(moment.keeps(&guarded.rates));
+            let ramp = moment.guard_ramp();
+            prop_assert!(moment.keeps(&ramp.rates));
+            for (rate, wish) in ramp.rates.as_slice().iter().zip(moment.wish.as_slice()) {
+                prop_assert!(rate.abs() <= wish.abs() && rate * wish >= 0.0);
+            }
             prop_assert_eq!(guarded.hit, !moment.keeps(&moment.wish));
             let again = limit(&moment.robot, &moment.at, &guarded.rates, PERIOD_S);
             for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {

@@ -30,15 +30,12 @@ pub struct Limited {
 /// one period later (a bend beyond it may only shrink), cables at most at their speed limit and, one
 /// period later, at most their stroke away from their lengths at the straight robot (a cable beyond it
 /// may only come back). Zero rates where wish or state are not finite.
+///
+/// The command may turn along a limit, and lead back from beyond one: it is for a robot that moves. For one that
+/// comes to rest there is [`shorten`].
 pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64) -> Limited {
     if !(wish.is_finite() && at.is_finite()) {
-        return Limited {
-            rates: BendRates::zero(robot.section_count()),
-            hit: LimitsHit {
-                non_finite: true,
-                ..LimitsHit::default()
-            },
-        };
+        return non_finite(robot);
     }
     let mut rates = *wish;
     let mut hit = LimitsHit {
@@ -53,6 +50,34 @@ pub fn limit(robot: &Robot, at: &Configuration, wish: &BendRates, period_s: f64)
     hit.cable_speed = slow_cables(robot, &mut rates);
     hit.cable_stroke = keep_strokes(robot, at, &mut rates, period_s);
     Limited { rates, hit }
+}
+
+/// A command inside every limit for a robot that comes to rest: each section's rates are those of `ramp`, or shorter in
+/// the same direction. So no component is larger than in the ramp, and zero rates stay zero wherever the robot is: a
+/// measurement beyond a limit never makes a resting robot move. Zero rates where ramp or state are not finite.
+pub fn shorten(robot: &Robot, at: &Configuration, ramp: &BendRates, period_s: f64) -> Limited {
+    if !(ramp.is_finite() && at.is_finite()) {
+        return non_finite(robot);
+    }
+    let mut rates = *ramp;
+    let hit = LimitsHit {
+        rate: clamp_rates(robot, &mut rates),
+        bend: shorten_to_bends(robot, at, &mut rates, period_s),
+        cable_speed: slow_cables(robot, &mut rates),
+        cable_stroke: keep_strokes(robot, at, &mut rates, period_s),
+        non_finite: false,
+    };
+    Limited { rates, hit }
+}
+
+fn non_finite(robot: &Robot) -> Limited {
+    Limited {
+        rates: BendRates::zero(robot.section_count()),
+        hit: LimitsHit {
+            non_finite: true,
+            ..LimitsHit::default()
+        },
+    }
 }
 
 fn clamp_rates(robot: &Robot, rates: &mut BendRates) -> bool {
@@ -196,6 +221,8 @@ pub fn homing_rates(at: &Configuration, rate_rad_s: f64, period_s: f64) -> BendR
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
     use crate::robot::RobotParameters;
 
@@ -237,6 +264,34 @@ mod tests {
         }
         assert!(over <= 1e-12, "{over} rad beyond the limit");
         assert!(cut > 1000, "{cut} cases at the limit");
+    }
+
+    proptest! {
+        /// Rest is rest: wherever the robot is measured, beyond its limits, too, no component of a shortened ramp is
+        /// larger than the ramp's, and zero rates are zero to the bit.
+        #[test]
+        fn a_ramp_is_only_shortened_and_rest_stays_rest(
+            bends in prop::array::uniform4(-7.0..7.0_f64),
+            ramp in prop::array::uniform4(-4.0..4.0_f64),
+            stroke_m in 0.001..0.1_f64,
+            speed_m_s in 0.001..0.1_f64,
+        ) {
+            let mut parameters = RobotParameters::paper(2);
+            parameters.cable_stroke_max_m = stroke_m;
+            parameters.cable_speed_max_m_s = speed_m_s;
+            let robot = Robot::new(&parameters).expect("legal");
+            let shortened = shorten(&robot, &at(bends), &rates(ramp), PERIOD_S).rates;
+            for (rate, ramp) in shortened.as_slice().iter().zip(ramp) {
+                prop_assert!(rate.abs() <= ramp.abs() && rate * ramp >= 0.0, "{rate} of {ramp}");
+            }
+            let rest = shorten(&robot, &at(bends), &BendRates::zero(2), PERIOD_S);
+            prop_assert_eq!((rest.rates, rest.hit), (BendRates::zero(2), LimitsHit::default()));
+            // Inside the limits nothing is lost that a limit does not ask for.
+            let inside = at(bends).bend_rad(0).max(at(bends).bend_rad(1)) < 2.0;
+            if inside && stroke_m > 0.09 && speed_m_s > 0.095 && ramp.iter().all(|rate| rate.abs() < 1.0) {
+                prop_assert_eq!(shortened, rates(ramp));
+            }
+        }
     }
 
     #[test]

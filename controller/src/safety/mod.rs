@@ -12,7 +12,7 @@ mod mode;
 mod plausibility;
 
 pub use bucket::LeakyBucket;
-pub use clearance::{Guarded, NEAR_MAX, guard};
-pub use limiter::{Limited, LimitsHit, homing_rates, limit, ramp_to_zero};
+pub use clearance::{Guarded, NEAR_MAX, guard, guard_ramp};
+pub use limiter::{Limited, LimitsHit, homing_rates, limit, ramp_to_zero, shorten};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};
 pub use plausibility::{MeasurementWatch, Plausibility, PlausibilityRules};

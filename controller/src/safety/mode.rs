@@ -79,6 +79,11 @@ pub enum Mode {
 }
 
 impl Mode {
+    /// Whether the robot rests in this mode, or comes to rest: nothing may make it faster.
+    pub fn comes_to_rest(&self) -> bool {
+        !matches!(self, Self::Tracking { .. } | Self::Homing)
+    }
+
     /// Why the machine is in this mode.
     pub fn reason(&self) -> Reason {
         match self {

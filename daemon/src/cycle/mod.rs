@@ -17,7 +17,7 @@ use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Obstacle, Robot, Shape};
 use cdcr_controller::safety::{
     Guarded, Limited, MeasurementWatch, Mode, ModeMachine, Observation, Plausibility, Reason,
-    Refusal, guard, homing_rates, limit, ramp_to_zero,
+    Refusal, guard, guard_ramp, homing_rates, limit, ramp_to_zero, shorten,
 };
 use nalgebra::Vector3;
 
@@ -189,11 +189,13 @@ impl<L: RobotLink> Cycle<L> {
         let configuration = *self.estimator.configuration();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
+        // A mode that comes to rest, and one that moves: a fault that the solve finds still ends in zero rates.
+        let comes_to_rest = self.modes.mode().comes_to_rest();
         let (wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
         let solve_end_ns = clock.now_ns();
 
-        let limited = self.limit(&wish);
-        let guarded = self.keep_clear(&limited.rates);
+        let limited = self.limit(&wish, comes_to_rest);
+        let guarded = self.keep_clear(&limited.rates, comes_to_rest);
         self.rates = guarded.rates;
         self.clearance_m = guarded.clearance_m;
         self.link.command(release.release_ns, &guarded.rates);
@@ -473,8 +475,9 @@ impl<L: RobotLink> Cycle<L> {
         (rates, report)
     }
 
-    fn limit(&mut self, wish: &BendRates) -> Limited {
+    fn limit(&mut self, wish: &BendRates, comes_to_rest: bool) -> Limited {
         let period_s = self.period_ns as f64 * 1e-9;
+        let limit = if comes_to_rest { shorten } else { limit };
         let limited = limit(&self.robot, self.estimator.configuration(), wish, period_s);
         if limited.hit.non_finite {
             self.modes.fault(Reason::NonFinite);
@@ -483,7 +486,8 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     /// In every mode, the last word.
-    fn keep_clear(&self, rates: &BendRates) -> Guarded {
+    fn keep_clear(&self, rates: &BendRates, comes_to_rest: bool) -> Guarded {
+        let guard = if comes_to_rest { guard_ramp } else { guard };
         guard(
             &self.robot,
             self.estimator.configuration(),

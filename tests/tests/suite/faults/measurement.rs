@@ -348,6 +348,19 @@ fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
         (MeasurementState::None, MeasurementState::Used)
     );
     println!("limit broken: in the cycle of the measurement");
+    // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
+    for kind in [None, Some(RequestKind::Stop)] {
+        if let Some(kind) = kind {
+            connection.request(kind).unwrap();
+        }
+        let mut records = 0;
+        measured_at(&mut trail, &robot, 3.0, |record| {
+            records += 1;
+            assert_eq!(record.mode, Mode::Faulted.code());
+            assert_eq!(record.command.bend_rate_rad_s, [0.0; 12]);
+            records > 50
+        });
+    }
     assert!(
         connection.request(RequestKind::Reset).is_err(),
         "it still stands"

@@ -76,12 +76,12 @@ fn limit(causes: &MissCauses, is_stolen: bool, realtime_missing: u32) -> Limit {
     } else {
         Limit::NoRealTime
     };
-    // In the order in which equal counts win.
+    // Of equal counts the last wins: cdcr does not blame others for as much as it did itself.
     let parts = [
-        (causes.count(LateCause::Compute), Limit::Cdcr),
-        (causes.count(LateCause::PageFault), Limit::PageFaults),
-        (causes.count(LateCause::Load), other),
         (outside, platform),
+        (causes.count(LateCause::Load), other),
+        (causes.count(LateCause::PageFault), Limit::PageFaults),
+        (causes.count(LateCause::Compute), Limit::Cdcr),
     ];
     match parts.into_iter().max_by_key(|(count, _)| *count) {
         Some((count, limit)) if count > 0 => limit,
