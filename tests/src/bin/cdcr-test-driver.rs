@@ -59,10 +59,11 @@ fn orders() -> Receiver<(String, Instant)> {
     receiver
 }
 
-/// A robot that goes where it is commanded.
+/// A robot that goes where it is commanded, as far as its sections bend: it has mechanical ends.
 struct RobotBehindDriver {
     driver: Driver,
     bend_rad: [f64; 12],
+    bend_max_rad: [f64; 6],
     turns: u32,
 }
 
@@ -77,9 +78,11 @@ impl RobotBehindDriver {
         } else if let Some(command) = driver.next_command(Duration::from_millis(100)).unwrap() {
             bends = command.bend_target_rad;
         }
+        let robot = connection.status(PATIENCE).unwrap().robot;
         Self {
             driver,
             bend_rad: bends,
+            bend_max_rad: robot.section.map(|section| section.bend_max_rad),
             turns: 0,
         }
     }
@@ -91,6 +94,13 @@ impl RobotBehindDriver {
             && fault != "frozen"
         {
             self.bend_rad = command.bend_target_rad;
+            for (bend, most_rad) in self.bend_rad.chunks_exact_mut(2).zip(self.bend_max_rad) {
+                let beyond = bend[0].hypot(bend[1]) / most_rad;
+                if beyond > 1.0 {
+                    bend[0] /= beyond;
+                    bend[1] /= beyond;
+                }
+            }
         }
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),
