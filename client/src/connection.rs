@@ -2,7 +2,7 @@ use std::cell::{Cell, RefCell};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::{
     Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Response, Service,
     SolverSettings, Status,
@@ -251,12 +251,12 @@ impl Connection {
         ObstacleSender::open(&self.services.obstacles, self.sender.clone())
     }
 
-    /// The ports of a driver: measurements out, commands in.
+    /// The ports of a driver that obeys `interface`: measurements out, commands in.
     ///
     /// # Errors
     /// When the services have as many writers or readers as they allow.
-    pub fn driver(&self) -> Result<Driver, LinkError> {
-        Driver::open(&self.services, self.sender.clone())
+    pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
+        Driver::open(&self.services, self.sender.clone(), interface)
     }
 
     /// One record of every cycle from now on.

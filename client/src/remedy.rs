@@ -38,6 +38,10 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Busy => "Wait a moment and try again.",
         Outcome::Stale => "Use one connection for each sender, and count its messages up.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
+        Outcome::WrongInterface => {
+            "Set link.interface to what the driver obeys, \"position\" or \"velocity\"."
+        }
+        Outcome::OtherDriver => "End the other driver first: a robot has one at a time.",
         Outcome::Ending => "The daemon is coming to rest and ends; start it again first.",
         Outcome::Overruled => {
             "Somebody stopped the robot at the same moment: see why, then cdcrctl reset, and ask again."

@@ -12,7 +12,7 @@ use anyhow::{Context, Result, bail};
 use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
 
-use crate::config::{LinkKind, REST_MAX_S, Validated};
+use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
 use crate::cycle::{Cycle, Settings};
 use crate::exchange::{Exchange, UnfinishedFiles, services};
 use crate::exit::{Ended, ExitCause};
@@ -57,7 +57,14 @@ pub fn run_until(
     match validated.config.link.kind {
         LinkKind::Simulated => {
             let plant = KinematicPlant::new(&validated.robot, validated.initial)
-                .with_extrapolate_max_s(validated.config.link.command_valid_ms * 1e-3);
+                .with_extrapolate_max_s(
+                    validated
+                        .config
+                        .link
+                        .command_valid_ns(ns(validated.config.cycle.period_ms))
+                        as f64
+                        * 1e-9,
+                );
             run_with(validated, SimulatedRobot::new(plant), should_end, watch)
         }
         LinkKind::Driver => run_with(validated, DriverLink, should_end, watch),

@@ -143,6 +143,18 @@ wire_enum! {
 }
 
 wire_enum! {
+    /// What of a command a driver obeys.
+    Interface {
+        /// Not said.
+        None = 0: "none",
+        /// The speeds: motors with a speed control of their own.
+        Velocity = 1: "velocity",
+        /// The positions: motors with a position control of their own.
+        Position = 2: "position",
+    }
+}
+
+wire_enum! {
     /// Mode of the daemon.
     Mode {
         /// Before the first good cycle.
@@ -191,6 +203,14 @@ wire_enum! {
         MeasurementJump = 12: "the measurement jumps",
         /// The measurement did not change although the robot was commanded to move.
         MeasurementFrozen = 13: "the measurement is frozen",
+        /// The measured configuration is too far from the commanded one.
+        FollowingError = 14: "the robot does not follow (safety.following_fault_rad)",
+        /// No gather brought new inputs for longer than a command is valid.
+        InputsStale = 15: "the inputs are stale",
+        /// The machine slept.
+        Suspended = 16: "the machine was suspended",
+        /// Nothing was heard of who sends the obstacles.
+        ObstacleSourceSilent = 17: "the source of the obstacles is silent (obstacles.source_timeout_ms)",
     }
 }
 
@@ -265,6 +285,10 @@ wire_enum! {
         Overruled = 20: "a stop came in the same cycle",
         /// The daemon ends.
         Ending = 21: "the daemon ends",
+        /// The driver obeys positions and the daemon is configured for speeds, or the other way round.
+        WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
+        /// The robot has a driver, and the message came from another one.
+        OtherDriver = 23: "another driver has the robot",
     }
 }
 
@@ -446,6 +470,8 @@ pub mod guard {
     pub const CLEARANCE: u32 = 1 << 4;
     /// All rates were scaled down to keep the strokes of the cables.
     pub const CABLE_STROKE: u32 = 1 << 5;
+    /// A rate was kept within the largest acceleration.
+    pub const ACCELERATION: u32 = 1 << 6;
 
     /// Every bit with its name.
     pub const ALL: &[(u32, &str)] = &[
@@ -455,6 +481,7 @@ pub mod guard {
         (NON_FINITE, "not finite"),
         (CLEARANCE, "clearance"),
         (CABLE_STROKE, "cable stroke"),
+        (ACCELERATION, "acceleration"),
     ];
 }
 
@@ -505,7 +532,7 @@ mod tests {
         }
         assert_eq!(
             Outcome::try_from(Outcome::COUNT as u32),
-            Err(UnknownCode { code: 22 })
+            Err(UnknownCode { code: 24 })
         );
         assert_eq!(Mode::text_of(77), "unknown code");
     }

@@ -3,13 +3,16 @@ use iceoryx2::prelude::ZeroCopySend;
 use crate::Header;
 use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 
-/// What the robot shall do until the next command: rates, and the configuration they lead to.
+/// What the robot shall do until the next command.
+///
+/// A driver obeys the **positions or the speeds**, whichever `interface` says, never a mixture of both. The positions
+/// are the integral of the speeds: constant to the bit while the speeds are zero, wherever the robot is measured.
 ///
 /// The daemon sends none before it knows the robot's configuration, that is before the first
-/// measurement. A driver holds the robot still when its newest command is older than `valid_for_ns`.
+/// measurement. A driver holds the robot still from `valid_until_ns` on, whatever it does until then.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Command.v1")]
+#[type_name("cdcr.Command.v2")]
 pub struct Command {
     /// The daemon, sequence, time of sending.
     pub header: Header,
@@ -17,15 +20,24 @@ pub struct Command {
     pub cycle: u64,
     /// Release time of that cycle \[ns, `CLOCK_MONOTONIC`\]; the rates hold from here.
     pub release_ns: u64,
-    /// How long the rates may be followed without a newer command \[ns\]; then the driver holds.
-    pub valid_for_ns: u64,
+    /// When the move to `bend_target_rad` ends: one period after the release \[ns, `CLOCK_MONOTONIC`\].
+    pub target_ns: u64,
+    /// Until when the speeds may be followed without a newer command \[ns, `CLOCK_MONOTONIC`\]; then the driver holds.
+    /// It counts from the release, so a command that is delayed on its way is not valid for longer.
+    pub valid_until_ns: u64,
     /// [`codes::Mode`](crate::codes::Mode) of the daemon.
     pub mode: u32,
     /// Sections of the robot.
     pub sections: u32,
+    /// [`codes::Interface`](crate::codes::Interface): what the driver obeys, `cable_length_m` or `cable_speed_m_s`
+    /// (or the bend vector and its rates, where the driver computes its own cables).
+    pub interface: u32,
+    /// Zero.
+    pub reserved: u32,
     /// Bend-vector rates (u̇₁, v̇₁, …) \[rad/s\].
     pub bend_rate_rad_s: [f64; COORDINATES_MAX],
-    /// Bend vector one period after the release \[rad\].
+    /// Commanded bend vector at `target_ns` \[rad\]: that of the command before, moved on by the rates. It begins at
+    /// the measured one when control begins, after a reset, and after a lost measurement.
     pub bend_target_rad: [f64; COORDINATES_MAX],
     /// Cable lengths at `bend_target_rad`, section by section, three each \[m\].
     pub cable_length_m: [f64; CABLES_MAX],
@@ -39,9 +51,12 @@ impl Default for Command {
             header: Header::default(),
             cycle: 0,
             release_ns: 0,
-            valid_for_ns: 0,
+            target_ns: 0,
+            valid_until_ns: 0,
             mode: 0,
             sections: 0,
+            interface: 0,
+            reserved: 0,
             bend_rate_rad_s: [0.0; COORDINATES_MAX],
             bend_target_rad: [0.0; COORDINATES_MAX],
             cable_length_m: [0.0; CABLES_MAX],

@@ -9,7 +9,7 @@ use crate::{Header, Telemetry};
 /// service gets these first, oldest first, and then each new one.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
-#[type_name("cdcr.Incident.v1")]
+#[type_name("cdcr.Incident.v2")]
 pub struct Incident {
     /// The daemon, number of the incident, time of publication.
     pub header: Header,

@@ -6,7 +6,7 @@ use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 /// What a driver knows of the robot: one of configuration, tip pose or cable lengths.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Measurement.v1")]
+#[type_name("cdcr.Measurement.v2")]
 pub struct Measurement {
     /// Sender, sequence, time of sending.
     pub header: Header,
@@ -16,6 +16,10 @@ pub struct Measurement {
     pub kind: u32,
     /// Sections of the robot it belongs to; must be the daemon's.
     pub sections: u32,
+    /// [`codes::Interface`](crate::codes::Interface) that the driver obeys; must be the daemon's `link.interface`.
+    pub interface: u32,
+    /// Zero.
+    pub reserved: u32,
     /// Bend vector (u₁, v₁, u₂, v₂, …) \[rad\].
     pub bend_rad: [f64; COORDINATES_MAX],
     /// Tip position in the base frame \[m\].
@@ -33,6 +37,8 @@ impl Default for Measurement {
             measured_ns: 0,
             kind: 0,
             sections: 0,
+            interface: 0,
+            reserved: 0,
             bend_rad: [0.0; COORDINATES_MAX],
             tip_position_m: [0.0; 3],
             tip_orientation: [0.0; 4],

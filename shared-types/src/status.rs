@@ -1,7 +1,7 @@
 use iceoryx2::prelude::ZeroCopySend;
 
 use crate::codes::{LateCause, Outcome};
-use crate::limits::{SECTIONS_MAX, TEXT_BYTES};
+use crate::limits::{CABLES_MAX, SECTIONS_MAX, TEXT_BYTES};
 use crate::{Header, SolverSettings};
 
 /// One bending section of the robot that the daemon controls.
@@ -105,7 +105,7 @@ pub struct Statistics {
 /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Status.v2")]
+#[type_name("cdcr.Status.v3")]
 pub struct Status {
     /// The daemon, sequence, time.
     pub header: Header,
@@ -180,6 +180,21 @@ pub struct Status {
     /// How often the leaky bucket of deadline misses became full and the robot went on: it is simulated, and the
     /// configuration sets no `cycle.miss_limit`.
     pub misses_tolerated: u64,
+
+    /// Position of the tip in the newest cycle \[m\], as in [`Telemetry`](crate::Telemetry).
+    pub tip_position_m: [f64; 3],
+    /// Distance of tip and reference in the newest cycle \[m\]; NaN without a reference.
+    pub position_error_m: f64,
+    /// Following error of each section in the newest cycle \[rad\], as in [`Telemetry`](crate::Telemetry).
+    pub following_error_rad: [f64; SECTIONS_MAX],
+    /// Following error of each cable in the newest cycle \[m\], as in [`Telemetry`](crate::Telemetry).
+    pub following_error_m: [f64; CABLES_MAX],
+    /// Cycles in which the following error was above the warning.
+    pub following_warnings: u64,
+    /// [`codes::Interface`](crate::codes::Interface).
+    pub interface: u32,
+    /// Zero.
+    pub reserved: u32,
 }
 
 impl Default for Status {
@@ -218,6 +233,13 @@ impl Default for Status {
             robot: RobotDescription::default(),
             settings: SolverSettings::default(),
             misses_tolerated: 0,
+            tip_position_m: [0.0; 3],
+            position_error_m: 0.0,
+            following_error_rad: [0.0; SECTIONS_MAX],
+            following_error_m: [0.0; CABLES_MAX],
+            following_warnings: 0,
+            interface: 0,
+            reserved: 0,
         }
     }
 }

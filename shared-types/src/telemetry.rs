@@ -1,6 +1,8 @@
 use iceoryx2::prelude::ZeroCopySend;
 
-use crate::limits::{COORDINATES_MAX, EVENTS_MAX, OBSTACLES_MAX, PLAN_MAX};
+use crate::limits::{
+    CABLES_MAX, COORDINATES_MAX, EVENTS_MAX, OBSTACLES_MAX, PLAN_MAX, SECTIONS_MAX,
+};
 use crate::{Command, Header, Measurement, Obstacle, RobotDescription, SolverSettings};
 
 /// One message that the daemon took in, and what became of it.
@@ -108,7 +110,7 @@ pub struct SchedulingReport {
 /// in the order that the events of the records tell; see `docs/replay.md`.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Telemetry.v1")]
+#[type_name("cdcr.Telemetry.v2")]
 pub struct Telemetry {
     /// The daemon, number of the record, time of publication.
     pub header: Header,
@@ -234,6 +236,19 @@ pub struct Telemetry {
     pub clearance_m: f64,
     /// The command as it left.
     pub command: Command,
+    /// Following error of each section \[rad\]: how far the measured bend vector is from every commanded one of the last
+    /// `following_lag_ns`, so that a lag of the motors up to that is no error. Zero while only the tip is measured.
+    pub following_error_rad: [f64; SECTIONS_MAX],
+    /// The same of each cable \[m\].
+    pub following_error_m: [f64; CABLES_MAX],
+    /// A following error above this is a warning \[rad\].
+    pub following_warning_rad: f64,
+    /// A following error above this is a fault \[rad\].
+    pub following_fault_rad: f64,
+    /// How far the motors may lag behind \[ns\].
+    pub following_lag_ns: u64,
+    /// Largest acceleration of a component \[rad/s²\]; infinite: no limit.
+    pub acceleration_rad_s2: f64,
 }
 
 impl Default for Telemetry {
@@ -293,6 +308,12 @@ impl Default for Telemetry {
             reserved: 0,
             clearance_m: 0.0,
             command: Command::default(),
+            following_error_rad: [0.0; SECTIONS_MAX],
+            following_error_m: [0.0; CABLES_MAX],
+            following_warning_rad: 0.0,
+            following_fault_rad: 0.0,
+            following_lag_ns: 0,
+            acceleration_rad_s2: 0.0,
         }
     }
 }

@@ -11,7 +11,9 @@ use std::sync::{PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEvent, FeedOptions, ObstacleSender, Spiral, monotonic_ns};
-use cdcr_shared_types::codes::{ChunkMode, Interpolation, MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::codes::{
+    ChunkMode, Interface, Interpolation, MeasurementKind, Mode, RequestKind,
+};
 use cdcr_shared_types::{Measurement, Obstacle, ReferencePoint, SolverSettings, Telemetry};
 
 use crate::{PATIENCE, Place, ROBOT};
@@ -141,7 +143,7 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
 /// fault.
 pub fn drive(place: &Place, ending: &AtomicBool) {
     let connection = connect(place);
-    let mut driver = connection.driver().unwrap();
+    let mut driver = connection.driver(Interface::Velocity).unwrap();
     let mut measurement = Measurement {
         sections: 3,
         kind: MeasurementKind::Configuration.code(),

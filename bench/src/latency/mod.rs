@@ -39,7 +39,7 @@ use std::time::Duration;
 use anyhow::{Result, anyhow};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
-use cdcr_shared_types::codes::realtime;
+use cdcr_shared_types::codes::{Interface, realtime};
 
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
@@ -251,7 +251,7 @@ impl Bench<'_> {
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
             let measurement = Source::Measurement {
-                driver: hands.connection.driver()?,
+                driver: hands.connection.driver(Interface::Velocity)?,
                 sections: hands.status.robot.sections,
             };
             let mut awakening = Awakening::new(measurement, &hands.grid);

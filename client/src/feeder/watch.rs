@@ -149,6 +149,17 @@ fn reason_remedy(reason: Reason) -> &'static str {
         Reason::MeasurementFrozen => {
             "See whether the driver still reads the sensors and the robot can move, then cdcrctl reset."
         }
+        Reason::FollowingError => {
+            "See whether the motors run and nothing holds the robot (cdcrctl status shows the following error), then \
+             cdcrctl reset."
+        }
+        Reason::InputsStale => {
+            "The machine held the daemon's exchange up: see the causes in cdcrctl incidents, then track again."
+        }
+        Reason::Suspended => "The machine slept: see that the robot is well, then cdcrctl reset.",
+        Reason::ObstacleSourceSilent => {
+            "See whether the program that sends the obstacles runs, then track again."
+        }
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",

@@ -44,7 +44,7 @@ pub fn doubts(config: &Config) -> Vec<String> {
                 cycle.late_start_ms
             )
         }),
-        (link.command_valid_ms < period_ms).then(|| {
+        (link.command_valid_ms > 0.0 && link.command_valid_ms < period_ms).then(|| {
             format!(
                 "link.command_valid_ms = {} is shorter than cycle.period_ms = {period_ms}: the robot holds \
                  before the next command comes",

@@ -2,7 +2,7 @@ use cdcr_controller::robot::{Configuration, Robot};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{ConfigError, Origins};
+use super::{ConfigError, Origins, ns};
 
 /// Which robot is controlled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
@@ -15,17 +15,31 @@ pub enum LinkKind {
     Driver,
 }
 
+/// What of a command the robot's driver obeys.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Interface {
+    /// The speeds.
+    #[default]
+    Velocity,
+    /// The positions.
+    Position,
+}
+
 /// Where measurements come from and commands go to.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkConfig {
     /// Which robot.
     pub kind: LinkKind,
+    /// What of a command the robot obeys. Its driver says so, too, and is refused where it says otherwise.
+    pub interface: Interface,
     /// Bend vectors at the start \[rad\], one pair for each section; empty: straight.
     pub initial_bend_rad: Vec<[f64; 2]>,
     /// A driver's measurement older than this is lost \[ms\].
     pub measurement_timeout_ms: f64,
-    /// How long a robot follows the last rates when no newer command comes \[ms\]; then it holds.
+    /// How long after its release a robot follows a command when no newer one comes \[ms\]; then it holds. 0: three
+    /// periods.
     pub command_valid_ms: f64,
 }
 
@@ -33,14 +47,23 @@ impl Default for LinkConfig {
     fn default() -> Self {
         Self {
             kind: LinkKind::Simulated,
+            interface: Interface::Velocity,
             initial_bend_rad: Vec::new(),
             measurement_timeout_ms: 50.0,
-            command_valid_ms: 100.0,
+            command_valid_ms: 0.0,
         }
     }
 }
 
 impl LinkConfig {
+    /// How long after its release a command is valid \[ns\].
+    pub fn command_valid_ns(&self, period_ns: u64) -> u64 {
+        match ns(self.command_valid_ms) {
+            0 => 3 * period_ns,
+            valid_ns => valid_ns,
+        }
+    }
+
     /// Where the simulation of `robot`, or its estimate, begins.
     pub(super) fn initial(
         &self,

@@ -46,7 +46,7 @@ pub use doubts::doubts;
 pub use error::ConfigError;
 pub use explain::explain;
 pub use layers::Layers;
-pub use link::{LinkConfig, LinkKind};
+pub use link::{Interface, LinkConfig, LinkKind};
 pub use motion::{MotionConfig, REST_MAX_S};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};

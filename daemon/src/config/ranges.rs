@@ -80,7 +80,7 @@ pub(super) const RANGES: [Range; 50] = [
         &robot::ranges::BODY_RADIUS_M,
     ),
     range("link.measurement_timeout_ms", 1.0, 10_000.0),
-    range("link.command_valid_ms", 1.0, 10_000.0),
+    range("link.command_valid_ms", 0.0, 10_000.0),
     range("cycle.period_ms", 0.1, 100.0).also("at least twice cycle.gather_lead_ms"),
     range("cycle.deadline_ms", 0.0, 100.0).also(AT_MOST_PERIOD),
     range("cycle.late_start_ms", 0.001, 100.0),

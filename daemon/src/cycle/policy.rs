@@ -1,7 +1,7 @@
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::safety::PlausibilityRules;
 
-use crate::config::{Config, CycleConfig, LinkKind, ns};
+use crate::config::{Config, CycleConfig, Interface, LinkKind, ns};
 use crate::rt::accounting::Limits;
 
 /// The fixed rules of a cycle, from the configuration.
@@ -13,6 +13,10 @@ pub struct Policy {
     pub home_rate_rad_s: f64,
     /// Bends that count as straight when they last \[rad\].
     pub home_tolerance_rad: f64,
+    /// What of a command the robot obeys.
+    pub interface: Interface,
+    /// How long after its release a command is valid \[ns\].
+    pub command_valid_ns: u64,
     /// Deadline after the release \[ns\].
     pub deadline_ns: u64,
     /// A start later than this is a late start \[ns\].
@@ -34,6 +38,8 @@ impl Policy {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,
             home_rate_rad_s: config.motion.home_rate_rad_s,
             home_tolerance_rad: config.motion.home_tolerance_rad,
+            interface: config.link.interface,
+            command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),

@@ -187,7 +187,12 @@ impl Exchange {
             // As for obstacles: it may be newer than the gather.
             let now_ns = clock.now_ns();
             let result = if self.has_driver {
-                convert::measurement(&message, &self.robot, now_ns)
+                convert::measurement(
+                    &message,
+                    &self.robot,
+                    convert::interface(self.interface),
+                    now_ns,
+                )
             } else {
                 Err(Refused::whole(Outcome::Unsupported))
             };

@@ -32,7 +32,7 @@ use cdcr_shared_types::Header;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
-use crate::config::{LinkKind, Validated, ns};
+use crate::config::{Interface, LinkKind, Validated, ns};
 use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
@@ -56,7 +56,7 @@ pub struct Exchange {
     has_driver: bool,
     period_ns: u64,
     gather_lead_ns: u64,
-    command_valid_ns: u64,
+    interface: Interface,
     trajectory: Trajectory,
     lease: Lease,
     last_chunk: Option<LastChunk>,
@@ -140,7 +140,7 @@ impl Exchange {
             has_driver: config.link.kind == LinkKind::Driver,
             period_ns: ns(config.cycle.period_ms),
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
-            command_valid_ns: ns(config.link.command_valid_ms),
+            interface: config.link.interface,
             trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,

@@ -52,7 +52,7 @@ impl Exchange {
         self.commands_sent += u64::from(is_known);
         let command = wire::Command {
             header: self.header(self.commands_sent, now_ns),
-            ..convert::command(record, &self.robot, self.period_ns, self.command_valid_ns)
+            ..convert::command(record, &self.robot, self.period_ns)
         };
         if is_known {
             services::send(&self.ports.command, command);

@@ -36,6 +36,10 @@ pub struct CycleInputs {
     pub lease: LeaseState,
     /// Stops that were asked for so far. When it has grown, the cycle stops whatever else waits in the ring.
     pub stops: u64,
+    /// Times that the machine slept (suspend to memory or disk) so far. When it has grown, the cycle stops.
+    pub suspends: u64,
+    /// The source of the obstacles is silent, and the configuration wants the robot to hold then.
+    pub obstacle_source_silent: bool,
     /// The driver's newest measurement.
     pub measurement: Option<TimedMeasurement>,
     /// The obstacles, each at its own stamp.
@@ -55,6 +59,8 @@ impl CycleInputs {
             window: ReferenceWindow::default(),
             lease: LeaseState::Free,
             stops: 0,
+            suspends: 0,
+            obstacle_source_silent: false,
             measurement: None,
             obstacles: ObstacleSet::default(),
             settings,

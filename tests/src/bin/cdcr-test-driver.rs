@@ -12,7 +12,7 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Driver, monotonic_ns};
-use cdcr_shared_types::codes::MeasurementKind;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Location, Measurement};
 use cdcr_tests::{PATIENCE, ROBOT};
 
@@ -71,7 +71,7 @@ impl RobotBehindDriver {
     /// Its first section is bent as said. Else it is where the last driver left it, if that was followed by a command
     /// lately; else it is straight.
     fn new(connection: &Connection, bend_rad: Option<f64>) -> Self {
-        let mut driver = connection.driver().unwrap();
+        let mut driver = connection.driver(Interface::Velocity).unwrap();
         let mut bends = [0.0; 12];
         if let Some(bend_rad) = bend_rad {
             bends[0] = bend_rad;

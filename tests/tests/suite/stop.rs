@@ -15,7 +15,7 @@ use cdcr_client::{
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{ramp_to_zero, shorten};
 use cdcr_shared_types::codes::{
-    EventKind, MeasurementKind, Mode, Outcome, Reason, RequestKind, guard,
+    EventKind, Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind, guard,
 };
 use cdcr_shared_types::{Header, Measurement, Request, Response, Service, Telemetry};
 use cdcr_tests::record::largest;
@@ -72,7 +72,7 @@ impl Drop for EndWhenDropped<'_> {
 /// A robot that goes to every commanded target at once.
 fn drive(place: &Place, ending: &AtomicBool) {
     let connection = cdcr_tests::load::connect(place);
-    let mut driver = connection.driver().unwrap();
+    let mut driver = connection.driver(Interface::Velocity).unwrap();
     let mut measurement = Measurement {
         sections: 3,
         kind: MeasurementKind::Configuration.code(),

@@ -150,10 +150,16 @@ pub fn trajectory_refusal(error: &TrajectoryError) -> Refused {
 pub fn measurement(
     message: &wire::Measurement,
     robot: &Robot,
+    interface: codes::Interface,
     now_ns: u64,
 ) -> Result<TimedMeasurement, Refused> {
     if message.sections as usize != robot.section_count() {
         return Err(Refused::whole(Outcome::WrongRobot));
+    }
+    match codes::Interface::try_from(message.interface) {
+        Ok(said) if said == interface => {}
+        Ok(_) => return Err(Refused::whole(Outcome::WrongInterface)),
+        Err(_) => return Err(Refused::whole(Outcome::UnknownCode)),
     }
     if message.measured_ns > now_ns + CLOCK_TOLERANCE_NS {
         return Err(Refused::whole(Outcome::OutOfRange));

@@ -11,7 +11,7 @@ pub use incoming::{
     updated_obstacles,
 };
 pub use outgoing::{
-    command, late_cause, mode, reason, refusal, robot, scheduling, telemetry, text,
+    command, interface, late_cause, mode, reason, refusal, robot, scheduling, telemetry, text,
 };
 pub use settings::{settings_from_wire, settings_to_wire};
 
@@ -253,11 +253,14 @@ mod tests {
         let good = wire::Measurement {
             kind: codes::MeasurementKind::Configuration.code(),
             sections: 1,
+            interface: codes::Interface::Position.code(),
             measured_ns: 90,
             ..Default::default()
         };
-        let outcome =
-            |message| measurement(&message, &trunk(), 100).map_err(|refused| refused.outcome);
+        let outcome = |message| {
+            let taken = measurement(&message, &trunk(), codes::Interface::Position, 100);
+            taken.map_err(|refused| refused.outcome)
+        };
         assert!(outcome(good).is_ok());
         assert_eq!(
             outcome(wire::Measurement {
@@ -271,6 +274,11 @@ mod tests {
             ..good
         };
         assert_eq!(outcome(future), Err(Outcome::OutOfRange));
+        let speeds = wire::Measurement {
+            interface: codes::Interface::Velocity.code(),
+            ..good
+        };
+        assert_eq!(outcome(speeds), Err(Outcome::WrongInterface));
         let mut nan = good;
         nan.bend_rad[1] = f64::INFINITY;
         assert_eq!(outcome(nan), Err(Outcome::NotFinite));
@@ -294,7 +302,12 @@ mod tests {
                 measured_ns: 90,
             };
             let message = measurement_to_wire(&timed, &trunk());
-            assert_eq!(measurement(&message, &trunk(), 100), Ok(timed));
+            let interface = codes::Interface::Velocity;
+            let sent = wire::Measurement {
+                interface: interface.code(),
+                ..message
+            };
+            assert_eq!(measurement(&sent, &trunk(), interface, 100), Ok(timed));
         }
     }
 

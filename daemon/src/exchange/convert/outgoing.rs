@@ -10,6 +10,7 @@ use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
 use super::settings::settings_to_wire;
+use crate::config::Interface;
 use crate::cycle::{CycleRecord, MeasurementUse};
 use crate::obstacles::KnownObstacle;
 use crate::ports::TimedMeasurement;
@@ -81,20 +82,25 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
     description
 }
 
+/// What of a command the driver obeys.
+pub fn interface(interface: Interface) -> codes::Interface {
+    match interface {
+        Interface::Velocity => codes::Interface::Velocity,
+        Interface::Position => codes::Interface::Position,
+    }
+}
+
 /// The command of a cycle.
-pub fn command(
-    record: &CycleRecord,
-    robot: &Robot,
-    period_ns: u64,
-    valid_for_ns: u64,
-) -> wire::Command {
+pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Command {
     let target = record
         .configuration
         .advanced(&record.rates, period_ns as f64 * 1e-9);
     let mut command = wire::Command {
         cycle: record.release.cycle,
         release_ns: record.release.release_ns,
-        valid_for_ns,
+        target_ns: record.release.release_ns + period_ns,
+        valid_until_ns: record.release.release_ns + record.policy.command_valid_ns,
+        interface: interface(record.policy.interface).code(),
         mode: mode(record.mode).code(),
         sections: robot.section_count() as u32,
         cable_length_m: robot.cable_lengths(target.as_slice()),

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Driver, monotonic_ns};
-use cdcr_shared_types::codes::{MeasurementKind, Mode};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement};
 
 use crate::faults::trail::{Trail, is};
@@ -25,7 +25,7 @@ impl Robot {
         let mut bends = [0.0; 12];
         bends[0] = bend_rad;
         Self {
-            driver: connection.driver().unwrap(),
+            driver: connection.driver(Interface::Velocity).unwrap(),
             bend_rad: bends,
             last_command: None,
             measured: Instant::now(),

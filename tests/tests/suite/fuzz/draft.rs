@@ -4,7 +4,7 @@
 use cdcr_daemon::config::Config;
 use cdcr_daemon::cycle::Settings;
 use cdcr_daemon::exchange::convert::settings_to_wire;
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::{
     Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint, Request, SolverSettings,
 };
@@ -250,6 +250,7 @@ pub(crate) fn measurement() -> impl Strategy<Value = Draft> {
             Step::Measurement(Measurement {
                 measured_ns,
                 kind,
+                interface: Interface::Velocity.code(),
                 bend_rad: core::array::from_fn(|i| scale * bends[i]),
                 tip_position_m: tip_m.map(|x: f64| scale * x),
                 cable_length_m: core::array::from_fn(|i| backbone_m(i) + scale * pulls[i]),

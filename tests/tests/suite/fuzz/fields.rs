@@ -218,6 +218,8 @@ fields!(Measurement {
     measured_ns,
     kind,
     sections,
+    interface,
+    reserved,
     bend_rad,
     tip_position_m,
     tip_orientation,

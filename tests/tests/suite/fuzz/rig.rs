@@ -16,7 +16,7 @@ use cdcr_daemon::link::{DriverLink, SimulatedRobot};
 use cdcr_daemon::ports::{Clock, RobotLink};
 use cdcr_daemon::rt::handoff::{CycleInputs, CycleRequest};
 use cdcr_daemon::rt::schedule::Release;
-use cdcr_shared_types::codes::{ChunkMode, MeasurementKind, RequestKind};
+use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{Command, Measurement, ObstacleUpdate, ReferenceChunk, Request};
 
@@ -150,7 +150,8 @@ impl<L: RobotLink> Rig<L> {
     }
 
     fn take_measurement(&mut self, message: &Measurement) -> bool {
-        let measured = convert::measurement(message, &self.robot, self.now_ns());
+        let measured =
+            convert::measurement(message, &self.robot, Interface::Velocity, self.now_ns());
         let last_ns = self.inputs.measurement.map_or(0, |last| last.measured_ns);
         match measured {
             Ok(timed) if timed.measured_ns > last_ns => {
@@ -186,6 +187,7 @@ impl<L: RobotLink> Rig<L> {
             measured_ns: self.now_ns(),
             kind: MeasurementKind::Configuration.code(),
             sections: self.robot.section_count() as u32,
+            interface: Interface::Velocity.code(),
             ..Measurement::default()
         };
         let bends = self.real.configuration();
@@ -285,7 +287,7 @@ impl<L: RobotLink> Rig<L> {
         for speed_m_s in self.robot.cable_speeds(rates.as_slice()) {
             assert!(speed_m_s.abs() <= most_m_s, "a cable at {speed_m_s} m/s");
         }
-        let command = convert::command(record, &self.robot, self.period_ns, 100_000_000);
+        let command = convert::command(record, &self.robot, self.period_ns);
         if record.measurement.is_some() {
             assert_finite(&command);
         }

@@ -1,7 +1,7 @@
 //! A real daemon, a client that sends it nonsense on every service, and one that watches.
 
 use cdcr_client::{Connection, Driver, TelemetryStream, monotonic_ns};
-use cdcr_shared_types::codes::{MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{
     Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status,
 };
@@ -205,7 +205,7 @@ impl Watcher {
         let connection = daemon.connect();
         Self {
             telemetry: connection.telemetry().unwrap(),
-            driver: connection.driver().unwrap(),
+            driver: connection.driver(Interface::Velocity).unwrap(),
             connection,
             records: 0,
             follows: false,

@@ -11,7 +11,7 @@ use cdcr_daemon::exchange::convert::{
 };
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_shared_types as message;
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::limits::{OBSTACLES_MAX, REFERENCE_POINTS_MAX};
 use proptest::prelude::*;
 
@@ -95,7 +95,7 @@ fn judge_update(update: &message::ObstacleUpdate) -> bool {
 }
 
 fn judge_measurement(message: &message::Measurement, robot: &Robot) -> bool {
-    let Ok(timed) = measurement(message, robot, BEGIN_NS) else {
+    let Ok(timed) = measurement(message, robot, Interface::Velocity, BEGIN_NS) else {
         return false;
     };
     assert!(timed.measured_ns <= BEGIN_NS + 1_000_000);

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Driver, FeedEvent, FeedOptions, Line, monotonic_ns};
 use cdcr_shared_types::Measurement;
-use cdcr_shared_types::codes::{MeasurementKind, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
 
 use super::freeze;
@@ -27,7 +27,7 @@ struct Robot {
 impl Robot {
     fn new(connection: &Connection) -> Self {
         Self {
-            driver: connection.driver().unwrap(),
+            driver: connection.driver(Interface::Velocity).unwrap(),
             bend_rad: [0.0; 12],
             noise_rad: 0.0,
             turns: 0,

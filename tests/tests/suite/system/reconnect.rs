@@ -11,7 +11,7 @@ use cdcr_client::{
     Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError, ObstacleSender,
     RequestError, TelemetryStream, monotonic_ns,
 };
-use cdcr_shared_types::codes::{EventKind, MeasurementKind, Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Measurement, Obstacle};
 use cdcr_tests::{PATIENCE, PATIENT, Place, ROBOT, wait_record, wait_status, wait_until};
 
@@ -304,7 +304,7 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
 
 /// Measures the straight robot every 2 ms; `commanded_by` is the daemon of the newest command.
 fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) {
-    let mut driver = connection.driver().unwrap();
+    let mut driver = connection.driver(Interface::Velocity).unwrap();
     while !over.load(Ordering::Relaxed) {
         let straight = Measurement {
             kind: MeasurementKind::Configuration.code(),

@@ -2,7 +2,7 @@
 
 use cdcr_client::{events, obstacles as obstacles_of, realtime_missing, text};
 use cdcr_shared_types::codes::{
-    ChunkMode, Constraint, Coordinates, EventKind, Interpolation, LateCause, LeaseState,
+    ChunkMode, Constraint, Coordinates, EventKind, Interface, Interpolation, LateCause, LeaseState,
     MeasurementKind, MeasurementState, Mode, ObstacleAction, ObstacleShape, OrientationKind,
     Outcome, Reason, ReferenceState, RobotLink, SolverKind, SolverStatus, VelocityRule, Winner,
     guard, timing,
@@ -187,9 +187,11 @@ pub(crate) fn command(command: &Command) -> Value {
         "header": header(&command.header),
         "cycle": command.cycle,
         "release_ns": command.release_ns,
-        "valid_for_ns": command.valid_for_ns,
+        "target_ns": command.target_ns,
+        "valid_until_ns": command.valid_until_ns,
         "mode": Mode::text_of(command.mode),
         "sections": command.sections,
+        "interface": Interface::text_of(command.interface),
         "bend_rate_rad_s": &command.bend_rate_rad_s[..2 * sections],
         "bend_target_rad": &command.bend_target_rad[..2 * sections],
         "cable_length_m": &command.cable_length_m[..3 * sections],

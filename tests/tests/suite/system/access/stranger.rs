@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 
 use cdcr_client::{Connection, monotonic_ns};
+use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::{Obstacle, Service};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wait_until};
@@ -137,7 +138,7 @@ pub(super) fn busy_daemon(place: &Place) -> impl Sized {
         connection.commands().unwrap(),
         connection.incidents().unwrap(),
         connection.reference_feed().unwrap(),
-        connection.driver().unwrap(),
+        connection.driver(Interface::Velocity).unwrap(),
     );
     // In the order in which they go.
     (ports, obstacles, connection, daemon)
