@@ -13,7 +13,7 @@ use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
 
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
-use crate::cycle::{Cycle, Settings};
+use crate::cycle::{Cycle, Policy, Settings};
 use crate::exchange::{Exchange, UnfinishedFiles, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
@@ -56,15 +56,10 @@ pub fn run_until(
     let _instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
     match validated.config.link.kind {
         LinkKind::Simulated => {
+            let period_ns = ns(validated.config.cycle.period_ms);
+            let moving_ns = Policy::new(&validated.config).moving_ns(u64::MAX, period_ns);
             let plant = KinematicPlant::new(&validated.robot, validated.initial)
-                .with_extrapolate_max_s(
-                    validated
-                        .config
-                        .link
-                        .command_valid_ns(ns(validated.config.cycle.period_ms))
-                        as f64
-                        * 1e-9,
-                );
+                .with_extrapolate_max_s(moving_ns as f64 * 1e-9);
             run_with(validated, SimulatedRobot::new(plant), should_end, watch)
         }
         LinkKind::Driver => run_with(validated, DriverLink, should_end, watch),

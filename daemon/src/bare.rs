@@ -197,7 +197,7 @@ impl Recorder {
             let release = schedule.wait(clock);
             let handed_over_ns = clock.now_ns();
             newest = release.cycle;
-            let verdict = self.accounting.judge(&release, handed_over_ns);
+            let verdict = self.accounting.judge(&release, handed_over_ns, false);
             let scheduling = looks.look();
             let judged = self.judged(&release, handed_over_ns, verdict);
             // There is room: each cycle has a higher number, and none but the last is beyond the last.

@@ -225,6 +225,10 @@ impl Reporter {
             obstacles_refused: inputs.obstacles_refused,
             clearance_m: record.clearance_m,
             clearance_guarded: record.clearance_hit,
+            tip_position_m: record.tip.position_m.into(),
+            reference_distance_m: convert::position_error_m(record),
+            following: record.following,
+            following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             dropped_events: inputs.dropped_events,
             outcomes: inputs.outcomes,
         }

@@ -236,6 +236,8 @@ pub struct Telemetry {
     pub clearance_m: f64,
     /// The command as it left.
     pub command: Command,
+    /// Commanded bend vector at the release \[rad\]: `command.bend_target_rad` is one period later.
+    pub commanded_rad: [f64; COORDINATES_MAX],
     /// Following error of each section \[rad\]: how far the measured bend vector is from every commanded one of the last
     /// `following_lag_ns`, so that a lag of the motors up to that is no error. Zero while only the tip is measured.
     pub following_error_rad: [f64; SECTIONS_MAX],
@@ -308,6 +310,7 @@ impl Default for Telemetry {
             reserved: 0,
             clearance_m: 0.0,
             command: Command::default(),
+            commanded_rad: [0.0; COORDINATES_MAX],
             following_error_rad: [0.0; SECTIONS_MAX],
             following_error_m: [0.0; CABLES_MAX],
             following_warning_rad: 0.0,

@@ -23,6 +23,10 @@ pub enum Measurement {
 #[derive(Debug, Clone)]
 pub struct Estimator {
     estimate: Configuration,
+    /// Time constant with which the estimate follows what is measured \[s\]; 0: at once.
+    smoothing_s: f64,
+    /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
+    uncorrected_s: Option<f64>,
     /// The last moves, newest at `newest`: what makes up for the age of a measurement.
     moves: [Move; MOVES_MAX],
     newest: usize,
@@ -52,9 +56,28 @@ impl Estimator {
         };
         Self {
             estimate: configuration,
+            smoothing_s: 0.0,
+            uncorrected_s: None,
             moves: [rest; MOVES_MAX],
             newest: 0,
         }
+    }
+
+    /// The same for a robot whose motors go to commanded positions by themselves.
+    ///
+    /// What it measures lags behind what it was commanded, and the difference dies out without a new command. So the
+    /// estimate is the commanded configuration and a disturbance, which follows what is measured with the time constant
+    /// `smoothing_s`: one that is as large as the lag of the motors or larger keeps the loop stable, and a constant
+    /// offset between command and measurement is still learnt.
+    #[must_use]
+    pub fn with_smoothing(mut self, smoothing_s: f64) -> Self {
+        self.smoothing_s = smoothing_s;
+        self
+    }
+
+    /// Begins anew at `configuration`.
+    pub fn begin(&mut self, configuration: Configuration) {
+        *self = Self::new(configuration).with_smoothing(self.smoothing_s);
     }
 
     /// The last estimate.
@@ -65,6 +88,7 @@ impl Estimator {
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
+        self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.newest = (self.newest + 1) % MOVES_MAX;
         self.moves[self.newest] = Move {
             rates: *rates,
@@ -81,7 +105,7 @@ impl Estimator {
         measurement: &Measurement,
         age_s: f64,
     ) -> &Configuration {
-        self.estimate = match measurement {
+        let measured = match measurement {
             Measurement::Configuration(measured) => self.since(*measured, age_s, 1.0),
             Measurement::CableLengths(lengths) => {
                 self.since(robot.bend_from_cable_lengths(lengths), age_s, 1.0)
@@ -90,6 +114,14 @@ impl Estimator {
                 let then = self.since(self.estimate, age_s, -1.0);
                 self.since(nearest_with_tip(robot, then, *position_m), age_s, 1.0)
             }
+        };
+        let since_s = self.uncorrected_s.replace(0.0);
+        self.estimate = match since_s {
+            Some(since_s) if self.smoothing_s > 0.0 => {
+                let gain = since_s / (since_s + self.smoothing_s);
+                towards(&self.estimate, &measured, gain)
+            }
+            _ => measured,
         };
         &self.estimate
     }
@@ -109,6 +141,15 @@ impl Estimator {
         }
         moved
     }
+}
+
+/// `from`, moved by a part `gain` of the way to `to`.
+fn towards(from: &Configuration, to: &Configuration, gain: f64) -> Configuration {
+    let mut moved = *from;
+    for (moved, to) in moved.as_mut_slice().iter_mut().zip(to.as_slice()) {
+        *moved += gain * (to - *moved);
+    }
+    moved
 }
 
 /// The configuration nearest to `start` whose tip is at `position_m`, by damped least squares.

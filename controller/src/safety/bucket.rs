@@ -1,13 +1,17 @@
-/// Counts trouble in: +n for each bad cycle, -1 for each good one, never below zero. At its limit,
-/// trouble is no accident any more.
+/// Counts trouble in: each bad release weighs as much as [`WEIGHT`](Self::WEIGHT) good ones, never below zero. At its
+/// limit, trouble is no accident any more: so many bad releases in a row, or more than one in ten for long enough.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LeakyBucket {
-    level: u32,
+    /// In parts of a bad release: [`WEIGHT`](Self::WEIGHT) make one.
+    level: u64,
     limit: u32,
 }
 
 impl LeakyBucket {
-    /// An empty bucket that overflows at `limit` ≥ 1.
+    /// Good releases that make up for a bad one.
+    pub const WEIGHT: u32 = 9;
+
+    /// An empty bucket that overflows at `limit` ≥ 1 bad releases in a row.
     pub fn new(limit: u32) -> Self {
         Self {
             level: 0,
@@ -15,25 +19,25 @@ impl LeakyBucket {
         }
     }
 
-    /// A good cycle.
+    /// A good release.
     pub fn drain(&mut self) {
         self.level = self.level.saturating_sub(1);
     }
 
-    /// A bad cycle that counts `amount`; the level stays at most twice the limit, so that recovery
-    /// takes a bounded time.
+    /// `amount` bad releases; the level stays at most twice the limit, so that recovery takes a bounded time.
     pub fn pour(&mut self, amount: u32) {
-        self.level = self.level.saturating_add(amount).min(2 * self.limit);
+        let most = 2 * u64::from(self.limit) * u64::from(Self::WEIGHT);
+        self.level = (self.level + u64::from(amount) * u64::from(Self::WEIGHT)).min(most);
     }
 
-    /// Present level.
+    /// Present level, in whole bad releases that are not made up for.
     pub fn level(&self) -> u32 {
-        self.level
+        (self.level / u64::from(Self::WEIGHT)) as u32
     }
 
     /// Whether the limit is reached.
     pub fn overflows(&self) -> bool {
-        self.level >= self.limit
+        self.level >= u64::from(self.limit) * u64::from(Self::WEIGHT)
     }
 }
 
@@ -41,20 +45,33 @@ impl LeakyBucket {
 mod tests {
     use super::*;
 
+    /// Releases until the bucket overflows when every `nth` is bad, at most 100 000.
+    fn overflows_after(limit: u32, nth: u32) -> Option<u32> {
+        let mut bucket = LeakyBucket::new(limit);
+        (1..=100_000).find(|release| {
+            if release % nth == 0 {
+                bucket.pour(1);
+            } else {
+                bucket.drain();
+            }
+            bucket.overflows()
+        })
+    }
+
     #[test]
     fn accidents_drain_away_and_series_overflow() {
+        assert_eq!(overflows_after(40, 1), Some(40));
+        // One release in three is bad: 40 of them are not made up for after less than a second at 5 ms.
+        let third = overflows_after(40, 3).unwrap_or(u32::MAX);
+        assert!(third < 200, "{third}");
+        assert!(overflows_after(40, 9).is_some());
+        assert_eq!(overflows_after(40, 10), None);
         let mut bucket = LeakyBucket::new(3);
-        for _ in 0..100 {
-            bucket.pour(1);
-            bucket.drain();
-        }
-        assert!(!bucket.overflows());
-        bucket.pour(3);
-        assert!(bucket.overflows());
         bucket.pour(1000);
-        for _ in 0..6 {
+        assert!(bucket.overflows());
+        for _ in 0..6 * LeakyBucket::WEIGHT {
             bucket.drain();
         }
-        assert_eq!(bucket.level(), 0);
+        assert_eq!((bucket.level, bucket.level()), (0, 0));
     }
 }

@@ -13,6 +13,8 @@ pub struct LimitsHit {
     pub cable_speed: bool,
     /// All rates were scaled down to keep every cable's stroke.
     pub cable_stroke: bool,
+    /// A rate was kept within the largest acceleration.
+    pub acceleration: bool,
     /// The wish, or the state that it starts from, was not finite, and the rates became zero.
     pub non_finite: bool,
 }
@@ -65,9 +67,66 @@ pub fn shorten(robot: &Robot, at: &Configuration, ramp: &BendRates, period_s: f6
         bend: shorten_to_bends(robot, at, &mut rates, period_s),
         cable_speed: slow_cables(robot, &mut rates),
         cable_stroke: keep_strokes(robot, at, &mut rates, period_s),
-        non_finite: false,
+        ..LimitsHit::default()
     };
     Limited { rates, hit }
+}
+
+impl LimitsHit {
+    /// What either of them changed.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            rate: self.rate | other.rate,
+            bend: self.bend | other.bend,
+            cable_speed: self.cable_speed | other.cable_speed,
+            cable_stroke: self.cable_stroke | other.cable_stroke,
+            acceleration: self.acceleration | other.acceleration,
+            non_finite: self.non_finite | other.non_finite,
+        }
+    }
+}
+
+/// `wish`, each component no farther from the previous command than `change_rad_s` = acceleration · period. To slow
+/// down is always allowed, by any amount: a component may lie anywhere between zero and its previous value, and
+/// `change_rad_s` beyond either. Says whether something was cut.
+pub fn accelerate(previous: &BendRates, wish: &BendRates, change_rad_s: f64) -> (BendRates, bool) {
+    let mut rates = *wish;
+    let mut cut = false;
+    for (rate, previous) in rates.as_mut_slice().iter_mut().zip(previous.as_slice()) {
+        let allowed = rate.clamp(
+            previous.min(0.0) - change_rad_s,
+            previous.max(0.0) + change_rad_s,
+        );
+        cut |= allowed != *rate;
+        *rate = allowed;
+    }
+    (rates, cut)
+}
+
+/// `rates`, scaled down together until each component is within [`accelerate`]'s bounds: the direction, and with it
+/// what the limits and the clearance guard made sure of, stays.
+pub fn shorten_to_acceleration(
+    previous: &BendRates,
+    rates: &BendRates,
+    change_rad_s: f64,
+) -> (BendRates, bool) {
+    let mut factor = 1.0_f64;
+    for (rate, previous) in rates.as_slice().iter().zip(previous.as_slice()) {
+        let most = if *rate < 0.0 {
+            change_rad_s - previous.min(0.0)
+        } else {
+            change_rad_s + previous.max(0.0)
+        };
+        if rate.abs() > most {
+            factor = factor.min(most / rate.abs());
+        }
+    }
+    let mut shortened = *rates;
+    if factor < 1.0 {
+        scale(&mut shortened, factor);
+    }
+    (shortened, factor < 1.0)
 }
 
 fn non_finite(robot: &Robot) -> Limited {
@@ -291,6 +350,35 @@ mod tests {
             if inside && stroke_m > 0.09 && speed_m_s > 0.095 && ramp.iter().all(|rate| rate.abs() < 1.0) {
                 prop_assert_eq!(shortened, rates(ramp));
             }
+        }
+    }
+
+    proptest! {
+        /// No component grows faster than the acceleration allows; slowing down is free; zero is always allowed.
+        #[test]
+        fn speed_grows_by_the_acceleration_at_most(
+            previous in prop::array::uniform4(-3.0..3.0_f64),
+            wish in prop::array::uniform4(-3.0..3.0_f64),
+            change_rad_s in 0.0..1.0_f64,
+        ) {
+            let inside = |rates: &BendRates| {
+                let pairs = rates.as_slice().iter().zip(previous);
+                pairs.into_iter().all(|(rate, previous)| {
+                    let most = if rate * previous > 0.0 { previous.abs() } else { 0.0 };
+                    rate.abs() <= (most + change_rad_s) * (1.0 + 1e-12)
+                })
+            };
+            let (clamped, cut) = accelerate(&rates(previous), &rates(wish), change_rad_s);
+            prop_assert!(inside(&clamped), "{clamped:?}");
+            prop_assert_eq!(cut, clamped != rates(wish));
+            let (scaled, cut) = shorten_to_acceleration(&rates(previous), &rates(wish), change_rad_s);
+            prop_assert!(inside(&scaled), "{scaled:?}");
+            prop_assert_eq!(cut, !inside(&rates(wish)) || scaled != rates(wish));
+            for (scaled, wish) in scaled.as_slice().iter().zip(wish) {
+                prop_assert!(scaled.abs() <= wish.abs() && scaled * wish >= 0.0);
+            }
+            let slower = rates(previous.map(|rate| 0.3 * rate));
+            prop_assert_eq!(accelerate(&rates(previous), &slower, change_rad_s), (slower, false));
         }
     }
 

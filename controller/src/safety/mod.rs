@@ -7,12 +7,19 @@
 
 mod bucket;
 mod clearance;
+mod command;
+mod following;
 mod limiter;
 mod mode;
 mod plausibility;
 
 pub use bucket::LeakyBucket;
 pub use clearance::{Guarded, NEAR_MAX, guard, guard_ramp};
-pub use limiter::{Limited, LimitsHit, homing_rates, limit, ramp_to_zero, shorten};
+pub use command::{SafeCommand, Situation, safe_command};
+pub use following::{FollowingError, FollowingRules, FollowingWatch};
+pub use limiter::{
+    Limited, LimitsHit, accelerate, homing_rates, limit, ramp_to_zero, shorten,
+    shorten_to_acceleration,
+};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};
 pub use plausibility::{MeasurementWatch, Plausibility, PlausibilityRules};

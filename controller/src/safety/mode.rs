@@ -7,8 +7,9 @@
 //!                ▼  │
 //!               Homing
 //!
-//!  any but Faulted ── stop, leaky bucket ──► Stopped   latched: rates ramp to zero, until reset
-//!  any ── measurement lost, jumps or frozen, non-finite, limit, contact ──► Faulted(cause)   latched
+//!  any but Faulted ── stop, leaky bucket, suspend ──► Stopped   latched: rates ramp to zero, until reset
+//!  any ── measurement lost, jumps or frozen, non-finite, limit, contact, does not follow ──► Faulted(cause)   latched
+//!  Tracking, Homing ── stale inputs, silent source of obstacles ──► Holding
 //!  Stopped, Faulted ── reset, cause gone ──► Holding
 //! ```
 
@@ -46,6 +47,14 @@ pub enum Reason {
     MeasurementJump,
     /// The measurement stood still while the robot was commanded to move.
     MeasurementFrozen,
+    /// The measured configuration is too far from the commanded one.
+    FollowingError,
+    /// The inputs are older than a command may be.
+    InputsStale,
+    /// The machine slept.
+    Suspended,
+    /// Who sends the obstacles is silent.
+    ObstacleSourceSilent,
 }
 
 /// The mode, with what belongs to it.
@@ -79,6 +88,11 @@ pub enum Mode {
 }
 
 impl Mode {
+    /// Whether only a reset leaves it.
+    pub fn is_latched(&self) -> bool {
+        matches!(self, Self::Stopped { .. } | Self::Faulted { .. })
+    }
+
     /// Whether the robot rests in this mode, or comes to rest: nothing may make it faster.
     pub fn comes_to_rest(&self) -> bool {
         !matches!(self, Self::Tracking { .. } | Self::Homing)
@@ -159,6 +173,10 @@ pub struct Observation {
     pub at_home: bool,
     /// Whether the leaky bucket of deadline misses overflows.
     pub misses_overflow: bool,
+    /// Whether the machine slept since the cycle before.
+    pub suspended: bool,
+    /// Why the robot may not move on now, without a fault.
+    pub wait: Option<Reason>,
     /// A fault that stands in this cycle.
     pub fault: Option<Reason>,
 }
@@ -189,10 +207,17 @@ impl ModeMachine {
         }
         if let Some(cause) = seen.fault {
             self.fault(cause);
-        } else if seen.misses_overflow && !self.is_latched() {
+        } else if seen.suspended && !self.mode.is_latched() {
+            self.mode = Mode::Stopped {
+                reason: Reason::Suspended,
+            };
+        } else if seen.misses_overflow && !self.mode.is_latched() {
             self.mode = Mode::Stopped {
                 reason: Reason::DeadlineMisses,
             };
+        }
+        if let (Some(reason), Mode::Tracking { .. } | Mode::Homing) = (seen.wait, self.mode) {
+            self.hold(reason);
         }
         match self.mode {
             Mode::Starting => self.hold(Reason::Start),
@@ -225,6 +250,9 @@ impl ModeMachine {
             (Request::Hold, Mode::Holding { .. } | Mode::Tracking { .. } | Mode::Homing) => {
                 self.hold(Reason::Request);
                 Ok(())
+            }
+            (Request::Track | Request::Home, Mode::Holding { .. }) if seen.wait.is_some() => {
+                Err(Refusal::CauseStands)
             }
             (Request::Track, Mode::Holding { .. }) => self.track(seen),
             (Request::Home, Mode::Holding { .. } | Mode::Homing) => {
@@ -274,10 +302,6 @@ impl ModeMachine {
                 reason: Reason::Shutdown,
             };
         }
-    }
-
-    fn is_latched(&self) -> bool {
-        matches!(self.mode, Mode::Stopped { .. } | Mode::Faulted { .. })
     }
 
     /// Tracking goes on while the lease is held and the reference lasts.

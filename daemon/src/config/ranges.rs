@@ -51,7 +51,7 @@ const NOT_FLAT: &str =
 const AT_MOST_HALF: &str = "at most half of cycle.period_ms";
 
 /// Every key that is a number and has constant limits. The unit ends the key.
-pub(super) const RANGES: [Range; 50] = [
+pub(super) const RANGES: [Range; 54] = [
     given(
         "robot.cable_speed_max_m_s",
         &robot::ranges::CABLE_SPEED_MAX_M_S,
@@ -90,12 +90,16 @@ pub(super) const RANGES: [Range; 50] = [
     range("cycle.miss_limit", 0.0, 1e6),
     range("cycle.watchdog_ms", 50.0, 60_000.0).also("at least ten times cycle.period_ms"),
     range("motion.deceleration_rad_s2", 0.01, 1e6),
+    range("motion.acceleration_rad_s2", 0.0, 1e6),
     range("motion.home_rate_rad_s", 1e-3, 100.0),
     range("motion.home_tolerance_rad", 1e-6, 1.0),
     range("safety.clearance_fault_m", -10.0, 10.0),
     range("safety.measurement_jump_rad", 1e-6, 1e3),
     range("safety.measurement_jump_limit", 1.0, 1e6),
     range("safety.measurement_frozen_rad", 1e-6, 1e3),
+    range("safety.following_warning_rad", 1e-6, 1e3).also("at most safety.following_fault_rad"),
+    range("safety.following_fault_rad", 1e-6, 1e3).also("at least safety.following_warning_rad"),
+    range("safety.following_lag_ms", 0.0, 10_000.0),
     range("reference.lease_ms", 20.0, 60_000.0),
     given("controller.horizon_steps", &nmpc::ranges::HORIZON_STEPS),
     given("controller.control_blocks", &nmpc::ranges::CONTROL_BLOCKS)

@@ -6,6 +6,7 @@ use super::{Config, ConfigError, Origins};
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
     check_times(config, origins)?;
     check_priorities(config, origins)?;
+    check_following(config, origins)?;
     config.controller.validate().map_err(|error| {
         let key = format!("controller.{}", error.key);
         let others: &[&str] = match error.key {
@@ -60,6 +61,21 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
         return Err(origins.error(&[key, "cycle.period_ms"], &message));
     }
     Ok(())
+}
+
+fn check_following(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+    let warning_rad = config.safety.following_warning_rad;
+    let fault_rad = config.safety.following_fault_rad;
+    if warning_rad <= fault_rad {
+        return Ok(());
+    }
+    Err(origins.error(
+        &["safety.following_fault_rad", "safety.following_warning_rad"],
+        &format!(
+            "following_fault_rad = {fault_rad} must be at least following_warning_rad = {warning_rad}, so that the \
+             warning comes first"
+        ),
+    ))
 }
 
 fn check_priorities(config: &Config, origins: &Origins) -> Result<(), ConfigError> {

@@ -17,6 +17,13 @@ pub struct SafetyConfig {
     /// far, net, is a fault \[rad\]. More than the sensor resolves, and more than the robot is commanded to
     /// move while a measurement is under way.
     pub measurement_frozen_rad: f64,
+    /// A section that is farther from where it is commanded to be than this is a warning \[rad\]. Not judged while only
+    /// the tip is measured.
+    pub following_warning_rad: f64,
+    /// One that is farther than this is a fault \[rad\].
+    pub following_fault_rad: f64,
+    /// How far the motors may lag behind without an error \[ms\].
+    pub following_lag_ms: f64,
 }
 
 impl Default for SafetyConfig {
@@ -26,6 +33,9 @@ impl Default for SafetyConfig {
             measurement_jump_rad: 0.2,
             measurement_jump_limit: 3,
             measurement_frozen_rad: 0.2,
+            following_warning_rad: 0.1,
+            following_fault_rad: 0.3,
+            following_lag_ms: 100.0,
         }
     }
 }

@@ -1,7 +1,7 @@
 //! One cycle of 5 ms: the order of its steps, and nothing else.
 //!
 //! ```text
-//! measure → estimate → mode → solve → limit → keep clear → command → record
+//! measure → estimate → mode → solve → make safe → command → record
 //! ```
 //!
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
@@ -9,19 +9,19 @@
 
 mod policy;
 mod record;
+mod state;
 
-use cdcr_controller::estimator::Estimator;
 use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Obstacle, Robot, Shape};
 use cdcr_controller::safety::{
-    Guarded, Limited, MeasurementWatch, Mode, ModeMachine, Observation, Plausibility, Reason,
-    Refusal, guard, guard_ramp, homing_rates, limit, ramp_to_zero, shorten,
+    Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
+    ramp_to_zero, safe_command,
 };
 use nalgebra::Vector3;
 
-use crate::config::{Validated, ns};
+use crate::config::{Interface, Validated, ns};
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
 use crate::rt::accounting::Accounting;
@@ -31,13 +31,8 @@ use crate::rt::handoff::{
 use crate::rt::schedule::Release;
 pub use policy::{Policy, Settings};
 pub use record::{CycleRecord, MeasurementUse};
+use state::RobotState;
 
-/// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
-const BEND_TOLERANCE_RAD: f64 = 0.05;
-/// All bends below this are straight at once \[rad\].
-const HOME_EXACT_RAD: f64 = 1e-6;
-/// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
-const HOME_SETTLED_NS: u64 = 100_000_000;
 /// Longest time that the solver is warmed up \[ns\].
 const WARM_UP_MAX_NS: u64 = 300_000_000;
 
@@ -46,9 +41,8 @@ const WARM_UP_MAX_NS: u64 = 300_000_000;
 pub struct Cycle<L> {
     robot: Robot,
     link: L,
-    estimator: Estimator,
+    state: RobotState,
     modes: ModeMachine,
-    watch: MeasurementWatch,
     nmpc: Nmpc,
     budget_ns: u64,
     accounting: Accounting,
@@ -57,16 +51,12 @@ pub struct Cycle<L> {
     budget_margin_ns: u64,
     settings_revision: u64,
     last_gather: Option<u64>,
-    last_gather_ns: u64,
     /// Stops that were asked for when the last cycle ran.
     stops: u64,
-    last_measured_ns: u64,
-    /// Time of gathers without a fresh measurement \[ns\].
-    unmeasured_ns: u64,
-    /// How long the robot has been straight within the tolerance \[ns\].
-    straight_ns: u64,
-    /// What the measurement of this cycle shows.
-    measurement_fault: Option<Reason>,
+    /// Time of cycles in a row that had no new inputs \[ns\].
+    stale_ns: u64,
+    /// Times that the machine slept when the last cycle ran.
+    suspends: u64,
     /// Clearance in the cycle before \[m\].
     clearance_m: f64,
     longest_gap_ns: u64,
@@ -96,9 +86,10 @@ impl<L: RobotLink> Cycle<L> {
         let settings = Settings::new(config);
         Ok(Self {
             link,
-            estimator: Estimator::new(*initial),
+            state: RobotState::new(robot.clone(), policy, period_ns, *initial),
+            stale_ns: 0,
+            suspends: 0,
             modes: ModeMachine::default(),
-            watch: MeasurementWatch::new(policy.plausibility),
             nmpc: Nmpc::new(robot.clone(), period_ns as f64 * 1e-9, settings.nmpc)?,
             budget_ns: settings.budget_ns,
             accounting: Accounting::new(policy.limits()),
@@ -107,12 +98,7 @@ impl<L: RobotLink> Cycle<L> {
             budget_margin_ns: config.cycle.budget_margin_ns(),
             settings_revision: 0,
             last_gather: None,
-            last_gather_ns: 0,
             stops: 0,
-            last_measured_ns: 0,
-            unmeasured_ns: 0,
-            straight_ns: 0,
-            measurement_fault: None,
             clearance_m: f64::INFINITY,
             longest_gap_ns: 0,
             previous_release_ns: None,
@@ -127,7 +113,7 @@ impl<L: RobotLink> Cycle<L> {
         let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
         let tip_m = self
             .robot
-            .tip_position(self.estimator.configuration().as_slice());
+            .tip_position(self.state.configuration().as_slice());
         let sample = ReferenceSample {
             state: cdcr_controller::reference::ReferenceState::Inside,
             position_m: tip_m * 0.99,
@@ -139,7 +125,7 @@ impl<L: RobotLink> Cycle<L> {
         let obstacle = Obstacle::new(shape, 0.01, Vector3::zeros()).ok();
         for seed in 0..20 {
             let input = SolveInput {
-                configuration: self.estimator.configuration(),
+                configuration: self.state.configuration(),
                 previous_rates: &self.rates,
                 reference: &[sample],
                 obstacles: obstacle.as_slice(),
@@ -173,20 +159,30 @@ impl<L: RobotLink> Cycle<L> {
     ) -> CycleRecord {
         let elapsed_ns = self.elapsed_ns(&release);
         let stale_inputs = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
+        self.stale_ns = if stale_inputs {
+            self.stale_ns + self.period_ns
+        } else {
+            0
+        };
         self.take_settings(inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
-        self.count_silence(measurement, inputs);
-        let measurement_use = self.estimate(measurement, &release, elapsed_ns);
-        self.count_straight(elapsed_ns);
+        self.state.count_silence(measurement, inputs);
+        self.state.move_on(&self.rates, elapsed_ns);
+        let measurement_use = self.state.measure(measurement, release.release_ns);
+        self.state.count_straight(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.at(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
+        let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
         let answers = self.answer(next_request, inputs, &seen);
+        if was_latched && !self.modes.mode().is_latched() {
+            self.state.take_control();
+        }
 
         let previous_rates = self.rates;
-        let configuration = *self.estimator.configuration();
+        let configuration = *self.state.configuration();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         // A mode that comes to rest, and one that moves: a fault that the solve finds still ends in zero rates.
@@ -194,13 +190,14 @@ impl<L: RobotLink> Cycle<L> {
         let (wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
         let solve_end_ns = clock.now_ns();
 
-        let limited = self.limit(&wish, comes_to_rest);
-        let guarded = self.keep_clear(&limited.rates, comes_to_rest);
-        self.rates = guarded.rates;
-        self.clearance_m = guarded.clearance_m;
-        self.link.command(release.release_ns, &guarded.rates);
+        let safe = self.make_safe(&wish, comes_to_rest);
+        self.clearance_m = safe.clearance_m;
+        self.rates = safe.rates;
+        self.link.command(release.release_ns, &safe.rates);
         let handed_over_ns = clock.now_ns();
-        let verdict = self.accounting.judge(&release, handed_over_ns);
+        let verdict = self
+            .accounting
+            .judge(&release, handed_over_ns, stale_inputs);
 
         let mut record = CycleRecord {
             release,
@@ -224,6 +221,8 @@ impl<L: RobotLink> Cycle<L> {
             measurement_use,
             tip: self.robot.tip_pose(&configuration),
             configuration,
+            commanded: *self.state.commanded(),
+            following: *self.state.following().error(),
             previous_rates,
             reference,
             obstacles,
@@ -232,10 +231,10 @@ impl<L: RobotLink> Cycle<L> {
             plan_length: 0,
             warm_plan: [0.0; PLAN_MAX],
             plan: [0.0; PLAN_MAX],
-            rates: guarded.rates,
-            limits_hit: limited.hit,
-            clearance_hit: guarded.hit,
-            clearance_m: guarded.clearance_m,
+            rates: safe.rates,
+            limits_hit: safe.limits_hit,
+            clearance_hit: safe.clearance_hit,
+            clearance_m: safe.clearance_m,
             answers,
         };
         self.copy_plans(&mut record);
@@ -265,71 +264,6 @@ impl<L: RobotLink> Cycle<L> {
         }
     }
 
-    /// Predicts where the robot is, and corrects that by a new measurement that it can have.
-    fn estimate(
-        &mut self,
-        measurement: Option<TimedMeasurement>,
-        release: &Release,
-        elapsed_ns: u64,
-    ) -> MeasurementUse {
-        let elapsed_s = elapsed_ns as f64 * 1e-9;
-        self.estimator.predict(&self.rates, elapsed_s);
-        self.watch.commanded(&self.rates, elapsed_s);
-        self.measurement_fault = None;
-        let Some(TimedMeasurement {
-            measurement,
-            measured_ns,
-        }) = measurement
-        else {
-            return MeasurementUse::None;
-        };
-        if measured_ns <= self.last_measured_ns {
-            return MeasurementUse::Repeated;
-        }
-        self.last_measured_ns = measured_ns;
-        match self.watch.judge(&self.robot, &measurement, measured_ns) {
-            Plausibility::Jump => return MeasurementUse::Implausible,
-            Plausibility::Lost => {
-                self.measurement_fault = Some(Reason::MeasurementJump);
-                return MeasurementUse::Implausible;
-            }
-            Plausibility::Frozen => self.measurement_fault = Some(Reason::MeasurementFrozen),
-            Plausibility::Good => {}
-        }
-        let age_s = (release.release_ns as f64 - measured_ns as f64) * 1e-9;
-        self.estimator.correct(&self.robot, &measurement, age_s);
-        MeasurementUse::Used
-    }
-
-    /// Counts how long no fresh measurement has come, in time that gathers have seen: after a stall of the machine
-    /// what the driver sent meanwhile must first be taken in.
-    fn count_silence(&mut self, measurement: Option<TimedMeasurement>, inputs: &CycleInputs) {
-        let passed_ns = inputs.gather_ns.saturating_sub(self.last_gather_ns);
-        self.last_gather_ns = inputs.gather_ns;
-        let Some(TimedMeasurement { measured_ns, .. }) = measurement else {
-            return;
-        };
-        let age_ns = inputs.gather_ns.saturating_sub(measured_ns);
-        let is_fresh =
-            measured_ns > self.last_measured_ns && age_ns <= self.policy.measurement_timeout_ns;
-        self.unmeasured_ns = if is_fresh {
-            age_ns
-        } else {
-            self.unmeasured_ns + passed_ns.min(2 * self.period_ns)
-        };
-    }
-
-    fn count_straight(&mut self, elapsed_ns: u64) {
-        let tolerance_rad = self.policy.home_tolerance_rad;
-        let bends = self.estimator.configuration().as_slice();
-        let is_straight = bends.iter().all(|bend| bend.abs() < tolerance_rad);
-        self.straight_ns = if is_straight {
-            self.straight_ns.saturating_add(elapsed_ns)
-        } else {
-            0
-        };
-    }
-
     /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
     fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) -> ObstacleSet {
         let placed = inputs.obstacles.at(release.release_ns);
@@ -340,48 +274,47 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     fn observe(
-        &self,
+        &mut self,
         measurement: Option<TimedMeasurement>,
         reference: &ReferenceSample,
         inputs: &CycleInputs,
     ) -> Observation {
-        let bends = self.estimator.configuration().as_slice();
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
             lease: inputs.lease,
-            at_home: bends.iter().all(|bend| bend.abs() < HOME_EXACT_RAD)
-                || self.straight_ns >= HOME_SETTLED_NS,
+            at_home: self.state.is_at_home(),
             misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
+            suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,
+            wait: self.wait(inputs),
             fault: self.fault(measurement),
         }
+    }
+
+    /// Why the robot should not move on, though nothing is broken.
+    fn wait(&self, inputs: &CycleInputs) -> Option<Reason> {
+        if self.stale_ns > self.policy.stale_inputs_max_ns {
+            return Some(Reason::InputsStale);
+        }
+        inputs
+            .obstacle_source_silent
+            .then_some(Reason::ObstacleSourceSilent)
     }
 
     fn fault(&self, measurement: Option<TimedMeasurement>) -> Option<Reason> {
         // What was never measured is not lost: the machine waits for it.
         measurement?;
-        if self.unmeasured_ns > self.policy.measurement_timeout_ns {
-            return Some(Reason::MeasurementLost);
-        }
-        if self.measurement_fault.is_some() {
-            return self.measurement_fault;
+        if let Some(fault) = self.state.measurement_fault() {
+            return Some(fault);
         }
         if self.clearance_m < self.policy.clearance_fault_m {
             return Some(Reason::ClearanceBroken);
         }
-        let estimate = self.estimator.configuration();
-        if !estimate.is_finite() {
-            return Some(Reason::NonFinite);
+        // A robot that is stopped or faulted may be moved by hand.
+        if self.state.following().is_broken() && !self.modes.mode().is_latched() {
+            return Some(Reason::FollowingError);
         }
-        let beyond = self
-            .robot
-            .sections()
-            .iter()
-            .enumerate()
-            .any(|(index, section)| {
-                estimate.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD
-            });
-        beyond.then_some(Reason::LimitBroken)
+        self.state.place_fault()
     }
 
     fn answer(
@@ -423,7 +356,7 @@ impl<L: RobotLink> Cycle<L> {
         let rates = match self.modes.mode() {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
             Mode::Homing => homing_rates(
-                self.estimator.configuration(),
+                self.state.configuration(),
                 self.policy.home_rate_rad_s,
                 period_s,
             ),
@@ -445,7 +378,7 @@ impl<L: RobotLink> Cycle<L> {
     ) -> (BendRates, SolveReport) {
         let settings = self.nmpc.settings();
         let input = SolveInput {
-            configuration: self.estimator.configuration(),
+            configuration: self.state.configuration(),
             previous_rates: &self.rates,
             reference: inputs
                 .window
@@ -475,27 +408,25 @@ impl<L: RobotLink> Cycle<L> {
         (rates, report)
     }
 
-    fn limit(&mut self, wish: &BendRates, comes_to_rest: bool) -> Limited {
-        let period_s = self.period_ns as f64 * 1e-9;
-        let limit = if comes_to_rest { shorten } else { limit };
-        let limited = limit(&self.robot, self.estimator.configuration(), wish, period_s);
-        if limited.hit.non_finite {
+    /// In every mode, the last word: limits, and the clearance guard.
+    fn make_safe(&mut self, wish: &BendRates, comes_to_rest: bool) -> SafeCommand {
+        let obeys_positions = self.policy.interface == Interface::Position;
+        let situation = Situation {
+            robot: &self.robot,
+            at: self.state.configuration(),
+            commanded: obeys_positions.then_some(self.state.commanded()),
+            previous: &self.rates,
+            obstacles: &self.obstacles,
+            safe_distance_m: self.nmpc.settings().safe_distance_m,
+            acceleration_rad_s2: self.policy.acceleration_rad_s2,
+            period_s: self.period_ns as f64 * 1e-9,
+            comes_to_rest,
+        };
+        let safe = safe_command(&situation, wish);
+        if safe.limits_hit.non_finite {
             self.modes.fault(Reason::NonFinite);
         }
-        limited
-    }
-
-    /// In every mode, the last word.
-    fn keep_clear(&self, rates: &BendRates, comes_to_rest: bool) -> Guarded {
-        let guard = if comes_to_rest { guard_ramp } else { guard };
-        guard(
-            &self.robot,
-            self.estimator.configuration(),
-            rates,
-            &self.obstacles,
-            self.nmpc.settings().safe_distance_m,
-            self.period_ns as f64 * 1e-9,
-        )
+        safe
     }
 
     fn copy_plans(&self, record: &mut CycleRecord) {
@@ -507,3 +438,6 @@ impl<L: RobotLink> Cycle<L> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

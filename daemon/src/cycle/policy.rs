@@ -1,7 +1,7 @@
 use cdcr_controller::nmpc::NmpcSettings;
-use cdcr_controller::safety::PlausibilityRules;
+use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
-use crate::config::{Config, CycleConfig, Interface, LinkKind, ns};
+use crate::config::{Config, CycleConfig, Interface, LinkKind, MotionConfig, ns};
 use crate::rt::accounting::Limits;
 
 /// The fixed rules of a cycle, from the configuration.
@@ -9,6 +9,8 @@ use crate::rt::accounting::Limits;
 pub struct Policy {
     /// How fast rates shrink when holding or stopping \[rad/s²\].
     pub deceleration_rad_s2: f64,
+    /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
+    pub acceleration_rad_s2: f64,
     /// Rate of the fastest component on the way home \[rad/s\].
     pub home_rate_rad_s: f64,
     /// Bends that count as straight when they last \[rad\].
@@ -29,6 +31,10 @@ pub struct Policy {
     pub clearance_fault_m: f64,
     /// Which measurements are taken for true.
     pub plausibility: PlausibilityRules,
+    /// How far the robot may be from where it is commanded to be.
+    pub following: FollowingRules,
+    /// Inputs that are older than this make the robot hold \[ns\].
+    pub stale_inputs_max_ns: u64,
 }
 
 impl Policy {
@@ -36,6 +42,7 @@ impl Policy {
     pub fn new(config: &Config) -> Self {
         Self {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,
+            acceleration_rad_s2: acceleration_rad_s2(config),
             home_rate_rad_s: config.motion.home_rate_rad_s,
             home_tolerance_rad: config.motion.home_tolerance_rad,
             interface: config.link.interface,
@@ -50,7 +57,22 @@ impl Policy {
                 jump_limit: config.safety.measurement_jump_limit,
                 frozen_rad: config.safety.measurement_frozen_rad,
             },
+            following: FollowingRules {
+                warning_rad: config.safety.following_warning_rad,
+                fault_rad: config.safety.following_fault_rad,
+                lag_s: config.safety.following_lag_ms * 1e-3,
+            },
+            stale_inputs_max_ns: stale_inputs_max_ns(config),
         }
+    }
+
+    /// How long of the `elapsed_ns` since a command the robot moved by it \[ns\]: to its target, or for as long as it
+    /// was valid.
+    pub fn moving_ns(&self, elapsed_ns: u64, period_ns: u64) -> u64 {
+        elapsed_ns.min(match self.interface {
+            Interface::Position => period_ns,
+            Interface::Velocity => self.command_valid_ns,
+        })
     }
 
     /// What counts as late.
@@ -83,6 +105,25 @@ fn miss_limit(config: &Config) -> u32 {
         (0, LinkKind::Simulated) => 0,
         (0, LinkKind::Driver) => CycleConfig::MISS_LIMIT,
         (limit, _) => limit,
+    }
+}
+
+/// Without a limit of its own, a robot behind a driver has the default one. A simulated robot has none: the paper's has
+/// none.
+fn acceleration_rad_s2(config: &Config) -> f64 {
+    match (config.motion.acceleration_rad_s2, config.link.kind) {
+        (0.0, LinkKind::Simulated) => f64::INFINITY,
+        (0.0, LinkKind::Driver) => MotionConfig::ACCELERATION_RAD_S2,
+        (limit, _) => limit,
+    }
+}
+
+/// A driver measures what the inputs bring: without them the cycle steers by prediction alone, for as long as a command
+/// may be followed and no longer. A simulated robot is measured in the cycle itself.
+fn stale_inputs_max_ns(config: &Config) -> u64 {
+    match config.link.kind {
+        LinkKind::Simulated => u64::MAX,
+        LinkKind::Driver => config.link.command_valid_ns(ns(config.cycle.period_ms)),
     }
 }
 

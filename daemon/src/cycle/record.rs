@@ -1,7 +1,7 @@
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
-use cdcr_controller::safety::{LeaseState, LimitsHit, Mode};
+use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode};
 
 use super::{Policy, Settings};
 use crate::obstacles::ObstacleSet;
@@ -66,6 +66,10 @@ pub struct CycleRecord {
     pub measurement_use: MeasurementUse,
     /// Estimated state at the release.
     pub configuration: Configuration,
+    /// Commanded configuration at the release.
+    pub commanded: Configuration,
+    /// How far the robot was from it at its last measurement.
+    pub following: FollowingError,
     /// Tip at the release.
     pub tip: Pose,
     /// Rates of the previous command.

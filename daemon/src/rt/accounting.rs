@@ -55,8 +55,9 @@ impl Accounting {
         }
     }
 
-    /// Judges a cycle whose command was handed over at `handed_over_ns`.
-    pub fn judge(&mut self, release: &Release, handed_over_ns: u64) -> Verdict {
+    /// Judges a cycle whose command was handed over at `handed_over_ns`. One with stale inputs is no miss, and as bad
+    /// for the leaky bucket.
+    pub fn judge(&mut self, release: &Release, handed_over_ns: u64, stale_inputs: bool) -> Verdict {
         let verdict = Verdict {
             late_start: release.start_ns - release.due_ns > self.limits.late_start_ns,
             deadline_miss: handed_over_ns - release.due_ns > self.limits.deadline_ns,
@@ -65,7 +66,7 @@ impl Accounting {
         self.totals.late_starts += u64::from(verdict.late_start);
         self.totals.deadline_misses += u64::from(verdict.deadline_miss);
         self.totals.skipped_periods += u64::from(release.skipped);
-        match u32::from(verdict.deadline_miss).saturating_add(release.skipped) {
+        match u32::from(verdict.deadline_miss || stale_inputs).saturating_add(release.skipped) {
             0 => self.bucket.drain(),
             trouble => self.bucket.pour(trouble),
         }
@@ -108,12 +109,12 @@ mod tests {
             skipped,
         };
         assert_eq!(
-            accounting.judge(&release(1020, 0), 1100),
+            accounting.judge(&release(1020, 0), 1100, false),
             Verdict::default()
         );
-        let late = accounting.judge(&release(1021, 0), 1100);
+        let late = accounting.judge(&release(1021, 0), 1100, false);
         assert!(late.late_start && !late.deadline_miss);
-        let miss = accounting.judge(&release(1001, 2), 1101);
+        let miss = accounting.judge(&release(1001, 2), 1101, false);
         assert!(!miss.late_start && miss.deadline_miss);
         assert!(accounting.bucket().overflows());
         // Slept through three periods: the release that was due is missed, however fresh the one met.
@@ -121,8 +122,14 @@ mod tests {
             release_ns: 1300,
             ..release(1310, 0)
         };
-        let verdict = Accounting::new(limits).judge(&stall, 1320);
+        let verdict = Accounting::new(limits).judge(&stall, 1320, false);
         assert!(verdict.late_start && verdict.deadline_miss);
+        let mut starved = Accounting::new(limits);
+        for _ in 0..3 {
+            let verdict = starved.judge(&release(1001, 0), 1010, true);
+            assert_eq!(verdict, Verdict::default());
+        }
+        assert!(starved.bucket().overflows());
         let totals = Totals {
             cycles: 3,
             late_starts: 1,

@@ -9,6 +9,7 @@ mod watchdog;
 
 use std::time::{Duration, Instant};
 
+use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason};
 use iceoryx2::port::publisher::Publisher;
@@ -90,6 +91,14 @@ pub struct Summary {
     pub clearance_m: f64,
     /// Whether the clearance guard changed the command.
     pub clearance_guarded: bool,
+    /// Tip at the release \[m\].
+    pub tip_position_m: [f64; 3],
+    /// Distance of tip and reference \[m\]; NaN without a reference.
+    pub reference_distance_m: f64,
+    /// How far the robot is from where it is commanded to be.
+    pub following: FollowingError,
+    /// Whether that is more than the warning.
+    pub following_warning: bool,
     /// Events that no record took.
     pub dropped_events: u64,
     /// Messages by outcome.
@@ -127,6 +136,8 @@ pub struct Supervisor {
     newest: Summary,
     /// When it came.
     summed: Instant,
+    /// When the log last had a warning of the following error.
+    said_off: Instant,
     /// The newest cycle that was late and is not in the log.
     late: Option<Summary>,
     logged: Instant,
@@ -176,6 +187,7 @@ impl Supervisor {
             },
             newest: Summary::default(),
             summed: now,
+            said_off: now,
             late: None,
             logged: now,
         })
@@ -240,6 +252,7 @@ impl Supervisor {
             self.statistics.record(&summary);
             self.budget_hits += u64::from(summary.budget_hit);
             self.status.clearance_guarded += u64::from(summary.clearance_guarded);
+            self.status.following_warnings += u64::from(summary.following_warning);
             self.log(&summary);
             self.count_tolerated(&summary);
             if !summary.verdict.deadline_miss {
@@ -303,6 +316,17 @@ impl Supervisor {
             } else {
                 tracing::info!(cycle = summary.cycle, reason, "{mode}: {reason}");
             }
+        }
+        if summary.following_warning
+            && !self.newest.following_warning
+            && self.said_off.elapsed() >= LATE_LINE_EVERY
+        {
+            self.said_off = Instant::now();
+            tracing::warn!(
+                cycle = summary.cycle,
+                following_error_rad = summary.following.largest_rad(),
+                "the robot lags far behind its commands (safety.following_warning_rad)"
+            );
         }
         let is_late = summary.late_cause != LateCause::None.code();
         if is_late && (summary.verdict.deadline_miss || summary.skipped_periods > 0) {
@@ -411,6 +435,10 @@ fn take_over(status: &mut wire::Status, summary: &Summary) {
     status.obstacle_count = summary.obstacle_count;
     status.obstacles_refused = summary.obstacles_refused;
     status.clearance_m = summary.clearance_m;
+    status.tip_position_m = summary.tip_position_m;
+    status.position_error_m = summary.reference_distance_m;
+    status.following_error_rad = summary.following.bend_rad;
+    status.following_error_m = summary.following.cable_m;
     status.settings = summary.settings;
 }
 
@@ -432,6 +460,8 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
             LinkKind::Driver => wire::codes::RobotLink::Driver,
         }
         .code(),
+        interface: convert::interface(config.link.interface).code(),
+        position_error_m: f64::NAN,
         period_ns,
         deadline_ns: config.cycle.deadline_ns(),
         robot: convert::robot(&validated.robot),

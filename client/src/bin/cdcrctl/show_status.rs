@@ -4,7 +4,9 @@ use std::thread;
 use std::time::Duration;
 
 use cdcr_client::{Connection, monotonic_ns, realtime_missing, text};
-use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason, RobotLink, SolverKind};
+use cdcr_shared_types::codes::{
+    Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
+};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 
 use crate::Done;
@@ -102,6 +104,7 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         status.faults,
         status.cycles,
     )?;
+    place(out, status)?;
     if status.misses_tolerated > 0 {
         writeln!(
             out,
@@ -119,6 +122,35 @@ fn identity(out: &mut String, status: &Status) -> std::fmt::Result {
         writeln!(out, "            {name} is missing: {remedy}")?;
     }
     Ok(())
+}
+
+/// Where the tip is, how far from its reference, and how far the robot is from where it is commanded to be.
+fn place(out: &mut String, status: &Status) -> std::fmt::Result {
+    let [x, y, z] = status.tip_position_m.map(|m| 1e3 * m);
+    write!(out, "tip         {x:.1}, {y:.1}, {z:.1} mm")?;
+    if status.position_error_m.is_finite() {
+        write!(
+            out,
+            ", {:.3} mm from its reference",
+            1e3 * status.position_error_m
+        )?;
+    }
+    let sections = (status.robot.sections as usize).min(status.following_error_rad.len());
+    let largest_rad = status.following_error_rad[..sections]
+        .iter()
+        .copied()
+        .fold(0.0, f64::max);
+    let largest_m = status
+        .following_error_m
+        .iter()
+        .fold(0.0_f64, |most, m| most.max(m.abs()));
+    writeln!(
+        out,
+        "\nfollowing   {} interface, error {largest_rad:.4} rad, {:.2} mm of cable ({} cycles above the warning)",
+        Interface::text_of(status.interface),
+        1e3 * largest_m,
+        status.following_warnings
+    )
 }
 
 fn core_text(core: u32) -> String {
@@ -280,6 +312,11 @@ mod tests {
             clearance_guarded: 17,
             misses_tolerated: 3,
             statistics_since_ns: 1_000_000_000,
+            interface: Interface::Position.code(),
+            tip_position_m: [0.1, -0.02, 0.3],
+            position_error_m: 0.0015,
+            following_error_rad: [0.01, 0.02, 9.0, 0.0, 0.0, 0.0],
+            following_warnings: 8,
             ..Status::default()
         };
         status.robot.sections = 2;
@@ -292,6 +329,8 @@ mod tests {
         for expected in [
             "mode        tracking (started), 5 faults in 1234 cycles\n",
             "misses      the leaky bucket was full 3 times; a robot behind a driver would have been stopped",
+            "tip         100.0, -20.0, 300.0 mm, 1.500 mm from its reference\n",
+            "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
             "SCHED_FIFO is missing: run as the service",
             "the last 2m 3s",
             "wake-up                     0.0       42.5        0.0             -          -          -\n",

@@ -210,7 +210,7 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
         let mut machine = machine(mode);
         machine.shut_down();
         let rests = machine.mode();
-        assert!(machine.is_latched());
+        assert!(machine.mode().is_latched());
         let all = [
             Request::Reset,
             Request::Track,

@@ -11,7 +11,8 @@ pub use incoming::{
     updated_obstacles,
 };
 pub use outgoing::{
-    command, interface, late_cause, mode, reason, refusal, robot, scheduling, telemetry, text,
+    command, interface, late_cause, mode, position_error_m, reason, refusal, robot, scheduling,
+    telemetry, text,
 };
 pub use settings::{settings_from_wire, settings_to_wire};
 

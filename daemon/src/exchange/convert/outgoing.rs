@@ -57,6 +57,10 @@ pub fn reason(reason: Reason) -> codes::Reason {
         Reason::ClearanceBroken => codes::Reason::ClearanceBroken,
         Reason::MeasurementJump => codes::Reason::MeasurementJump,
         Reason::MeasurementFrozen => codes::Reason::MeasurementFrozen,
+        Reason::FollowingError => codes::Reason::FollowingError,
+        Reason::InputsStale => codes::Reason::InputsStale,
+        Reason::Suspended => codes::Reason::Suspended,
+        Reason::ObstacleSourceSilent => codes::Reason::ObstacleSourceSilent,
     }
 }
 
@@ -93,7 +97,7 @@ pub fn interface(interface: Interface) -> codes::Interface {
 /// The command of a cycle.
 pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Command {
     let target = record
-        .configuration
+        .commanded
         .advanced(&record.rates, period_ns as f64 * 1e-9);
     let mut command = wire::Command {
         cycle: record.release.cycle,
@@ -114,8 +118,6 @@ pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Com
 
 /// The telemetry of a cycle, all but what the reporter adds: header, command, scheduling and events.
 pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Telemetry {
-    let reference_known = record.reference.state != ReferenceState::None;
-    let error_m = (record.tip.position_m - record.reference.position_m).norm();
     let mut telemetry = wire::Telemetry {
         cycle: record.release.cycle,
         release_ns: record.release.release_ns,
@@ -162,24 +164,40 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         reference: reference(&record.reference),
         tip_position_m: record.tip.position_m.into(),
         tip_orientation: quaternion_xyzw(&record.tip.rotation),
-        position_error_m: if reference_known { error_m } else { f64::NAN },
+        position_error_m: position_error_m(record),
         guard_flags: guard_flags(record),
         clearance_m: record.clearance_m,
+        following_error_rad: record.following.bend_rad,
+        following_error_m: record.following.cable_m,
+        following_warning_rad: record.policy.following.warning_rad,
+        following_fault_rad: record.policy.following.fault_rad,
+        following_lag_ns: (record.policy.following.lag_s * 1e9) as u64,
+        acceleration_rad_s2: record.policy.acceleration_rad_s2,
         obstacle_count: record.obstacles.count() as u32,
         ..wire::Telemetry::default()
     };
     if let Some(timed) = &record.measurement {
         telemetry.measurement = measurement_to_wire(timed, robot);
+        telemetry.measurement.interface = interface(record.policy.interface).code();
     }
     for (target, known) in telemetry.obstacles.iter_mut().zip(record.obstacles.iter()) {
         *target = obstacle_to_wire(known);
     }
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
+    copy(record.commanded.as_slice(), &mut telemetry.commanded_rad);
     copy(
         record.previous_rates.as_slice(),
         &mut telemetry.previous_rate_rad_s,
     );
     telemetry
+}
+
+/// Distance of tip and reference \[m\]; NaN without a reference.
+pub fn position_error_m(record: &CycleRecord) -> f64 {
+    match record.reference.state {
+        ReferenceState::None => f64::NAN,
+        _ => (record.tip.position_m - record.reference.position_m).norm(),
+    }
 }
 
 /// A measurement as a cycle used it. Who sent it is not known any more, so the header is zero.
@@ -291,6 +309,7 @@ fn guard_flags(record: &CycleRecord) -> u32 {
         (hit.bend, codes::guard::BEND),
         (hit.cable_speed, codes::guard::CABLE_SPEED),
         (hit.cable_stroke, codes::guard::CABLE_STROKE),
+        (hit.acceleration, codes::guard::ACCELERATION),
         (hit.non_finite, codes::guard::NON_FINITE),
         (record.clearance_hit, codes::guard::CLEARANCE),
     ];

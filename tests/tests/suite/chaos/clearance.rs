@@ -1,6 +1,6 @@
 //! Invariant: no command of ours brings the body nearer to an obstacle than is allowed.
 
-use cdcr_controller::robot::{Configuration, Robot};
+use cdcr_controller::robot::{BendRates, Robot};
 use cdcr_shared_types::Telemetry;
 use cdcr_tests::record::{configuration_of, obstacles_of};
 
@@ -12,10 +12,10 @@ const TOLERANCE_M: f64 = 1e-9;
 /// Checks c(command) ≥ min(D, c(standing still)) for each obstacle where it will be one period later, both with
 /// the exact clearance of the whole body.
 pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
-    let width = robot.coordinate_count();
-    let target = &record.command.bend_target_rad[..width];
-    let target = Configuration::from_slice(target).ok_or("the target has no shape")?;
-    let (standing, commanded) = (configuration_of(record), target);
+    let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
+    let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
+    let standing = configuration_of(record);
+    let commanded = standing.advanced(&rates, period_s);
     let standing = robot.body(standing.as_slice());
     let commanded = robot.body(commanded.as_slice());
     for (index, obstacle) in obstacles_of(record).iter().enumerate() {
@@ -53,11 +53,11 @@ mod tests {
             ..Obstacle::default()
         };
         for (target_rad, holds) in [(0.0, true), (-0.01, true), (0.01, false)] {
-            record.command.bend_target_rad[0] = target_rad;
+            record.command.bend_rate_rad_s[0] = target_rad / 0.005;
             assert_eq!(check(&robot, &record, 0.005).is_ok(), holds, "{target_rad}");
         }
         // It runs into the robot by itself, and the robot stands still.
-        record.command.bend_target_rad[0] = 0.0;
+        record.command.bend_rate_rad_s[0] = 0.0;
         record.obstacles[0].velocity_m_s = [-1.0, 0.0, 0.0];
         assert_eq!(check(&robot, &record, 0.005), Ok(()));
     }

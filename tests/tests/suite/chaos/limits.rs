@@ -1,6 +1,7 @@
 //! Invariant: no command leaves the limits of the robot, and every number of it is finite.
 
 use cdcr_controller::robot::Robot;
+use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::{Command, Telemetry};
 
 use crate::chaos::{Verdict, ensure};
@@ -8,27 +9,15 @@ use crate::chaos::{Verdict, ensure};
 /// What rounding may add to a bend \[rad\], a stroke \[m\] or a speed \[m/s\].
 const TOLERANCE: f64 = 1e-9;
 
-/// Checks one command: rates in the box, target and cables inside their limits. Whoever is beyond a limit
-/// already, because rates held for longer than a period or a measurement says so, may not go farther.
+/// Checks one command by itself: rates in the box, speeds inside their limit, and, where a driver obeys them, positions.
 pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> Verdict {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
     let rates = &command.bend_rate_rad_s[..width];
-    let target = &command.bend_target_rad[..width];
     check_finite(command)?;
-    let from: Vec<f64> = target
-        .iter()
-        .zip(rates)
-        .map(|(target, rate)| target - period_s * rate)
-        .collect();
     for (j, section) in robot.sections().iter().enumerate() {
-        let (u, v) = (2 * j, 2 * j + 1);
-        let rate = rates[u].abs().max(rates[v].abs());
+        let rate = rates[2 * j].abs().max(rates[2 * j + 1].abs());
         ensure(rate <= section.rate_max_rad_s, || {
             format!("section {j} is commanded to bend at {rate} rad/s")
-        })?;
-        let (bend, before) = (target[u].hypot(target[v]), from[u].hypot(from[v]));
-        ensure(bend <= section.bend_max_rad.max(before) + TOLERANCE, || {
-            format!("section {j} is commanded from {before} to {bend} rad")
         })?;
     }
     let speed_max = robot.cable_speed_max_m_s();
@@ -37,14 +26,34 @@ pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> Verdict 
             format!("a cable is commanded at {speed} m/s")
         })?;
     }
-    let (strokes, before) = (robot.cable_strokes(target), robot.cable_strokes(&from));
+    if command.interface == Interface::Position.code() {
+        let target = &command.bend_target_rad[..width];
+        let pairs = target.iter().zip(rates);
+        let from: Vec<f64> = pairs
+            .map(|(target, rate)| target - period_s * rate)
+            .collect();
+        check_move(robot, &from, target)?;
+    }
+    check_cables(robot, command)
+}
+
+/// A move of one period. Whoever is beyond a limit already, because a measurement says so, may not go farther.
+fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> Verdict {
+    for (j, section) in robot.sections().iter().enumerate() {
+        let (u, v) = (2 * j, 2 * j + 1);
+        let (bend, before) = (target[u].hypot(target[v]), from[u].hypot(from[v]));
+        ensure(bend <= section.bend_max_rad.max(before) + TOLERANCE, || {
+            format!("section {j} is commanded from {before} to {bend} rad")
+        })?;
+    }
+    let (strokes, before) = (robot.cable_strokes(target), robot.cable_strokes(from));
     for (stroke, before) in strokes.iter().zip(before) {
         let most = robot.cable_stroke_max_m().max(before.abs()) + TOLERANCE;
         ensure(stroke.abs() <= most, || {
             format!("a cable is commanded from {before} to {stroke} m")
         })?;
     }
-    check_cables(robot, command)
+    Ok(())
 }
 
 /// Cables say the same as bends.
@@ -75,13 +84,11 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
     let same = (command.cycle, command.release_ns, command.mode)
         == (record.cycle, record.release_ns, record.mode);
     ensure(same, || "the command is another cycle's".to_owned())?;
-    for i in 0..robot.coordinate_count() {
-        let target = record.bend_rad[i] + period_s * command.bend_rate_rad_s[i];
-        ensure(
-            (target - command.bend_target_rad[i]).abs() <= TOLERANCE,
-            || format!("component {i}: the rates lead to {target}, not to the target"),
-        )?;
-    }
+    let width = robot.coordinate_count();
+    let from = &record.bend_rad[..width];
+    let pairs = from.iter().zip(&command.bend_rate_rad_s);
+    let target: Vec<f64> = pairs.map(|(from, rate)| from + period_s * rate).collect();
+    check_move(robot, from, &target)?;
     let state = record.bend_rad.iter().chain(&record.tip_position_m);
     let state = state
         .chain(&record.tip_orientation)
@@ -99,7 +106,10 @@ mod tests {
 
     fn command(rates: [f64; 6], from: [f64; 6]) -> Command {
         let robot = robot();
-        let mut command = Command::default();
+        let mut command = Command {
+            interface: Interface::Position.code(),
+            ..Command::default()
+        };
         for i in 0..6 {
             command.bend_rate_rad_s[i] = rates[i];
             command.bend_target_rad[i] = from[i] + 0.005 * rates[i];

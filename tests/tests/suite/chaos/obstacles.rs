@@ -62,7 +62,11 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
 /// Where the tip is going; none when it stands still.
 fn way_of_tip(record: &Telemetry, robot: &Robot) -> Option<[f64; 3]> {
     let width = robot.coordinate_count();
-    let next = robot.tip_position(&record.command.bend_target_rad[..width]);
+    let pairs = record.bend_rad[..width]
+        .iter()
+        .zip(&record.command.bend_rate_rad_s);
+    let next: Vec<f64> = pairs.map(|(bend, rate)| bend + 0.005 * rate).collect();
+    let next = robot.tip_position(&next);
     let way: [f64; 3] = core::array::from_fn(|i| next[i] - record.tip_position_m[i]);
     let norm = way.iter().map(|x| x * x).sum::<f64>().sqrt();
     (norm > 1e-6).then(|| way.map(|x| x / norm))

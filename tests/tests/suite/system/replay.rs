@@ -12,9 +12,9 @@ use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::{guard, limit, ramp_to_zero};
+use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
 use cdcr_daemon::exchange::convert;
-use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, ObstacleShape, Outcome};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Interface, Mode, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
 use cdcr_tests::record::{configuration_of, obstacles_of, robot_of};
@@ -107,25 +107,43 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// Computes what limits and guard make of a wish again. Whether the guard changed it.
-fn command_again(record: &Telemetry, robot: &Robot, wish: &BendRates) -> bool {
-    let (at, _) = state_of(record);
-    let period_s = record.period_ns as f64 * 1e-9;
-    let limited = limit(robot, &at, wish, period_s);
-    let known = obstacles_of(record);
-    let safe_m = record.settings.safe_distance_m;
-    let guarded = guard(robot, &at, &limited.rates, &known, safe_m, period_s);
+/// Computes again what limits and guard make of the rates that the mode desires. Whether the guard changed them.
+fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool {
+    let (at, previous) = state_of(record);
     let width = robot.coordinate_count();
-    let sent = &record.command.bend_rate_rad_s[..width];
+    let commanded = Configuration::from_slice(&record.commanded_rad[..width]).unwrap();
+    let obeys_positions = record.command.interface == Interface::Position.code();
+    let situation = Situation {
+        robot,
+        at: &at,
+        commanded: obeys_positions.then_some(&commanded),
+        previous: &previous,
+        obstacles: &obstacles_of(record),
+        safe_distance_m: record.settings.safe_distance_m,
+        acceleration_rad_s2: record.acceleration_rad_s2,
+        period_s: record.period_ns as f64 * 1e-9,
+        comes_to_rest: ![Mode::Tracking, Mode::Homing]
+            .map(Mode::code)
+            .contains(&record.mode),
+    };
+    let safe = safe_command(&situation, desired);
+    let command = &record.command;
     assert_eq!(
-        bits(guarded.rates.as_slice()),
-        bits(sent),
+        bits(safe.rates.as_slice()),
+        bits(&command.bend_rate_rad_s[..width]),
         "cycle {}",
         record.cycle
     );
-    assert_eq!(guarded.clearance_m.to_bits(), record.clearance_m.to_bits());
+    let target = commanded.advanced(&safe.rates, situation.period_s);
+    assert_eq!(
+        bits(target.as_slice()),
+        bits(&command.bend_target_rad[..width])
+    );
+    assert_eq!(safe.clearance_m.to_bits(), record.clearance_m.to_bits());
     let flagged = record.guard_flags & codes::guard::CLEARANCE != 0;
-    assert_eq!(guarded.hit, flagged);
+    assert_eq!(safe.clearance_hit, flagged);
+    let accelerated = record.guard_flags & codes::guard::ACCELERATION != 0;
+    assert_eq!(safe.limits_hit.acceleration, accelerated);
     flagged
 }
 
@@ -253,4 +271,13 @@ fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
     let line = Line::for_sections(&[0.3; 3]);
     let (solved, guarded) = Recording::make(&configuration, &in_the_way(), &line).replay();
     assert!(guarded > 10, "{guarded} of {solved}");
+}
+
+#[test]
+fn cycles_of_a_robot_that_obeys_positions_are_computed_again_bit_for_bit() {
+    let positions = "[link]\ninterface = \"position\"\n[motion]\nacceleration_rad_s2 = 15.0\n";
+    let recording = Recording::make(&format!("{PATIENT}{positions}"), &[], &spiral());
+    recording.replay();
+    let is_cut = |record: &&Telemetry| record.guard_flags & codes::guard::ACCELERATION != 0;
+    assert!(recording.records.iter().any(|record| is_cut(&record)));
 }

@@ -70,6 +70,10 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "late_start_ns": record.late_start_ns,
         "measurement_timeout_ns": record.measurement_timeout_ns,
         "clearance_fault_m": record.clearance_fault_m,
+        "following_warning_rad": record.following_warning_rad,
+        "following_fault_rad": record.following_fault_rad,
+        "following_lag_ns": record.following_lag_ns,
+        "acceleration_rad_s2": record.acceleration_rad_s2,
         "measurement_jump_rad": record.measurement_jump_rad,
         "measurement_jump_limit": record.measurement_jump_limit,
         "measurement_frozen_rad": record.measurement_frozen_rad,
@@ -93,6 +97,9 @@ pub(crate) fn telemetry(record: &Telemetry) -> Value {
         "guard_flags": record.guard_flags,
         "guards": guards(record.guard_flags),
         "clearance_m": record.clearance_m,
+        "commanded_rad": &record.commanded_rad[..coordinates],
+        "following_error_rad": &record.following_error_rad[..coordinates / 2],
+        "following_error_m": &record.following_error_m[..3 * coordinates / 2],
         "command": command(&record.command),
     });
     joined([when_and_mode, inputs, outputs])
@@ -201,6 +208,7 @@ pub(crate) fn command(command: &Command) -> Value {
 
 pub(crate) fn status(status: &Status) -> Value {
     let missing = realtime_missing(status.realtime_missing);
+    let sections = used_sections(status.robot.sections);
     json!({
         "header": header(&status.header),
         "robot_name": text(&status.robot_name),
@@ -234,6 +242,12 @@ pub(crate) fn status(status: &Status) -> Value {
         "reference_points": status.reference_points,
         "obstacle_count": status.obstacle_count,
         "clearance_m": status.clearance_m,
+        "interface": Interface::text_of(status.interface),
+        "tip_position_m": status.tip_position_m,
+        "position_error_m": status.position_error_m,
+        "following_error_rad": &status.following_error_rad[..sections],
+        "following_error_m": &status.following_error_m[..3 * sections],
+        "following_warnings": status.following_warnings,
         "robot": robot(&status.robot),
         "settings": settings(&status.settings),
     })

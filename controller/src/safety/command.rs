@@ -1,0 +1,157 @@
+use crate::robot::{BendRates, Configuration, Obstacle, Robot};
+
+use super::{LimitsHit, accelerate, guard, guard_ramp, limit, shorten, shorten_to_acceleration};
+
+/// What a command is checked against.
+#[derive(Debug, Clone, Copy)]
+pub struct Situation<'a> {
+    /// The robot.
+    pub robot: &'a Robot,
+    /// Where it is.
+    pub at: &'a Configuration,
+    /// Where it is commanded to be, when it obeys positions: they stay inside the limits, too.
+    pub commanded: Option<&'a Configuration>,
+    /// The command before.
+    pub previous: &'a BendRates,
+    /// Obstacles, where they are now.
+    pub obstacles: &'a [Obstacle],
+    /// Distance D that the body keeps \[m\].
+    pub safe_distance_m: f64,
+    /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
+    pub acceleration_rad_s2: f64,
+    /// Period \[s\].
+    pub period_s: f64,
+    /// Whether the robot comes to rest: then rates are only shortened.
+    pub comes_to_rest: bool,
+}
+
+/// A command inside every limit that keeps clear.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SafeCommand {
+    /// The rates \[rad/s\].
+    pub rates: BendRates,
+    /// Which limits changed them.
+    pub limits_hit: LimitsHit,
+    /// Whether the clearance guard changed them.
+    pub clearance_hit: bool,
+    /// Smallest clearance of the body now \[m\], as in [`Guarded`](super::Guarded).
+    pub clearance_m: f64,
+}
+
+/// What a mode desires, made safe: acceleration, limits, clearance guard, in this order. What the guard made is only
+/// shortened after it: to the acceleration, and to the limits of the commanded position.
+pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
+    let Situation {
+        robot,
+        at,
+        previous,
+        period_s,
+        ..
+    } = *situation;
+    let change_rad_s = situation.acceleration_rad_s2 * period_s;
+    let (rates, is_cut) = accelerate(previous, desired, change_rad_s);
+    let (limit, guard) = if situation.comes_to_rest {
+        (
+            shorten as fn(&_, &_, &_, _) -> _,
+            guard_ramp as fn(&_, &_, &_, &_, _, _) -> _,
+        )
+    } else {
+        (
+            limit as fn(&_, &_, &_, _) -> _,
+            guard as fn(&_, &_, &_, &_, _, _) -> _,
+        )
+    };
+    let limited: super::Limited = limit(robot, at, &rates, period_s);
+    let (obstacles, safe_m) = (situation.obstacles, situation.safe_distance_m);
+    let guarded: super::Guarded = guard(robot, at, &limited.rates, obstacles, safe_m, period_s);
+    let (mut rates, is_shortened) = shorten_to_acceleration(previous, &guarded.rates, change_rad_s);
+    let mut limits_hit = LimitsHit {
+        acceleration: is_cut | is_shortened,
+        ..limited.hit
+    };
+    // Where both are the same, the limits hold already.
+    if let Some(commanded) = situation.commanded.filter(|commanded| *commanded != at) {
+        let shortened = shorten(robot, commanded, &rates, period_s);
+        rates = shortened.rates;
+        limits_hit = limits_hit.or(shortened.hit);
+    }
+    SafeCommand {
+        rates,
+        limits_hit,
+        clearance_hit: guarded.hit,
+        clearance_m: guarded.clearance_m,
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::robot::{RobotParameters, Shape};
+    use nalgebra::Vector3;
+
+    const PERIOD_S: f64 = 0.005;
+
+    fn configuration(bends: [f64; 4]) -> Configuration {
+        Configuration::from_slice(&bends).unwrap()
+    }
+
+    fn rates(values: [f64; 4]) -> BendRates {
+        BendRates::from_slice(&values).unwrap()
+    }
+
+    proptest! {
+        /// Wherever robot, commanded position and obstacle are: in rest no component is larger than the ramp's, and
+        /// zero stays zero; in motion the acceleration holds; the commanded position never goes farther out.
+        #[test]
+        fn every_rule_holds_after_all_of_them(
+            at in prop::array::uniform4(-2.5..2.5_f64),
+            off in prop::array::uniform4(-0.6..0.6_f64),
+            previous in prop::array::uniform4(-2.0..2.0_f64),
+            desired in prop::array::uniform4(-3.0..3.0_f64),
+            centre in prop::array::uniform3(-0.5..0.5_f64),
+            comes_to_rest: bool,
+        ) {
+            let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+            let centre_m = Vector3::from(centre);
+            let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
+            let commanded = configuration(core::array::from_fn(|i| at[i] + off[i]));
+            let (at, previous) = (configuration(at), rates(previous));
+            let situation = Situation {
+                robot: &robot,
+                at: &at,
+                commanded: Some(&commanded),
+                previous: &previous,
+                obstacles: &[obstacle],
+                safe_distance_m: 0.01,
+                acceleration_rad_s2: 40.0,
+                period_s: PERIOD_S,
+                comes_to_rest,
+            };
+            let desired = if comes_to_rest {
+                rates(core::array::from_fn(|i| 0.7 * previous.as_slice()[i]))
+            } else {
+                rates(desired)
+            };
+            let safe = safe_command(&situation, &desired);
+            for ((rate, desired), previous) in
+                safe.rates.as_slice().iter().zip(desired.as_slice()).zip(previous.as_slice())
+            {
+                let shrinks = rate * previous >= 0.0 && rate.abs() <= previous.abs();
+                prop_assert!(shrinks || rate.abs() <= previous.abs().max(0.0) + 40.0 * PERIOD_S + 1e-12);
+                if comes_to_rest {
+                    prop_assert!(rate.abs() <= desired.abs() && rate * desired >= 0.0);
+                }
+            }
+            let next = commanded.advanced(&safe.rates, PERIOD_S);
+            for section in 0..2 {
+                let most = robot.sections()[section].bend_max_rad.max(commanded.bend_rad(section));
+                prop_assert!(next.bend_rad(section) <= most + 1e-12);
+            }
+            let rest = Situation { comes_to_rest: true, previous: &BendRates::zero(2), ..situation };
+            prop_assert_eq!(safe_command(&rest, &BendRates::zero(2)).rates, BendRates::zero(2));
+        }
+    }
+}

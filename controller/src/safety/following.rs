@@ -1,0 +1,234 @@
+//! Whether the robot goes where it is commanded to.
+
+use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
+
+/// Commanded configurations that are remembered over the lag.
+const PAST_MAX: usize = 32;
+/// Time after which a robot that obeys speeds is no longer held to what it was commanded \[s\]: small errors of its
+/// speed add up, and control makes up for them.
+const FORGETTING_S: f64 = 1.0;
+
+/// What counts as not following.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FollowingRules {
+    /// A larger following error of a section is a warning \[rad\].
+    pub warning_rad: f64,
+    /// A larger one is a fault \[rad\].
+    pub fault_rad: f64,
+    /// How far the robot may lag behind its commands \[s\].
+    pub lag_s: f64,
+}
+
+/// How far the robot is from where it should be.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FollowingError {
+    /// Of each section \[rad\].
+    pub bend_rad: [f64; SECTIONS_MAX],
+    /// Of each cable \[m\]: positive where it is longer than commanded.
+    pub cable_m: [f64; CABLES_MAX],
+}
+
+impl FollowingError {
+    /// That of the section which is farthest off \[rad\].
+    pub fn largest_rad(&self) -> f64 {
+        self.bend_rad.iter().copied().fold(0.0, f64::max)
+    }
+}
+
+/// Compares what is measured with what was commanded in the last [`lag_s`](FollowingRules::lag_s): a component of the
+/// bend vector that lies between the least and the largest commanded one is where a robot with a lag or delay up to that
+/// may be, and its error is zero.
+///
+/// For a robot that obeys positions, what was commanded is the commanded position. One that obeys speeds has none: it
+/// is held to the integral of its speeds, which is drawn to what is measured with a time constant of a second.
+#[derive(Debug, Clone)]
+pub struct FollowingWatch {
+    rules: FollowingRules,
+    obeys_positions: bool,
+    commanded: Configuration,
+    past: [Configuration; PAST_MAX],
+    newest: usize,
+    /// Since the newest of the past \[s\].
+    unstored_s: f64,
+    /// Since the last measurement \[s\].
+    unmeasured_s: f64,
+    error: FollowingError,
+}
+
+impl FollowingWatch {
+    /// A robot that begins at `at`.
+    pub fn new(rules: FollowingRules, obeys_positions: bool, at: Configuration) -> Self {
+        Self {
+            rules,
+            obeys_positions,
+            commanded: at,
+            past: [at; PAST_MAX],
+            newest: 0,
+            unstored_s: 0.0,
+            unmeasured_s: 0.0,
+            error: FollowingError::default(),
+        }
+    }
+
+    /// Begins anew: the robot is where it should be.
+    pub fn begin(&mut self, at: Configuration) {
+        *self = Self::new(self.rules, self.obeys_positions, at);
+    }
+
+    /// What it judges by.
+    pub fn rules(&self) -> &FollowingRules {
+        &self.rules
+    }
+
+    /// The robot was commanded to move at `rates` for `moving_s` of the last `elapsed_s`.
+    pub fn commanded(&mut self, rates: &BendRates, moving_s: f64, elapsed_s: f64) {
+        self.commanded = self.commanded.advanced(rates, moving_s);
+        self.unmeasured_s += elapsed_s;
+        self.unstored_s += elapsed_s;
+        if self.unstored_s * PAST_MAX as f64 >= self.rules.lag_s {
+            self.unstored_s = 0.0;
+            self.newest = (self.newest + 1) % PAST_MAX;
+            self.past[self.newest] = self.commanded;
+        }
+    }
+
+    /// The robot was measured.
+    pub fn measured(&mut self, robot: &Robot, measured: &Configuration) -> &FollowingError {
+        if !self.obeys_positions {
+            let gain = self.unmeasured_s / (self.unmeasured_s + FORGETTING_S);
+            self.draw_to(measured, gain);
+        }
+        self.unmeasured_s = 0.0;
+        let mut off_rad = [0.0; COORDINATES_MAX];
+        for (i, measured) in measured.as_slice().iter().enumerate() {
+            let (mut least, mut most) =
+                (self.commanded.as_slice()[i], self.commanded.as_slice()[i]);
+            for past in &self.past {
+                least = least.min(past.as_slice()[i]);
+                most = most.max(past.as_slice()[i]);
+            }
+            off_rad[i] = (measured - most).max(0.0) + (measured - least).min(0.0);
+        }
+        let off_rad = &off_rad[..2 * robot.section_count()];
+        self.error = FollowingError::default();
+        for (error, pair) in self.error.bend_rad.iter_mut().zip(off_rad.chunks_exact(2)) {
+            *error = pair[0].hypot(pair[1]);
+        }
+        // Linear: a difference of bends instead of rates gives one of lengths instead of speeds.
+        self.error.cable_m = robot.cable_speeds(off_rad);
+        &self.error
+    }
+
+    /// At the last measurement.
+    pub fn error(&self) -> &FollowingError {
+        &self.error
+    }
+
+    /// Whether the robot does not follow.
+    pub fn is_broken(&self) -> bool {
+        self.error.largest_rad() > self.rules.fault_rad
+    }
+
+    fn draw_to(&mut self, measured: &Configuration, gain: f64) {
+        let pairs = self.commanded.as_mut_slice().iter_mut();
+        for (commanded, measured) in pairs.zip(measured.as_slice()) {
+            *commanded += gain * (measured - *commanded);
+        }
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use super::*;
+    use crate::robot::RobotParameters;
+
+    const PERIOD_S: f64 = 0.005;
+    const RULES: FollowingRules = FollowingRules {
+        warning_rad: 0.1,
+        fault_rad: 0.3,
+        lag_s: 0.1,
+    };
+
+    fn bends(u: f64, v: f64) -> Configuration {
+        Configuration::from_slice(&[u, v]).unwrap()
+    }
+
+    fn robot() -> Robot {
+        Robot::new(&RobotParameters::paper(1)).unwrap()
+    }
+
+    /// Largest error of a robot that moves with `rate(t)`, and is measured by `plant(commanded, t)`.
+    fn largest_rad(
+        obeys_positions: bool,
+        rate: impl Fn(f64) -> f64,
+        mut plant: impl FnMut(f64, f64) -> f64,
+    ) -> f64 {
+        let robot = robot();
+        let mut watch = FollowingWatch::new(RULES, obeys_positions, bends(0.0, 0.0));
+        let (mut largest, mut commanded) = (0.0_f64, 0.0);
+        for step in 0..2000 {
+            let time_s = f64::from(step) * PERIOD_S;
+            let rates = BendRates::from_slice(&[rate(time_s), 0.0]).unwrap();
+            watch.commanded(&rates, PERIOD_S, PERIOD_S);
+            commanded += PERIOD_S * rate(time_s);
+            let error = watch.measured(&robot, &bends(plant(commanded, rate(time_s)), 0.0));
+            largest = largest.max(error.largest_rad());
+        }
+        largest
+    }
+
+    #[test]
+    fn lag_and_delay_are_no_error_and_standing_still_is() {
+        let swing = |time_s: f64| 2.0 * (3.0 * time_s).cos();
+        assert!(largest_rad(true, swing, |commanded, _| commanded) < 1e-12);
+        let mut lagging = 0.0;
+        let lag = largest_rad(true, swing, |commanded, _| {
+            lagging += PERIOD_S / 0.03 * (commanded - lagging);
+            lagging
+        });
+        assert!(lag < 0.01, "{lag}");
+        let mut queue = std::collections::VecDeque::from([0.0; 16]);
+        let delay = largest_rad(true, swing, |commanded, _| {
+            queue.push_back(commanded);
+            queue.pop_front().unwrap()
+        });
+        assert!(delay < 1e-12, "{delay}");
+        assert!(largest_rad(true, swing, |_, _| 0.0) > RULES.fault_rad);
+        // A constant offset is the error that it is.
+        let offset = largest_rad(true, swing, |commanded, _| commanded + 0.05);
+        assert!((offset - 0.05).abs() < 0.01, "{offset}");
+    }
+
+    #[test]
+    fn a_robot_that_obeys_speeds_may_drift_but_not_stand() {
+        let turn = |time_s: f64| if time_s < 5.0 { 0.5 } else { -0.5 };
+        let mut slow = 0.0;
+        let drift = largest_rad(false, turn, |_, rate| {
+            slow += PERIOD_S * 0.97 * rate;
+            slow
+        });
+        assert!(drift < RULES.warning_rad, "{drift}");
+        assert!(largest_rad(false, turn, |_, _| 0.0) > RULES.fault_rad);
+    }
+
+    #[test]
+    fn the_error_of_the_cables_has_their_sign() {
+        let robot = robot();
+        let mut watch = FollowingWatch::new(RULES, true, bends(0.0, 0.0));
+        let measured = bends(0.2, -0.1);
+        let lengths = robot.cable_lengths(measured.as_slice());
+        let straight = robot.cable_lengths(&[0.0, 0.0]);
+        let error = *watch.measured(&robot, &measured);
+        for cable in 0..3 {
+            let longer_m = lengths[cable] - straight[cable];
+            assert!((error.cable_m[cable] - longer_m).abs() < 1e-15);
+        }
+        assert!((error.bend_rad[0] - 0.2_f64.hypot(0.1)).abs() < 1e-15);
+        watch.begin(measured);
+        assert_eq!(
+            *watch.measured(&robot, &measured),
+            FollowingError::default()
+        );
+    }
+}

@@ -1,0 +1,226 @@
+use cdcr_controller::estimator::{Estimator, Measurement};
+use cdcr_controller::robot::{BendRates, Configuration, Robot};
+use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
+
+use super::{MeasurementUse, Policy};
+use crate::config::Interface;
+use crate::ports::TimedMeasurement;
+use crate::rt::handoff::CycleInputs;
+
+/// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
+const BEND_TOLERANCE_RAD: f64 = 0.05;
+/// All bends below this are straight at once \[rad\].
+const HOME_EXACT_RAD: f64 = 1e-6;
+/// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
+const HOME_SETTLED_NS: u64 = 100_000_000;
+/// How fast the estimate of a robot that obeys positions follows what is measured \[s\]: slower than its motors.
+const POSITION_SMOOTHING_S: f64 = 0.1;
+
+/// What a cycle knows of the robot: where it was commanded to be, where it was measured, where it is.
+#[derive(Debug)]
+pub(super) struct RobotState {
+    robot: Robot,
+    policy: Policy,
+    period_ns: u64,
+    estimator: Estimator,
+    /// A state, moved by the commanded rates and by nothing else while the robot is in control. A robot that obeys
+    /// positions is told it.
+    commanded: Configuration,
+    following: FollowingWatch,
+    plausibility: MeasurementWatch,
+    /// Where the robot was last measured, as far as that tells its configuration.
+    measured: Option<Configuration>,
+    last_measured_ns: u64,
+    last_gather_ns: u64,
+    /// Time of gathers without a fresh measurement \[ns\].
+    unmeasured_ns: u64,
+    /// How long the robot has been straight within the tolerance \[ns\].
+    straight_ns: u64,
+    /// What the measurement of this cycle shows.
+    measurement_fault: Option<Reason>,
+}
+
+impl RobotState {
+    /// A robot that is taken to be at `initial` until it is measured.
+    pub(super) fn new(
+        robot: Robot,
+        policy: Policy,
+        period_ns: u64,
+        initial: Configuration,
+    ) -> Self {
+        let obeys_positions = policy.interface == Interface::Position;
+        let smoothing_s = if obeys_positions {
+            POSITION_SMOOTHING_S
+        } else {
+            0.0
+        };
+        Self {
+            robot,
+            policy,
+            period_ns,
+            estimator: Estimator::new(initial).with_smoothing(smoothing_s),
+            commanded: initial,
+            following: FollowingWatch::new(policy.following, obeys_positions, initial),
+            plausibility: MeasurementWatch::new(policy.plausibility),
+            measured: None,
+            last_measured_ns: 0,
+            last_gather_ns: 0,
+            unmeasured_ns: 0,
+            straight_ns: 0,
+            measurement_fault: None,
+        }
+    }
+
+    /// Where the robot is, as far as that is known.
+    pub(super) fn configuration(&self) -> &Configuration {
+        self.estimator.configuration()
+    }
+
+    /// Where it is commanded to be.
+    pub(super) fn commanded(&self) -> &Configuration {
+        &self.commanded
+    }
+
+    /// How far it is from there.
+    pub(super) fn following(&self) -> &FollowingWatch {
+        &self.following
+    }
+
+    /// The robot moved by `rates`, the last command, `elapsed_ns` ago.
+    pub(super) fn move_on(&mut self, rates: &BendRates, elapsed_ns: u64) {
+        let moving_ns = self.policy.moving_ns(elapsed_ns, self.period_ns);
+        let (moving_s, elapsed_s) = (moving_ns as f64 * 1e-9, elapsed_ns as f64 * 1e-9);
+        self.estimator.predict(rates, moving_s);
+        if elapsed_ns > moving_ns {
+            // Then it held.
+            let rest = BendRates::zero(self.robot.section_count());
+            self.estimator.predict(&rest, elapsed_s - moving_s);
+        }
+        self.commanded = self.commanded.advanced(rates, moving_s);
+        self.following.commanded(rates, moving_s, elapsed_s);
+        self.plausibility.commanded(rates, moving_s);
+    }
+
+    /// Takes in what was measured before `release_ns`, if it is new and can be.
+    pub(super) fn measure(
+        &mut self,
+        measurement: Option<TimedMeasurement>,
+        release_ns: u64,
+    ) -> MeasurementUse {
+        self.measurement_fault = None;
+        let Some(TimedMeasurement {
+            measurement,
+            measured_ns,
+        }) = measurement
+        else {
+            return MeasurementUse::None;
+        };
+        if measured_ns <= self.last_measured_ns {
+            return MeasurementUse::Repeated;
+        }
+        let is_first = self.last_measured_ns == 0;
+        self.last_measured_ns = measured_ns;
+        match self
+            .plausibility
+            .judge(&self.robot, &measurement, measured_ns)
+        {
+            Plausibility::Jump => return MeasurementUse::Implausible,
+            Plausibility::Lost => {
+                self.measurement_fault = Some(Reason::MeasurementJump);
+                return MeasurementUse::Implausible;
+            }
+            Plausibility::Frozen => self.measurement_fault = Some(Reason::MeasurementFrozen),
+            Plausibility::Good => {}
+        }
+        let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
+        self.estimator.correct(&self.robot, &measurement, age_s);
+        self.measured = configuration_of(&self.robot, &measurement);
+        if is_first {
+            self.take_control();
+        }
+        if let Some(measured) = &self.measured {
+            self.following.measured(&self.robot, measured);
+        }
+        MeasurementUse::Used
+    }
+
+    /// Control begins where the robot is: at the start, and when a latched mode is left, in which it may have been moved
+    /// by hand.
+    pub(super) fn take_control(&mut self) {
+        let here = self.measured.unwrap_or(*self.configuration());
+        self.commanded = here;
+        self.following.begin(here);
+        self.estimator.begin(here);
+    }
+
+    /// Counts how long no fresh measurement has come, in time that gathers have seen: after a stall of the machine
+    /// what the driver sent meanwhile must first be taken in.
+    pub(super) fn count_silence(
+        &mut self,
+        measurement: Option<TimedMeasurement>,
+        inputs: &CycleInputs,
+    ) {
+        let passed_ns = inputs.gather_ns.saturating_sub(self.last_gather_ns);
+        self.last_gather_ns = inputs.gather_ns;
+        let Some(TimedMeasurement { measured_ns, .. }) = measurement else {
+            return;
+        };
+        let age_ns = inputs.gather_ns.saturating_sub(measured_ns);
+        let is_fresh =
+            measured_ns > self.last_measured_ns && age_ns <= self.policy.measurement_timeout_ns;
+        self.unmeasured_ns = if is_fresh {
+            age_ns
+        } else {
+            self.unmeasured_ns + passed_ns.min(2 * self.period_ns)
+        };
+    }
+
+    /// Counts how long the robot has been straight.
+    pub(super) fn count_straight(&mut self, elapsed_ns: u64) {
+        self.straight_ns = if self.is_within(self.policy.home_tolerance_rad) {
+            self.straight_ns.saturating_add(elapsed_ns)
+        } else {
+            0
+        };
+    }
+
+    /// Whether it is straight, exactly or for long enough.
+    pub(super) fn is_at_home(&self) -> bool {
+        self.is_within(HOME_EXACT_RAD) || self.straight_ns >= HOME_SETTLED_NS
+    }
+
+    fn is_within(&self, tolerance_rad: f64) -> bool {
+        let bends = self.configuration().as_slice();
+        bends.iter().all(|bend| bend.abs() < tolerance_rad)
+    }
+
+    /// What is wrong with the measurement.
+    pub(super) fn measurement_fault(&self) -> Option<Reason> {
+        if self.unmeasured_ns > self.policy.measurement_timeout_ns {
+            return Some(Reason::MeasurementLost);
+        }
+        self.measurement_fault
+    }
+
+    /// What is wrong with where it is.
+    pub(super) fn place_fault(&self) -> Option<Reason> {
+        let estimate = self.configuration();
+        if !estimate.is_finite() {
+            return Some(Reason::NonFinite);
+        }
+        let at = self.measured.as_ref().unwrap_or(estimate);
+        let mut sections = self.robot.sections().iter().enumerate();
+        let beyond = sections
+            .any(|(index, section)| at.bend_rad(index) > section.bend_max_rad + BEND_TOLERANCE_RAD);
+        beyond.then_some(Reason::LimitBroken)
+    }
+}
+
+/// The configuration that a measurement tells; a tip position does not.
+fn configuration_of(robot: &Robot, measurement: &Measurement) -> Option<Configuration> {
+    match measurement {
+        Measurement::Configuration(measured) => Some(*measured),
+        Measurement::CableLengths(lengths) => Some(robot.bend_from_cable_lengths(lengths)),
+        Measurement::TipPosition(_) => None,
+    }
+}
