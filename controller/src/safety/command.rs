@@ -38,8 +38,9 @@ pub struct SafeCommand {
     pub clearance_m: f64,
 }
 
-/// What a mode desires, made safe: acceleration, limits, clearance guard, in this order. What the guard made is only
-/// shortened after it: to the acceleration, and to the limits of the commanded position.
+/// What a mode desires, made safe: acceleration, limits, clearance guard, in this order. What the guard made is shortened
+/// to the acceleration and to the limits of the commanded position; if that changes it, it is scaled down once more, to
+/// where it keeps clear. Scaling down keeps all that was made sure of before.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
     let Situation {
         robot,
@@ -75,10 +76,17 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
         rates = shortened.rates;
         limits_hit = limits_hit.or(shortened.hit);
     }
+    // Half of a way round an obstacle may lead nearer to it than the whole.
+    let mut clearance_hit = guarded.hit;
+    if rates != guarded.rates {
+        let kept = guard_ramp(robot, at, &rates, obstacles, safe_m, period_s);
+        rates = kept.rates;
+        clearance_hit |= kept.hit;
+    }
     SafeCommand {
         rates,
         limits_hit,
-        clearance_hit: guarded.hit,
+        clearance_hit,
         clearance_m: guarded.clearance_m,
     }
 }
@@ -150,6 +158,10 @@ mod tests {
                 let most = robot.sections()[section].bend_max_rad.max(commanded.bend_rad(section));
                 prop_assert!(next.bend_rad(section) <= most + 1e-12);
             }
+            // The rule of the guard, as its own documentation has it.
+            let after = |rates: &BendRates| robot.body(at.advanced(rates, PERIOD_S).as_slice());
+            let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(0.01);
+            prop_assert!(after(&safe.rates).clearance_m(&obstacle) >= floor_m);
             let rest = Situation { comes_to_rest: true, previous: &BendRates::zero(2), ..situation };
             prop_assert_eq!(safe_command(&rest, &BendRates::zero(2)).rates, BendRates::zero(2));
         }

@@ -85,6 +85,7 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
         == (record.cycle, record.release_ns, record.mode);
     ensure(same, || "the command is another cycle's".to_owned())?;
     let width = robot.coordinate_count();
+    check_acceleration(record, width, period_s)?;
     let from = &record.bend_rad[..width];
     let pairs = from.iter().zip(&command.bend_rate_rad_s);
     let target: Vec<f64> = pairs.map(|(from, rate)| from + period_s * rate).collect();
@@ -96,6 +97,27 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
     let finite = state.into_iter().all(|number| number.is_finite());
     ensure(finite, || "the state of a record is not finite".to_owned())?;
     check(robot, command, period_s)
+}
+
+/// No rate grows faster than the acceleration; slowing down is free.
+fn check_acceleration(record: &Telemetry, width: usize, period_s: f64) -> Verdict {
+    let most = record.acceleration_rad_s2 * period_s;
+    let rates = record
+        .command
+        .bend_rate_rad_s
+        .iter()
+        .zip(&record.previous_rate_rad_s);
+    for (rate, before) in rates.take(width) {
+        let from = if rate * before > 0.0 {
+            before.abs()
+        } else {
+            0.0
+        };
+        ensure(rate.abs() <= from + most + TOLERANCE, || {
+            format!("a rate grows from {before} to {rate} rad/s")
+        })?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -27,6 +27,7 @@ struct Arrow {
 }
 
 const MOVING: &[Mode] = &[Mode::Starting, Mode::Holding, Mode::Tracking, Mode::Homing];
+const MOVING_BY_ITSELF: &[Mode] = &[Mode::Tracking, Mode::Homing];
 const NOT_FAULTED: &[Mode] = &[
     Mode::Starting,
     Mode::Holding,
@@ -65,6 +66,13 @@ const ARROWS: &[Arrow] = &[
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseReleased),
     // The robot is straight.
     world(&[Mode::Homing], Mode::Holding, Reason::HomeReached),
+    // The exchange was held up; a source of obstacles fell silent.
+    world(MOVING_BY_ITSELF, Mode::Holding, Reason::InputsStale),
+    world(
+        MOVING_BY_ITSELF,
+        Mode::Holding,
+        Reason::ObstacleSourceSilent,
+    ),
     // The leaky bucket is full.
     world(MOVING, Mode::Stopped, Reason::DeadlineMisses),
     // A fault: of the driver, of the solver, of the state, of the surroundings.
@@ -74,6 +82,7 @@ const ARROWS: &[Arrow] = &[
     world(NOT_FAULTED, Mode::Faulted, Reason::NonFinite),
     world(NOT_FAULTED, Mode::Faulted, Reason::LimitBroken),
     world(NOT_FAULTED, Mode::Faulted, Reason::ClearanceBroken),
+    world(MOVING, Mode::Faulted, Reason::FollowingError),
     // Clients. A fault stays one when a stop comes.
     request(NOT_FAULTED, RequestKind::Stop, Mode::Stopped),
     request(LATCHED, RequestKind::Reset, Mode::Holding),

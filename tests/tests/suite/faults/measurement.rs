@@ -21,10 +21,14 @@ const RATE_MAX_RAD_S: f64 = 2.0;
 
 /// A daemon with a driver; nothing but the measurement is a fault.
 fn daemon() -> Daemon {
+    daemon_with("")
+}
+
+fn daemon_with(more: &str) -> Daemon {
     Daemon::start(&format!(
         "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\
          [motion]\nhome_rate_rad_s = {HOME_RATE_RAD_S}\ndeceleration_rad_s2 = 5.0\n\
-         [cycle]\nmiss_limit = 1000000\n"
+         [cycle]\nmiss_limit = 1000000\n{more}"
     ))
 }
 
@@ -274,7 +278,8 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
 
 #[test]
 fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
-    let daemon = daemon();
+    // What runs away does not follow, either, which is a fault of its own.
+    let daemon = daemon_with("[safety]\nfollowing_fault_rad = 100.0\n");
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
     robot.until_held(&mut trail);

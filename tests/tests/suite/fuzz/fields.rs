@@ -280,9 +280,9 @@ fn the_numbers_of_a_message_fill_it() {
 
 #[test]
 fn numbers_are_where_the_bytes_say() {
-    let mut bytes = [0; 48];
+    let mut bytes = [0; 56];
     bytes[32..36].copy_from_slice(&7_u32.to_le_bytes());
-    bytes[40..48].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
+    bytes[48..56].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
     let message = Measurement::from_bytes(&bytes);
     assert_eq!((message.kind, message.bend_rad[0]), (7, f64::NEG_INFINITY));
 }
