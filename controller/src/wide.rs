@@ -16,6 +16,31 @@ pub struct Wide<const W: usize>(pub [f64; W]);
 /// Lanes of the fast path: one AVX-512 register, two of AVX2.
 pub const LANES: usize = 8;
 
+/// An expression for each lane. In `dev` the lanes are written out: LLVM takes half as long for a swarm without
+/// these loops, and makes slower code of it, so a release has the loops.
+#[cfg(not(debug_assertions))]
+macro_rules! lanes {
+    ($count:ident, |$lane:ident| $each:expr) => {
+        for $lane in 0..$count {
+            $each;
+        }
+    };
+}
+
+#[cfg(debug_assertions)]
+macro_rules! lanes {
+    ($count:ident, |$lane:ident| $each:expr) => {
+        const { assert!($count <= LANES) };
+        lanes!($count, |$lane| $each, 0 1 2 3 4 5 6 7);
+    };
+    ($count:ident, |$lane:ident| $each:expr, $($index:literal)+) => {
+        $(if $count > $index {
+            let $lane = $index;
+            $each;
+        })+
+    };
+}
+
 impl<const W: usize> Wide<W> {
     /// The same number in every lane.
     #[inline(always)]
@@ -28,9 +53,7 @@ impl<const W: usize> Wide<W> {
     pub fn from_fn(mut lane: impl FnMut(usize) -> f64) -> Self {
         // A plain loop: `array::from_fn` is not inlined into a function with other instructions.
         let mut lanes = [0.0; W];
-        for i in 0..W {
-            lanes[i] = lane(i);
-        }
+        lanes!(W, |i| lanes[i] = lane(i));
         Self(lanes)
     }
 
@@ -38,10 +61,10 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     #[must_use]
     pub fn clamp(mut self, low: f64, high: f64) -> Self {
-        for i in 0..W {
+        lanes!(W, |i| {
             let above = if self.0[i] < low { low } else { self.0[i] };
             self.0[i] = if above > high { high } else { above };
-        }
+        });
         self
     }
 
@@ -62,9 +85,7 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     #[must_use]
     pub fn sqrt(mut self) -> Self {
-        for i in 0..W {
-            self.0[i] = self.0[i].sqrt();
-        }
+        lanes!(W, |i| self.0[i] = self.0[i].sqrt());
         self
     }
 
@@ -72,9 +93,7 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     #[must_use]
     pub fn abs(mut self) -> Self {
-        for i in 0..W {
-            self.0[i] = self.0[i].abs();
-        }
+        lanes!(W, |i| self.0[i] = self.0[i].abs());
         self
     }
 
@@ -103,9 +122,7 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     pub fn less(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
-        for i in 0..W {
-            less[i] = self.0[i] < other.0[i];
-        }
+        lanes!(W, |i| less[i] = self.0[i] < other.0[i]);
         less
     }
 
@@ -113,9 +130,7 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     pub fn less_or_equal(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
-        for i in 0..W {
-            less[i] = self.0[i] <= other.0[i];
-        }
+        lanes!(W, |i| less[i] = self.0[i] <= other.0[i]);
         less
     }
 
@@ -123,9 +138,7 @@ impl<const W: usize> Wide<W> {
     #[inline(always)]
     pub fn is_nan(self) -> [bool; W] {
         let mut nan = [false; W];
-        for i in 0..W {
-            nan[i] = self.0[i].is_nan();
-        }
+        lanes!(W, |i| nan[i] = self.0[i].is_nan());
         nan
     }
 }
@@ -134,9 +147,7 @@ impl<const W: usize> Wide<W> {
 #[inline(always)]
 #[must_use]
 pub fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
-    for i in 0..W {
-        a[i] &= b[i];
-    }
+    lanes!(W, |i| a[i] &= b[i]);
     a
 }
 
@@ -144,9 +155,7 @@ pub fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
 #[inline(always)]
 #[must_use]
 pub fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
-    for i in 0..W {
-        a[i] |= b[i];
-    }
+    lanes!(W, |i| a[i] |= b[i]);
     a
 }
 
@@ -154,9 +163,7 @@ pub fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
 #[inline(always)]
 #[must_use]
 pub fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
-    for i in 0..W {
-        a[i] = !a[i];
-    }
+    lanes!(W, |i| a[i] = !a[i]);
     a
 }
 
@@ -164,9 +171,7 @@ pub fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
 #[inline(always)]
 pub fn any<const W: usize>(chosen: [bool; W]) -> bool {
     let mut any = false;
-    for i in 0..W {
-        any |= chosen[i];
-    }
+    lanes!(W, |i| any |= chosen[i]);
     any
 }
 
@@ -174,9 +179,7 @@ pub fn any<const W: usize>(chosen: [bool; W]) -> bool {
 #[inline(always)]
 pub fn all<const W: usize>(chosen: [bool; W]) -> bool {
     let mut all = true;
-    for i in 0..W {
-        all &= chosen[i];
-    }
+    lanes!(W, |i| all &= chosen[i]);
     all
 }
 
@@ -184,9 +187,7 @@ impl<const W: usize> Add for Wide<W> {
     type Output = Self;
     #[inline(always)]
     fn add(mut self, other: Self) -> Self {
-        for i in 0..W {
-            self.0[i] += other.0[i];
-        }
+        lanes!(W, |i| self.0[i] += other.0[i]);
         self
     }
 }
@@ -195,9 +196,7 @@ impl<const W: usize> Sub for Wide<W> {
     type Output = Self;
     #[inline(always)]
     fn sub(mut self, other: Self) -> Self {
-        for i in 0..W {
-            self.0[i] -= other.0[i];
-        }
+        lanes!(W, |i| self.0[i] -= other.0[i]);
         self
     }
 }
@@ -206,9 +205,7 @@ impl<const W: usize> Mul for Wide<W> {
     type Output = Self;
     #[inline(always)]
     fn mul(mut self, other: Self) -> Self {
-        for i in 0..W {
-            self.0[i] *= other.0[i];
-        }
+        lanes!(W, |i| self.0[i] *= other.0[i]);
         self
     }
 }
@@ -241,9 +238,7 @@ impl<const W: usize> Div for Wide<W> {
     type Output = Self;
     #[inline(always)]
     fn div(mut self, other: Self) -> Self {
-        for i in 0..W {
-            self.0[i] /= other.0[i];
-        }
+        lanes!(W, |i| self.0[i] /= other.0[i]);
         self
     }
 }
@@ -252,9 +247,7 @@ impl<const W: usize> Neg for Wide<W> {
     type Output = Self;
     #[inline(always)]
     fn neg(mut self) -> Self {
-        for i in 0..W {
-            self.0[i] = -self.0[i];
-        }
+        lanes!(W, |i| self.0[i] = -self.0[i]);
         self
     }
 }

@@ -61,18 +61,44 @@ impl Path {
         if self == Self::Avx512
             && let Some(processor) = pulp::x86::V4::try_new()
         {
-            return processor.vectorize(work);
+            return avx512::run(processor, work);
         }
         if self == Self::Avx2
             && let Some(processor) = pulp::x86::V3::try_new()
         {
-            return processor.vectorize(work);
+            return avx2::run(processor, work);
         }
-        work.call()
+        portable::run(work)
     }
 
     #[cfg(not(target_arch = "x86_64"))]
     pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
+        portable::run(work)
+    }
+}
+
+// A module for each set of instructions, because a module is a code generation unit: the compiler works on
+// them side by side.
+
+mod portable {
+    #[inline(never)]
+    pub(super) fn run<W: pulp::NullaryFnOnce>(work: W) -> W::Output {
         work.call()
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx2 {
+    #[inline(never)]
+    pub(super) fn run<W: pulp::NullaryFnOnce>(processor: pulp::x86::V3, work: W) -> W::Output {
+        processor.vectorize(work)
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+mod avx512 {
+    #[inline(never)]
+    pub(super) fn run<W: pulp::NullaryFnOnce>(processor: pulp::x86::V4, work: W) -> W::Output {
+        processor.vectorize(work)
     }
 }
