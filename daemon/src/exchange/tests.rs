@@ -292,7 +292,7 @@ fn of_several_commands_that_wait_only_the_newest_leaves() {
     assert_eq!((command.cycle, command.header.sequence), (12, 3));
     assert!(rig.now_ns() < command.valid_until_ns);
     // Those who watch get every record.
-    assert_eq!(rig.reported(), Vec::from_iter(3..=12));
+    assert_eq!(rig.reported(), (3..=12).collect::<Vec<_>>());
     assert_eq!(rig.shared.dropped_records(), 0);
 }
 
