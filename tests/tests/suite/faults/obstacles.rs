@@ -152,3 +152,47 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     let status = wait_status(&connection, |status| status.obstacles_refused == 1);
     assert_eq!((status.obstacle_count, status.faults), (64, 0));
 }
+
+#[test]
+fn obstacles_of_a_source_that_died_stay_until_it_is_heard_again() {
+    for rule in ["hold", "keep"] {
+        let daemon = Daemon::start(&format!(
+            "{PATIENT}[obstacles]\nsource_timeout_ms = 50.0\nsource_silent = \"{rule}\"\n"
+        ));
+        let connection = daemon.connect();
+        let mut trail = Trail::new(&connection);
+        let sender = connection.obstacle_sender().unwrap();
+        let seen = Obstacle {
+            lifetime_ns: 30_000_000,
+            ..ball(1, [0.3, 0.0, 0.3])
+        };
+        let (first, told) = tell(&mut trail, &sender, &[seen]);
+        assert_eq!(told.outcome, Outcome::Accepted.code());
+        // Silence, longer than lifetime and timeout together.
+        let mut records = 0;
+        trail.until("silence", |record| {
+            assert_eq!(record.obstacle_count, 1, "{rule}");
+            assert_eq!(record.obstacles[0].start_m, seen.start_m);
+            records += 1;
+            record.release_ns > first.release_ns + 500_000_000
+        });
+        // It lives, and sees the obstacle no more.
+        sender.upsert(&[]).unwrap();
+        trail.until("gone", |record| record.obstacle_count == 0);
+        // As long as it lives, lifetimes count.
+        let seen = Obstacle {
+            measured_ns: monotonic_ns(),
+            lifetime_ns: 300_000_000,
+            ..seen
+        };
+        tell(&mut trail, &sender, &[seen]);
+        let (_, gone) = trail.until_while(
+            "expired",
+            || {
+                sender.upsert(&[]).unwrap();
+            },
+            |record| record.obstacle_count == 0,
+        );
+        assert!(gone.release_ns >= seen.measured_ns + seen.lifetime_ns);
+    }
+}

@@ -7,7 +7,7 @@ use cdcr_client::{
     ConnectError, Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError,
     RequestError,
 };
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status, wait_until};
 use rustix::process::Signal;
 
@@ -131,7 +131,11 @@ fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
         let answer = connection.request_within(RequestKind::Home, PATIENCE);
         // A straight robot is at home at once.
         let mode = answer.unwrap().mode;
-        assert!([Mode::Homing, Mode::Holding].map(Mode::code).contains(&mode));
+        assert!(
+            [Mode::Homing, Mode::Holding]
+                .map(Mode::code)
+                .contains(&mode)
+        );
     });
     let stale = Outcome::Stale.code() as usize;
     wait_status(&connection, |status| status.outcomes[stale] == 1);
