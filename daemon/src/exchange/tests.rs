@@ -281,7 +281,7 @@ fn homing(configuration: &str) -> Rig {
 #[test]
 fn of_several_commands_that_wait_only_the_newest_leaves() {
     let mut rig = homing("");
-    for cycle in 3..=12 {
+    for cycle in 3..=5 {
         rig.run(cycle, None);
     }
     rig.publish();
@@ -289,10 +289,10 @@ fn of_several_commands_that_wait_only_the_newest_leaves() {
     assert_eq!(commands.len(), 1);
     let [command] = commands[..] else { panic!() };
     assert!(moves_at_all(&command));
-    assert_eq!((command.cycle, command.header.sequence), (12, 3));
+    assert_eq!((command.cycle, command.header.sequence), (5, 3));
     assert!(rig.now_ns() < command.valid_until_ns);
     // Those who watch get every record.
-    assert_eq!(rig.reported(), (3..=12).collect::<Vec<_>>());
+    assert_eq!(rig.reported(), [3, 4, 5]);
     assert_eq!(rig.shared.dropped_records(), 0);
 }
 
