@@ -103,8 +103,8 @@ impl Control {
     }
 
     /// Asks, waits for the answer, and returns it when it says accepted. When the daemon that has the
-    /// request ends without an answer, or there is none at the moment, the next one gets it: within
-    /// `timeout` a request is never lost.
+    /// request ends without an answer, or there is none at the moment, the next one gets it, as soon as it knows
+    /// where its robot is: within `timeout` a request is never lost.
     pub(crate) fn ask(
         &self,
         kind: RequestKind,
@@ -112,6 +112,7 @@ impl Control {
         timeout: Duration,
     ) -> Result<Response, RequestError> {
         let deadline = Instant::now() + timeout;
+        let mut was_unanswered = false;
         loop {
             let request = Request {
                 header: self.sender.next_header(Service::Control),
@@ -119,10 +120,15 @@ impl Control {
                 reserved: 0,
                 settings,
             };
-            if let Some(response) = self.ask_once(kind, request, deadline)? {
+            let answer = self.ask_once(kind, request, deadline)?;
+            let is_over = Instant::now() >= deadline;
+            if let Some(response) = answer
+                && (is_over || !comes_too_early(&response, was_unanswered))
+            {
                 return judge(kind, response);
             }
-            if Instant::now() >= deadline {
+            was_unanswered |= answer.is_none();
+            if is_over {
                 let waited = timeout;
                 return Err(RequestError::Timeout { kind, waited });
             }
@@ -159,6 +165,15 @@ impl Control {
             }
         }
     }
+}
+
+/// Whether the same request can be granted a moment later. A daemon that was started again refuses every request about
+/// the mode until it has heard of its robot; and one that stood still refuses what waited for it for long, because it
+/// does not know that the client still waits.
+fn comes_too_early(response: &Response, was_unanswered: bool) -> bool {
+    let is = |outcome: Outcome| response.outcome == outcome.code();
+    let is_starting = response.mode == Mode::Starting.code();
+    is(Outcome::Stale) || (was_unanswered && is_starting && is(Outcome::WrongMode))
 }
 
 fn judge(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
@@ -216,6 +231,30 @@ mod tests {
             };
             let error = judge(kind, response).expect_err("refused");
             assert!(error.to_string().contains(remedy), "{error}");
+        }
+    }
+
+    #[test]
+    fn only_what_can_be_granted_in_a_moment_is_asked_again() {
+        let response = |outcome: Outcome, mode: Mode| Response {
+            outcome: outcome.code(),
+            mode: mode.code(),
+            ..Response::default()
+        };
+        for (outcome, mode, was_unanswered, again) in [
+            (Outcome::WrongMode, Mode::Starting, true, true),
+            (Outcome::WrongMode, Mode::Starting, false, false),
+            (Outcome::WrongMode, Mode::Faulted, true, false),
+            (Outcome::Ending, Mode::Stopped, true, false),
+            (Outcome::Stale, Mode::Holding, false, true),
+            (Outcome::Accepted, Mode::Starting, true, false),
+        ] {
+            let response = response(outcome, mode);
+            assert_eq!(
+                comes_too_early(&response, was_unanswered),
+                again,
+                "{outcome} {mode}"
+            );
         }
     }
 

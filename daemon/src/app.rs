@@ -147,6 +147,14 @@ fn run_with<L: RobotLink + Send + 'static>(
             ),
         });
     }
+    if shared.last_word_moves() {
+        bail!(Ended {
+            cause: ExitCause::NotAtRest,
+            message: "the last command that left was not rest, though the robot was brought to rest: shared memory \
+                      took no newer one. The robot holds when that command runs out (link.command_valid_ms)"
+                .to_owned(),
+        });
+    }
     tracing::info!("ended");
     Ok(())
 }
@@ -291,9 +299,7 @@ pub fn run_cycles<L: RobotLink>(
         shared.beat_cycle();
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
-        if ends.records.push(record).is_err() {
-            shared.count_dropped_record();
-        }
+        ends.records.send(record);
         exchange.unpark();
     }
     shared.set_still_moving(!cycle.is_at_rest());

@@ -4,12 +4,15 @@
 
 use cdcr_controller::nmpc::OBSTACLES_MAX;
 use cdcr_controller::robot::Obstacle;
+use nalgebra::Vector3;
 
 /// An obstacle with its identity and its times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownObstacle {
     /// Chosen by who sent it.
     pub id: u32,
+    /// Who sent it; 0: not known.
+    pub source: u64,
     /// The obstacle where it was at `measured_ns`.
     pub obstacle: Obstacle,
     /// When it was there \[ns\].
@@ -37,6 +40,34 @@ impl KnownObstacle {
             measured_ns: time_ns,
             ..*self
         })
+    }
+}
+
+impl KnownObstacle {
+    /// The same without an end. Its source has foreseen where it is until `expires_ns`: from then on it stands still,
+    /// where that is before `now_ns`.
+    #[must_use]
+    pub fn kept(&self, now_ns: u64) -> Self {
+        let Some(expires_ns) = self.expires_ns else {
+            return *self;
+        };
+        let endless = Self {
+            expires_ns: None,
+            ..*self
+        };
+        if now_ns <= expires_ns {
+            return endless;
+        }
+        let moved = endless.at(expires_ns).unwrap_or(endless);
+        let standing = Obstacle::new(
+            *moved.obstacle.shape(),
+            moved.obstacle.radius_m(),
+            Vector3::zeros(),
+        );
+        Self {
+            obstacle: standing.unwrap_or(moved.obstacle),
+            ..moved
+        }
     }
 }
 
@@ -82,7 +113,15 @@ impl ObstacleSet {
         self.retain(|known| known.is_known_at(time_ns));
     }
 
-    fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
+    /// Replaces each obstacle by what `change` makes of it.
+    pub fn change(&mut self, change: impl Fn(&KnownObstacle) -> KnownObstacle) {
+        for known in self.slots.iter_mut().flatten() {
+            *known = change(known);
+        }
+    }
+
+    /// Keeps those that `keep` says.
+    pub fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
         for slot in &mut self.slots {
             *slot = slot.filter(&keep);
         }
@@ -125,6 +164,7 @@ mod tests {
         };
         KnownObstacle {
             id,
+            source: 0,
             obstacle: Obstacle::new(shape, 0.02, Vector3::new(0.5, 0.0, -0.25)).unwrap(),
             measured_ns: 1000 * MS,
             expires_ns: lifetime_ms.map(|ms| (1000 + ms) * MS),
@@ -172,6 +212,25 @@ mod tests {
         set.expire(1030 * MS);
         assert_eq!(ids(&set), [2]);
         assert_eq!(ids(&set.at(u64::MAX / 4)), [0; 0], "gone to far away");
+    }
+
+    #[test]
+    fn a_kept_obstacle_stands_where_its_source_saw_it_last() {
+        let known = ball(1, Some(200));
+        let place =
+            |known: &KnownObstacle, time_ns| match known.at(time_ns).unwrap().obstacle.shape() {
+                Shape::Sphere { centre_m } => *centre_m,
+                Shape::Capsule { .. } => panic!("a ball"),
+            };
+        // As long as it is foreseen, it moves.
+        let moving = known.kept(1100 * MS);
+        assert_eq!(place(&moving, 1150 * MS), place(&known, 1150 * MS));
+        let last = Vector3::new(0.2, 0.0, 0.25);
+        let standing = known.kept(1300 * MS);
+        for time_ns in [1200 * MS, 1300 * MS, 90_000 * MS] {
+            assert!((place(&standing, time_ns) - last).norm() < 1e-15);
+        }
+        assert_eq!(ball(1, None).kept(1300 * MS), ball(1, None));
     }
 
     #[test]

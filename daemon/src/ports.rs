@@ -1,5 +1,7 @@
 //! What a cycle needs from outside. Each method says what it owes.
 
+use std::ops::RangeInclusive;
+
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::robot::BendRates;
 
@@ -14,6 +16,12 @@ pub trait Clock {
     /// Returns at `time_ns` or later, at once when it has passed. The only call of the cycle that may
     /// block.
     fn sleep_until(&self, time_ns: u64);
+
+    /// For how long the machine has slept so far (suspended), in which time [`now_ns`](Self::now_ns) stood still: least
+    /// and most \[ns\]. No system call either. A clock of a machine that never sleeps need not say it.
+    fn slept_ns(&self) -> RangeInclusive<u64> {
+        0..=0
+    }
 }
 
 /// A measurement with its time.

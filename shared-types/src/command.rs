@@ -8,6 +8,10 @@ use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 /// A driver obeys the **positions or the speeds**, whichever `interface` says, never a mixture of both. The positions
 /// are the integral of the speeds: constant to the bit while the speeds are zero, wherever the robot is measured.
 ///
+/// Cycles and sequences ascend. A cycle whose command was overtaken by a newer one, while the daemon was held up, sends
+/// none, and neither does one whose command has run out before it could leave, unless it is rest. In a telemetry record the
+/// sequence of such a command is 0. The last command of a daemon that ends with status 0 is rest.
+///
 /// The daemon sends none before it knows the robot's configuration, that is before the first
 /// measurement. A driver holds the robot still from `valid_until_ns` on, whatever it does until then.
 #[repr(C)]

@@ -4,6 +4,9 @@ use crate::Header;
 use crate::limits::{CABLES_MAX, COORDINATES_MAX};
 
 /// What a driver knows of the robot: one of configuration, tip pose or cable lengths.
+///
+/// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost. Those
+/// of another one are refused, and so are those that are older than `link.measurement_timeout_ms` when they arrive.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cdcr.Measurement.v2")]

@@ -27,7 +27,9 @@ pub struct Obstacle {
     /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
     pub measured_ns: u64,
     /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
-    /// is over when it arrives is refused as in the past.
+    /// is over when it arrives is refused as in the past. Where the daemon watches those who send obstacles
+    /// (`obstacles.source_timeout_ms`), one does not expire before its sender is heard after that; in a telemetry record
+    /// this is then 0.
     pub lifetime_ns: u64,
 }
 
@@ -36,7 +38,7 @@ pub struct Obstacle {
 /// Any client may send one, and all share the ids. Within one message the last obstacle of an id counts.
 /// Removing an id that is not known changes nothing. An upsert that would make more than
 /// [`OBSTACLES_MAX`] obstacles known is refused. The event that reports an accepted update has in
-/// `detail` how many obstacles are known after it.
+/// `detail` how many obstacles are known after it. One without obstacles changes nothing, and is a sign of life.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
 #[type_name("cdcr.ObstacleUpdate.v1")]

@@ -7,6 +7,7 @@ pub fn doubts(config: &Config) -> Vec<String> {
         cycle,
         motion,
         safety,
+        obstacles,
         reference,
         controller,
         ..
@@ -56,6 +57,13 @@ pub fn doubts(config: &Config) -> Vec<String> {
                 "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver \
                  that measures once a period is lost at once",
                 link.measurement_timeout_ms
+            )
+        }),
+        (obstacles.source_timeout_ms > 0.0 && obstacles.source_timeout_ms < period_ms).then(|| {
+            format!(
+                "obstacles.source_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a source \
+                 that sends once a period is silent at once",
+                obstacles.source_timeout_ms
             )
         }),
         (reference.lease_ms < period_ms).then(|| {

@@ -22,6 +22,7 @@ mod layers;
 mod link;
 mod manual;
 mod motion;
+mod obstacles;
 mod origin;
 mod ranges;
 mod realtime;
@@ -48,6 +49,7 @@ pub use explain::explain;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind};
 pub use motion::{MotionConfig, REST_MAX_S};
+pub use obstacles::{ObstaclesConfig, SourceSilent};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use reference::ReferenceConfig;
@@ -74,6 +76,8 @@ pub struct Config {
     pub motion: MotionConfig,
     /// What counts as a fault of the robot, its sensors or its surroundings.
     pub safety: SafetyConfig,
+    /// Those who send obstacles.
+    pub obstacles: ObstaclesConfig,
     /// The reference and its lease.
     pub reference: ReferenceConfig,
     /// The optimal control problem and its solver.

@@ -51,7 +51,7 @@ const NOT_FLAT: &str =
 const AT_MOST_HALF: &str = "at most half of cycle.period_ms";
 
 /// Every key that is a number and has constant limits. The unit ends the key.
-pub(super) const RANGES: [Range; 54] = [
+pub(super) const RANGES: [Range; 55] = [
     given(
         "robot.cable_speed_max_m_s",
         &robot::ranges::CABLE_SPEED_MAX_M_S,
@@ -100,6 +100,7 @@ pub(super) const RANGES: [Range; 54] = [
     range("safety.following_warning_rad", 1e-6, 1e3).also("at most safety.following_fault_rad"),
     range("safety.following_fault_rad", 1e-6, 1e3).also("at least safety.following_warning_rad"),
     range("safety.following_lag_ms", 0.0, 10_000.0),
+    range("obstacles.source_timeout_ms", 0.0, 60_000.0),
     range("reference.lease_ms", 20.0, 60_000.0),
     given("controller.horizon_steps", &nmpc::ranges::HORIZON_STEPS),
     given("controller.control_blocks", &nmpc::ranges::CONTROL_BLOCKS)

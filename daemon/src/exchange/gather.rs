@@ -1,11 +1,11 @@
 //! Shortly before each release: drain, check, hand over.
 
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
-use cdcr_shared_types::{Header, ObstacleUpdate, ReferenceChunk, Service};
+use cdcr_shared_types::{Header, Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
 use super::{Exchange, LastChunk, LastLook};
-use crate::ports::Clock;
+use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
@@ -30,6 +30,10 @@ impl Exchange {
     ) {
         let unheard_ns = now_ns.saturating_sub(self.gather_began_ns + 2 * self.period_ns);
         self.lease.extend(self.gather_began_ns, unheard_ns);
+        self.driver.extend(unheard_ns);
+        self.obstacle_sources
+            .extend(self.gather_began_ns, unheard_ns);
+        self.suspends = self.suspend_watch.look(&clock.slept_ns());
         self.gather += 1;
         self.gather_began_ns = now_ns;
         self.events.begin_gather();
@@ -73,7 +77,13 @@ impl Exchange {
         inputs.lease = self.lease.state(now_ns);
         inputs.measurement = self.measurement;
         inputs.obstacles = self.obstacles;
+        let sources = &self.obstacle_sources;
+        inputs
+            .obstacles
+            .change(|known| sources.hand_over(known, now_ns));
+        inputs.obstacle_source_silent = sources.want_hold(now_ns);
         inputs.stops = self.stops;
+        inputs.suspends = self.suspends;
         inputs.settings = self.settings;
         inputs.settings_revision = self.settings_revision;
         self.ends.inputs.publish();
@@ -148,7 +158,9 @@ impl Exchange {
     }
 
     fn take_obstacles(&mut self, now_ns: u64, clock: &impl Clock) {
-        self.obstacles.expire(now_ns);
+        let sources = &self.obstacle_sources;
+        self.obstacles
+            .retain(|known| !sources.let_expire(known, now_ns));
         let mut accepted = 0;
         for _ in 0..drain_limit(Service::Obstacles) {
             let Ok(Some(update)) = self.ports.obstacles.receive() else {
@@ -174,7 +186,18 @@ impl Exchange {
 
     /// Takes an update whole, or refuses it whole. Says how many obstacles are known after it.
     fn take_update(&mut self, update: &ObstacleUpdate, now_ns: u64) -> Result<u32, Refused> {
-        self.obstacles = convert::updated_obstacles(update, &self.obstacles, now_ns)?;
+        let full = Refused::whole(Outcome::BufferFull);
+        let updated = if self.obstacle_sources.have_room_for(update) {
+            convert::updated_obstacles(update, &self.obstacles, now_ns)
+        } else {
+            Err(full)
+        };
+        // Where there is no room, its own obstacles that are out of date may take it: they go when their source is heard.
+        let is_full = |refused: &Refused| refused.outcome == full.outcome;
+        if updated.as_ref().err().is_none_or(is_full) {
+            self.obstacle_sources.hear(update, now_ns);
+        }
+        self.obstacles = updated?;
         Ok(self.obstacles.count() as u32)
     }
 
@@ -186,16 +209,7 @@ impl Exchange {
             };
             // As for obstacles: it may be newer than the gather.
             let now_ns = clock.now_ns();
-            let result = if self.has_driver {
-                convert::measurement(
-                    &message,
-                    &self.robot,
-                    convert::interface(self.interface),
-                    now_ns,
-                )
-            } else {
-                Err(Refused::whole(Outcome::Unsupported))
-            };
+            let result = self.judge_measurement(&message, now_ns);
             match result {
                 Ok(timed)
                     if self
@@ -206,6 +220,7 @@ impl Exchange {
                 }
                 Ok(timed) => {
                     self.measurement = Some(timed);
+                    self.driver.hear(message.header.sender_id, now_ns);
                     self.events.count(Outcome::Accepted);
                 }
                 Err(refused) => {
@@ -215,5 +230,26 @@ impl Exchange {
                 }
             }
         }
+    }
+    /// One that is old at its arrival does not tell where the robot is, though its driver may be well: it is never
+    /// believed, and a first one least of all.
+    fn judge_measurement(
+        &self,
+        message: &Measurement,
+        now_ns: u64,
+    ) -> Result<TimedMeasurement, Refused> {
+        if !self.has_driver {
+            return Err(Refused::whole(Outcome::Unsupported));
+        }
+        if !self.driver.is(message.header.sender_id, now_ns) {
+            return Err(Refused::whole(Outcome::OtherDriver));
+        }
+        let interface = convert::interface(self.interface);
+        let timed = convert::measurement(message, &self.robot, interface, now_ns)?;
+        let age_ns = now_ns.saturating_sub(timed.measured_ns);
+        if age_ns > self.measurement_timeout_ns {
+            return Err(Refused::whole(Outcome::InThePast));
+        }
+        Ok(timed)
     }
 }

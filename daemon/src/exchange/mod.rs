@@ -12,10 +12,12 @@
 //! has a limit per gather. Who only watches costs nothing here, readers of commands excepted: that is the
 //! [reporter](crate::reporter)'s.
 
+mod bound_driver;
 pub mod convert;
 mod events;
 mod gather;
 mod lease;
+mod obstacle_sources;
 mod publish;
 pub mod remains;
 mod requests;
@@ -39,8 +41,11 @@ use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::SchedulerLooks;
+use crate::rt::suspend::SuspendWatch;
+use bound_driver::BoundDriver;
 use events::Events;
 use lease::Lease;
+use obstacle_sources::ObstacleSources;
 use requests::Waiting;
 use services::Ports;
 
@@ -60,8 +65,12 @@ pub struct Exchange {
     trajectory: Trajectory,
     lease: Lease,
     last_chunk: Option<LastChunk>,
+    /// A measurement that is older than this when it arrives is refused \[ns\].
+    measurement_timeout_ns: u64,
+    driver: BoundDriver,
     measurement: Option<TimedMeasurement>,
     obstacles: ObstacleSet,
+    obstacle_sources: ObstacleSources,
     obstacles_refused: u64,
     settings: Settings,
     settings_revision: u64,
@@ -81,6 +90,9 @@ pub struct Exchange {
     last_mode: Mode,
     /// Stops that were asked for so far.
     stops: u64,
+    suspend_watch: SuspendWatch,
+    /// Times that the machine slept so far.
+    suspends: u64,
     /// Requests that were carried out since the newest gather began.
     requests_taken: usize,
     /// How long the newest gather took \[ns\].
@@ -133,19 +145,25 @@ impl Exchange {
     /// The exchange of a validated configuration over `ports`.
     pub fn new(validated: &Validated, ports: Ports, ends: ExchangeEnds, daemon_id: u64) -> Self {
         let config = &validated.config;
+        let period_ns = ns(config.cycle.period_ms);
+        let measurement_timeout_ns = ns(config.link.measurement_timeout_ms);
         Self {
             ports,
             ends,
             robot: validated.robot.clone(),
             has_driver: config.link.kind == LinkKind::Driver,
-            period_ns: ns(config.cycle.period_ms),
+            period_ns,
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
             interface: config.link.interface,
             trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,
+            measurement_timeout_ns,
+            // The cycle sees first that it is lost, and the robot rests before another driver has it.
+            driver: BoundDriver::new(measurement_timeout_ns + 2 * period_ns),
             measurement: None,
             obstacles: ObstacleSet::default(),
+            obstacle_sources: ObstacleSources::new(&config.obstacles),
             obstacles_refused: 0,
             settings: Settings::new(config),
             settings_revision: 0,
@@ -161,6 +179,8 @@ impl Exchange {
             last_cycle: 0,
             last_mode: Mode::Starting,
             stops: 0,
+            suspend_watch: SuspendWatch::default(),
+            suspends: 0,
             requests_taken: 0,
             gather_took_ns: 0,
             spin_ns: ns(config.realtime.spin_us * 1e-3),
@@ -200,7 +220,8 @@ impl Exchange {
                 look = LastLook::before(schedule, next_cycle, self.spin_ns);
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
-            if shared.has_cycle_ended() && self.ends.records.is_empty() {
+            // In this order: the last record was handed over before the end was said.
+            if shared.has_cycle_ended() {
                 self.publish(clock, shared, reporter);
                 break;
             }
@@ -215,3 +236,10 @@ impl Exchange {
         }
     }
 }
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests;

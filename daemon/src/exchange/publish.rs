@@ -14,11 +14,14 @@ use crate::reporter::{CycleReport, InputReport};
 use crate::rt::handoff::Shared;
 
 impl Exchange {
-    /// Publishes the command of every record that the cycle has handed over, and hands the record on.
+    /// Publishes the command of the newest record that the cycle has handed over, and hands every record on. More than one
+    /// waits when this thread was held up; the commands of the older ones are out of date and never leave.
     pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared, reporter: &Thread) {
         let mut scheduling = None;
-        while let Ok(record) = self.ends.records.pop() {
-            let command = self.publish_command(&record, clock.now_ns());
+        let lost = self.ends.records.lost();
+        while let Some(record) = self.ends.records.receive() {
+            let is_newest = self.ends.records.is_empty();
+            let command = self.publish_command(&record, is_newest, clock.now_ns(), shared);
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
             self.last_cycle = record.release.cycle;
@@ -44,18 +47,32 @@ impl Exchange {
             let _ = self.ends.reports.push(report);
             reporter.unpark();
         }
+        shared.count_dropped_records(self.ends.records.lost() - lost);
     }
 
-    fn publish_command(&mut self, record: &CycleRecord, now_ns: u64) -> wire::Command {
+    /// The command of `record`. It leaves if the record is the newest, the robot's configuration is known, and the command
+    /// is worth something; else its sequence is 0.
+    fn publish_command(
+        &mut self,
+        record: &CycleRecord,
+        is_newest: bool,
+        now_ns: u64,
+        shared: &Shared,
+    ) -> wire::Command {
         // While nobody knows where the robot is, there is no target to go to.
         let is_known = record.measurement.is_some() && record.configuration.is_finite();
-        self.commands_sent += u64::from(is_known);
-        let command = wire::Command {
-            header: self.header(self.commands_sent, now_ns),
+        let mut command = wire::Command {
+            header: self.header(0, now_ns),
             ..convert::command(record, &self.robot, self.period_ns)
         };
-        if is_known {
-            services::send(&self.ports.command, command);
+        if is_newest && is_known && is_worth_sending(&command, now_ns) {
+            self.commands_sent += 1;
+            command.header.sequence = self.commands_sent;
+            // One that failed may have reached the driver and not another reader: it counts as the worse of both.
+            let has_left = services::send(&self.ports.command, command);
+            if has_left || moves(&command) {
+                shared.set_last_word_moves(moves(&command));
+            }
         }
         command
     }
@@ -74,4 +91,14 @@ impl Exchange {
             obstacles_refused: self.obstacles_refused,
         }
     }
+}
+
+/// A command that has run out does not leave: the driver rests since then, and must not be told to move, not even by
+/// a command that it would have to refuse. Rest is rest at any time, and the last word of a daemon that ends.
+fn is_worth_sending(command: &wire::Command, now_ns: u64) -> bool {
+    now_ns < command.valid_until_ns || !moves(command)
+}
+
+fn moves(command: &wire::Command) -> bool {
+    command.bend_rate_rad_s.iter().any(|rate| *rate != 0.0)
 }

@@ -119,8 +119,7 @@ impl Exchange {
     ) -> Outcome {
         let client = request.header.sender_id;
         match kind {
-            RequestKind::AcquireLease if self.lease.acquire(client, now_ns) => Outcome::Accepted,
-            RequestKind::AcquireLease => Outcome::LeaseHeld,
+            RequestKind::AcquireLease => self.acquire_lease(client, now_ns),
             RequestKind::ReleaseLease if self.lease.release(client, now_ns) => {
                 self.drop_reference();
                 Outcome::Accepted
@@ -144,6 +143,19 @@ impl Exchange {
             }
             _ => Outcome::UnknownCode,
         }
+    }
+
+    /// Who acquires the lease begins without a reference. One that has expired just now, since the gather, has left its
+    /// reference behind.
+    fn acquire_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
+        let renews = self.lease.holder(now_ns) == Some(client);
+        if !self.lease.acquire(client, now_ns) {
+            return Outcome::LeaseHeld;
+        }
+        if !renews {
+            self.drop_reference();
+        }
+        Outcome::Accepted
     }
 
     fn answer_now(&mut self, asked: &Asked, outcome: Outcome, now_ns: u64) {

@@ -204,14 +204,14 @@ pub fn telemetry(
 }
 
 /// Copies a message into shared memory and sends it. Readers that are full lose their oldest; when no
-/// memory can be loaned, the message is lost and its readers see a gap in the sequence.
+/// memory can be loaned, the message is lost and its readers see a gap in the sequence. Says whether it has left.
 pub(crate) fn send<T: ZeroCopySend + Debug + 'static>(
     publisher: &Publisher<ipc::Service, T, ()>,
     message: T,
-) {
-    if let Ok(sample) = publisher.loan_uninit() {
-        let _ = sample.write_payload(message).send();
-    }
+) -> bool {
+    publisher
+        .loan_uninit()
+        .is_ok_and(|sample| sample.write_payload(message).send().is_ok())
 }
 
 /// The publisher of the bad cycles, which late joiners still get.

@@ -1,5 +1,7 @@
 //! `CLOCK_MONOTONIC`.
 
+use std::ops::RangeInclusive;
+
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
 use crate::ports::Clock;
@@ -10,8 +12,7 @@ pub struct MonotonicClock;
 
 impl Clock for MonotonicClock {
     fn now_ns(&self) -> u64 {
-        let now = clock_gettime(ClockId::Monotonic);
-        now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+        read_ns(ClockId::Monotonic)
     }
 
     fn sleep_until(&self, time_ns: u64) {
@@ -23,5 +24,33 @@ impl Clock for MonotonicClock {
         while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until)
             == Err(rustix::io::Errno::INTR)
         {}
+    }
+
+    fn slept_ns(&self) -> RangeInclusive<u64> {
+        // The thread may stand still between two readings. So the one between is later than the first of the others and
+        // earlier than the second.
+        let before_ns = read_ns(ClockId::Monotonic);
+        let awake_or_not_ns = read_ns(ClockId::Boottime);
+        let after_ns = read_ns(ClockId::Monotonic);
+        awake_or_not_ns.saturating_sub(after_ns)..=awake_or_not_ns.saturating_sub(before_ns)
+    }
+}
+
+fn read_ns(clock: ClockId) -> u64 {
+    let now = clock_gettime(clock);
+    now.tv_sec as u64 * 1_000_000_000 + now.tv_nsec as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn least_and_most_of_the_sleep_are_apart_by_the_time_between_the_readings() {
+        let begin_ns = MonotonicClock.now_ns();
+        let slept_ns = MonotonicClock.slept_ns();
+        let took_ns = MonotonicClock.now_ns() - begin_ns;
+        assert!(slept_ns.start() <= slept_ns.end());
+        assert!(slept_ns.end() - slept_ns.start() <= took_ns);
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //!  exchange ── CycleInputs (newest counts: triple buffer) ──► cycle
 //!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
-//!  exchange ◄── CycleRecord (every one: ring, drops counted) ── cycle
+//!  exchange ◄── CycleRecord (every one, the newest for sure: `record_ring`, drops counted) ── cycle
 //!  reporter ◄── CycleReport (every one: ring, drops counted) ── exchange
 //!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
 //!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
@@ -21,6 +21,7 @@ use crate::cycle::{CycleRecord, Settings};
 use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
 use crate::reporter::CycleReport;
+use crate::rt::record_ring::{RecordReceiver, RecordSender, record_ring};
 use crate::supervisor::Summary;
 
 /// Everything that one gather found out, as one consistent whole.
@@ -108,7 +109,7 @@ pub struct CycleEnds {
     /// Requests.
     pub requests: Consumer<CycleRequest>,
     /// Records.
-    pub records: Producer<CycleRecord>,
+    pub records: RecordSender<CycleRecord>,
 }
 
 /// Ends of the exchange thread.
@@ -119,7 +120,7 @@ pub struct ExchangeEnds {
     /// Requests.
     pub requests: Producer<CycleRequest>,
     /// Records.
-    pub records: Consumer<CycleRecord>,
+    pub records: RecordReceiver<CycleRecord>,
     /// Records with what belongs to them.
     pub reports: Producer<CycleReport>,
 }
@@ -148,7 +149,7 @@ pub struct SupervisorEnds {
 pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, SupervisorEnds) {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
-    let (record_in, record_out) = RingBuffer::new(RECORDS);
+    let (record_in, record_out) = record_ring(RECORDS);
     let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
@@ -189,6 +190,7 @@ pub struct Shared {
     reporter_beats: AtomicU64,
     statistics_resets: AtomicU64,
     still_moving: AtomicBool,
+    last_word_moves: AtomicBool,
 }
 
 impl Shared {
@@ -200,6 +202,16 @@ impl Shared {
     /// Whether the last command let the robot move on.
     pub fn is_still_moving(&self) -> bool {
         self.still_moving.load(Ordering::Acquire)
+    }
+
+    /// A command has left, and it was (not) zero rates.
+    pub fn set_last_word_moves(&self, moves: bool) {
+        self.last_word_moves.store(moves, Ordering::Release);
+    }
+
+    /// Whether the newest command that left lets the robot move on.
+    pub fn last_word_moves(&self) -> bool {
+        self.last_word_moves.load(Ordering::Acquire)
     }
 
     /// The cycle thread says who it is, so that others can read what the scheduler counts of it.
@@ -279,7 +291,12 @@ impl Shared {
 
     /// A record, report, incident or summary was lost because a ring was full.
     pub fn count_dropped_record(&self) {
-        self.dropped_records.fetch_add(1, Ordering::Relaxed);
+        self.count_dropped_records(1);
+    }
+
+    /// As [`count_dropped_record`](Self::count_dropped_record), for several.
+    pub fn count_dropped_records(&self, count: u64) {
+        self.dropped_records.fetch_add(count, Ordering::Relaxed);
     }
 
     /// How many of them so far.

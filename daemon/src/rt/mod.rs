@@ -8,6 +8,8 @@ pub mod attribution;
 pub mod clock;
 pub mod handoff;
 pub mod privileges;
+pub mod record_ring;
 pub mod schedule;
 pub mod scheduler;
+pub mod suspend;
 pub mod sys;

@@ -221,7 +221,8 @@ pub fn updated_obstacles(
             for (index, message) in given.iter().enumerate() {
                 let refused = |outcome| Refused::at(outcome, index);
                 let obstacle = obstacle(message, now_ns).map_err(refused)?;
-                set.upsert(obstacle)
+                let source = update.header.sender_id;
+                set.upsert(KnownObstacle { source, ..obstacle })
                     .map_err(|_| refused(Outcome::BufferFull))?;
             }
         }
@@ -231,7 +232,7 @@ pub fn updated_obstacles(
     Ok(set)
 }
 
-/// One obstacle: finite numbers in range, seen no later than now, not forgotten already.
+/// One obstacle, of no source yet: finite numbers in range, seen no later than now, not forgotten already.
 ///
 /// # Errors
 /// What is wrong with it.
@@ -257,6 +258,7 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
     let expires_ns = message.measured_ns.saturating_add(message.lifetime_ns);
     let known = KnownObstacle {
         id: message.id,
+        source: 0,
         obstacle: Obstacle::new(shape, message.radius_m, velocity_m_s)
             .map_err(|_| Outcome::OutOfRange)?,
         measured_ns: message.measured_ns,

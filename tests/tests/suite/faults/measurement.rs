@@ -399,3 +399,69 @@ fn a_killed_driver_is_a_lost_measurement() {
     connection.request(RequestKind::Reset).unwrap();
     trail.until("holding", is(Mode::Holding));
 }
+
+#[test]
+fn a_first_measurement_that_is_old_is_refused_and_the_daemon_waits_for_a_fresh_one() {
+    let daemon = daemon();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    let mut records = 0;
+    let (_, now) = trail.until_while(
+        "fifty records",
+        || robot.measure_at(monotonic_ns() - 10_000_000_000, robot.bend_rad),
+        |record| {
+            assert_eq!(record.mode, Mode::Starting.code());
+            assert_eq!(state(record), MeasurementState::None);
+            records += 1;
+            records > 50
+        },
+    );
+    assert_eq!(now.command.header.sequence, 0, "no command has left");
+    let code = Outcome::InThePast.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] > 0);
+    robot.until_held(&mut trail);
+    let begin_ns = now.release_ns;
+    let (_, held) = trail.until_while("used", || robot.turn(), |r| r.release_ns > begin_ns);
+    assert!((held.measurement.bend_rad[0] - 1.0).abs() < 1e-9);
+}
+
+#[test]
+fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
+    let daemon = daemon();
+    let (connection, other) = (daemon.connect(), daemon.connect());
+    let mut trail = Trail::new(&connection);
+    let mut first = Robot::new(&connection, 1.0);
+    first.until_held(&mut trail);
+    // The other one measures another robot.
+    let second = Robot::new(&other, -1.0);
+    let measure = || {
+        second.measure(second.bend_rad);
+    };
+    let mut records = 0;
+    trail.until_while(
+        "both measure",
+        || {
+            first.turn();
+            measure();
+        },
+        |record| {
+            assert_eq!(record.mode, Mode::Holding.code());
+            assert!(
+                (record.bend_rad[0] - 1.0).abs() < 1e-9,
+                "{:?}",
+                record.bend_rad
+            );
+            records += 1;
+            records > 100
+        },
+    );
+    let code = Outcome::OtherDriver.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] > 10);
+    // The first falls silent. That is a fault before the other one is believed.
+    let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
+    assert_eq!(now.reason, Reason::MeasurementLost.code());
+    assert!((now.bend_rad[0] - 1.0).abs() < 1e-9);
+    trail.until_while("the other has the robot", measure, |record| {
+        (record.measurement.bend_rad[0] + 1.0).abs() < 1e-9
+    });
+}

@@ -152,3 +152,74 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     let status = wait_status(&connection, |status| status.obstacles_refused == 1);
     assert_eq!((status.obstacle_count, status.faults), (64, 0));
 }
+
+/// A robot that goes slowly home beside a source that falls silent. What it does then is up to the configuration; the
+/// obstacles stay in any case.
+fn lose_source(rule: &str) {
+    let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.02\n\
+         [obstacles]\nsource_timeout_ms = 200.0\nsource_silent = \"{rule}\"\n"
+    ));
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let sender = connection.obstacle_sender().unwrap();
+    homing(&connection, &mut trail);
+    let seen = Obstacle {
+        lifetime_ns: 30_000_000,
+        ..ball(1, [0.5, 0.5, 0.3])
+    };
+    let (first, told) = tell(&mut trail, &sender, &[seen]);
+    assert_eq!(told.outcome, Outcome::Accepted.code());
+    // Silence, longer than lifetime and timeout together.
+    let mut held = None;
+    let (_, last) = trail.until("silence", |record| {
+        assert_eq!(record.obstacle_count, 1, "{rule}");
+        assert_eq!(record.obstacles[0].start_m, seen.start_m);
+        if record.mode == Mode::Holding.code() && held.is_none() {
+            held = Some(*record);
+        }
+        record.release_ns > first.release_ns + 600_000_000
+    });
+    if rule == "keep" {
+        assert!(held.is_none());
+        assert_eq!(last.mode, Mode::Homing.code());
+    } else {
+        let held = held.unwrap();
+        assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
+        let detected_ns = held.release_ns.saturating_sub(told.judged_ns);
+        let history = trail.history();
+        let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(told.judged_ns);
+        say("source of obstacles silent", detected_ns, bound_ns);
+        assert!((200_000_000..=bound_ns).contains(&detected_ns));
+        assert!(
+            connection.request(RequestKind::Home).is_err(),
+            "it is still silent"
+        );
+    }
+    // It lives, and sees the obstacle no more.
+    sender.upsert(&[]).unwrap();
+    trail.until("gone", |record| record.obstacle_count == 0);
+    // As long as it lives, lifetimes count.
+    let seen = Obstacle {
+        measured_ns: monotonic_ns(),
+        lifetime_ns: 300_000_000,
+        ..seen
+    };
+    tell(&mut trail, &sender, &[seen]);
+    let live = || {
+        sender.upsert(&[]).unwrap();
+    };
+    let (_, gone) = trail.until_while("expired", live, |record| record.obstacle_count == 0);
+    assert!(gone.release_ns >= seen.measured_ns + seen.lifetime_ns);
+}
+
+#[test]
+fn a_source_of_obstacles_that_died_holds_the_robot_and_its_obstacles_stay() {
+    lose_source("hold");
+}
+
+#[test]
+fn a_robot_goes_on_beside_the_obstacles_of_a_source_that_died_where_it_should() {
+    lose_source("keep");
+}

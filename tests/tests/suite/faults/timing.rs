@@ -12,6 +12,7 @@ use cdcr_daemon::link::DriverLink;
 use cdcr_daemon::ports::{Clock, TimedMeasurement};
 use cdcr_daemon::rt::handoff::{CycleInputs, CycleRequest};
 use cdcr_daemon::rt::schedule::Release;
+use cdcr_daemon::rt::suspend::SuspendWatch;
 use cdcr_daemon::rt::sys::set_fifo;
 use cdcr_shared_types::codes::{LateCause, Mode, Reason, RequestKind};
 use cdcr_test_skip::{Need, skip};
@@ -254,5 +255,47 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
         assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
         let is_fault = matches!(record.mode, InnerMode::Faulted { .. });
         assert!(!is_fault || record.rates.as_slice().iter().all(|rate| *rate == 0.0));
+    }
+}
+
+#[test]
+fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
+    // No test can send its machine to sleep: the two clocks are given, and what follows is the daemon's own.
+    let mut watch = SuspendWatch::default();
+    let validated = Config::parse("[link]\nkind = \"driver\"\n", Path::new("robot.toml")).unwrap();
+    let mut cycle = Cycle::new(&validated, DriverLink).unwrap();
+    let mut inputs = unchecked_inputs(Settings::new(&validated.config), 0.01);
+    for (number, slept_ns, expected) in [
+        (1, 60_000_000_000, InnerMode::Tracking { begun: false }),
+        (2, 60_000_000_000, InnerMode::Tracking { begun: true }),
+        (
+            3,
+            61_000_000_000,
+            InnerMode::Stopped {
+                reason: InnerReason::Suspended,
+            },
+        ),
+    ] {
+        let release_ns = number * PERIOD_NS;
+        inputs.gather = number;
+        inputs.suspends = watch.look(&(slept_ns..=slept_ns));
+        inputs.measurement = Some(TimedMeasurement {
+            measurement: cdcr_controller::estimator::Measurement::Configuration(validated.initial),
+            measured_ns: release_ns - 1,
+        });
+        let release = Release {
+            cycle: number,
+            release_ns,
+            due_ns: release_ns,
+            start_ns: release_ns,
+            skipped: 0,
+        };
+        let mut requests = vec![CycleRequest {
+            ticket: 1,
+            request: Request::Track,
+        }];
+        requests.truncate(usize::from(number == 1));
+        let record = cycle.run(release, &inputs, || requests.pop(), &Still);
+        assert_eq!(record.mode, expected, "cycle {number}");
     }
 }

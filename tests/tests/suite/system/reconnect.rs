@@ -302,22 +302,89 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
     });
 }
 
-/// Measures the straight robot every 2 ms; `commanded_by` is the daemon of the newest command.
-fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) {
+/// Measures a robot whose first section is bent by `bend_rad` every 2 ms; `commanded_by` is the daemon of the newest
+/// command.
+fn drive(connection: &Connection, bend_rad: f64, commanded_by: &AtomicU64, over: &AtomicBool) {
+    let mut bends = [0.0; 12];
+    bends[0] = bend_rad;
     let mut driver = connection.driver(Interface::Velocity).unwrap();
     while !over.load(Ordering::Relaxed) {
-        let straight = Measurement {
+        let measured = Measurement {
+            bend_rad: bends,
             kind: MeasurementKind::Configuration.code(),
             sections: 3,
             measured_ns: monotonic_ns(),
             ..Measurement::default()
         };
-        driver.send(straight).unwrap();
+        driver.send(measured).unwrap();
         if let Some(command) = driver.newest_command().unwrap() {
             commanded_by.store(command.header.sender_id, Ordering::Relaxed);
         }
         thread::sleep(Duration::from_millis(2));
     }
+}
+
+const SLOWLY: &str = "[motion]\nhome_rate_rad_s = 0.05\n";
+
+#[test]
+fn a_home_reaches_the_next_daemon_and_is_carried_out() {
+    let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    let place = place(&format!("{PATIENT}{SLOWLY}{bent}"));
+    let daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    old.wait_mode(Mode::Holding, 0);
+    drop(daemon);
+    let begin_ns = monotonic_ns();
+    thread::scope(|scope| {
+        let next = scope.spawn(|| {
+            thread::sleep(Duration::from_millis(100));
+            Life::begin(&place)
+        });
+        let answer = connection.request_within(RequestKind::Home, PATIENCE);
+        assert_eq!(answer.unwrap().mode, Mode::Homing.code());
+        old.wait_mode(Mode::Homing, begin_ns);
+        next.join().unwrap()
+    });
+}
+
+#[test]
+fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
+    let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
+    let place = place(&format!("{PATIENT}{SLOWLY}{link}"));
+    let daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    let (is_connected, is_dead) = (AtomicBool::new(false), AtomicBool::new(false));
+    let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
+    thread::scope(|scope| {
+        let _over = Over(&is_over);
+        let asking = scope.spawn(|| {
+            let client = connect(&place);
+            is_connected.store(true, Ordering::Relaxed);
+            wait_until("the first daemon is dead", || {
+                is_dead.load(Ordering::Relaxed)
+            });
+            let answer = client.request_within(RequestKind::Home, PATIENCE);
+            answer.unwrap().mode
+        });
+        wait_until("the client is there", || {
+            is_connected.load(Ordering::Relaxed)
+        });
+        drop(daemon);
+        is_dead.store(true, Ordering::Relaxed);
+        // It asks, and nobody is there.
+        thread::sleep(Duration::from_millis(100));
+        let begin_ns = monotonic_ns();
+        let _next = Life::begin(&place);
+        old.wait_mode(Mode::Starting, begin_ns);
+        // The request has been refused meanwhile, many times.
+        let refused = Outcome::WrongMode.code() as usize;
+        wait_status(&connection, |status| status.outcomes[refused] > 3);
+        scope.spawn(|| drive(&connect(&place), 1.0, &commanded_by, &is_over));
+        old.wait_mode(Mode::Homing, begin_ns);
+        assert_eq!(asking.join().unwrap(), Mode::Homing.code());
+    });
 }
 
 #[test]
@@ -330,7 +397,7 @@ fn a_driver_serves_every_daemon() {
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
         let _over = Over(&is_over);
-        scope.spawn(|| drive(&connect(&place), &commanded_by, &is_over));
+        scope.spawn(|| drive(&connect(&place), 0.0, &commanded_by, &is_over));
         let mut begin_ns = 0;
         for _ in 0..4 {
             old.wait_mode(Mode::Holding, begin_ns);

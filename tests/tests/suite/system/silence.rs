@@ -7,7 +7,7 @@ use cdcr_client::{
     ConnectError, Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError,
     RequestError,
 };
-use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status, wait_until};
 use rustix::process::Signal;
 
@@ -114,4 +114,29 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
             .is_ok()
     });
     wait_mode(&mut telemetry, Mode::Holding);
+}
+
+#[test]
+fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    connection.prepare_requests().unwrap();
+    daemon.signal(Signal::STOP);
+    std::thread::scope(|scope| {
+        // Longer than a request may wait for the daemon, shorter than its client waits.
+        scope.spawn(|| {
+            std::thread::sleep(Duration::from_millis(1300));
+            daemon.signal(Signal::CONT);
+        });
+        let answer = connection.request_within(RequestKind::Home, PATIENCE);
+        // A straight robot is at home at once.
+        let mode = answer.unwrap().mode;
+        assert!(
+            [Mode::Homing, Mode::Holding]
+                .map(Mode::code)
+                .contains(&mode)
+        );
+    });
+    let stale = Outcome::Stale.code() as usize;
+    wait_status(&connection, |status| status.outcomes[stale] == 1);
 }

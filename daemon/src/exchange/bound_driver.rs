@@ -1,0 +1,64 @@
+/// The driver whose measurements count: the first that is heard, until it is lost. With two drivers on one robot the
+/// measurements would be those of two robots, in turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct BoundDriver {
+    /// A driver without an accepted measurement for longer than this is lost \[ns\].
+    lost_after_ns: u64,
+    heard: Option<Heard>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Heard {
+    sender: u64,
+    heard_ns: u64,
+}
+
+impl BoundDriver {
+    /// No driver yet; each is lost after `lost_after_ns` of silence.
+    pub(super) fn new(lost_after_ns: u64) -> Self {
+        Self {
+            lost_after_ns,
+            heard: None,
+        }
+    }
+
+    /// Whether measurements of `sender` count at `now_ns`.
+    pub(super) fn is(&self, sender: u64, now_ns: u64) -> bool {
+        self.heard.is_none_or(|heard| {
+            let is_lost = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
+            heard.sender == sender || is_lost
+        })
+    }
+
+    /// A measurement of `sender` was accepted at `now_ns`.
+    pub(super) fn hear(&mut self, sender: u64, now_ns: u64) {
+        let heard_ns = now_ns;
+        self.heard = Some(Heard { sender, heard_ns });
+    }
+
+    /// Nobody listened for `unheard_ns`: that is no silence of the driver.
+    pub(super) fn extend(&mut self, unheard_ns: u64) {
+        if let Some(heard) = &mut self.heard {
+            heard.heard_ns += unheard_ns;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_driver_stays_until_it_is_lost() {
+        let mut driver = BoundDriver::new(100);
+        assert!(driver.is(1, 0) && driver.is(2, 0));
+        driver.hear(1, 50);
+        assert!(driver.is(1, 60) && !driver.is(2, 60));
+        assert!(!driver.is(2, 150));
+        assert!(driver.is(2, 151) && driver.is(1, 151));
+        driver.extend(30);
+        assert!(!driver.is(2, 180) && driver.is(2, 181));
+        driver.hear(2, 200);
+        assert!(!driver.is(1, 300));
+    }
+}

@@ -1,0 +1,220 @@
+//! Whether those who send obstacles still live: the heartbeat of perception.
+//!
+//! A source is a client that has sent an obstacle with a limited lifetime. By that it promises to send again. A lifetime
+//! says when an obstacle is out of date while its source lives. When the source has died, nobody knows where the obstacle
+//! is, and it must not vanish by that.
+
+use cdcr_shared_types::ObstacleUpdate;
+use cdcr_shared_types::codes::ObstacleAction;
+use cdcr_shared_types::limits::OBSTACLES_MAX;
+
+use crate::config::{ObstaclesConfig, SourceSilent, ns};
+use crate::obstacles::KnownObstacle;
+
+/// Sources that are watched at one time: one for each obstacle that can be known.
+const SOURCES_MAX: usize = OBSTACLES_MAX;
+
+/// Every source since the obstacles were cleared, and when it was heard.
+#[derive(Debug)]
+pub(super) struct ObstacleSources {
+    /// A source that sends nothing for longer is silent \[ns\]; 0: nobody is watched.
+    timeout_ns: u64,
+    holds: bool,
+    sources: Vec<Source>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Source {
+    sender: u64,
+    heard_ns: u64,
+}
+
+impl ObstacleSources {
+    /// No source yet.
+    pub(super) fn new(config: &ObstaclesConfig) -> Self {
+        Self {
+            timeout_ns: ns(config.source_timeout_ms),
+            holds: config.source_silent == SourceSilent::Hold,
+            sources: Vec::with_capacity(SOURCES_MAX),
+        }
+    }
+
+    /// Whether the sender of `update` is watched already, or need not be, or can be.
+    pub(super) fn have_room_for(&self, update: &ObstacleUpdate) -> bool {
+        let is_known = self.watched(update.header.sender_id).is_some();
+        is_known || !self.begins_source(update) || self.sources.len() < SOURCES_MAX
+    }
+
+    /// An update came at `now_ns`. Whoever clears the list ends the watch over all sources; those that live begin it
+    /// again with their next update.
+    pub(super) fn hear(&mut self, update: &ObstacleUpdate, now_ns: u64) {
+        let (sender, heard_ns) = (update.header.sender_id, now_ns);
+        if update.action == ObstacleAction::Clear.code() {
+            self.sources.clear();
+        } else if let Some(known) = self.sources.iter_mut().find(|known| known.sender == sender) {
+            known.heard_ns = heard_ns;
+        } else if self.begins_source(update) && self.sources.len() < SOURCES_MAX {
+            self.sources.push(Source { sender, heard_ns });
+        }
+    }
+
+    /// Nobody listened for `unheard_ns` after `before_ns`: that is no silence of those who were not silent before.
+    pub(super) fn extend(&mut self, before_ns: u64, unheard_ns: u64) {
+        for source in &mut self.sources {
+            if before_ns.saturating_sub(source.heard_ns) <= self.timeout_ns {
+                source.heard_ns += unheard_ns;
+            }
+        }
+    }
+
+    /// Whether the robot has to hold at `now_ns`, because a source is silent.
+    pub(super) fn want_hold(&self, now_ns: u64) -> bool {
+        let is_silent = |source: &Source| now_ns.saturating_sub(source.heard_ns) > self.timeout_ns;
+        self.holds && self.sources.iter().any(is_silent)
+    }
+
+    /// Whether `known` is out of date at `now_ns`: its lifetime is over, and if its source is watched, that was heard
+    /// since and has not renewed it.
+    pub(super) fn let_expire(&self, known: &KnownObstacle, now_ns: u64) -> bool {
+        let heard_since = |source: &Source| {
+            known
+                .expires_ns
+                .is_some_and(|expires_ns| source.heard_ns >= expires_ns)
+        };
+        !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(heard_since)
+    }
+
+    /// The obstacle as the cycles until the next gather see it: one of a watched source does not expire by itself.
+    pub(super) fn hand_over(&self, known: &KnownObstacle, now_ns: u64) -> KnownObstacle {
+        if self.watched(known.source).is_some() && !self.let_expire(known, now_ns) {
+            known.kept(now_ns)
+        } else {
+            *known
+        }
+    }
+
+    fn watched(&self, sender: u64) -> Option<&Source> {
+        self.sources.iter().find(|source| source.sender == sender)
+    }
+
+    fn begins_source(&self, update: &ObstacleUpdate) -> bool {
+        let given = update.obstacles.iter().take(update.count as usize);
+        self.timeout_ns > 0
+            && update.action == ObstacleAction::Upsert.code()
+            && given.into_iter().any(|obstacle| obstacle.lifetime_ns > 0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_shared_types::{Header, Obstacle};
+
+    use super::*;
+    use crate::exchange::convert;
+
+    const MS: u64 = 1_000_000;
+
+    fn sources(source_silent: SourceSilent) -> ObstacleSources {
+        ObstacleSources::new(&ObstaclesConfig {
+            source_timeout_ms: 100.0,
+            source_silent,
+        })
+    }
+
+    fn update(sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) -> ObstacleUpdate {
+        let mut update = ObstacleUpdate {
+            header: Header {
+                sender_id,
+                ..Header::default()
+            },
+            action: action.code(),
+            count: lifetimes_ms.len() as u32,
+            ..ObstacleUpdate::default()
+        };
+        for (obstacle, lifetime_ms) in update.obstacles.iter_mut().zip(lifetimes_ms) {
+            obstacle.lifetime_ns = lifetime_ms * MS;
+        }
+        update
+    }
+
+    fn known(source: u64, lifetime_ms: u64) -> KnownObstacle {
+        let message = Obstacle {
+            lifetime_ns: lifetime_ms * MS,
+            ..Obstacle::default()
+        };
+        let obstacle = convert::obstacle(&message, 0).unwrap();
+        KnownObstacle { source, ..obstacle }
+    }
+
+    #[test]
+    fn only_who_sends_obstacles_with_a_lifetime_is_watched() {
+        let mut sources = sources(SourceSilent::Hold);
+        sources.hear(&update(1, ObstacleAction::Upsert, &[0, 0]), 0);
+        sources.hear(&update(2, ObstacleAction::Remove, &[5]), 0);
+        assert!(!sources.want_hold(10_000 * MS));
+        sources.hear(&update(3, ObstacleAction::Upsert, &[0, 50]), 0);
+        assert!(!sources.want_hold(100 * MS) && sources.want_hold(100 * MS + 1));
+        // Whatever it sends, it is heard.
+        sources.hear(&update(3, ObstacleAction::Upsert, &[]), 500 * MS);
+        assert!(!sources.want_hold(600 * MS) && sources.want_hold(601 * MS));
+        // Another one that is heard does not help.
+        sources.hear(&update(4, ObstacleAction::Upsert, &[50]), 600 * MS);
+        assert!(sources.want_hold(601 * MS));
+        // An operator knows better.
+        sources.hear(&update(9, ObstacleAction::Clear, &[]), 700 * MS);
+        assert!(!sources.want_hold(10_000 * MS));
+    }
+
+    #[test]
+    fn without_a_timeout_nobody_is_watched() {
+        let mut sources = ObstacleSources::new(&ObstaclesConfig::default());
+        sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+        assert!(!sources.want_hold(u64::MAX));
+        assert!(sources.let_expire(&known(1, 50), 50 * MS));
+        assert_eq!(sources.hand_over(&known(1, 50), 0), known(1, 50));
+    }
+
+    #[test]
+    fn an_obstacle_expires_when_its_source_lives_and_does_not_renew_it() {
+        for rule in [SourceSilent::Hold, SourceSilent::Keep] {
+            let mut sources = sources(rule);
+            sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+            let known = known(1, 50);
+            // Whether its source has died is not known yet, and then it is.
+            for now_ns in [49 * MS, 50 * MS, 90 * MS, 10_000 * MS] {
+                assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
+                assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
+            }
+            assert_eq!(sources.want_hold(10_000 * MS), rule == SourceSilent::Hold);
+            sources.hear(&update(1, ObstacleAction::Upsert, &[]), 49 * MS);
+            assert!(!sources.let_expire(&known, 90 * MS));
+            sources.hear(&update(1, ObstacleAction::Upsert, &[]), 60 * MS);
+            assert!(sources.let_expire(&known, 60 * MS));
+            assert_eq!(sources.hand_over(&known, 60 * MS), known);
+        }
+    }
+
+    #[test]
+    fn time_in_which_nobody_listened_does_not_count() {
+        let mut sources = sources(SourceSilent::Hold);
+        sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+        sources.extend(90 * MS, 400 * MS);
+        assert!(!sources.want_hold(500 * MS) && sources.want_hold(501 * MS));
+        // One that was silent before stays so.
+        sources.extend(600 * MS, 900 * MS);
+        assert!(sources.want_hold(601 * MS));
+    }
+
+    #[test]
+    fn there_is_room_for_so_many_sources() {
+        let mut sources = sources(SourceSilent::Keep);
+        for sender in 0..SOURCES_MAX as u64 {
+            let update = update(sender, ObstacleAction::Upsert, &[50]);
+            assert!(sources.have_room_for(&update));
+            sources.hear(&update, 0);
+        }
+        assert!(sources.have_room_for(&update(0, ObstacleAction::Upsert, &[50])));
+        assert!(!sources.have_room_for(&update(99, ObstacleAction::Upsert, &[50])));
+        assert!(sources.have_room_for(&update(99, ObstacleAction::Upsert, &[0])));
+    }
+}

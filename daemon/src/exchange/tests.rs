@@ -1,0 +1,504 @@
+//! The exchange with real ports and a clock that stands still: who sends what when is up to the test.
+
+use std::cell::Cell;
+
+use cdcr_controller::reference::ReferenceState;
+use cdcr_shared_types::codes::{
+    ChunkMode, Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind,
+};
+use cdcr_shared_types::{
+    Command, Header, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint,
+    Request, Response, Service,
+};
+use iceoryx2::pending_response::PendingResponse;
+use iceoryx2::port::client::Client;
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::{Node, ipc};
+
+use super::*;
+use crate::config::Config;
+use crate::cycle::Cycle;
+use crate::link::DriverLink;
+use crate::rt::handoff::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, channels};
+use crate::rt::schedule::Release;
+
+const MS: u64 = 1_000_000;
+const PERIOD_NS: u64 = 5 * MS;
+/// The first release of the grid.
+const BEGIN_NS: u64 = 100_000 * MS;
+/// The robot is lost after this without a measurement.
+const TIMEOUT_MS: u64 = 50;
+
+/// A clock that the test moves, on a machine that slept for as long as the test says.
+#[derive(Debug, Default)]
+struct Still {
+    now_ns: Cell<u64>,
+    slept_ns: Cell<u64>,
+}
+
+impl Clock for Still {
+    fn now_ns(&self) -> u64 {
+        self.now_ns.get()
+    }
+    fn sleep_until(&self, time_ns: u64) {
+        self.now_ns.set(time_ns);
+    }
+    fn slept_ns(&self) -> std::ops::RangeInclusive<u64> {
+        self.slept_ns.get()..=self.slept_ns.get()
+    }
+}
+
+/// An exchange, a cycle, and one end of everything that clients and drivers have.
+struct Rig {
+    exchange: Exchange,
+    cycle: Cycle<DriverLink>,
+    ends: CycleEnds,
+    reports: ReporterEnds,
+    shared: Shared,
+    schedule: Schedule,
+    clock: Still,
+    next_cycle: u64,
+    measurements: Publisher<ipc::Service, Measurement, ()>,
+    obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
+    references: Publisher<ipc::Service, ReferenceChunk, ()>,
+    commands: Subscriber<ipc::Service, Command, ()>,
+    control: Client<ipc::Service, Request, (), Response, ()>,
+    node: Node<ipc::Service>,
+    _root: tempfile::TempDir,
+}
+
+impl Rig {
+    fn new(configuration: &str) -> Self {
+        let folder = tempfile::Builder::new()
+            .prefix("cdcr-exchange-")
+            .tempdir()
+            .unwrap();
+        let root = folder.path().join("root");
+        let text = format!(
+            "{configuration}\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\
+             [transport]\nroot = \"{}\"\n",
+            root.display()
+        );
+        let validated = Config::parse(&text, &folder.path().join("robot.toml")).unwrap();
+        let node = services::node(&validated.location).unwrap();
+        let robot = &validated.config.robot.name;
+        let ports = Ports::create(&node, robot).unwrap();
+        let (ends, exchange_ends, reports, _) = channels(Settings::new(&validated.config));
+        let control = node
+            .service_builder(&Service::Control.name(robot).unwrap())
+            .request_response::<Request, Response>()
+            .open()
+            .unwrap();
+        let commands = node
+            .service_builder(&Service::Command.name(robot).unwrap())
+            .publish_subscribe::<Command>()
+            .open()
+            .unwrap();
+        Self {
+            measurements: services::publisher(&node, Service::Measurement, robot).unwrap(),
+            obstacles: services::publisher(&node, Service::Obstacles, robot).unwrap(),
+            references: services::publisher(&node, Service::Reference, robot).unwrap(),
+            commands: commands.subscriber_builder().create().unwrap(),
+            control: control.client_builder().create().unwrap(),
+            exchange: Exchange::new(&validated, ports, exchange_ends, 7),
+            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            ends,
+            reports,
+            shared: Shared::default(),
+            schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
+            clock: Still::default(),
+            next_cycle: 1,
+            node,
+            _root: folder,
+        }
+    }
+
+    fn now_ns(&self) -> u64 {
+        self.clock.now_ns()
+    }
+
+    /// Gathers the inputs of the next cycle in time, and returns them.
+    fn gather(&mut self) -> &CycleInputs {
+        let now_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        self.clock.sleep_until(now_ns);
+        let (clock, shared) = (&self.clock, &self.shared);
+        self.exchange
+            .gather(&self.schedule, self.next_cycle, now_ns, clock, shared);
+        self.next_cycle += 1;
+        self.ends.inputs.read()
+    }
+
+    /// Gathers until as much time has passed.
+    fn gather_for(&mut self, duration_ms: u64) {
+        for _ in 0..duration_ms * MS / PERIOD_NS {
+            self.gather();
+        }
+    }
+
+    /// The last look before the release of the cycle that was gathered for.
+    fn look_again(&mut self) -> &CycleInputs {
+        let cycle = self.next_cycle - 1;
+        let now_ns = self.schedule.release_ns(cycle) - LastLook::LEAD_NS;
+        self.clock.sleep_until(now_ns);
+        self.exchange
+            .look_again(&self.schedule, cycle, now_ns, &self.shared);
+        self.ends.inputs.read()
+    }
+
+    /// Runs `cycle` with the inputs that are there.
+    fn run(&mut self, cycle: u64, request: Option<cdcr_controller::safety::Request>) {
+        let release_ns = self.schedule.release_ns(cycle);
+        self.clock.sleep_until(release_ns);
+        let release = Release {
+            cycle,
+            release_ns,
+            due_ns: release_ns,
+            start_ns: release_ns,
+            skipped: 0,
+        };
+        let mut request = request.map(|request| CycleRequest { ticket: 0, request });
+        let (inputs, clock) = (self.ends.inputs.read(), &self.clock);
+        let record = self.cycle.run(release, inputs, || request.take(), clock);
+        self.ends.records.send(record);
+    }
+
+    fn publish(&mut self) {
+        let reporter = std::thread::current();
+        self.exchange.publish(&self.clock, &self.shared, &reporter);
+    }
+
+    /// The commands that a driver has got since the last look.
+    fn commands(&self) -> Vec<Command> {
+        let received = std::iter::from_fn(|| self.commands.receive().unwrap());
+        received.map(|sample| *sample).collect()
+    }
+
+    /// The cycles whose records those who watch have got since the last look.
+    fn reported(&mut self) -> Vec<u64> {
+        let reports = std::iter::from_fn(|| self.reports.reports.pop().ok());
+        reports.map(|report| report.record.release.cycle).collect()
+    }
+
+    /// A driver says that the robot was bent like this some time before the next gather.
+    fn measure(&self, sender_id: u64, bend_rad: f64, age_ms: u64) {
+        let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        let mut message = Measurement {
+            header: Header {
+                sender_id,
+                ..Header::default()
+            },
+            measured_ns: at_ns - age_ms * MS,
+            kind: MeasurementKind::Configuration.code(),
+            sections: 3,
+            interface: Interface::Velocity.code(),
+            ..Measurement::default()
+        };
+        message.bend_rad[0] = bend_rad;
+        self.measurements.send_copy(message).unwrap();
+    }
+
+    fn counted(&self, outcome: Outcome) -> u64 {
+        self.exchange.events.outcomes()[outcome.code() as usize]
+    }
+
+    fn ask(
+        &self,
+        sender_id: u64,
+        kind: RequestKind,
+    ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
+        let request = Request {
+            header: Header {
+                sender_id,
+                sequence: 1,
+                sent_ns: self.now_ns(),
+            },
+            kind: kind.code(),
+            ..Request::default()
+        };
+        self.control.send_copy(request).unwrap()
+    }
+
+    /// An obstacle far from the robot that moves away, seen at the next gather, or a clear.
+    fn tell(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
+        let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        let mut update = ObstacleUpdate {
+            header: Header {
+                sender_id,
+                ..Header::default()
+            },
+            action: action.code(),
+            count: lifetimes_ms.len() as u32,
+            ..ObstacleUpdate::default()
+        };
+        for (index, lifetime_ms) in lifetimes_ms.iter().enumerate() {
+            update.obstacles[index] = Obstacle {
+                id: index as u32,
+                start_m: [1.0, 0.0, 0.5],
+                velocity_m_s: [0.1, 0.0, 0.0],
+                radius_m: 0.02,
+                measured_ns: at_ns,
+                lifetime_ns: lifetime_ms * MS,
+                ..Obstacle::default()
+            };
+        }
+        self.obstacles.send_copy(update).unwrap();
+    }
+}
+
+impl Drop for Rig {
+    fn drop(&mut self) {
+        let prefix = self.node.config().global.prefix.to_string();
+        // Files of the ports that still live are only names.
+        for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
+            if entry.file_name().to_string_lossy().starts_with(&prefix) {
+                let _ = std::fs::remove_file(entry.path());
+            }
+        }
+    }
+}
+
+fn moves_at_all(command: &Command) -> bool {
+    command.bend_rate_rad_s.iter().any(|rate| *rate != 0.0)
+}
+
+/// A robot that goes home: its cycles command it to move. The cycles 1 and 2 are over.
+fn homing(configuration: &str) -> Rig {
+    let mut rig = Rig::new(configuration);
+    rig.measure(1, 1.5, 0);
+    rig.gather();
+    rig.run(1, None);
+    rig.publish();
+    rig.gather();
+    rig.run(2, Some(cdcr_controller::safety::Request::Home));
+    rig.publish();
+    let cycles: Vec<_> = rig.commands().iter().map(|command| command.cycle).collect();
+    assert_eq!(cycles, [1, 2]);
+    assert_eq!(rig.reported(), [1, 2]);
+    rig
+}
+
+#[test]
+fn of_several_commands_that_wait_only_the_newest_leaves() {
+    let mut rig = homing("");
+    for cycle in 3..=5 {
+        rig.run(cycle, None);
+    }
+    rig.publish();
+    let commands = rig.commands();
+    assert_eq!(commands.len(), 1);
+    let [command] = commands[..] else { panic!() };
+    assert!(moves_at_all(&command));
+    assert_eq!((command.cycle, command.header.sequence), (5, 3));
+    assert!(rig.now_ns() < command.valid_until_ns);
+    // Those who watch get every record.
+    assert_eq!(rig.reported(), [3, 4, 5]);
+    assert_eq!(rig.shared.dropped_records(), 0);
+}
+
+#[test]
+fn a_full_ring_of_records_never_loses_the_newest() {
+    let mut rig = homing("");
+    let newest = 300;
+    for cycle in 3..=newest {
+        rig.run(cycle, None);
+    }
+    rig.publish();
+    let cycles: Vec<_> = rig.commands().iter().map(|command| command.cycle).collect();
+    assert_eq!(cycles, [newest]);
+    let reported = rig.reported();
+    assert_eq!(reported.last(), Some(&newest));
+    assert!(reported.is_sorted() && reported[0] == 3);
+    let made = newest - 2;
+    assert_eq!(reported.len() as u64 + rig.shared.dropped_records(), made);
+}
+
+#[test]
+fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
+    let mut rig = homing("");
+    rig.run(3, None);
+    assert!(rig.shared.last_word_moves());
+    // Three periods after its release it runs out.
+    rig.clock.sleep_until(rig.schedule.release_ns(6));
+    rig.publish();
+    assert_eq!(rig.commands().len(), 0);
+    assert_eq!(rig.reported(), [3]);
+
+    rig.run(7, Some(cdcr_controller::safety::Request::Stop));
+    for cycle in 8..=20 {
+        rig.run(cycle, None);
+    }
+    rig.clock.sleep_until(rig.schedule.release_ns(90));
+    rig.publish();
+    let commands = rig.commands();
+    let [command] = commands[..] else {
+        panic!("{}", commands.len())
+    };
+    assert_eq!((command.cycle, command.header.sequence), (20, 3));
+    assert!(!moves_at_all(&command) && command.valid_until_ns < rig.now_ns());
+    assert!(!rig.shared.last_word_moves());
+}
+
+#[test]
+fn a_measurement_that_is_old_at_its_arrival_is_refused_also_the_first() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 10_000);
+    assert_eq!(rig.gather().measurement, None);
+    rig.measure(1, 0.5, TIMEOUT_MS + 1);
+    assert_eq!(rig.gather().measurement, None);
+    assert_eq!(rig.counted(Outcome::InThePast), 2);
+    rig.measure(1, 0.5, TIMEOUT_MS - 1);
+    assert!(rig.gather().measurement.is_some());
+}
+
+#[test]
+fn a_robot_has_one_driver_until_that_is_lost() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    for _ in 0..10 {
+        rig.measure(2, 1.0, 0);
+        rig.measure(1, 0.5, 0);
+        let measurement = rig.gather().measurement.unwrap().measurement;
+        let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
+        assert_eq!(
+            measurement,
+            cdcr_controller::estimator::Measurement::Configuration(first)
+        );
+    }
+    assert_eq!(rig.counted(Outcome::OtherDriver), 10);
+    // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
+    let (mut silent_ns, last_ns) = (0, rig.now_ns());
+    while rig.exchange.measurement.unwrap().measured_ns <= last_ns {
+        silent_ns = rig.now_ns() - last_ns;
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+    }
+    assert!(silent_ns > TIMEOUT_MS * MS, "{silent_ns}");
+    assert!(silent_ns <= TIMEOUT_MS * MS + 3 * PERIOD_NS, "{silent_ns}");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    assert_eq!(
+        rig.exchange.measurement.unwrap().measured_ns,
+        rig.now_ns() - PERIOD_NS
+    );
+}
+
+#[test]
+fn a_machine_that_slept_is_told_to_the_cycle_once() {
+    let mut rig = Rig::new("");
+    rig.clock.slept_ns.set(3_600_000 * MS);
+    assert_eq!((rig.gather().suspends, rig.gather().suspends), (0, 0));
+    rig.clock.slept_ns.set(3_600_500 * MS);
+    assert_eq!((rig.gather().suspends, rig.gather().suspends), (1, 1));
+}
+
+#[test]
+fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
+    // Taken by a gather, and by the last look of a lease that expires after the gather.
+    for by_last_look in [false, true] {
+        let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
+        rig.gather();
+        let first = rig.ask(1, RequestKind::AcquireLease);
+        rig.gather();
+        let mut chunk = ReferenceChunk {
+            header: Header {
+                sender_id: 1,
+                sequence: 1,
+                sent_ns: rig.now_ns(),
+            },
+            mode: ChunkMode::Replace.code(),
+            count: 2,
+            ..ReferenceChunk::default()
+        };
+        for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
+            *point = ReferencePoint {
+                time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
+                position_m: [0.0, 0.0, 0.89],
+                ..ReferencePoint::default()
+            };
+        }
+        rig.references.send_copy(chunk).unwrap();
+        let ahead = |inputs: &CycleInputs, cycle| inputs.window.at(cycle).state;
+        let cycle = rig.next_cycle;
+        assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+        let (inputs, second, cycle) = if by_last_look {
+            let renewed = rig.ask(1, RequestKind::AcquireLease);
+            rig.look_again();
+            rig.gather_for(15);
+            // The lease ends 20 ms after that look: after this gather, and with the look that follows it.
+            let cycle = rig.next_cycle;
+            assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+            let second = rig.ask(2, RequestKind::AcquireLease);
+            drop(renewed);
+            (rig.look_again(), second, cycle)
+        } else {
+            // 20 ms after the gather that took the chunk.
+            rig.gather_for(15);
+            let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
+            (rig.gather(), second, cycle)
+        };
+        assert_eq!(ahead(inputs, cycle), ReferenceState::None, "{by_last_look}");
+        let answer = second.receive().unwrap().unwrap();
+        assert_eq!(answer.outcome, Outcome::Accepted.code());
+        assert_eq!(answer.lease_holder, 2);
+        drop(first);
+    }
+}
+
+#[test]
+fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+    let lifetime_ms = 50;
+    for _ in 0..5 {
+        rig.tell(4, ObstacleAction::Upsert, &[lifetime_ms]);
+        assert!(!rig.gather().obstacle_source_silent);
+    }
+    let begin_ns = rig.now_ns();
+    let mut silent_ns = None;
+    for _ in 0..100 {
+        let inputs = rig.gather();
+        let (count, is_silent) = (inputs.obstacles.count(), inputs.obstacle_source_silent);
+        let placed = inputs.obstacles.at(inputs.gather_ns + PERIOD_NS);
+        assert_eq!((count, placed.count()), (1, 1));
+        if is_silent {
+            silent_ns.get_or_insert(rig.now_ns() - begin_ns);
+        }
+    }
+    let silent_ns = silent_ns.unwrap();
+    assert!(
+        (100 * MS..=100 * MS + 2 * PERIOD_NS).contains(&silent_ns),
+        "{silent_ns}"
+    );
+    // It is heard again, and says nothing of the obstacle.
+    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.gather();
+    let inputs = rig.gather();
+    assert!(!inputs.obstacle_source_silent);
+    assert_eq!(inputs.obstacles.count(), 0);
+    // It dies again, now with no obstacle known; an operator clears.
+    rig.gather_for(200);
+    assert!(rig.gather().obstacle_source_silent);
+    rig.tell(5, ObstacleAction::Clear, &[]);
+    assert!(!rig.gather().obstacle_source_silent);
+    rig.gather_for(200);
+    assert!(!rig.gather().obstacle_source_silent);
+}
+
+#[test]
+fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
+    rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
+    rig.gather();
+    rig.gather_for(300);
+    let inputs = rig.gather();
+    assert_eq!(inputs.obstacles.count(), 64);
+    assert!(
+        !inputs.obstacle_source_silent,
+        "they are kept, and the robot goes on"
+    );
+    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.gather();
+    assert_eq!(rig.gather().obstacles.count(), 0);
+}
