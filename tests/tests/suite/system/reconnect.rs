@@ -302,8 +302,10 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
     });
 }
 
-/// Measures the straight robot every 2 ms; `commanded_by` is the daemon of the newest command.
-fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) {
+/// Measures the straight robot every 2 ms; `commanded_by` is the daemon of the newest command. How often the driver was told of
+/// another daemon.
+fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) -> usize {
+    let mut others = 0;
     let mut driver = connection.driver(Interface::Velocity).unwrap();
     while !over.load(Ordering::Relaxed) {
         let straight = Measurement {
@@ -313,11 +315,14 @@ fn drive(connection: &Connection, commanded_by: &AtomicU64, over: &AtomicBool) {
             ..Measurement::default()
         };
         driver.send(straight).unwrap();
-        if let Some(command) = driver.newest_command().unwrap() {
+        let update = driver.update().unwrap();
+        if let Some(command) = update.command {
             commanded_by.store(command.header.sender_id, Ordering::Relaxed);
         }
+        others += usize::from(update.new_daemon.is_some());
         thread::sleep(Duration::from_millis(2));
     }
+    others
 }
 
 #[test]
@@ -329,8 +334,8 @@ fn a_driver_serves_every_daemon() {
     let mut old = Old::new(&connection);
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
-        let _over = Over(&is_over);
-        scope.spawn(|| drive(&connect(&place), &commanded_by, &is_over));
+        let over = Over(&is_over);
+        let driver = scope.spawn(|| drive(&connect(&place), &commanded_by, &is_over));
         let mut begin_ns = 0;
         for _ in 0..4 {
             old.wait_mode(Mode::Holding, begin_ns);
@@ -341,6 +346,10 @@ fn a_driver_serves_every_daemon() {
             begin_ns = monotonic_ns();
             daemon = Some(Life::begin(&place));
         }
+        drop(over);
+        // The fifth daemon may not have commanded yet.
+        let others = driver.join().unwrap();
+        assert!((3..=4).contains(&others), "{others} other daemons");
     });
 }
 
