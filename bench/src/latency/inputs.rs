@@ -41,7 +41,7 @@ pub(super) enum Source {
     /// Where the newest command brought the robot.
     Measurement {
         /// Its ports.
-        driver: Driver,
+        driver: Box<Driver>,
         /// Sections of the robot.
         sections: u32,
     },

@@ -251,7 +251,7 @@ impl Bench<'_> {
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
             let measurement = Source::Measurement {
-                driver: hands.connection.driver(Interface::Velocity)?,
+                driver: Box::new(hands.connection.driver(Interface::Velocity)?),
                 sections: hands.status.robot.sections,
             };
             let mut awakening = Awakening::new(measurement, &hands.grid);

@@ -122,7 +122,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     assert_eq!(ended.code(), Some(status), "{}", daemon.log());
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
     // No command came since, and the last one has run out.
-    let last = robot.last_command.unwrap();
+    let last = robot.last_command().unwrap();
     assert_eq!(last.valid_until_ns - last.release_ns, VALID_FOR_NS);
     assert!(last.release_ns <= hung_ns, "a command of a later cycle");
     // At the release of its last command both threads still ran.
@@ -252,8 +252,8 @@ impl Commanded {
     }
 
     /// The commands that wait. All that leave are in order, and none that moves leaves when it has run out already.
-    fn commands(&mut self, before: Option<Command>) -> Vec<Command> {
-        let mut commands: Vec<_> = before.into_iter().collect();
+    fn commands(&mut self, before: Option<&Command>) -> Vec<Command> {
+        let mut commands: Vec<_> = before.copied().into_iter().collect();
         while let Some(command) = self.commands.try_next().unwrap() {
             assert!(
                 is_rest(&command) || command.header.sent_ns < command.valid_until_ns,
@@ -282,13 +282,13 @@ fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
     };
     it.turn_for(Duration::from_millis(400));
     // What left before it was held up.
-    let before = *it.commands(Some(before)).last().unwrap();
+    let before = *it.commands(Some(&before)).last().unwrap();
     let end_ns = monotonic_ns();
     drop(hung);
     let mut commands = vec![before];
     wait_until("commands leave again", || {
         it.robot.turn();
-        commands = it.commands(Some(before));
+        commands = it.commands(Some(&before));
         commands.len() > 1
     });
     let first = commands[1];
@@ -320,11 +320,11 @@ fn assert_last_word_is_rest(held_up: Duration) {
         it.robot.turn();
         find_thread(it.daemon.id(), "cdcr-cycle").is_none()
     });
-    assert_eq!(it.commands(Some(before)).len(), 1);
+    assert_eq!(it.commands(Some(&before)).len(), 1);
     assert!(!is_rest(&before));
     drop(hung);
     let ended = it.daemon.stop_after_signal();
-    let last = *it.commands(Some(before)).last().unwrap();
+    let last = *it.commands(Some(&before)).last().unwrap();
     assert!(is_rest(&last), "{last:?}");
     assert_eq!(last.mode, Mode::Stopped.code());
     assert_eq!(ended.code(), Some(0), "{}", it.daemon.log());
@@ -359,7 +359,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     connection.request(RequestKind::Stop).unwrap();
     wait_until("the commands stop the robot", || {
         robot.turn();
-        let last = robot.last_command.unwrap();
+        let last = robot.last_command().unwrap();
         last.release_ns > hung_ns && last.bend_rate_rad_s.iter().all(|rate| *rate == 0.0)
     });
     // Another one may still come, and be answered.
@@ -369,7 +369,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     drive_until_end(&mut daemon, &mut robot, &hung);
     let still = Duration::from_nanos(monotonic_ns() - last_sent_ns);
     assert!(still + LOOKS > 5 * WATCHDOG, "{still:?}");
-    let last = robot.last_command.unwrap();
+    let last = robot.last_command().unwrap();
     assert!(last.release_ns > hung_ns + WATCHDOG.as_nanos() as u64);
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(81), "{}", daemon.log());
