@@ -193,12 +193,12 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
     assert!(looked > 100, "{looked} files");
 }
 
-/// A clock that a test sets.
-struct Still;
+/// A clock that a test sets \[ns\].
+struct Still(u64);
 
 impl Clock for Still {
     fn now_ns(&self) -> u64 {
-        PERIOD_NS
+        self.0
     }
     fn sleep_until(&self, _: u64) {}
 }
@@ -250,7 +250,7 @@ fn a_solver_that_finds_no_number_is_a_fault_in_its_cycle_and_commands_the_ramp()
             ticket: 1,
             request: Request::Track,
         }];
-        let record = cycle.run(release, &inputs, || requests.pop(), &Still);
+        let record = cycle.run(release, &inputs, || requests.pop(), &Still(PERIOD_NS));
         assert_eq!(record.mode, expected);
         assert!(record.rates.as_slice().iter().all(|rate| rate.is_finite()));
         let is_fault = matches!(record.mode, InnerMode::Faulted { .. });
@@ -295,7 +295,7 @@ fn a_machine_that_slept_stops_the_robot_in_the_first_cycle_that_knows_it() {
             request: Request::Track,
         }];
         requests.truncate(usize::from(number == 1));
-        let record = cycle.run(release, &inputs, || requests.pop(), &Still);
+        let record = cycle.run(release, &inputs, || requests.pop(), &Still(release_ns));
         assert_eq!(record.mode, expected, "cycle {number}");
     }
 }
