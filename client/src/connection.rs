@@ -251,12 +251,14 @@ impl Connection {
         ObstacleSender::open(&self.services.obstacles, self.sender.clone())
     }
 
-    /// The ports of a driver that obeys `interface`: measurements out, commands in.
+    /// The ports of a driver that obeys `interface`: measurements out, commands in. It follows no command beyond the
+    /// limits of the robot in the daemon's status.
     ///
     /// # Errors
-    /// When the services have as many writers or readers as they allow.
+    /// When the services have as many writers or readers as they allow, [`LinkError::Silent`] when the daemon is away.
     pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
-        Driver::open(&self.services, self.sender.clone(), interface)
+        let robot = self.status(STATUS_FRESH)?.robot;
+        Driver::open(&self.services, self.sender.clone(), &robot, interface)
     }
 
     /// One record of every cycle from now on.

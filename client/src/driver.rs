@@ -1,39 +1,87 @@
-use std::time::Duration;
+mod bounds;
+mod commanded;
+mod follower;
+mod refusal;
+
+use std::thread;
+use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::Interface;
-use cdcr_shared_types::{Command, Header, Measurement};
+use cdcr_shared_types::{Command, Header, Measurement, RobotDescription};
 
 use crate::outlet::Outlet;
 use crate::sender::Sender;
 use crate::services::Services;
 use crate::stream::Stream;
-use crate::{CommandStream, LinkError};
+use crate::{CommandStream, LinkError, monotonic_ns};
+
+pub use commanded::{CommandedPosition, CommandedRates};
+pub use follower::CommandFollower;
+pub use refusal::CommandRefusal;
+
+/// How often a driver that waits looks for a command: a fifth of the daemon's usual period.
+const LOOK_AGAIN: Duration = Duration::from_millis(1);
 
 /// The ports of a driver process: it sends what the robot measures and obeys what the daemon commands.
 ///
+/// In each turn of its loop a driver calls [`update`](Self::update), gives its motors what [`rates_at`](Self::rates_at) or
+/// [`position_at`](Self::position_at) say for that moment, whether a command came or not, and sends a measurement:
+///
+/// ```no_run
+/// # use cdcr_client::{Connection, Driver, LinkError, monotonic_ns};
+/// # use cdcr_shared_types::Measurement;
+/// # fn turn(driver: &mut Driver, set_speeds: impl Fn([f64; 18]), measure: impl Fn() -> Measurement) -> Result<(), LinkError> {
+/// if let Some(refusal) = driver.update()?.refused {
+///     eprintln!("{refusal}");
+/// }
+/// set_speeds(driver.rates_at(monotonic_ns()).cable_speed_m_s);
+/// driver.send(measure())?;
+/// # Ok(())
+/// # }
+/// ```
+///
 /// The daemon sends no command before it has a first measurement, because it does not know before how
-/// the robot is bent: a driver that waits for a command before it measures waits for ever. A driver must
-/// hold the robot still before the first command, and from the newest one's `valid_until_ns` on.
+/// the robot is bent: a driver that waits for a command before it measures waits for ever. The robot rests before the
+/// first command, and from the newest one's `valid_until_ns` on.
+///
+/// A command that the robot must not follow is refused ([`CommandRefusal`]): reported, counted, and no reason to end. It is held
+/// to the limits of the robot that the daemon had when this driver was opened; a daemon that is started again with wider ones
+/// does not widen them.
 ///
 /// A driver goes on measuring while the daemon is away: the next one begins with its measurements, and its
-/// commands arrive here.
+/// commands are taken as soon as those of the old one have run out. It begins at rest where the robot is measured,
+/// so there is nothing to do; [`DriverUpdate::new_daemon`] tells a driver that would rather ask somebody.
 #[derive(Debug)]
 pub struct Driver {
     interface: Interface,
     measurements: Outlet<Measurement>,
     commands: CommandStream,
+    follower: CommandFollower,
+}
+
+/// What [`Driver::update`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct DriverUpdate {
+    /// The newest command that was taken.
+    pub command: Option<Command>,
+    /// Another daemon than before commands from now on: its `sender_id`.
+    pub new_daemon: Option<u64>,
+    /// The newest refusal, if a command was refused.
+    pub refused: Option<CommandRefusal>,
 }
 
 impl Driver {
     pub(crate) fn open(
         services: &Services,
         sender: Sender,
+        robot: &RobotDescription,
         interface: Interface,
     ) -> Result<Self, LinkError> {
         Ok(Self {
             interface,
             measurements: Outlet::open(&services.measurement, sender)?,
             commands: Stream::open(&services.command)?,
+            follower: CommandFollower::new(robot, interface),
         })
     }
 
@@ -48,19 +96,121 @@ impl Driver {
         })
     }
 
-    /// The newest command that waits, or `None`; older ones are out of date and thrown away.
+    /// Takes every command that waits, oldest first, and says what is new. Never blocks.
+    ///
+    /// # Errors
+    /// When iceoryx2 fails. A refused command is no error.
+    pub fn update(&mut self) -> Result<DriverUpdate, LinkError> {
+        let mut update = DriverUpdate::default();
+        while let Some(command) = self.commands.try_next()? {
+            update.take(&mut self.follower, &command, monotonic_ns());
+        }
+        Ok(update)
+    }
+
+    /// How fast the robot shall move at `now_ns`, as in [`CommandFollower::rates_at`].
+    pub fn rates_at(&self, now_ns: u64) -> CommandedRates {
+        self.follower.rates_at(now_ns)
+    }
+
+    /// Where the robot shall be at `now_ns`, as in [`CommandFollower::position_at`].
+    pub fn position_at(&self, now_ns: u64) -> Option<CommandedPosition> {
+        self.follower.position_at(now_ns)
+    }
+
+    /// Commands that were refused since the beginning.
+    pub fn refusals(&self) -> u64 {
+        self.follower.refusals()
+    }
+
+    /// Rests until the next command, as in [`CommandFollower::forget`].
+    pub fn forget(&mut self) {
+        self.follower.forget();
+    }
+
+    /// As [`update`](Self::update), for who wants the newest command alone.
     ///
     /// # Errors
     /// When iceoryx2 fails.
     pub fn newest_command(&mut self) -> Result<Option<Command>, LinkError> {
-        self.commands.newest()
+        Ok(self.update()?.command)
     }
 
-    /// The next command, or `None` when none came within `timeout`.
+    /// The next command that is taken, or `None` when none came within `timeout`.
     ///
     /// # Errors
     /// When iceoryx2 fails.
     pub fn next_command(&mut self, timeout: Duration) -> Result<Option<Command>, LinkError> {
-        self.commands.next_within(timeout)
+        let deadline = Instant::now() + timeout;
+        loop {
+            let command = self.newest_command()?;
+            if command.is_some() || Instant::now() >= deadline {
+                return Ok(command);
+            }
+            thread::sleep(LOOK_AGAIN);
+        }
+    }
+}
+
+impl DriverUpdate {
+    fn take(&mut self, follower: &mut CommandFollower, command: &Command, now_ns: u64) {
+        let before = follower.sender_id();
+        match follower.take(command, now_ns) {
+            Ok(()) => {
+                self.command = Some(*command);
+                let sender_id = command.header.sender_id;
+                if before.is_some_and(|before| before != sender_id) {
+                    self.new_daemon = Some(sender_id);
+                }
+            }
+            Err(refusal) => self.refused = Some(refusal),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_update_says_what_is_new() {
+        let robot = RobotDescription {
+            sections: 1,
+            ..RobotDescription::default()
+        };
+        let mut follower = CommandFollower::new(&robot, Interface::Velocity);
+        let of = |sender_id, time_ns| Command {
+            header: Header {
+                sender_id,
+                sequence: time_ns,
+                sent_ns: time_ns,
+            },
+            cycle: time_ns,
+            release_ns: time_ns,
+            target_ns: time_ns + 10,
+            valid_until_ns: time_ns + 30,
+            sections: 1,
+            interface: Interface::Velocity.code(),
+            ..Command::default()
+        };
+        let mut update = |commands: &[Command]| {
+            let mut update = DriverUpdate::default();
+            for command in commands {
+                update.take(&mut follower, command, command.release_ns + 1);
+            }
+            let taken = update.command.map(|command| command.release_ns);
+            (taken, update.new_daemon, update.refused.is_some())
+        };
+        assert_eq!(update(&[]), (None, None, false));
+        // The first daemon of all is not another one.
+        assert_eq!(update(&[of(1, 100), of(1, 110)]), (Some(110), None, false));
+        // A refusal is told beside what was taken.
+        assert_eq!(update(&[of(1, 110), of(1, 120)]), (Some(120), None, true));
+        assert_eq!(update(&[of(2, 130)]), (None, None, true));
+        assert_eq!(
+            update(&[of(2, 200), of(2, 210)]),
+            (Some(210), Some(2), false)
+        );
+        assert_eq!(update(&[of(2, 220)]), (Some(220), None, false));
     }
 }

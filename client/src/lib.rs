@@ -86,7 +86,9 @@ mod trajectory;
 pub use clock::monotonic_ns;
 pub use connect_error::{ConnectError, Place};
 pub use connection::Connection;
-pub use driver::Driver;
+pub use driver::{
+    CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
+};
 pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
 pub use judgement::{events, obstacles};
 pub use lease::Lease;

@@ -1,0 +1,140 @@
+//! The limits of a robot, as its driver holds a command to them.
+
+use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::limits::{COORDINATES_MAX, SECTIONS_MAX};
+use cdcr_shared_types::{Command, RobotDescription, SectionDescription};
+
+use super::{CommandRefusal, CommandedPosition};
+
+/// What rounding may add to a rate or a speed, as a part of its limit.
+const ROUNDING: f64 = 1e-9;
+/// The daemon holds a robot that is measured so far beyond the limit of a bend, and commands where it is
+/// \[rad\]. A cable: this times the sum of the radii on its way.
+const BEND_TOLERANCE_RAD: f64 = 0.05;
+
+/// The sections that a description uses.
+pub(super) fn sections(robot: &RobotDescription) -> &[SectionDescription] {
+    &robot.section[..(robot.sections as usize).min(SECTIONS_MAX)]
+}
+
+/// Refuses numbers that are not finite, and what `interface` obeys of a command where it is beyond a limit.
+///
+/// What the interface does not obey moves no motor, so it is held to no limit. A position beyond a limit is followed
+/// when it is no farther than `standing`: a robot may come back.
+pub(super) fn check(
+    robot: &RobotDescription,
+    interface: Interface,
+    command: &Command,
+    standing: Option<&CommandedPosition>,
+) -> Result<(), CommandRefusal> {
+    let bends = command
+        .bend_rate_rad_s
+        .iter()
+        .chain(&command.bend_target_rad);
+    let cables = command
+        .cable_length_m
+        .iter()
+        .chain(&command.cable_speed_m_s);
+    if !bends.chain(cables).all(|number| number.is_finite()) {
+        return Err(CommandRefusal::NotFinite);
+    }
+    if interface == Interface::Position {
+        check_bends(robot, &command.bend_target_rad, standing)?;
+        check_strokes(robot, &command.cable_length_m, standing)
+    } else {
+        check_rates(robot, command)
+    }
+}
+
+fn check_bends(
+    robot: &RobotDescription,
+    bends_rad: &[f64; COORDINATES_MAX],
+    standing: Option<&CommandedPosition>,
+) -> Result<(), CommandRefusal> {
+    let bend = |bends: &[f64], j: usize| bends[2 * j].hypot(bends[2 * j + 1]);
+    for (section, limits) in sections(robot).iter().enumerate() {
+        let bend_rad = bend(bends_rad, section);
+        let limit_rad = limits.bend_max_rad;
+        let most = standing.map_or(0.0, |standing| bend(&standing.bend_rad, section));
+        if bend_rad > most.max(limit_rad + BEND_TOLERANCE_RAD) {
+            return Err(CommandRefusal::Bend {
+                section,
+                bend_rad,
+                limit_rad,
+            });
+        }
+    }
+    Ok(())
+}
+
+fn check_strokes(
+    robot: &RobotDescription,
+    lengths_m: &[f64],
+    standing: Option<&CommandedPosition>,
+) -> Result<(), CommandRefusal> {
+    let limit_m = robot.cable_stroke_max_m;
+    let (mut straight_m, mut tolerance_m) = (0.0, 0.0);
+    for (j, section) in sections(robot).iter().enumerate() {
+        straight_m += section.length_m;
+        tolerance_m += BEND_TOLERANCE_RAD * section.cable_radius_m;
+        for cable in 3 * j..3 * j + 3 {
+            let stroke_m = lengths_m[cable] - straight_m;
+            let most = standing.map_or(0.0, |standing| standing.cable_length_m[cable] - straight_m);
+            if stroke_m.abs() > most.abs().max(limit_m + tolerance_m) {
+                return Err(CommandRefusal::Stroke {
+                    cable,
+                    stroke_m,
+                    limit_m,
+                });
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_rates(robot: &RobotDescription, command: &Command) -> Result<(), CommandRefusal> {
+    for (section, limits) in sections(robot).iter().enumerate() {
+        let limit_rad_s = limits.rate_max_rad_s;
+        for rate_rad_s in command.bend_rate_rad_s[2 * section..][..2].iter().copied() {
+            if rate_rad_s.abs() > limit_rad_s * (1.0 + ROUNDING) {
+                return Err(CommandRefusal::Rate {
+                    section,
+                    rate_rad_s,
+                    limit_rad_s,
+                });
+            }
+        }
+    }
+    let limit_m_s = robot.cable_speed_max_m_s;
+    let used = &command.cable_speed_m_s[..3 * sections(robot).len()];
+    for (cable, &speed_m_s) in used.iter().enumerate() {
+        if speed_m_s.abs() > limit_m_s * (1.0 + ROUNDING) {
+            return Err(CommandRefusal::CableSpeed {
+                cable,
+                speed_m_s,
+                limit_m_s,
+            });
+        }
+    }
+    Ok(())
+}
+
+/// The shortest time in which this robot may go from `begin` to `end` \[s\].
+pub(super) fn shortest_s(
+    robot: &RobotDescription,
+    begin: &CommandedPosition,
+    end: &CommandedPosition,
+) -> f64 {
+    let mut shortest_s = 0.0_f64;
+    for (j, section) in sections(robot).iter().enumerate() {
+        for i in 2 * j..2 * j + 2 {
+            let way_rad = (end.bend_rad[i] - begin.bend_rad[i]).abs();
+            shortest_s = shortest_s.max(way_rad / section.rate_max_rad_s);
+        }
+        for i in 3 * j..3 * j + 3 {
+            let way_m = (end.cable_length_m[i] - begin.cable_length_m[i]).abs();
+            shortest_s = shortest_s.max(way_m / robot.cable_speed_max_m_s);
+        }
+    }
+    shortest_s
+}

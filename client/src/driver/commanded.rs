@@ -1,0 +1,48 @@
+use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
+
+/// How fast a robot shall move. The default is rest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CommandedRates {
+    /// Bend-vector rates (u̇₁, v̇₁, …) \[rad/s\].
+    pub bend_rate_rad_s: [f64; COORDINATES_MAX],
+    /// Cable speeds, section by section, three each \[m/s\]; positive pays out.
+    pub cable_speed_m_s: [f64; CABLES_MAX],
+}
+
+impl Default for CommandedRates {
+    fn default() -> Self {
+        Self {
+            bend_rate_rad_s: [0.0; COORDINATES_MAX],
+            cable_speed_m_s: [0.0; CABLES_MAX],
+        }
+    }
+}
+
+/// Where a robot shall be.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CommandedPosition {
+    /// Bend vector (u₁, v₁, …) \[rad\].
+    pub bend_rad: [f64; COORDINATES_MAX],
+    /// Cable lengths, section by section, three each \[m\].
+    pub cable_length_m: [f64; CABLES_MAX],
+}
+
+impl CommandedPosition {
+    /// The point at `part` of the straight way to `end`, 0 to 1. From 1 on it is `end`, to the bit.
+    pub(super) fn towards(&self, end: &Self, part: f64) -> Self {
+        Self {
+            bend_rad: core::array::from_fn(|i| between(self.bend_rad[i], end.bend_rad[i], part)),
+            cable_length_m: core::array::from_fn(|i| {
+                between(self.cable_length_m[i], end.cable_length_m[i], part)
+            }),
+        }
+    }
+}
+
+/// Clamped, because rounding must not lead past an end; a number that does not change keeps its bits.
+fn between(begin: f64, end: f64, part: f64) -> f64 {
+    if part >= 1.0 || begin.to_bits() == end.to_bits() {
+        return end;
+    }
+    (begin + part * (end - begin)).clamp(begin.min(end), begin.max(end))
+}

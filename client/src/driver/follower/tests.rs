@@ -1,0 +1,372 @@
+use cdcr_shared_types::{Header, SectionDescription};
+
+use super::*;
+
+const PERIOD_NS: u64 = 5_000_000;
+const VALID_NS: u64 = 3 * PERIOD_NS;
+const BEND_MAX_RAD: f64 = 2.8;
+const RATE_MAX_RAD_S: f64 = 2.0;
+const LENGTH_M: f64 = 0.3;
+const DAEMON: u64 = 0xda1;
+const OTHER: u64 = 0xda2;
+
+/// One section with cables at 12.5 mm.
+fn robot() -> RobotDescription {
+    let mut robot = RobotDescription {
+        sections: 1,
+        cable_speed_max_m_s: 0.02,
+        cable_stroke_max_m: 0.03,
+        ..RobotDescription::default()
+    };
+    robot.section[0] = SectionDescription {
+        length_m: LENGTH_M,
+        cable_radius_m: 0.0125,
+        bend_max_rad: BEND_MAX_RAD,
+        rate_max_rad_s: RATE_MAX_RAD_S,
+        ..SectionDescription::default()
+    };
+    robot
+}
+
+/// Cycle `cycle` of a daemon: it leads the bend to `u_rad` at `rate_rad_s`.
+fn command(interface: Interface, cycle: u64, u_rad: f64, rate_rad_s: f64) -> Command {
+    let release_ns = cycle * PERIOD_NS;
+    let mut command = Command {
+        header: Header {
+            sender_id: DAEMON,
+            sequence: cycle,
+            sent_ns: release_ns + 1_000_000,
+        },
+        cycle,
+        release_ns,
+        target_ns: release_ns + PERIOD_NS,
+        valid_until_ns: release_ns + VALID_NS,
+        sections: 1,
+        interface: interface.code(),
+        ..Command::default()
+    };
+    (command.bend_target_rad[0], command.bend_rate_rad_s[0]) = (u_rad, rate_rad_s);
+    for (cable, part) in [1.0, -0.5, -0.5].into_iter().enumerate() {
+        command.cable_length_m[cable] = LENGTH_M - 0.0125 * part * u_rad;
+        command.cable_speed_m_s[cable] = -0.0125 * part * rate_rad_s;
+    }
+    command
+}
+
+fn position(cycle: u64, u_rad: f64) -> Command {
+    command(Interface::Position, cycle, u_rad, 0.0)
+}
+
+fn velocity(cycle: u64, rate_rad_s: f64) -> Command {
+    command(Interface::Velocity, cycle, 0.0, rate_rad_s)
+}
+
+fn of(sender_id: u64, mut command: Command) -> Command {
+    command.header.sender_id = sender_id;
+    command
+}
+
+/// A follower that took `commands`, each a millisecond after its release.
+fn follower(interface: Interface, commands: &[Command]) -> CommandFollower {
+    let mut follower = CommandFollower::new(&robot(), interface);
+    for command in commands {
+        take(&mut follower, command).unwrap();
+    }
+    follower
+}
+
+fn take(follower: &mut CommandFollower, command: &Command) -> Result<(), CommandRefusal> {
+    follower.take(command, command.release_ns + 1_000_000)
+}
+
+/// Bend and first cable at a time in periods.
+fn at(follower: &CommandFollower, periods: f64) -> (f64, f64) {
+    let now_ns = (periods * PERIOD_NS as f64) as u64;
+    let position = follower.position_at(now_ns).unwrap();
+    (position.bend_rad[0], position.cable_length_m[0])
+}
+
+#[test]
+fn speeds_hold_until_they_run_out_and_rest_otherwise() {
+    let mut follower = CommandFollower::new(&robot(), Interface::Velocity);
+    assert_eq!(follower.rates_at(0), CommandedRates::default());
+    assert_eq!(follower.position_at(0), None);
+    let command = velocity(10, 1.5);
+    take(&mut follower, &command).unwrap();
+    let end_ns = 10 * PERIOD_NS + VALID_NS;
+    for now_ns in [10 * PERIOD_NS, 11 * PERIOD_NS, end_ns - 1] {
+        let rates = follower.rates_at(now_ns);
+        assert_eq!(rates.bend_rate_rad_s[0], 1.5);
+        assert_eq!(rates.cable_speed_m_s, command.cable_speed_m_s);
+    }
+    for now_ns in [end_ns, end_ns + 1, u64::MAX] {
+        assert_eq!(follower.rates_at(now_ns), CommandedRates::default());
+    }
+}
+
+#[test]
+fn a_position_is_reached_at_its_target_time_and_never_passed() {
+    let follower = follower(
+        Interface::Position,
+        &[position(10, 0.2), position(11, 0.206)],
+    );
+    let (before, after) = (
+        (0.2, LENGTH_M - 0.0125 * 0.2),
+        (0.206, LENGTH_M - 0.0125 * 0.206),
+    );
+    assert_eq!(at(&follower, 11.0), before);
+    let half = at(&follower, 11.5);
+    assert!((half.0 - 0.203).abs() < 1e-15 && (half.1 - (LENGTH_M - 0.0125 * 0.203)).abs() < 1e-15);
+    for periods in [12.0, 13.0, 14.0, 1e6] {
+        assert_eq!(at(&follower, periods), after);
+    }
+    // What lies before the release is where it came from.
+    assert_eq!(at(&follower, 3.0), before);
+    let mut last = before.0;
+    for step in 0..1000 {
+        let (bend, _) = at(&follower, 11.0 + f64::from(step) * 1e-3);
+        assert!((last..=after.0).contains(&bend));
+        last = bend;
+    }
+}
+
+#[test]
+fn a_first_position_is_taken_as_it_is() {
+    let follower = follower(Interface::Position, &[position(10, 0.2)]);
+    for periods in [0.0, 10.0, 10.3, 11.0, 99.0] {
+        assert_eq!(at(&follower, periods).0, 0.2);
+    }
+}
+
+#[test]
+fn a_resting_position_keeps_its_bits() {
+    let mut follower = CommandFollower::new(&robot(), Interface::Position);
+    let mut rest = position(10, 0.1 + 0.2);
+    rest.bend_target_rad[1] = -0.0;
+    for cycle in 10..1000 {
+        rest.header.sequence = cycle;
+        rest.cycle = cycle;
+        rest.release_ns = cycle * PERIOD_NS;
+        rest.target_ns = rest.release_ns + PERIOD_NS;
+        rest.valid_until_ns = rest.release_ns + VALID_NS;
+        take(&mut follower, &rest).unwrap();
+        let position = follower
+            .position_at(rest.release_ns + cycle * 7919 % PERIOD_NS)
+            .unwrap();
+        assert_eq!(
+            position.bend_rad.map(f64::to_bits),
+            rest.bend_target_rad.map(f64::to_bits)
+        );
+        assert_eq!(position.cable_length_m, rest.cable_length_m);
+    }
+}
+
+#[test]
+fn a_position_that_runs_out_on_its_way_stays_where_it_is() {
+    let mut short = position(11, 0.206);
+    short.valid_until_ns = short.release_ns + PERIOD_NS / 2;
+    let follower = follower(Interface::Position, &[position(10, 0.2), short]);
+    let half = at(&follower, 11.5);
+    assert!((half.0 - 0.203).abs() < 1e-15);
+    for periods in [11.6, 12.0, 20.0] {
+        assert_eq!(at(&follower, periods), half);
+    }
+}
+
+#[test]
+fn lost_commands_make_no_move_faster_than_the_robot() {
+    // The bend limits one robot, a cable the other: 20 mm/s are 1.6 rad/s at 12.5 mm.
+    for (cable_speed_max_m_s, fastest_rad_s) in [(1.0, RATE_MAX_RAD_S), (0.02, 1.6)] {
+        let mut follower = CommandFollower::new(&robot(), Interface::Position);
+        follower.robot.cable_speed_max_m_s = cable_speed_max_m_s;
+        take(&mut follower, &position(10, 0.2)).unwrap();
+        // Ten commands at the largest rate are lost, all but the last.
+        take(&mut follower, &position(20, 0.3)).unwrap();
+        let period_s = 1e-9 * PERIOD_NS as f64;
+        let step_rad = 0.1 * period_s * fastest_rad_s;
+        let mut last = 0.2;
+        for step in 0..300 {
+            let bend = at(&follower, 20.0 + 0.1 * f64::from(step)).0;
+            assert!(bend >= last && bend - last <= step_rad * 1.000_01);
+            last = bend;
+        }
+        // It ran out on the way; the next one goes on from there.
+        assert!((last - 0.2 - 3.0 * period_s * fastest_rad_s).abs() < 1e-6);
+        take(&mut follower, &position(24, 0.3)).unwrap();
+        assert_eq!(at(&follower, 24.0).0, last);
+        for cycle in 25..36 {
+            take(&mut follower, &position(cycle, 0.3)).unwrap();
+        }
+        assert_eq!(at(&follower, 40.0).0, 0.3);
+    }
+}
+
+#[test]
+fn a_refused_command_changes_nothing_and_is_counted() {
+    let good = velocity(10, 1.0);
+    let mut follower = follower(Interface::Velocity, &[good]);
+    let now_ns = 11 * PERIOD_NS;
+    let refuse = |command: Command| {
+        let mut follower = follower.clone();
+        let refusal = follower.take(&command, now_ns).unwrap_err();
+        assert_eq!(follower.refusals(), 1);
+        assert_eq!(follower.rates_at(now_ns).bend_rate_rad_s[0], 1.0);
+        refusal
+    };
+    let next = velocity(11, 0.5);
+    let mut bad = next;
+    bad.bend_target_rad[3] = f64::NAN;
+    assert_eq!(refuse(bad), CommandRefusal::NotFinite);
+    for (bad, text) in [
+        (
+            Command {
+                sections: 2,
+                ..next
+            },
+            "for 2 sections and this robot has 1",
+        ),
+        (
+            Command {
+                interface: 2,
+                ..next
+            },
+            "this driver obeys the velocity",
+        ),
+        (
+            Command {
+                interface: 77,
+                ..next
+            },
+            "interface code 77",
+        ),
+        (
+            Command {
+                target_ns: next.release_ns - 7,
+                ..next
+            },
+            "7 ns before its release",
+        ),
+        (Command { cycle: 10, ..next }, "not newer"),
+        (
+            Command {
+                release_ns: good.release_ns,
+                ..next
+            },
+            "not newer",
+        ),
+        (
+            Command {
+                header: good.header,
+                ..next
+            },
+            "not newer",
+        ),
+        (good, "not newer"),
+        (
+            Command {
+                valid_until_ns: now_ns,
+                ..next
+            },
+            "0 ns after it had run out",
+        ),
+        (
+            Command {
+                valid_until_ns: now_ns - 9,
+                ..next
+            },
+            "9 ns after it had run out",
+        ),
+        (of(OTHER, next), "a second daemon"),
+        (velocity(11, 2.1), "bend at 2.1 rad/s, 2 is its limit"),
+        (velocity(11, -2.1), "bend at -2.1 rad/s"),
+        (
+            velocity(11, 1.7),
+            "cable 0 is commanded at -0.02125 m/s, 0.02 is",
+        ),
+    ] {
+        let refusal = refuse(bad).to_string();
+        assert!(refusal.contains(text), "{text}: {refusal}");
+    }
+    follower.take(&next, now_ns).unwrap();
+    assert_eq!(
+        (follower.refusals(), follower.sender_id()),
+        (0, Some(DAEMON))
+    );
+    assert_eq!(follower.rates_at(now_ns).bend_rate_rad_s[0], 0.5);
+}
+
+#[test]
+fn each_interface_is_held_to_its_own_limits() {
+    // Rates that a position driver does not obey, positions that a velocity driver does not.
+    let mut fast = position(10, 0.1);
+    fast.bend_rate_rad_s[0] = 50.0;
+    follower(Interface::Position, &[fast]);
+    let mut far = velocity(10, 0.1);
+    far.bend_target_rad[0] = 50.0;
+    follower(Interface::Velocity, &[far]);
+}
+
+#[test]
+fn a_position_beyond_a_limit_is_followed_only_on_its_way_back() {
+    let mut bent = CommandFollower::new(&robot(), Interface::Position);
+    bent.robot.cable_stroke_max_m = 1.0;
+    let refusal = take(&mut bent, &position(10, 2.9)).unwrap_err();
+    assert!(
+        matches!(refusal, CommandRefusal::Bend { section: 0, .. }),
+        "{refusal}"
+    );
+    assert_eq!(bent.position_at(u64::MAX), None);
+    // Where the daemon holds a robot that was measured a little beyond.
+    take(&mut bent, &position(11, 2.84)).unwrap();
+    take(&mut bent, &position(12, 2.86)).unwrap_err();
+    take(&mut bent, &position(13, 2.83)).unwrap();
+    // It stands beyond the limits that it has from now on.
+    bent.robot.section[0].bend_max_rad = 2.0;
+    take(&mut bent, &position(14, 2.84)).unwrap_err();
+    take(&mut bent, &position(15, 2.82)).unwrap();
+
+    let mut pulled = CommandFollower::new(&robot(), Interface::Position);
+    let refusal = take(&mut pulled, &position(10, -2.6)).unwrap_err();
+    let (limit_m, cable) = (0.03, 0);
+    assert!(
+        matches!(refusal, CommandRefusal::Stroke { cable: c, limit_m: l, stroke_m } if c == cable && l == limit_m && stroke_m > limit_m),
+        "{refusal}"
+    );
+    take(&mut pulled, &position(11, -2.4)).unwrap();
+}
+
+#[test]
+fn another_daemon_is_followed_when_the_old_one_has_run_out() {
+    let mut follower = follower(Interface::Position, &[position(10, 0.2)]);
+    // Two at one time: the second one is refused, however it numbers.
+    let refusal = take(&mut follower, &of(OTHER, position(11, 0.3))).unwrap_err();
+    assert!(matches!(
+        refusal,
+        CommandRefusal::OtherDaemon {
+            sender: OTHER,
+            present: DAEMON
+        }
+    ));
+    // A daemon that was started again begins its numbers anew.
+    let mut first = of(OTHER, position(14, 0.201));
+    (first.cycle, first.header.sequence) = (0, 1);
+    take(&mut follower, &first).unwrap();
+    assert_eq!(follower.sender_id(), Some(OTHER));
+    // It begins where the robot is measured, a little beside: the way there is a move, too.
+    assert_eq!((at(&follower, 14.0).0, at(&follower, 15.0).0), (0.2, 0.201));
+    // What the old one left in the queue is late.
+    let left = take(&mut follower, &position(13, 0.9)).unwrap_err();
+    assert!(matches!(left, CommandRefusal::NotNewer { .. }));
+}
+
+#[test]
+fn a_forgotten_command_is_rest() {
+    for interface in [Interface::Velocity, Interface::Position] {
+        let mut follower = follower(interface, &[command(interface, 10, 0.1, 1.0)]);
+        follower.forget();
+        assert_eq!(follower.rates_at(10 * PERIOD_NS), CommandedRates::default());
+        assert_eq!(follower.position_at(10 * PERIOD_NS), None);
+        take(&mut follower, &command(interface, 11, 0.5, 1.0)).unwrap();
+        assert_eq!(at(&follower, 11.0).0, 0.5);
+    }
+}

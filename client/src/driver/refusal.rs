@@ -1,0 +1,104 @@
+use cdcr_shared_types::codes::Interface;
+
+/// Why a command is not followed. The one before it stays in force until it runs out.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum CommandRefusal {
+    /// A number is NaN or infinite.
+    #[error("a number of the command is not finite")]
+    NotFinite,
+    /// The daemon controls a robot with another number of sections.
+    #[error(
+        "the command is for {commanded} sections and this robot has {sections}: another robot's daemon"
+    )]
+    Sections {
+        /// Of the command.
+        commanded: u32,
+        /// Of the robot.
+        sections: u32,
+    },
+    /// The daemon means the other interface, or one that is not known.
+    #[error(
+        "the command is for interface code {commanded} and this driver obeys the {} (set link.interface)",
+        driver.text()
+    )]
+    Interface {
+        /// Code in the command.
+        commanded: u32,
+        /// What the driver obeys.
+        driver: Interface,
+    },
+    /// The move would end before it begins.
+    #[error("the target of the command is {before_ns} ns before its release")]
+    Times {
+        /// By how much \[ns\].
+        before_ns: u64,
+    },
+    /// The command is not newer than the one in force: its sequence, its cycle or its release went back.
+    #[error("the command of cycle {cycle} is not newer than that of cycle {present} in force")]
+    NotNewer {
+        /// Of the command.
+        cycle: u64,
+        /// Of the command in force.
+        present: u64,
+    },
+    /// Another daemon commands while the command of the present one is still valid.
+    #[error("a second daemon ({sender:#018x}) commands beside {present:#018x}: end one of them")]
+    OtherDaemon {
+        /// Who sent the command.
+        sender: u64,
+        /// Whose command is in force.
+        present: u64,
+    },
+    /// It was valid until a time that is over.
+    #[error("the command of cycle {cycle} came {late_ns} ns after it had run out")]
+    Expired {
+        /// Of the command.
+        cycle: u64,
+        /// By how much \[ns\].
+        late_ns: u64,
+    },
+    /// A section would bend too far.
+    #[error("section {section} is commanded to bend by {bend_rad} rad, {limit_rad} is its limit")]
+    Bend {
+        /// From 0 at the base.
+        section: usize,
+        /// The commanded bend \[rad\].
+        bend_rad: f64,
+        /// Its limit \[rad\].
+        limit_rad: f64,
+    },
+    /// A cable would be pulled or paid out too far.
+    #[error(
+        "cable {cable} is commanded {stroke_m} m from its length at the straight robot, {limit_m} is the limit"
+    )]
+    Stroke {
+        /// From 0, section by section.
+        cable: usize,
+        /// The commanded stroke \[m\]; positive is paid out.
+        stroke_m: f64,
+        /// Its limit \[m\].
+        limit_m: f64,
+    },
+    /// A bend-vector component would change too fast.
+    #[error(
+        "section {section} is commanded to bend at {rate_rad_s} rad/s, {limit_rad_s} is its limit"
+    )]
+    Rate {
+        /// From 0 at the base.
+        section: usize,
+        /// The commanded rate \[rad/s\].
+        rate_rad_s: f64,
+        /// Its limit \[rad/s\].
+        limit_rad_s: f64,
+    },
+    /// A cable would run too fast.
+    #[error("cable {cable} is commanded at {speed_m_s} m/s, {limit_m_s} is the limit")]
+    CableSpeed {
+        /// From 0, section by section.
+        cable: usize,
+        /// The commanded speed \[m/s\].
+        speed_m_s: f64,
+        /// Its limit \[m/s\].
+        limit_m_s: f64,
+    },
+}
