@@ -37,10 +37,7 @@ impl DriverProcess {
     }
 
     fn spawn(mut command: Command) -> Self {
-        command
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(Stdio::null());
+        command.stdin(Stdio::piped()).stdout(Stdio::null());
         Self(command.spawn().expect("the driver starts"))
     }
 

@@ -8,7 +8,9 @@
 
 pub mod driver;
 pub mod load;
+pub mod plant;
 pub mod record;
+pub mod robot;
 mod sweep;
 pub mod system_calls;
 

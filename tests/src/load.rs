@@ -14,8 +14,9 @@ use cdcr_client::{Connection, FeedEvent, FeedOptions, ObstacleSender, Spiral, mo
 use cdcr_shared_types::codes::{
     ChunkMode, Interface, Interpolation, MeasurementKind, Mode, RequestKind,
 };
-use cdcr_shared_types::{Measurement, Obstacle, ReferencePoint, SolverSettings, Telemetry};
+use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
 
+use crate::robot::DrivenRobot;
 use crate::{PATIENCE, Place, ROBOT};
 
 /// What the load did, so that a test can say that there was one.
@@ -143,27 +144,16 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
 /// fault.
 pub fn drive(place: &Place, ending: &AtomicBool) {
     let connection = connect(place);
-    let mut driver = connection.driver(Interface::Velocity).unwrap();
-    let mut measurement = Measurement {
-        sections: 3,
-        kind: MeasurementKind::Configuration.code(),
-        ..Measurement::default()
-    };
+    let mut robot = DrivenRobot::new(&connection, Interface::Velocity, [0.0; 12]);
     let mut turn = 0_u32;
     while !ending.load(Ordering::Relaxed) {
         turn += 1;
-        if let Some(command) = driver.newest_command().unwrap() {
-            measurement.bend_rad = command.bend_target_rad;
-            measurement.cable_length_m = command.cable_length_m;
-            let kind = if turn.is_multiple_of(2) {
-                MeasurementKind::CableLengths
-            } else {
-                MeasurementKind::Configuration
-            };
-            measurement.kind = kind.code();
-        }
-        measurement.measured_ns = monotonic_ns();
-        driver.send(measurement).unwrap();
+        robot.follow();
+        robot.measure(if turn.is_multiple_of(2) {
+            MeasurementKind::CableLengths
+        } else {
+            MeasurementKind::Configuration
+        });
         let pause_ms = if turn.is_multiple_of(2000) { 150 } else { 1 };
         std::thread::sleep(Duration::from_millis(pause_ms));
     }

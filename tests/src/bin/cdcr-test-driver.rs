@@ -11,9 +11,10 @@ use std::io::BufRead;
 use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Driver, monotonic_ns};
+use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Location, Measurement};
+use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{PATIENCE, ROBOT};
 
 /// How old a late measurement is: beyond the timeout of the default configuration, or not.
@@ -59,11 +60,10 @@ fn orders() -> Receiver<(String, Instant)> {
     receiver
 }
 
-/// A robot that goes where it is commanded, as far as its sections bend: it has mechanical ends.
+/// A robot and the faults of its driver.
 struct RobotBehindDriver {
-    driver: Driver,
-    bend_rad: [f64; 12],
-    bend_max_rad: [f64; 6],
+    robot: DrivenRobot,
+    measured: Measurement,
     turns: u32,
 }
 
@@ -71,43 +71,31 @@ impl RobotBehindDriver {
     /// Its first section is bent as said. Else it is where the last driver left it, if that was followed by a command
     /// lately; else it is straight.
     fn new(connection: &Connection, bend_rad: Option<f64>) -> Self {
-        let mut driver = connection.driver(Interface::Velocity).unwrap();
         let mut bends = [0.0; 12];
         if let Some(bend_rad) = bend_rad {
             bends[0] = bend_rad;
-        } else if let Some(command) = driver.next_command(Duration::from_millis(100)).unwrap() {
-            bends = command.bend_target_rad;
+        } else {
+            let mut commands = connection.commands().unwrap();
+            let left = commands.next_within(Duration::from_millis(100)).unwrap();
+            bends = left.map_or(bends, |command| command.bend_target_rad);
         }
-        let robot = connection.status(PATIENCE).unwrap().robot;
         Self {
-            driver,
-            bend_rad: bends,
-            bend_max_rad: robot.section.map(|section| section.bend_max_rad),
+            robot: DrivenRobot::new(connection, Interface::Velocity, bends),
+            measured: Measurement::default(),
             turns: 0,
         }
     }
 
     fn turn(&mut self, fault: &str) {
         self.turns += 1;
-        let command = self.driver.newest_command().unwrap();
-        if let Some(command) = command
-            && fault != "frozen"
-        {
-            self.bend_rad = command.bend_target_rad;
-            for (bend, most_rad) in self.bend_rad.chunks_exact_mut(2).zip(self.bend_max_rad) {
-                let beyond = bend[0].hypot(bend[1]) / most_rad;
-                if beyond > 1.0 {
-                    bend[0] /= beyond;
-                    bend[1] /= beyond;
-                }
-            }
+        self.robot.follow();
+        // A frozen sensor says for ever what it last said; its stamps and the robot go on.
+        if fault != "frozen" {
+            self.measured = self.robot.measurement(MeasurementKind::Configuration);
         }
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),
-            kind: MeasurementKind::Configuration.code(),
-            sections: 3,
-            bend_rad: self.bend_rad,
-            ..Measurement::default()
+            ..self.measured
         };
         let odd = self.turns as usize % 2;
         match fault {
@@ -117,6 +105,6 @@ impl RobotBehindDriver {
             "nan" => measurement.bend_rad[self.turns as usize % 6] = f64::NAN,
             _ => {}
         }
-        self.driver.send(measurement).unwrap();
+        self.robot.send(&measurement);
     }
 }

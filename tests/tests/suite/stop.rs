@@ -14,11 +14,10 @@ use cdcr_client::{
 };
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{ramp_to_zero, shorten};
-use cdcr_shared_types::codes::{
-    EventKind, Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind, guard,
-};
-use cdcr_shared_types::{Header, Measurement, Request, Response, Service, Telemetry};
+use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard};
+use cdcr_shared_types::{Header, Request, Response, Service, Telemetry};
 use cdcr_tests::record::largest;
+use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_record};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{Node, ipc};
@@ -69,21 +68,11 @@ impl Drop for EndWhenDropped<'_> {
     }
 }
 
-/// A robot that goes to every commanded target at once.
 fn drive(place: &Place, ending: &AtomicBool) {
     let connection = cdcr_tests::load::connect(place);
-    let mut driver = connection.driver(Interface::Velocity).unwrap();
-    let mut measurement = Measurement {
-        sections: 3,
-        kind: MeasurementKind::Configuration.code(),
-        ..Measurement::default()
-    };
+    let mut robot = DrivenRobot::new(&connection, Interface::Velocity, [0.0; 12]);
     while !ending.load(Ordering::Relaxed) {
-        if let Some(command) = driver.newest_command().unwrap() {
-            measurement.bend_rad = command.bend_target_rad;
-        }
-        measurement.measured_ns = monotonic_ns();
-        driver.send(measurement).unwrap();
+        robot.turn();
         std::thread::sleep(Duration::from_millis(1));
     }
 }

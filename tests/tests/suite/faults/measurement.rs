@@ -7,6 +7,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::plant::Flaws;
 use cdcr_tests::{Daemon, PATIENCE, wait_status, wait_until};
 use rustix::process::Signal;
 
@@ -73,7 +74,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
     let mut under_way = VecDeque::new();
     let mut turn = |robot: &mut Robot| {
         robot.follow();
-        under_way.push_back((monotonic_ns(), robot.bend_rad));
+        under_way.push_back((monotonic_ns(), robot.sensed_rad()));
         while let Some(&(measured_ns, bend_rad)) = under_way.front()
             && measured_ns + delay_ns <= monotonic_ns()
         {
@@ -151,7 +152,7 @@ fn measurements_that_are_no_numbers_are_refused_until_the_last_good_one_is_lost(
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
     robot.until_held(&mut trail);
-    let mut bad = robot.bend_rad;
+    let mut bad = robot.sensed_rad();
     bad[1] = f64::NAN;
     assert_lost(&mut trail, "measurement not finite, then lost", || {
         robot.measure(bad);
@@ -169,7 +170,7 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
     trail.catch_up();
     connection.request(RequestKind::Home).unwrap();
     // One sensor says the same for ever, with new stamps. The others live.
-    let mut measured = robot.bend_rad;
+    let mut measured = robot.sensed_rad();
     let (mut way_rad, mut judged_rad) = (0.0_f64, 0.0);
     let (_, now) = trail.until_while(
         "the fault",
@@ -210,10 +211,10 @@ fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
 /// Measurements that no robot makes, one in each cycle, until `is_it`. Says how many were left out.
 fn jump_until(
     trail: &mut Trail,
-    robot: &Robot,
+    robot: &mut Robot,
     mut is_it: impl FnMut(&Telemetry, u32) -> bool,
 ) -> (Telemetry, Telemetry) {
-    let mut far = robot.bend_rad;
+    let mut far = robot.sensed_rad();
     far[0] += 2.0;
     let (mut sent_ns, mut is_seen, mut jumps) = (0, true, 0);
     let seen = std::cell::Cell::new(0);
@@ -244,7 +245,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
     robot.until_held(&mut trail);
     // Two are left out, and nothing else happens.
-    let (_, two) = jump_until(&mut trail, &robot, |_, jumps| jumps == 2);
+    let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
     assert_eq!(two.mode, Mode::Holding.code());
     trail.until_while(
         "used",
@@ -253,7 +254,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
     );
     // The third in a row is a fault.
     let mut counted = 0;
-    let (before, now) = jump_until(&mut trail, &robot, |record, jumps| {
+    let (before, now) = jump_until(&mut trail, &mut robot, |record, jumps| {
         counted = jumps;
         record.mode == Mode::Faulted.code()
     });
@@ -281,7 +282,9 @@ fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
     // What runs away does not follow, either, which is a fault of its own.
     let daemon = daemon_with("[safety]\nfollowing_fault_rad = 100.0\n");
     let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+    // The bound is exact, and it counts from the exact place of the last measurement at rest.
+    let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::NONE);
+    let mut trail = Trail::new(&connection);
     robot.until_held(&mut trail);
     let rest = trail.until_while(
         "used",
@@ -296,7 +299,7 @@ fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
         "the fault",
         || {
             let measured_ns = monotonic_ns();
-            let mut bend_rad = robot.bend_rad;
+            let mut bend_rad = [0.0; 12];
             bend_rad[0] = 1.5 * RATE_MAX_RAD_S * after_s(measured_ns);
             robot.measure_at(measured_ns, bend_rad);
         },

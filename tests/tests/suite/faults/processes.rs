@@ -75,10 +75,10 @@ fn a_killed_daemon_leaves_the_driver_a_command_that_runs_out() {
     let killed_ns = monotonic_ns();
     wait_until("the last command runs out", || {
         robot.turn();
-        let last = robot.last_command.unwrap();
+        let last = robot.last_command().unwrap();
         last.valid_until_ns < monotonic_ns()
     });
-    let last = robot.last_command.unwrap();
+    let last = robot.last_command().unwrap();
     let valid_for_ns = last.valid_until_ns - last.release_ns;
     assert_eq!(valid_for_ns, 80_000_000);
     assert!(last.header.sent_ns <= killed_ns);

@@ -2,17 +2,17 @@
 
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Driver, monotonic_ns};
+use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement};
+use cdcr_tests::plant::Flaws;
+use cdcr_tests::robot::DrivenRobot;
 
 use crate::faults::trail::{Trail, is};
 
-/// A robot that is where it was told to go.
+/// A robot whose driver measures what the test says, or what there is.
 pub(crate) struct Robot {
-    driver: Driver,
-    pub(crate) bend_rad: [f64; 12],
-    pub(crate) last_command: Option<Command>,
+    robot: DrivenRobot,
     measured: Instant,
 }
 
@@ -22,12 +22,16 @@ const EVERY: Duration = Duration::from_millis(1);
 impl Robot {
     /// A straight robot whose first section is bent by `bend_rad`.
     pub(crate) fn new(connection: &Connection, bend_rad: f64) -> Self {
+        Self::with_flaws(connection, bend_rad, Flaws::USUAL)
+    }
+
+    /// The same with these flaws.
+    pub(crate) fn with_flaws(connection: &Connection, bend_rad: f64, flaws: Flaws) -> Self {
         let mut bends = [0.0; 12];
         bends[0] = bend_rad;
+        let interface = Interface::Velocity;
         Self {
-            driver: connection.driver(Interface::Velocity).unwrap(),
-            bend_rad: bends,
-            last_command: None,
+            robot: DrivenRobot::with_flaws(connection, interface, bends, flaws),
             measured: Instant::now(),
         }
     }
@@ -37,16 +41,24 @@ impl Robot {
         self.follow();
         if self.measured.elapsed() >= EVERY {
             self.measured = Instant::now();
-            self.measure(self.bend_rad);
+            self.robot.measure(MeasurementKind::Configuration);
         }
     }
 
     /// Follows the newest command.
     pub(crate) fn follow(&mut self) {
-        if let Some(command) = self.driver.newest_command().unwrap() {
-            self.bend_rad = command.bend_target_rad;
-            self.last_command = Some(command);
-        }
+        self.robot.follow();
+    }
+
+    /// What its sensors say now \[rad\].
+    pub(crate) fn sensed_rad(&mut self) -> [f64; 12] {
+        let measurement = self.robot.measurement(MeasurementKind::Configuration);
+        measurement.bend_rad
+    }
+
+    /// The last command that it followed.
+    pub(crate) fn last_command(&self) -> Option<Command> {
+        self.robot.last_command()
     }
 
     /// Says that the robot is bent like this now; returns when.
@@ -58,21 +70,12 @@ impl Robot {
 
     /// Says that the robot was bent like this at `measured_ns`.
     pub(crate) fn measure_at(&self, measured_ns: u64, bend_rad: [f64; 12]) {
-        self.send(&Measurement {
+        self.robot.send(&Measurement {
             measured_ns,
             kind: MeasurementKind::Configuration.code(),
             bend_rad,
             ..Measurement::default()
         });
-    }
-
-    /// Sends what a driver of three sections says.
-    fn send(&self, measurement: &Measurement) {
-        let measurement = Measurement {
-            sections: 3,
-            ..*measurement
-        };
-        self.driver.send(measurement).unwrap();
     }
 
     /// Turns until the daemon holds it.

@@ -122,7 +122,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     assert_eq!(ended.code(), Some(status), "{}", daemon.log());
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
     // No command came since, and the last one has run out.
-    let last = robot.last_command.unwrap();
+    let last = robot.last_command().unwrap();
     assert_eq!(last.valid_until_ns - last.release_ns, VALID_FOR_NS);
     assert!(last.release_ns <= hung_ns, "a command of a later cycle");
     // At the release of its last command both threads still ran.
@@ -359,7 +359,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     connection.request(RequestKind::Stop).unwrap();
     wait_until("the commands stop the robot", || {
         robot.turn();
-        let last = robot.last_command.unwrap();
+        let last = robot.last_command().unwrap();
         last.release_ns > hung_ns && last.bend_rate_rad_s.iter().all(|rate| *rate == 0.0)
     });
     // Another one may still come, and be answered.
@@ -369,7 +369,7 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     drive_until_end(&mut daemon, &mut robot, &hung);
     let still = Duration::from_nanos(monotonic_ns() - last_sent_ns);
     assert!(still + LOOKS > 5 * WATCHDOG, "{still:?}");
-    let last = robot.last_command.unwrap();
+    let last = robot.last_command().unwrap();
     assert!(last.release_ns > hung_ns + WATCHDOG.as_nanos() as u64);
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(81), "{}", daemon.log());

@@ -4,9 +4,10 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, Driver, FeedEvent, FeedOptions, Line, monotonic_ns};
-use cdcr_shared_types::Measurement;
+use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind};
+use cdcr_tests::plant::Flaws;
+use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
 
 use super::freeze;
@@ -16,47 +17,17 @@ use super::freeze;
 const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n\
     [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
-/// A robot that goes to every commanded target at once.
-struct Robot {
-    driver: Driver,
-    bend_rad: [f64; 12],
-    noise_rad: f64,
-    turns: u32,
-}
+/// A robot with a thread of its own, this one.
+struct Robot(DrivenRobot);
 
 impl Robot {
     fn new(connection: &Connection) -> Self {
-        Self {
-            driver: connection.driver(Interface::Velocity).unwrap(),
-            bend_rad: [0.0; 12],
-            noise_rad: 0.0,
-            turns: 0,
-        }
+        Self(DrivenRobot::new(connection, Interface::Velocity, [0.0; 12]))
     }
 
     fn turn(&mut self) {
-        if let Some(command) = self.driver.newest_command().unwrap() {
-            self.bend_rad = command.bend_target_rad;
-        }
-        self.turns += 1;
-        let mut bends = self.bend_rad;
-        for (index, bend) in bends[..6].iter_mut().enumerate() {
-            let phase = f64::from(self.turns) * (1.0 + index as f64);
-            *bend += self.noise_rad * phase.sin();
-        }
-        self.measure(bends);
+        self.0.turn();
         std::thread::sleep(Duration::from_millis(2));
-    }
-
-    fn measure(&self, bend_rad: [f64; 12]) {
-        let measurement = Measurement {
-            measured_ns: monotonic_ns(),
-            kind: MeasurementKind::Configuration.code(),
-            sections: 3,
-            bend_rad,
-            ..Measurement::default()
-        };
-        self.driver.send(measurement).unwrap();
     }
 
     fn run_until(&mut self, mut done: impl FnMut() -> bool) {
@@ -120,7 +91,8 @@ fn a_driver_is_commanded_along_the_reference() {
     let report = feeding.feed(&line, options).unwrap().run(|_| {
         robot.turn();
         moved = robot
-            .bend_rad
+            .0
+            .bend_rad()
             .iter()
             .fold(moved, |most, bend| bend.abs().max(most));
         ControlFlow::Continue(())
@@ -200,9 +172,14 @@ fn home_is_reached_with_noisy_sensors() {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let mut robot = Robot::new(&connection);
-    robot.bend_rad[..3].copy_from_slice(&[0.2, -0.1, 0.05]);
-    robot.noise_rad = 0.004;
+    let mut bends = [0.0; 12];
+    bends[..3].copy_from_slice(&[0.2, -0.1, 0.05]);
+    let flaws = Flaws {
+        noise_m: 5e-5,
+        ..Flaws::USUAL
+    };
+    let robot = DrivenRobot::with_flaws(&connection, Interface::Velocity, bends, flaws);
+    let mut robot = Robot(robot);
     robot.run_until(|| connection.request(RequestKind::Home).is_ok());
     let mut reached = None;
     robot.run_until(|| {
@@ -259,14 +236,15 @@ fn a_machine_that_stands_still_is_not_the_drivers_fault() {
 fn a_bad_measurement_is_refused_and_counted() {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
-    let robot = Robot::new(&connection);
-    let mut bad = [0.0; 12];
-    bad[3] = f64::NAN;
+    let mut robot = Robot::new(&connection).0;
+    let mut bad = robot.measurement(MeasurementKind::Configuration);
+    bad.bend_rad[3] = f64::NAN;
     let code = Outcome::NotFinite.code() as usize;
     let begin = Instant::now();
     while connection.status(PATIENCE).unwrap().outcomes[code] == 0 {
         assert!(begin.elapsed() < PATIENCE);
-        robot.measure(bad);
+        bad.measured_ns = monotonic_ns();
+        robot.send(&bad);
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(

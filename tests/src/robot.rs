@@ -1,0 +1,144 @@
+//! A robot behind a driver, played by a test: [`Plant`] at the ports of a [`Driver`].
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+use cdcr_client::{CommandRefusal, Connection, Driver, monotonic_ns};
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::limits::COORDINATES_MAX;
+use cdcr_shared_types::{Command, Measurement};
+
+use crate::PATIENCE;
+use crate::plant::{Flaws, MotorOrder, Plant};
+
+/// The motors are moved on in steps of this \[ns\].
+const STEP_NS: u64 = 1_000_000;
+/// Of its noise, where the test does not ask for another.
+const SEED: u64 = 11;
+
+/// Its motors do what the driver obeys, for as long as that holds, however seldom the test comes to turn it.
+#[derive(Debug)]
+pub struct DrivenRobot {
+    driver: Driver,
+    interface: Interface,
+    plant: Plant,
+    last_command: Option<Command>,
+    /// Until when the motors have been moved on \[ns\].
+    moved_ns: u64,
+}
+
+impl DrivenRobot {
+    /// A robot with the [usual flaws](Flaws::USUAL), bent by `bend_rad`.
+    pub fn new(
+        connection: &Connection,
+        interface: Interface,
+        bend_rad: [f64; COORDINATES_MAX],
+    ) -> Self {
+        Self::with_flaws(connection, interface, bend_rad, Flaws::USUAL)
+    }
+
+    /// The same with these flaws.
+    pub fn with_flaws(
+        connection: &Connection,
+        interface: Interface,
+        bend_rad: [f64; COORDINATES_MAX],
+        flaws: Flaws,
+    ) -> Self {
+        let robot = connection.status(PATIENCE).unwrap().robot;
+        Self {
+            driver: connection.driver(interface).unwrap(),
+            interface,
+            plant: Plant::new(&robot, &bend_rad, flaws, SEED),
+            last_command: None,
+            moved_ns: monotonic_ns(),
+        }
+    }
+
+    /// Moves on to now, and takes the commands that have come.
+    ///
+    /// The time that has passed belongs to the old commands, because a motor does not know those that come.
+    pub fn follow(&mut self) {
+        self.move_to(monotonic_ns());
+        let update = self.driver.update().unwrap();
+        if let Some(refusal) = update.refused {
+            assert!(may_happen(&refusal), "the daemon's command: {refusal}");
+        }
+        self.last_command = update.command.or(self.last_command);
+    }
+
+    fn move_to(&mut self, now_ns: u64) {
+        while self.moved_ns < now_ns {
+            let step_ns = STEP_NS.min(now_ns - self.moved_ns);
+            self.moved_ns += step_ns;
+            let order = match self.interface {
+                Interface::Position => self
+                    .driver
+                    .position_at(self.moved_ns)
+                    .map_or(MotorOrder::Stand, |position| {
+                        MotorOrder::Lengths(position.cable_length_m)
+                    }),
+                _ => MotorOrder::Speeds(self.driver.rates_at(self.moved_ns).cable_speed_m_s),
+            };
+            self.plant.advance(&order, step_ns as f64 * 1e-9);
+        }
+    }
+
+    /// Follows, and sends a measurement of the bends.
+    pub fn turn(&mut self) {
+        self.follow();
+        self.measure(MeasurementKind::Configuration);
+    }
+
+    /// Sends a measurement of this kind, of now.
+    pub fn measure(&mut self, kind: MeasurementKind) {
+        let measurement = self.measurement(kind);
+        self.send(&measurement);
+    }
+
+    /// What it measures now: bends or cables.
+    pub fn measurement(&mut self, kind: MeasurementKind) -> Measurement {
+        let mut measurement = Measurement {
+            measured_ns: monotonic_ns(),
+            kind: kind.code(),
+            ..Measurement::default()
+        };
+        if kind == MeasurementKind::CableLengths {
+            measurement.cable_length_m = self.plant.measure_cables();
+        } else {
+            measurement.bend_rad = self.plant.measure_bends();
+        }
+        measurement
+    }
+
+    /// Sends what a driver of this robot says.
+    pub fn send(&self, measurement: &Measurement) {
+        let measurement = Measurement {
+            sections: self.plant.sections(),
+            ..*measurement
+        };
+        self.driver.send(measurement).unwrap();
+    }
+
+    /// How it is bent in truth \[rad\].
+    pub fn bend_rad(&self) -> [f64; COORDINATES_MAX] {
+        self.plant.bend_rad()
+    }
+
+    /// The last command that the driver took.
+    pub fn last_command(&self) -> Option<Command> {
+        self.last_command
+    }
+}
+
+/// What a machine that stalls, or a daemon that was killed, brings about. Everything else is a daemon that commands what
+/// no robot may do.
+fn may_happen(refusal: &CommandRefusal) -> bool {
+    matches!(
+        refusal,
+        CommandRefusal::Expired { .. }
+            | CommandRefusal::NotNewer { .. }
+            | CommandRefusal::OtherDaemon { .. }
+    )
+}
