@@ -5,6 +5,7 @@ mod bad_input;
 mod bare;
 mod demo;
 mod driver;
+mod driver_example;
 mod ending;
 mod feeding;
 mod lease;

@@ -1,0 +1,102 @@
+//! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
+
+use std::ops::ControlFlow;
+use std::time::Duration;
+
+use cdcr_client::{FeedEvent, FeedOptions, Line};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{MeasurementState, Mode};
+use cdcr_tests::{Daemon, PATIENT, Program, text, wait_mode, wait_record};
+use rustix::process::Signal;
+
+use super::error_max_m;
+
+/// How near an ideal robot follows a slow line on a machine that does not stall \[m\].
+const EXACT_M: f64 = 0.005;
+/// Records at rest that are looked at: half a second.
+const RESTING: u32 = 100;
+
+#[test]
+fn the_example_of_a_velocity_driver_tracks_holds_and_ends() {
+    run_example("velocity");
+}
+
+#[test]
+fn the_example_of_a_position_driver_tracks_holds_and_ends() {
+    run_example("position");
+}
+
+fn run_example(interface: &str) {
+    let mut daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
+    ));
+    let mut command = daemon.place().command("examples/driver");
+    let mut example = Program::start(command.arg(interface));
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+
+    let line = Line {
+        duration_s: 1.0,
+        ..Line::for_sections(&[0.3; 3])
+    };
+    let options = FeedOptions {
+        lead: Duration::from_secs(1),
+        track: true,
+        ..FeedOptions::default()
+    };
+    let (mut tracked, mut last) = (0, Telemetry::default());
+    let report = connection.feed(&line, options).unwrap().run(|event| {
+        if let FeedEvent::Record(record) = event
+            && record.mode == Mode::Tracking.code()
+        {
+            tracked += 1;
+            last = *record;
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(report.unwrap().tracked && tracked > 20, "{tracked} records");
+    let lost_s = 1.0 - f64::from(tracked) * last.period_ns as f64 * 1e-9;
+    let error_m = last.position_error_m;
+    assert!(
+        error_m < error_max_m(EXACT_M, lost_s.max(0.0)),
+        "{error_m} m"
+    );
+
+    // At rest it stays where it is, to the bit: its encoders have no noise.
+    let rest = |record: &Telemetry| {
+        record.mode == Mode::Holding.code()
+            && record.cycle > last.cycle + 100
+            && record.measurement_state == MeasurementState::Used.code()
+    };
+    let stood = wait_record(&mut telemetry, rest).measurement;
+    let mut seen = 0;
+    wait_record(&mut telemetry, |record| {
+        assert_eq!(record.mode, Mode::Holding.code());
+        assert_eq!(record.measurement.cable_length_m, stood.cable_length_m);
+        seen += 1;
+        seen > RESTING
+    });
+    assert!(stood.cable_length_m[0] != 0.3, "it was moved");
+
+    assert!(example.runs());
+    example.signal(Signal::TERM);
+    let output = example.output();
+    assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+    drop((telemetry, connection));
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+}
+
+#[test]
+fn an_example_of_the_other_interface_says_what_to_do() {
+    let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
+    let mut command = daemon.place().command("examples/driver");
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    assert!(
+        text(&output).contains("velocity or position"),
+        "{}",
+        text(&output)
+    );
+}
