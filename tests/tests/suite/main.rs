@@ -8,6 +8,7 @@
 mod chaos;
 mod faults;
 mod fuzz;
+mod rest;
 mod soak;
 mod stop;
 mod system;

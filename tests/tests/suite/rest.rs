@@ -1,0 +1,191 @@
+//! Rest is rest: behind a driver whose encoders and motors stand a little beside, the command does not creep.
+//!
+//! A robot is brought to rest from a move, in each mode that rests, and looked at for `CDCR_REST_S` seconds (2 if not given):
+//! every command has zero rates and the same positions, to the bit, and the robot stays where it is.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::time::{Duration, Instant};
+
+use cdcr_client::{Connection, TelemetryStream};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::{Command, Telemetry};
+use cdcr_tests::record::largest;
+use cdcr_tests::robot::DrivenRobot;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, wait_mode, wait_record, wait_until};
+
+/// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
+const SETTLED_CYCLES: u64 = 100;
+/// \[rad\]
+const SETTLED_RAD: f64 = 1e-9;
+
+#[test]
+fn a_position_driver_with_offset_and_droop_is_at_rest_when_held() {
+    rest(Interface::Position, Mode::Holding);
+}
+
+#[test]
+fn a_position_driver_with_offset_and_droop_is_at_rest_when_stopped() {
+    rest(Interface::Position, Mode::Stopped);
+}
+
+#[test]
+fn a_position_driver_with_offset_and_droop_is_at_rest_when_faulted() {
+    rest(Interface::Position, Mode::Faulted);
+}
+
+#[test]
+fn a_velocity_driver_with_offset_is_at_rest_in_every_mode() {
+    for mode in [Mode::Holding, Mode::Stopped, Mode::Faulted] {
+        rest(Interface::Velocity, mode);
+    }
+}
+
+/// How long each rest is looked at.
+fn duration() -> Duration {
+    let asked = std::env::var("CDCR_REST_S").ok();
+    let seconds = asked.map_or(2, |text| {
+        text.parse()
+            .expect("CDCR_REST_S is a whole number of seconds")
+    });
+    Duration::from_secs(seconds)
+}
+
+/// Stops a robot on its way home, and looks at its rest.
+fn rest(interface: Interface, mode: Mode) {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
+         [motion]\nhome_rate_rad_s = 0.2\n",
+        interface.text()
+    ));
+    let robot = RobotThread::default();
+    std::thread::scope(|scope| {
+        let _ends = EndWhenDropped(&robot.ending);
+        let (answer, bends) = mpsc::channel();
+        scope.spawn(|| drive(daemon.place(), interface, &robot, answer));
+        let connection = daemon.connect();
+        let mut telemetry = connection.telemetry().unwrap();
+        wait_mode(&mut telemetry, Mode::Holding);
+        connection.request(RequestKind::Home).unwrap();
+        let homing = wait_mode(&mut telemetry, Mode::Homing);
+        wait_record(&mut telemetry, |record| record.cycle > homing.cycle + 40);
+        bring_to(mode, &connection, &robot);
+
+        let first = settled(&mut telemetry, mode);
+        let bend = || {
+            robot.asked.store(true, Ordering::Relaxed);
+            bends.recv_timeout(PATIENCE).unwrap()
+        };
+        let stood = bend();
+        assert!(
+            (0.1..1.0).contains(&stood[0]),
+            "{stood:?} is not on the way"
+        );
+        let records = assert_constant(&mut telemetry, &first);
+        let moved: [f64; 12] = core::array::from_fn(|i| bend()[i] - stood[i]);
+        assert!(largest(&moved) < SETTLED_RAD, "it moved by {moved:?} rad");
+        println!("{} {mode}: {records} equal commands", interface.text());
+    });
+}
+
+fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
+    match mode {
+        Mode::Holding => connection.request(RequestKind::Hold).map(drop).unwrap(),
+        Mode::Stopped => connection.request(RequestKind::Stop).map(drop).unwrap(),
+        _ => {
+            // A sensor that is out of its mind for as long as it takes.
+            robot.is_mad.store(true, Ordering::Relaxed);
+            wait_until("the fault", || {
+                connection.status(PATIENCE).unwrap().mode == Mode::Faulted.code()
+            });
+            robot.is_mad.store(false, Ordering::Relaxed);
+        }
+    }
+}
+
+/// The first record at rest when motors and sensors have settled.
+fn settled(telemetry: &mut TelemetryStream, mode: Mode) -> Telemetry {
+    let still = |record: &Telemetry| {
+        record.mode == mode.code() && largest(&record.command.bend_rate_rad_s) == 0.0
+    };
+    let first = wait_record(telemetry, still);
+    wait_record(telemetry, |record| {
+        assert!(still(record), "cycle {} is no rest", record.cycle);
+        record.cycle > first.cycle + SETTLED_CYCLES
+    })
+}
+
+/// Holds every command of this time to be the one of `first`. How many were seen.
+fn assert_constant(telemetry: &mut TelemetryStream, first: &Telemetry) -> u64 {
+    let (begin, mut records, duration) = (Instant::now(), 0, duration());
+    while begin.elapsed() < duration || records < 100 {
+        wait_record(telemetry, |record| {
+            assert_eq!(record.mode, first.mode);
+            assert_eq!(largest(&record.command.bend_rate_rad_s), 0.0);
+            assert_eq!(largest(&record.command.cable_speed_m_s), 0.0);
+            assert!(
+                bits(&record.command) == bits(&first.command),
+                "the command creeps, from {:?} to {:?} rad in cycle {}",
+                &first.command.bend_target_rad[..6],
+                &record.command.bend_target_rad[..6],
+                record.cycle
+            );
+            records += 1;
+            true
+        });
+    }
+    records
+}
+
+/// The positions of a command.
+fn bits(command: &Command) -> Vec<u64> {
+    let positions = command
+        .bend_target_rad
+        .iter()
+        .chain(&command.cable_length_m);
+    positions.map(|position| position.to_bits()).collect()
+}
+
+/// What the test asks of the thread of its robot.
+#[derive(Debug, Default)]
+struct RobotThread {
+    ending: AtomicBool,
+    is_mad: AtomicBool,
+    asked: AtomicBool,
+}
+
+/// Ends the robot also when the test fails.
+struct EndWhenDropped<'a>(&'a AtomicBool);
+
+impl Drop for EndWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Turns the robot, from a bend of 1 rad on, and answers how it is bent in truth.
+fn drive(
+    place: &Place,
+    interface: Interface,
+    thread: &RobotThread,
+    answer: mpsc::Sender<[f64; 12]>,
+) {
+    let connection = cdcr_tests::load::connect(place);
+    let mut bends = [0.0; 12];
+    bends[0] = 1.0;
+    let mut robot = DrivenRobot::new(&connection, interface, bends);
+    let mut turn = 0_u32;
+    while !thread.ending.load(Ordering::Relaxed) {
+        turn += 1;
+        robot.follow();
+        let mut measurement = robot.measurement(MeasurementKind::CableLengths);
+        if thread.is_mad.load(Ordering::Relaxed) {
+            measurement.cable_length_m[0] += [-0.01, 0.01][turn as usize % 2];
+        }
+        robot.send(&measurement);
+        if thread.asked.swap(false, Ordering::Relaxed) {
+            answer.send(robot.bend_rad()).unwrap();
+        }
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
