@@ -62,7 +62,7 @@ fn rest(interface: Interface, mode: Mode) {
     std::thread::scope(|scope| {
         let _ends = EndWhenDropped(&robot.ending);
         let (answer, bends) = mpsc::channel();
-        scope.spawn(|| drive(daemon.place(), interface, &robot, answer));
+        scope.spawn(|| drive(daemon.place(), interface, &robot, &answer));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
@@ -168,7 +168,7 @@ fn drive(
     place: &Place,
     interface: Interface,
     thread: &RobotThread,
-    answer: mpsc::Sender<[f64; 12]>,
+    answer: &mpsc::Sender<[f64; 12]>,
 ) {
     let connection = cdcr_tests::load::connect(place);
     let mut bends = [0.0; 12];

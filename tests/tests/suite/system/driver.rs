@@ -8,7 +8,7 @@ use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::plant::Flaws;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status, wait_until};
 
 use super::freeze;
 
@@ -230,6 +230,23 @@ fn a_machine_that_stands_still_is_not_the_drivers_fault() {
             || silent > timeout / 2,
         "{mode}, {reason}; the driver was silent for {silent:?}"
     );
+}
+
+#[test]
+fn a_driver_of_the_other_interface_is_refused_and_moves_nothing() {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let bends = core::array::from_fn(|i| if i == 0 { 0.5 } else { 0.0 });
+    let mut robot = DrivenRobot::new(&connection, Interface::Position, bends);
+    let stood = robot.bend_rad();
+    let code = Outcome::WrongInterface.code() as usize;
+    wait_until("it is refused", || {
+        robot.turn();
+        connection.status(PATIENCE).unwrap().outcomes[code] > 0
+    });
+    let status = connection.status(PATIENCE).unwrap();
+    assert_eq!(status.mode, Mode::Starting.code());
+    assert_eq!(robot.bend_rad(), stood);
 }
 
 #[test]

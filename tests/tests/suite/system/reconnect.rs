@@ -303,10 +303,16 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
 }
 
 /// Measures a robot whose first section is bent by `bend_rad` every 2 ms; `commanded_by` is the daemon of the newest
-/// command.
-fn drive(connection: &Connection, bend_rad: f64, commanded_by: &AtomicU64, over: &AtomicBool) {
+/// command. How often the driver was told of another daemon.
+fn drive(
+    connection: &Connection,
+    bend_rad: f64,
+    commanded_by: &AtomicU64,
+    over: &AtomicBool,
+) -> usize {
     let mut bends = [0.0; 12];
     bends[0] = bend_rad;
+    let mut others = 0;
     let mut driver = connection.driver(Interface::Velocity).unwrap();
     while !over.load(Ordering::Relaxed) {
         let measured = Measurement {
@@ -317,11 +323,14 @@ fn drive(connection: &Connection, bend_rad: f64, commanded_by: &AtomicU64, over:
             ..Measurement::default()
         };
         driver.send(measured).unwrap();
-        if let Some(command) = driver.newest_command().unwrap() {
+        let update = driver.update().unwrap();
+        if let Some(command) = update.command {
             commanded_by.store(command.header.sender_id, Ordering::Relaxed);
         }
+        others += usize::from(update.new_daemon.is_some());
         thread::sleep(Duration::from_millis(2));
     }
+    others
 }
 
 const SLOWLY: &str = "[motion]\nhome_rate_rad_s = 0.05\n";
@@ -396,8 +405,8 @@ fn a_driver_serves_every_daemon() {
     let mut old = Old::new(&connection);
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
-        let _over = Over(&is_over);
-        scope.spawn(|| drive(&connect(&place), 0.0, &commanded_by, &is_over));
+        let over = Over(&is_over);
+        let driver = scope.spawn(|| drive(&connect(&place), 0.0, &commanded_by, &is_over));
         let mut begin_ns = 0;
         for _ in 0..4 {
             old.wait_mode(Mode::Holding, begin_ns);
@@ -408,6 +417,10 @@ fn a_driver_serves_every_daemon() {
             begin_ns = monotonic_ns();
             daemon = Some(Life::begin(&place));
         }
+        drop(over);
+        // The fifth daemon may not have commanded yet.
+        let others = driver.join().unwrap();
+        assert!((3..=4).contains(&others), "{others} other daemons");
     });
 }
 
