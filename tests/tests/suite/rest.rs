@@ -59,9 +59,9 @@ fn rest(interface: Interface, mode: Mode) {
         interface.text()
     ));
     let robot = RobotThread::default();
+    let (answer, bends) = mpsc::channel();
     std::thread::scope(|scope| {
         let _ends = EndWhenDropped(&robot.ending);
-        let (answer, bends) = mpsc::channel();
         scope.spawn(|| drive(daemon.place(), interface, &robot, &answer));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
