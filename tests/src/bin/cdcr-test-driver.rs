@@ -68,16 +68,16 @@ struct RobotBehindDriver {
 }
 
 impl RobotBehindDriver {
-    /// Its first section is bent as said. Else it is where the last driver left it, if that was followed by a command
-    /// lately; else it is straight.
+    /// Its first section is bent as said. Else it is where the daemon takes it to be: straight, or where the last driver left
+    /// it.
     fn new(connection: &Connection, bend_rad: Option<f64>) -> Self {
         let mut bends = [0.0; 12];
         if let Some(bend_rad) = bend_rad {
             bends[0] = bend_rad;
         } else {
-            let mut commands = connection.commands().unwrap();
-            let left = commands.next_within(Duration::from_millis(100)).unwrap();
-            bends = left.map_or(bends, |command| command.bend_target_rad);
+            let mut telemetry = connection.telemetry().unwrap();
+            let record = telemetry.next_within(Duration::from_millis(100)).unwrap();
+            bends = record.map_or(bends, |record| record.bend_rad);
         }
         Self {
             robot: DrivenRobot::new(connection, Interface::Velocity, bends),

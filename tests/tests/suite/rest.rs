@@ -59,11 +59,10 @@ fn rest(interface: Interface, mode: Mode) {
         interface.text()
     ));
     let robot = RobotThread::default();
+    let (answer, bends) = mpsc::channel();
     std::thread::scope(|scope| {
         let _ends = EndWhenDropped(&robot.ending);
-        let (answer, bends) = mpsc::channel();
-        let (place, driven) = (daemon.place(), &robot);
-        scope.spawn(move || drive(place, interface, driven, &answer));
+        scope.spawn(|| drive(daemon.place(), interface, &robot, &answer));
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         wait_mode(&mut telemetry, Mode::Holding);

@@ -310,9 +310,9 @@ fn drive(
     commanded_by: &AtomicU64,
     over: &AtomicBool,
 ) -> usize {
-    let mut others = 0;
     let mut bends = [0.0; 12];
     bends[0] = bend_rad;
+    let mut others = 0;
     let mut driver = connection.driver(Interface::Velocity).unwrap();
     while !over.load(Ordering::Relaxed) {
         let measured = Measurement {
