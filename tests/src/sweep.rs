@@ -86,7 +86,8 @@ fn place_of(name: &[u8]) -> Option<&[u8]> {
 }
 
 fn is_locked(folder: &Path) -> bool {
-    let lock = File::open(folder).map(|folder| folder.try_lock());
+    // Shared, so that two sweeps at a time do not take each other for the test.
+    let lock = File::open(folder).map(|folder| folder.try_lock_shared());
     matches!(lock, Ok(Err(TryLockError::WouldBlock)))
 }
 
@@ -195,8 +196,12 @@ fn remove(path: &Path) -> bool {
 mod tests {
     use std::os::unix::process::ExitStatusExt as _;
     use std::process::{Child, Command, Stdio};
+    use std::sync::Mutex;
 
     use super::*;
+
+    /// One sweep at a time: while one removes a folder, another takes it for one in use.
+    static ONE: Mutex<()> = Mutex::new(());
 
     /// A process that waits for its input to end.
     fn waiting(prefix: &str) -> Child {
@@ -207,6 +212,7 @@ mod tests {
 
     #[test]
     fn what_a_killed_process_left_is_swept_and_what_a_living_one_has_is_not() {
+        let _one = ONE.lock();
         let mut test = waiting("");
         let name = place_name(test.id(), 0);
         let memory = Path::new("/dev/shm").join(format!("{name}memory"));
@@ -241,6 +247,7 @@ mod tests {
     /// As of a process of another container: its number means nothing here.
     #[test]
     fn a_place_that_is_locked_is_not_swept() {
+        let _one = ONE.lock();
         // No system has so many processes.
         let name = place_name(4_000_000_001, 0);
         let memory = Path::new("/dev/shm").join(format!("{name}memory"));
