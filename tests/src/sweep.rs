@@ -227,6 +227,12 @@ mod tests {
             .stdout(Stdio::null())
             .spawn()
             .unwrap();
+        // A program that begins has no environment yet.
+        let environment = PathBuf::from(format!("/proc/{}/environ", daemon.id()));
+        crate::wait_until("the daemon has its environment", || {
+            let environment = fs::read(&environment).unwrap();
+            String::from_utf8_lossy(&environment).contains(&name)
+        });
         // What somebody else runs with a variable that was left over in a shell.
         let mut foreign = waiting(&name);
 
