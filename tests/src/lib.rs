@@ -57,6 +57,8 @@ pub fn binary(name: &str) -> PathBuf {
 pub struct Place {
     location: Location,
     folder: tempfile::TempDir,
+    /// Held as long as the place is in use.
+    _lock: std::fs::File,
 }
 
 impl Place {
@@ -66,12 +68,13 @@ impl Place {
         sweep::sweep_once();
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
         let prefix = sweep::place_name(std::process::id(), count);
-        let folder = tempfile::Builder::new()
-            .prefix(&prefix)
-            .tempdir()
-            .expect("a folder");
+        let (folder, lock) = sweep::locked_folder(&prefix);
         let location = Location::new(&prefix, &folder.path().join("root")).expect("a legal place");
-        Self { location, folder }
+        Self {
+            location,
+            folder,
+            _lock: lock,
+        }
     }
 
     /// Where daemon and clients meet.

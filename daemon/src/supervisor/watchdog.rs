@@ -117,6 +117,17 @@ mod tests {
     }
 
     #[test]
+    fn it_bites_at_the_first_look_at_which_the_timeout_has_been_counted() {
+        // 200 ms stand still from the first look on. Of longer times between two looks 100 ms count.
+        for (every_ms, looks) in [(1, 201), (20, 11), (70, 4), (100, 3), (5000, 3)] {
+            let begun = |look| [look + 1, 7, look];
+            assert_eq!(after(looks - 1, every_ms * MS, begun), None, "{every_ms}");
+            let cause = after(looks, every_ms * MS, begun);
+            assert_eq!(cause, Some(ExitCause::ExchangeHung), "{every_ms}");
+        }
+    }
+
+    #[test]
     fn a_long_time_between_two_looks_is_not_the_threads_fault() {
         let hour = Duration::from_secs(3600);
         assert_eq!(after(1, hour, |_| [0; 3]), None);

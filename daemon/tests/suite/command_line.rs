@@ -2,6 +2,8 @@
 //! binary for the tests of the whole system.)
 use std::process::{Command, Output};
 
+use crate::place::Place;
+
 /// `cdcrd` with no variable of ours but these.
 fn cdcrd_in(environment: &[(&str, &str)], arguments: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
@@ -53,7 +55,7 @@ fn options_win_over_defaults_and_are_checked() {
 
 #[test]
 fn an_option_wins_over_a_variable_over_the_file_over_the_default() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Place::new("command-line1");
     let file = folder.path().join("robot.toml");
     std::fs::write(&file, "[cycle]\n\nperiod_ms = 2.0\n").unwrap();
     let file = file.to_str().unwrap();

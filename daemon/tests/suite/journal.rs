@@ -11,6 +11,8 @@ use std::time::Duration;
 
 use cdcr_test_skip::{Need, skip};
 
+use crate::place::Place;
+
 /// How long anything may take before the test gives up. Generous: machines stall.
 const PATIENCE: Duration = Duration::from_secs(30);
 /// Puts the folder of the test where the journal's socket is, and becomes the program.
@@ -71,9 +73,9 @@ fn may_have_a_journal(folder: &Path) -> bool {
 /// The program, logging to a standard error that `JOURNAL_STREAM` names if `named`. Returns the fields of
 /// what came to the journal, and the text that came to the standard error.
 fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
-    let folder = tempfile::tempdir().unwrap();
-    let journal = UnixDatagram::bind(folder.path().join("socket")).unwrap();
-    if !may_have_a_journal(folder.path()) {
+    let place = Place::new(&format!("journal-{named}"));
+    let journal = UnixDatagram::bind(place.path().join("socket")).unwrap();
+    if !may_have_a_journal(place.path()) {
         return None;
     }
     journal.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -81,14 +83,10 @@ fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
     ours.set_read_timeout(Some(PATIENCE)).unwrap();
     let file = rustix::fs::fstat(&theirs).unwrap();
     let inode = if named { file.st_ino } else { file.st_ino + 1 };
-    let mut child = with_journal(folder.path(), env!("CARGO_BIN_EXE_cdcrd"))
-        .args([
-            "run",
-            "--prefix",
-            &format!("cdcrtest_journal_{named}_{}_", std::process::id()),
-        ])
-        .args(["--robot", "journal", "--root"])
-        .arg(folder.path().join("root"))
+    let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
+        .args(["run", "--robot", "journal", "--root"])
+        .arg(place.path().join("root"))
+        .env("CDCR_PREFIX", place.prefix())
         .env("JOURNAL_STREAM", format!("{}:{inode}", file.st_dev))
         .env_remove("RUST_LOG")
         .env_remove("CDCR_CONFIG")

@@ -9,4 +9,5 @@ mod command_line;
 mod doctor;
 mod journal;
 mod manual;
+mod place;
 mod service_manager;

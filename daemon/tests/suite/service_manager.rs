@@ -3,14 +3,14 @@
 use std::fs::DirEntry;
 use std::io::{ErrorKind, PipeReader, PipeWriter, Write};
 use std::os::unix::net::UnixDatagram;
-use std::path::Path;
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_daemon::exit::ExitCause;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
-use tempfile::TempDir;
+
+use crate::place::Place;
 
 /// How long anything may take before the test gives up. Generous: machines stall.
 const PATIENCE: Duration = Duration::from_secs(30);
@@ -21,8 +21,7 @@ const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n";
 struct Manager {
     daemon: Child,
     socket: UnixDatagram,
-    folder: TempDir,
-    prefix: String,
+    place: Place,
 }
 
 impl Manager {
@@ -32,12 +31,11 @@ impl Manager {
 
     /// Starts the daemon with this standard error.
     fn start_onto(name: &str, stderr: impl Into<Stdio>) -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("notify");
+        let place = Place::new(name);
+        let path = place.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
         socket.set_read_timeout(Some(PATIENCE)).unwrap();
-        let prefix = format!("cdcrtest_{name}_{}_", std::process::id());
-        let daemon = cdcrd(folder.path(), &prefix)
+        let daemon = cdcrd(&place)
             .env("NOTIFY_SOCKET", &path)
             .env("WATCHDOG_USEC", "200000")
             .env_remove("WATCHDOG_PID")
@@ -48,8 +46,7 @@ impl Manager {
         Self {
             daemon,
             socket,
-            folder,
-            prefix,
+            place,
         }
     }
 
@@ -109,33 +106,22 @@ impl Drop for Manager {
     fn drop(&mut self) {
         let _ = self.daemon.kill();
         let _ = self.daemon.wait();
-        for entry in std::fs::read_dir("/dev/shm")
-            .into_iter()
-            .flatten()
-            .flatten()
-        {
-            if entry
-                .file_name()
-                .to_string_lossy()
-                .starts_with(&self.prefix)
-            {
-                let _ = std::fs::remove_file(entry.path());
-            }
-        }
     }
 }
 
-/// The daemon, below `folder`.
-fn cdcrd(folder: &Path, prefix: &str) -> Command {
-    let configuration = folder.join("robot.toml");
+/// The daemon of `place`.
+fn cdcrd(place: &Place) -> Command {
+    let configuration = place.path().join("robot.toml");
     std::fs::write(&configuration, PATIENT).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
     command
-        .args(["run", "--robot", "cdcr", "--prefix", prefix])
+        .args(["run", "--robot", "cdcr"])
+        // Not as an option: the environment is where a sweep sees it.
+        .env("CDCR_PREFIX", place.prefix())
         .arg("--config")
         .arg(configuration)
         .arg("--root")
-        .arg(folder.join("root"))
+        .arg(place.path().join("root"))
         .stdin(Stdio::null())
         .stdout(Stdio::null())
         .stderr(Stdio::null());
@@ -206,11 +192,11 @@ fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
 fn a_daemon_that_cannot_start_is_never_ready() {
     let mut manager = Manager::start("first");
     manager.hear_until("READY=1");
-    let path = manager.folder.path().join("second");
+    let path = manager.place.path().join("second");
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_nonblocking(true).unwrap();
     // Another one for the same robot at the same place.
-    let status = cdcrd(manager.folder.path(), &manager.prefix)
+    let status = cdcrd(&manager.place)
         .env("NOTIFY_SOCKET", &path)
         .status()
         .unwrap();
@@ -238,9 +224,8 @@ fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
 #[test]
 fn a_failure_whose_message_nobody_reads_ends_the_process_with_its_status() {
     let (_reader, writer) = full_pipe();
-    let folder = tempfile::tempdir().unwrap();
-    let prefix = format!("cdcrtest_mute_{}_", std::process::id());
-    let mut daemon = cdcrd(folder.path(), &prefix)
+    let place = Place::new("mute");
+    let mut daemon = cdcrd(&place)
         .args(["--set", "cycle.period_ms=-1"])
         .stderr(writer)
         .spawn()

@@ -1,7 +1,7 @@
 //! What one run of all test programs skipped: a file beside the programs, by the process that started them.
 
-use std::fs::{self, OpenOptions};
-use std::io::Write as _;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 /// Beginning of the files' names.
@@ -33,24 +33,32 @@ impl Run {
         self.folder.join(format!("{MARK}{}", self.starter))
     }
 
+    fn open(&self) -> io::Result<File> {
+        let mut options = OpenOptions::new();
+        options.create(true).append(true).open(self.file())
+    }
+
     /// Adds a line.
     pub fn note(&self, line: &str) {
-        let file = OpenOptions::new()
-            .create(true)
-            .append(true)
-            .open(self.file());
-        // One call, so that lines of several programs do not mix. Where nothing can be written, the line was shown.
-        let _ = file.and_then(|mut file| file.write_all(line.as_bytes()));
+        // One call, so that lines of several programs do not mix. Where nothing can be written, the line was shown, and
+        // `take` fails.
+        let _ = self
+            .open()
+            .and_then(|mut file| file.write_all(line.as_bytes()));
     }
 
     /// All lines in order of their text, and forgets them. Also forgets what runs left that have ended.
-    pub fn take(&self) -> Vec<String> {
-        let text = fs::read_to_string(self.file()).unwrap_or_default();
-        let _ = fs::remove_file(self.file());
+    ///
+    /// # Errors
+    /// Where no line could have been added.
+    pub fn take(&self) -> io::Result<Vec<String>> {
+        self.open()?;
+        let text = fs::read_to_string(self.file())?;
+        fs::remove_file(self.file())?;
         forget_ended(&self.folder);
         let mut lines: Vec<_> = text.lines().map(str::to_owned).collect();
         lines.sort();
-        lines
+        Ok(lines)
     }
 }
 
@@ -77,5 +85,20 @@ fn forget_ended(folder: &Path) {
         {
             let _ = fs::remove_file(entry.path());
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn where_nothing_can_be_written_what_was_skipped_is_not_known() {
+        let run = Run {
+            folder: PathBuf::from("/proc"),
+            starter: "1-1".to_owned(),
+        };
+        run.note("skipped: a test\n");
+        assert!(run.take().is_err());
     }
 }

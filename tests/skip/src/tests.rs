@@ -30,17 +30,17 @@ fn text(output: &Output) -> String {
 #[test]
 fn a_skipped_test_passes_and_is_told_and_fails_where_its_need_is_required() {
     let run = Run::started_by(std::process::id());
-    assert_eq!(run.take(), [""; 0]);
+    assert_eq!(run.take().expect("a folder to write to"), [""; 0]);
     for _ in 0..2 {
         let skipped = child("root,realtime");
         assert!(skipped.status.success(), "{}", text(&skipped));
         let told = String::from_utf8_lossy(&skipped.stderr);
         assert!(told.contains(": needs clock: it is a trial\n"), "{told}");
     }
-    let lines = run.take();
+    let lines = run.take().expect("a folder to write to");
     assert_eq!(lines.len(), 2, "{lines:?}");
     assert!(lines[0].starts_with("skipped: ") && lines[0].ends_with("needs clock: it is a trial"));
-    assert_eq!(run.take(), [""; 0]);
+    assert_eq!(run.take().expect("a folder to write to"), [""; 0]);
 
     let failed = child("root, clock");
     assert!(!failed.status.success(), "{}", text(&failed));
@@ -54,7 +54,7 @@ fn a_skipped_test_passes_and_is_told_and_fails_where_its_need_is_required() {
         "{}",
         text(&failed)
     );
-    assert_eq!(run.take(), [""; 0]);
+    assert_eq!(run.take().expect("a folder to write to"), [""; 0]);
 }
 
 #[test]

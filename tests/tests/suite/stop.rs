@@ -247,6 +247,13 @@ fn judge(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     if !records[at - 1..].windows(2).all(neighbours) || !is_tracking || speed < 2.0 * step {
         return None;
     }
+    for pair in records[at - 1..].windows(2) {
+        let commanded = pair[0].command.bend_rate_rad_s;
+        assert_eq!(
+            pair[1].previous_rate_rad_s, commanded,
+            "other rates were held"
+        );
+    }
     assert_eq!(first.cycle, asked.response.cycle, "another cycle answered");
     assert_eq!(first.reason, Reason::Request.code());
     assert_taken_by_its_gather(before, first, asked);

@@ -84,9 +84,10 @@ pub(crate) enum Task {
         lost_records                          telemetry records that did not arrive\n  \
         steal                                 steal_s of window_s that the hypervisor took from the core; or null\n  \
         realtime, realtime_missing            whether all was granted, and what was not\n  \
-        baseline                              cdcrd bare: duration_s, cycles, counts, causes, wake_us\n  \
+        baseline, baseline_error              cdcrd bare: duration_s, cycles, counts, causes, wake_us; or null\n                                        \
+        and why there is none\n  \
         verdict.limited_by                    nothing, hypervisor, platform, other-task, no-real-time,\n                                        \
-        page-faults or cdcr\n  \
+        page-faults, cdcr or unknown\n  \
         verdict.text, .next, .grant           one sentence, the command to run next, the command that\n                                        \
         grants real time; or null"
     )]

@@ -74,6 +74,10 @@ fn find_thread(process: u32, name: &str) -> Option<i32> {
 const WATCHDOG: Duration = Duration::from_millis(500);
 /// The watchdog looks every 20 ms: a thread can have stood still for two looks less than the time that was counted.
 const LOOKS: Duration = Duration::from_millis(40);
+/// The supervisor publishes its status each 100 ms, so of so many after the hang all but three had counted the time between
+/// two: that of the look that was half over, that of the look that ends the process, and one of a supervisor that was held up
+/// between publishing and counting.
+const STATUSES_MAX: u64 = WATCHDOG.as_millis() as u64 / 100 + 3;
 /// How the end of a hung thread is told.
 const NO_PROGRESS: &str = "made no progress for 500 ms";
 const VALID_FOR_NS: u64 = 100_000_000;
@@ -109,6 +113,7 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let connection = daemon.connect();
     let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
     robot.until_held(&mut trail);
+    let mut statuses = connection.statuses().unwrap();
     connection.request(RequestKind::Home).unwrap();
     trail.until_while("moving", || robot.turn(), |record| !rests(record));
 
@@ -121,6 +126,11 @@ fn assert_ends_when_hung(thread: &str, sentence: &str, status: i32) {
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(status), "{}", daemon.log());
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
+    let mut counted = 0;
+    while let Some(status) = statuses.try_next().unwrap() {
+        counted += u64::from(status.header.sent_ns > hung_ns);
+    }
+    assert!(counted <= STATUSES_MAX, "{counted} statuses after the hang");
     // No command came since, and the last one has run out.
     let last = robot.last_command().unwrap();
     assert_eq!(last.valid_until_ns - last.release_ns, VALID_FOR_NS);

@@ -39,10 +39,16 @@ fn freeze(daemon: &Daemon, duration: Duration) {
     daemon.signal(Signal::CONT);
 }
 
-/// How far the tip may be from its reference when the cycles of this time were lost \[m\], where it is within `exact_m`
-/// when none are: meanwhile it goes on with the rates that it had, and comes back as fast as it can.
-fn error_max_m(exact_m: f64, lost_s: f64) -> f64 {
+/// How far the tip may be from its reference after `cycles` \[m\], where it is within `exact_m` when none were lost. Of each
+/// cycle the time in which cycles were lost before it, and its period \[s\]: meanwhile the tip goes on with the rates that it
+/// had, and comes back afterwards.
+fn error_max_m(exact_m: f64, cycles: impl IntoIterator<Item = (f64, f64)>) -> f64 {
     /// All three sections of 0.3 m at 2 rad/s in both directions, and the reference in between.
     const APART_M_S: f64 = (0.9 + 0.6 + 0.3) * 2.0 * std::f64::consts::SQRT_2 + 0.5;
-    exact_m + APART_M_S * lost_s
+    /// A tenth of what one section of 0.3 m at 2 rad/s does.
+    const BACK_M_S: f64 = 0.3 * 2.0 * 0.1;
+    let apart_m = cycles.into_iter().fold(0.0, |apart_m, (lost_s, period_s)| {
+        f64::max(apart_m - BACK_M_S * period_s, 0.0) + APART_M_S * lost_s
+    });
+    exact_m + apart_m
 }

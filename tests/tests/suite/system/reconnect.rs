@@ -195,8 +195,17 @@ fn fifty_kills_at_any_moment() {
     assert!(slow <= KILLS / 10, "{returns:?}");
 }
 
+/// Starts of a daemon that a bad machine may make longer than a feeder waits.
+const SLOW_STARTS_MAX: usize = 10;
+
 #[test]
 fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
+    let told = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
+    assert!(told, "every start of a daemon took more than a second");
+}
+
+/// False: the start took so long that the feeder was told of silence.
+fn is_told_of_the_restart_and_feeds_again() -> bool {
     let place = place(PATIENT);
     let mut daemon = Some(Life::begin(&place));
     let connection = connect(&place);
@@ -227,7 +236,8 @@ fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
         ControlFlow::Continue(())
     });
     let error = fed.expect_err("its lease died with the daemon");
-    if matches!(error, FeedError::Restarted { .. }) {
+    let is_told = matches!(error, FeedError::Restarted { .. });
+    if is_told {
         assert!(error.to_string().contains("Feed it anew"), "{error}");
     } else {
         // A start that a bad machine makes long is silence before it is another daemon.
@@ -243,6 +253,7 @@ fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
     let report = feeder.run(|_| ControlFlow::Continue(())).unwrap();
     assert_eq!((report.end, report.tracked), (FeedEnd::Played, true));
     assert_eq!(report.lost_records, 0);
+    is_told
 }
 
 #[test]

@@ -12,25 +12,43 @@ use super::cycle::Cycle;
 pub(super) struct MissCauses {
     /// By the words of the cause; every cause is there.
     counts: BTreeMap<&'static str, usize>,
+    /// Misses that the steal of the core explains.
+    #[serde(skip)]
+    stolen: usize,
 }
 
 /// The causes that the daemon put into its incidents, by cycle: it knows the steal, which the records do not.
 #[derive(Debug, Default)]
 pub(super) struct JudgedCycles {
-    causes: HashMap<u64, LateCause>,
+    cycles: HashMap<u64, JudgedCycle>,
+}
+
+#[derive(Debug)]
+struct JudgedCycle {
+    cause: LateCause,
+    /// The hypervisor had the core for at least half of the time by which the cycle was late.
+    is_stolen: bool,
 }
 
 impl JudgedCycles {
     pub(super) fn take(&mut self, incident: &Incident) {
         let record = &incident.telemetry;
         if let Ok(cause) = LateCause::try_from(record.scheduling.late_cause) {
-            self.causes.insert(record.cycle, cause);
+            let late_ns = record.handed_over_ns.saturating_sub(record.due_ns);
+            let is_stolen = incident.steal_ns > 0 && incident.steal_ns >= late_ns / 2;
+            let judged = JudgedCycle { cause, is_stolen };
+            self.cycles.insert(record.cycle, judged);
         }
     }
 
     fn cause(&self, cycle: &Cycle) -> LateCause {
-        let judged = self.causes.get(&cycle.number);
-        judged.copied().unwrap_or(cycle.late_cause)
+        let judged = self.cycles.get(&cycle.number);
+        judged.map_or(cycle.late_cause, |judged| judged.cause)
+    }
+
+    fn is_stolen(&self, cycle: &Cycle) -> bool {
+        let judged = self.cycles.get(&cycle.number);
+        judged.is_some_and(|judged| judged.is_stolen)
     }
 }
 
@@ -41,10 +59,17 @@ impl MissCauses {
             .iter()
             .filter(|cause| **cause != LateCause::None);
         let mut counts: BTreeMap<_, _> = known.map(|cause| (words(*cause), 0)).collect();
-        for cycle in cycles.iter().filter(|cycle| cycle.deadline_miss) {
+        let missed = || cycles.iter().filter(|cycle| cycle.deadline_miss);
+        for cycle in missed() {
             *counts.entry(words(judged.cause(cycle))).or_default() += 1;
         }
-        Self { counts }
+        let stolen = missed().filter(|cycle| judged.is_stolen(cycle)).count();
+        Self { counts, stolen }
+    }
+
+    /// Misses in which the hypervisor had the core for at least half of the time by which the cycle was late.
+    pub(super) fn stolen(&self) -> usize {
+        self.stolen
     }
 
     pub(super) fn count(&self, cause: LateCause) -> usize {
@@ -87,6 +112,25 @@ pub(super) mod tests {
         cycles
     }
 
+    /// The judgement of a platform miss that came `late_ns` after its release.
+    pub(in crate::demo) fn stolen_cycle(
+        cycle: &Cycle,
+        steal_ns: u64,
+        late_ns: u64,
+    ) -> JudgedCycles {
+        let mut incident = Incident {
+            steal_ns,
+            ..Incident::default()
+        };
+        let record = &mut incident.telemetry;
+        record.cycle = cycle.number;
+        record.handed_over_ns = record.due_ns + late_ns;
+        record.scheduling.late_cause = LateCause::Platform.code();
+        let mut judged = JudgedCycles::default();
+        judged.take(&incident);
+        judged
+    }
+
     #[test]
     fn misses_are_counted_by_cause_and_late_starts_are_not() {
         use LateCause::{Load, None, Platform, Stall};
@@ -118,6 +162,17 @@ pub(super) mod tests {
         let causes = MissCauses::new(&cycles, &judged);
         assert_eq!(causes.count(LateCause::Load), 1);
         assert_eq!(causes.count(LateCause::Platform), 1);
+    }
+
+    #[test]
+    fn a_miss_is_stolen_where_the_steal_is_half_of_its_lateness() {
+        for (steal_ns, stolen) in [(0, 0), (10_000_000, 0), (20_000_000, 1)] {
+            let cycles = missed(&[LateCause::Platform, LateCause::Platform]);
+            let judged = stolen_cycle(&cycles[0], steal_ns, 40_000_000);
+            let causes = MissCauses::new(&cycles, &judged);
+            assert_eq!(causes.stolen(), stolen, "{steal_ns} ns");
+            assert_eq!(causes.count(LateCause::Platform), 2);
+        }
     }
 
     #[test]

@@ -89,8 +89,11 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
 /// The bare loop, then a daemon that tracks the spiral; both end whatever happens. `None`: interrupted.
 fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::Result<Option<Run>> {
     let place = PrivatePlace::new(&config::text(sections, spiral))?;
-    let Some(baseline) = Baseline::measure(&place, interrupt)? else {
-        return Ok(None);
+    let baseline = match Baseline::measure(&place, interrupt) {
+        Ok(Some(baseline)) => Ok(baseline),
+        Ok(None) => return Ok(None),
+        // The robot is what the demo shows; the loop beside it only helps to explain.
+        Err(cause) => Err(format!("{cause:#}")),
     };
     let mut daemon = DemoDaemon::start(place)?;
     let Some(connection) = daemon.connect(interrupt)? else {

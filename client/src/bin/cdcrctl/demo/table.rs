@@ -105,7 +105,10 @@ fn causes(out: &mut String, report: &Report) -> Result<(), Error> {
 
 /// The loop of the daemon beside the same loop without work.
 fn beside(out: &mut String, report: &Report) -> Result<(), Error> {
-    let bare = &report.baseline;
+    let Some(bare) = &report.baseline else {
+        let error = report.baseline_error.as_deref().unwrap_or_default();
+        return writeln!(out, "\nno bare loop to compare with: {error}");
+    };
     writeln!(
         out,
         "\n{:<24}{:>12}{:>12}   (cdcrd bare: the same loop without work, {:.1} s before)",
@@ -137,7 +140,7 @@ fn verdict(out: &mut String, verdict: &Verdict) -> Result<(), Error> {
     if let Some(grant) = verdict.grant {
         writeln!(out, "Grant real time: {grant}")?;
     }
-    match verdict.next {
+    match &verdict.next {
         Some(next) => writeln!(out, "Next: {next}"),
         None => Ok(()),
     }
@@ -236,7 +239,7 @@ mod tests {
         ] {
             assert!(text.contains(expected), "{expected} in\n{text}");
         }
-        assert!(text.ends_with("\nNext: cdcrd doctor\n"), "{text}");
+        assert!(text.ends_with("cdcrd doctor\n"), "{text}");
         let one_line = text.replace('\n', " ");
         assert!(one_line.contains(&report.verdict.text), "{text}");
     }
@@ -248,6 +251,19 @@ mod tests {
         assert!(text.contains("No deadline was missed"), "{text}");
         assert!(
             !text.contains("caused by") && !text.contains("Next"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn without_a_bare_loop_there_is_a_line_instead_of_its_table() {
+        let mut report = report(&missed(&[]), &Status::default());
+        report.baseline = None;
+        report.baseline_error = Some("cdcrd bare failed (exit status: 1)".to_owned());
+        let text = text(&report, &Status::default()).expect("formatted");
+        let line = "\nno bare loop to compare with: cdcrd bare failed (exit status: 1)\n";
+        assert!(
+            text.contains(line) && !text.contains("beside a bare loop"),
             "{text}"
         );
     }

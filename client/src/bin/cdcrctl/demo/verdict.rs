@@ -1,3 +1,5 @@
+use std::path::Path;
+
 use cdcr_shared_types::codes::{LateCause, realtime};
 use rustix::process::geteuid;
 use serde::Serialize;
@@ -5,11 +7,6 @@ use serde::Serialize;
 use super::baseline::Baseline;
 use super::causes::MissCauses;
 use super::steal::Steal;
-
-/// A hypervisor that took less than this share of the core does not explain misses.
-const STEAL_SHARE: f64 = 0.01;
-/// What looks for everything on this machine that is in the way of a punctual loop.
-const DOCTOR: &str = "cdcrd doctor";
 
 /// What kept the loop from being punctual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
@@ -29,6 +26,8 @@ pub(super) enum Limit {
     PageFaults,
     /// The computation itself took too long.
     Cdcr,
+    /// Deadlines were missed, and no record says why.
+    Unknown,
 }
 
 /// What limits the loop on this machine, and what to do.
@@ -38,35 +37,38 @@ pub(super) struct Verdict {
     /// One sentence.
     pub(super) text: String,
     /// The command to run next.
-    pub(super) next: Option<&'static str>,
+    pub(super) next: Option<String>,
     /// The command that grants real time, where it is missing.
     pub(super) grant: Option<&'static str>,
 }
 
 impl Verdict {
-    /// Judges a run by the causes of its misses, the bare loop before it, and what it lacks for real time.
+    /// Judges a run by the causes of its misses, the bare loop before it, where there was one, and what it
+    /// lacks for real time.
     pub(super) fn new(
         causes: &MissCauses,
-        baseline: &Baseline,
+        baseline: Option<&Baseline>,
         steal: Option<Steal>,
         realtime_missing: u32,
     ) -> Self {
-        let taken = steal.filter(|steal| steal.steal_s >= STEAL_SHARE * steal.window_s);
-        let limited_by = limit(causes, taken.is_some(), realtime_missing);
+        let limited_by = limit(causes, realtime_missing);
         let is_granted = realtime_missing & (realtime::FIFO | realtime::LOCKED) == 0;
         Self {
             limited_by,
-            text: sentence(limited_by, causes.total(), baseline, taken),
-            next: (limited_by != Limit::Nothing).then_some(DOCTOR),
+            text: sentence(limited_by, causes.total(), baseline, steal),
+            next: (limited_by != Limit::Nothing).then(|| {
+                let started_as = std::env::args_os().next().unwrap_or_default();
+                doctor(Path::new(&started_as))
+            }),
             grant: (!is_granted).then(|| grant(geteuid().is_root())),
         }
     }
 }
 
-fn limit(causes: &MissCauses, is_stolen: bool, realtime_missing: u32) -> Limit {
+fn limit(causes: &MissCauses, realtime_missing: u32) -> Limit {
     let has_fifo = realtime_missing & (realtime::FIFO | realtime::OFF) == 0;
     let outside = causes.count(LateCause::Platform) + causes.count(LateCause::Stall);
-    let platform = if is_stolen {
+    let platform = if 2 * causes.stolen() >= outside {
         Limit::Hypervisor
     } else {
         Limit::Platform
@@ -78,6 +80,7 @@ fn limit(causes: &MissCauses, is_stolen: bool, realtime_missing: u32) -> Limit {
     };
     // Of equal counts the last wins: cdcr does not blame others for as much as it did itself.
     let parts = [
+        (causes.count(LateCause::None), Limit::Unknown),
         (outside, platform),
         (causes.count(LateCause::Load), other),
         (causes.count(LateCause::PageFault), Limit::PageFaults),
@@ -90,50 +93,69 @@ fn limit(causes: &MissCauses, is_stolen: bool, realtime_missing: u32) -> Limit {
     }
 }
 
-fn sentence(limit: Limit, misses: usize, baseline: &Baseline, taken: Option<Steal>) -> String {
-    let bare = bare_loop(baseline);
+fn sentence(
+    limit: Limit,
+    misses: usize,
+    baseline: Option<&Baseline>,
+    steal: Option<Steal>,
+) -> String {
+    let bare = baseline.map(bare_loop).unwrap_or_default();
     match limit {
-        Limit::Nothing => format!("No deadline was missed; {bare}."),
+        Limit::Nothing => format!("No deadline was missed{bare}."),
         Limit::Hypervisor => {
-            let took = taken.map(|Steal { steal_s, window_s }| {
-                format!("it took {steal_s:.1} of {window_s:.1} s from the core of the loop; ")
+            let took = steal.map(|Steal { steal_s, window_s }| {
+                format!(": it took {steal_s:.1} of {window_s:.1} s from the core of the loop")
             });
             let took = took.unwrap_or_default();
-            format!("The hypervisor limits this machine: {took}{bare}.")
+            format!("The hypervisor limits this machine{took}{bare}.")
         }
         Limit::Platform => format!(
             "The platform limits this machine: the timer came late or the processor stood still while no task \
-             had the core (hypervisor, firmware, power saving); {bare}."
+             had the core (hypervisor, firmware, power saving){bare}."
         ),
         Limit::OtherTask => format!(
             "Another task limits this machine: it had the core of the loop although the loop has real-time \
-             priority; {bare}."
+             priority{bare}."
         ),
         Limit::NoRealTime if misses == 0 => format!(
-            "No deadline was missed, but without real-time priority any other task can delay the loop; {bare}."
+            "No deadline was missed, but without real-time priority any other task can delay the loop{bare}."
         ),
         Limit::NoRealTime => format!(
-            "Other tasks had the core of the loop, and without real-time priority it cannot go first; {bare}."
+            "Other tasks had the core of the loop, and without real-time priority it cannot go first{bare}."
         ),
         Limit::PageFaults => format!(
-            "Page faults limit this run: memory of the daemon was not resident when it was used; {bare}."
+            "Page faults limit this run: memory of the daemon was not resident when it was used{bare}."
         ),
         Limit::Cdcr => format!(
-            "The computation of cdcr limits this run: it takes too long on this processor; {bare}."
+            "The computation of cdcr limits this run: it takes too long on this processor{bare}."
         ),
+        Limit::Unknown => {
+            format!("Deadlines were missed, and most of the causes were not recorded{bare}.")
+        }
     }
 }
 
-/// What the loop without work did.
+/// What the loop without work did, as the end of a sentence.
 fn bare_loop(baseline: &Baseline) -> String {
     let cycles = baseline.cycles;
-    match (baseline.deadline_misses, baseline.late_starts) {
-        (0, 0) => format!("a bare loop, without work, started all its {cycles} cycles in time"),
-        (0, late) => format!("a bare loop, without work, started {late} of {cycles} cycles late"),
-        (misses, _) => {
-            format!("a bare loop, without work, missed {misses} of {cycles} deadlines")
-        }
+    let did = match (baseline.deadline_misses, baseline.late_starts) {
+        (0, 0) => format!("started all its {cycles} cycles in time"),
+        (0, late) => format!("started {late} of {cycles} cycles late"),
+        (misses, _) => format!("missed {misses} of {cycles} deadlines"),
+    };
+    format!("; a bare loop, without work, {did}")
+}
+
+/// The command that finds everything on this machine that is in the way of a punctual loop. It lies beside this
+/// program: a path that this program was started by leads to it, too.
+fn doctor(started_as: &Path) -> String {
+    let program = started_as.with_file_name("cdcrd");
+    let program = program.display().to_string();
+    if program.contains(|letter: char| letter.is_whitespace() || letter == '\'') {
+        let quoted = program.replace('\'', "'\\''");
+        return format!("'{quoted}' doctor");
     }
+    format!("{program} doctor")
 }
 
 /// The one command that grants real time to the shell that it runs in. Who is root and has it not is in a container.
@@ -148,7 +170,7 @@ fn grant(is_root: bool) -> &'static str {
 #[cfg(test)]
 mod tests {
     use super::super::baseline::tests::baseline;
-    use super::super::causes::tests::missed;
+    use super::super::causes::tests::{missed, stolen_cycle};
     use super::super::causes::{JudgedCycles, MissCauses};
     use super::*;
 
@@ -161,73 +183,99 @@ mod tests {
         MissCauses::new(&missed(causes), &JudgedCycles::default())
     }
 
-    fn verdict(of: &[LateCause], steal: Option<Steal>, missing: u32) -> Verdict {
-        Verdict::new(&causes(of), &baseline(3, 4), steal, missing)
+    fn verdict(of: &[LateCause], missing: u32) -> Verdict {
+        Verdict::new(&causes(of), Some(&baseline(3, 4)), Some(TAKEN), missing)
+    }
+
+    /// The first of the misses is explained by the steal.
+    fn stolen(of: &[LateCause], missing: u32) -> Verdict {
+        let cycles = missed(of);
+        let causes = MissCauses::new(&cycles, &stolen_cycle(&cycles[0], 20_000_000, 20_000_000));
+        Verdict::new(&causes, Some(&baseline(3, 4)), Some(TAKEN), missing)
     }
 
     #[test]
     fn the_largest_cause_is_the_limit() {
-        use LateCause::{Compute, Load, PageFault, Platform, Stall};
-        let little = Steal {
-            steal_s: 0.01,
-            window_s: 5.0,
-        };
-        for (of, steal, missing, limit) in [
-            (&[][..], None, 0, Limit::Nothing),
+        use LateCause::{Compute, Load, None, PageFault, Platform, Stall};
+        for (of, missing, limit) in [
             // Steal without a miss limits nothing.
-            (&[], Some(TAKEN), 0, Limit::Nothing),
-            (&[], None, realtime::FIFO, Limit::NoRealTime),
-            (&[], None, realtime::OFF, Limit::NoRealTime),
-            (&[], None, realtime::LOCKED, Limit::Nothing),
-            (
-                &[Platform, Platform, Load],
-                Some(TAKEN),
-                0,
-                Limit::Hypervisor,
-            ),
-            (&[Platform], Some(little), 0, Limit::Platform),
-            (&[Platform], None, 0, Limit::Platform),
+            (&[][..], 0, Limit::Nothing),
+            (&[], realtime::FIFO, Limit::NoRealTime),
+            (&[], realtime::OFF, Limit::NoRealTime),
+            (&[], realtime::LOCKED, Limit::Nothing),
+            (&[Platform], 0, Limit::Platform),
             // Both come from outside of the system.
-            (&[Platform, Stall, Load], None, 0, Limit::Platform),
-            (&[Platform, Load, Load], Some(TAKEN), 0, Limit::OtherTask),
-            (&[Load], None, realtime::FIFO, Limit::NoRealTime),
-            (&[Platform], Some(TAKEN), realtime::FIFO, Limit::Hypervisor),
-            (&[PageFault, PageFault, Load], None, 0, Limit::PageFaults),
-            (&[Compute, Compute, Platform], None, 0, Limit::Cdcr),
+            (&[Platform, Stall, Load], 0, Limit::Platform),
+            (&[Platform, Load, Load], 0, Limit::OtherTask),
+            (&[Load], realtime::FIFO, Limit::NoRealTime),
+            (&[PageFault, PageFault, Load], 0, Limit::PageFaults),
+            (&[Compute, Compute, Platform], 0, Limit::Cdcr),
+            (&[None], 0, Limit::Unknown),
+            (&[None], realtime::FIFO, Limit::Unknown),
+            (&[None, None, Load], 0, Limit::Unknown),
+            (&[None, Load], 0, Limit::OtherTask),
         ] {
-            let verdict = verdict(of, steal, missing);
-            assert_eq!(verdict.limited_by, limit, "{of:?} {steal:?} {missing}");
+            let verdict = verdict(of, missing);
+            assert_eq!(verdict.limited_by, limit, "{of:?} {missing}");
             assert_eq!(verdict.next.is_some(), limit != Limit::Nothing, "{limit:?}");
             assert_eq!(verdict.text.matches(". ").count(), 0, "one sentence");
         }
     }
 
     #[test]
+    fn the_hypervisor_is_the_limit_where_it_explains_half_of_the_misses_from_outside() {
+        use LateCause::{Load, Platform, Stall};
+        for (of, missing, limit) in [
+            (&[Platform, Stall, Load][..], 0, Limit::Hypervisor),
+            (&[Platform], realtime::FIFO, Limit::Hypervisor),
+            (&[Platform, Platform, Stall], 0, Limit::Platform),
+            (&[Platform, Load, Load], 0, Limit::OtherTask),
+        ] {
+            assert_eq!(stolen(of, missing).limited_by, limit, "{of:?} {missing}");
+        }
+    }
+
+    #[test]
     fn the_sentence_has_the_steal_and_the_bare_loop() {
-        let text = verdict(&[LateCause::Platform], Some(TAKEN), 0).text;
+        let text = stolen(&[LateCause::Platform], 0).text;
         assert_eq!(
             text,
             "The hypervisor limits this machine: it took 1.3 of 5.0 s from the core of the loop; a bare loop, \
              without work, missed 3 of 100 deadlines."
         );
-        let quiet = Verdict::new(&causes(&[]), &baseline(0, 0), None, 0).text;
+        let with_baseline = |baseline: Option<Baseline>| {
+            Verdict::new(&causes(&[]), baseline.as_ref(), None, 0).text
+        };
         assert_eq!(
-            quiet,
+            with_baseline(Some(baseline(0, 0))),
             "No deadline was missed; a bare loop, without work, started all its 100 cycles in time."
         );
-        let late = Verdict::new(&causes(&[]), &baseline(0, 4), None, 0).text;
+        assert_eq!(with_baseline(None), "No deadline was missed.");
+        let late = with_baseline(Some(baseline(0, 4)));
         assert!(late.contains("started 4 of 100 cycles late"), "{late}");
-        let ordinary = |of: &[LateCause]| verdict(of, None, realtime::FIFO).text;
+        let ordinary = |of: &[LateCause]| verdict(of, realtime::FIFO).text;
         assert!(ordinary(&[]).starts_with("No deadline was missed, but"));
         assert!(ordinary(&[LateCause::Load]).starts_with("Other tasks had the core"));
     }
 
     #[test]
+    fn the_doctor_is_found_beside_the_program() {
+        for (started_as, next) in [
+            ("cdcrctl", "cdcrd doctor"),
+            ("./target/release/cdcrctl", "./target/release/cdcrd doctor"),
+            ("/opt/my robot/cdcrctl", "'/opt/my robot/cdcrd' doctor"),
+            ("", "cdcrd doctor"),
+        ] {
+            assert_eq!(doctor(Path::new(started_as)), next);
+        }
+    }
+
+    #[test]
     fn what_is_not_granted_has_one_command_and_what_is_granted_has_none() {
-        assert_eq!(verdict(&[], None, 0).grant, None);
-        assert_eq!(verdict(&[], None, realtime::PINNED).grant, None);
+        assert_eq!(verdict(&[], 0).grant, None);
+        assert_eq!(verdict(&[], realtime::PINNED).grant, None);
         for missing in [realtime::FIFO, realtime::LOCKED] {
-            assert!(verdict(&[], None, missing).grant.is_some());
+            assert!(verdict(&[], missing).grant.is_some());
         }
         assert!(grant(false).starts_with("sudo prlimit"));
         assert!(grant(true).contains("--ulimit rtprio=90"));
@@ -235,10 +283,11 @@ mod tests {
 
     #[test]
     fn the_json_names_the_limit() {
-        let json = serde_json::to_value(verdict(&[LateCause::Load], None, realtime::FIFO));
+        let json = serde_json::to_value(verdict(&[LateCause::Load], realtime::FIFO));
         let json = json.expect("JSON");
         assert_eq!(json["limited_by"], "no-real-time");
-        assert_eq!(json["next"], "cdcrd doctor");
+        let next = json["next"].as_str().expect("a command");
+        assert!(next.ends_with("cdcrd doctor"), "{next}");
         assert!(json["grant"].is_string() && json["text"].is_string());
     }
 }
