@@ -33,7 +33,7 @@ impl Driver {
         Ok(Self {
             interface,
             measurements: Outlet::open(&services.measurement, sender)?,
-            commands: Stream::open(&services.command)?,
+            commands: Stream::open_kept(&services.command)?,
         })
     }
 
