@@ -2,7 +2,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use iceoryx2::config::Config;
-use iceoryx2::node::NodeState;
+use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::{
     CallbackProgression, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, ServiceName,
     SignalHandlingMode, ipc,
@@ -347,7 +347,9 @@ impl Location {
         }
         // What cannot be listed or cleared now, the next one tries again.
         let _ = Node::<ipc::Service>::list(&config, |node| {
+            // Of one without details iceoryx2 would clear the place that its global configuration names.
             if let NodeState::Dead(dead) = node
+                && dead.details().is_some()
                 && dead.try_remove_stale_resources().is_ok()
             {
                 cleared += 1;
