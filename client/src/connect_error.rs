@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cdcr_shared_types::{LocationError, ServiceNameError};
+use cdcr_shared_types::{Location, LocationError, ServiceNameError};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::builder::request_response::RequestResponseOpenError;
 
@@ -40,6 +40,19 @@ pub enum ConnectError {
         /// Where it was looked for.
         place: Place,
         /// What was found instead.
+        found: &'static str,
+    },
+    /// A daemon runs, and shows no sign of life.
+    #[error(
+        "the daemon for {place} runs ({process}), but {found}\n\
+         to stop the robot all the same: cdcrctl stop, or the signal USR1 to that process"
+    )]
+    Silent {
+        /// Where it was found.
+        place: Place,
+        /// Its process, in words.
+        process: String,
+        /// What is missing.
         found: &'static str,
     },
     /// The daemon speaks another version of the messages.
@@ -111,7 +124,35 @@ pub enum ConnectError {
 impl ConnectError {
     /// Whether a daemon that is just starting may make this error go away.
     pub(crate) fn may_pass(&self) -> bool {
-        matches!(self, Self::DaemonNotRunning { .. } | Self::Memory { .. })
+        matches!(
+            self,
+            Self::DaemonNotRunning { .. } | Self::Silent { .. } | Self::Memory { .. }
+        )
+    }
+}
+
+/// A daemon that is not reached, though its services or their place are there: the truth by what it holds while it
+/// lives.
+pub(crate) fn not_reached(
+    location: &Location,
+    place: &Place,
+    found: &'static str,
+    found_of_dead: &'static str,
+) -> ConnectError {
+    let place = place.clone();
+    match location.presence(&place.robot) {
+        Some(presence) => ConnectError::Silent {
+            process: presence.process_id.map_or_else(
+                || "process unknown".to_owned(),
+                |id| format!("process {id}"),
+            ),
+            place,
+            found,
+        },
+        None => ConnectError::DaemonNotRunning {
+            place,
+            found: found_of_dead,
+        },
     }
 }
 

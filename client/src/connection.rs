@@ -8,10 +8,10 @@ use cdcr_shared_types::{
     SolverSettings, Status,
 };
 
-use crate::connect_error::Place;
+use crate::connect_error::{Place, not_reached};
 use crate::request::Control;
 use crate::sender::Sender;
-use crate::services::{Services, check_owners};
+use crate::services::{DEAD_NODES, Services, check_owners};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
     ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
@@ -54,11 +54,12 @@ pub struct Connection {
 /// Leaves the location as if nobody had been there, when its last user leaves and no daemon has it. To be dropped
 /// after the node is gone.
 #[derive(Debug)]
-struct Departure(Location);
+pub(crate) struct Departure(pub(crate) Location);
 
 impl Drop for Departure {
     fn drop(&mut self) {
         if !self.0.is_claimed() {
+            self.0.clear_dead_nodes(DEAD_NODES);
             self.0.tidy();
         }
     }
@@ -69,7 +70,7 @@ impl Connection {
     ///
     /// # Errors
     /// [`ConnectError::DaemonNotRunning`] when there is none, also when one was killed and left its
-    /// services behind; the other variants say what else stands in the way.
+    /// services behind; [`ConnectError::Silent`] when one runs and tells nothing; the other variants say what else stands in the way.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
         let place = Place {
             prefix: location.prefix().to_owned(),
@@ -102,10 +103,12 @@ impl Connection {
         };
         match connection.status(STATUS_FRESH) {
             Ok(_) => Ok(connection),
-            Err(_) => Err(ConnectError::DaemonNotRunning {
-                place: connection.place,
-                found: "its services are there, but it has sent no status for 1 s (was it killed?)",
-            }),
+            Err(_) => Err(not_reached(
+                location,
+                &connection.place,
+                "it has sent no status for 1 s: it is stopped, held up or short of memory",
+                "its services are there, but no process holds them: it was killed",
+            )),
         }
     }
 

@@ -80,7 +80,7 @@ impl Driver {
         Ok(Self {
             interface,
             measurements: Outlet::open(&services.measurement, sender)?,
-            commands: Stream::open(&services.command)?,
+            commands: Stream::open_kept(&services.command)?,
             follower: CommandFollower::new(robot, interface),
         })
     }

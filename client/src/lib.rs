@@ -10,6 +10,8 @@
 //!   living daemon [`Connection::open`] says which one it looked for and how to start it.
 //! * [`Connection::request`] asks for something (track, hold, stop, reset, home) and waits for the
 //!   answer. A refusal is an error that says why and what to do.
+//! * [`Requester`] is the short way to that: it opens nothing else, so [`Requester::stop`] gets in where a
+//!   connection does not, and falls back to a signal.
 //! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client never reaches
 //!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; [`FileTrajectory`] reads CSV; your
 //!   own type may implement the trait.
@@ -76,6 +78,7 @@ mod outlet;
 mod reference_feed;
 mod remedy;
 mod request;
+mod requester;
 mod robot;
 mod room;
 mod sender;
@@ -98,6 +101,7 @@ pub use obstacle_sender::ObstacleSender;
 pub use reference_feed::ReferenceFeed;
 pub use remedy::remedy;
 pub use request::RequestError;
+pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};
 pub use trajectory::{

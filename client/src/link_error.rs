@@ -25,7 +25,7 @@ pub enum LinkError {
     /// The port for requests could not be made.
     #[error(
         "cannot ask the daemon for anything: {cause}. At most {} clients may at one time; close one of them",
-        Service::CONTROL_CLIENTS
+        Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     )]
     Askers {
         /// What iceoryx2 says.
@@ -88,7 +88,7 @@ impl LinkError {
             service: service.key(),
             cause: cause.to_string(),
             writers: queues.publishers,
-            readers: queues.subscribers,
+            readers: queues.watchers(),
         }
     }
 

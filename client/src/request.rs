@@ -6,6 +6,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
 use cdcr_shared_types::{Request, Response, Service, SolverSettings};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, ipc};
+use iceoryx2::service::port_factory::PortFactory;
 
 use crate::LinkError;
 use crate::remedy::request_remedy;
@@ -14,7 +15,7 @@ use crate::sender::Sender;
 use crate::services::ControlChannel;
 
 /// How often a waiting client looks for the answer.
-const LOOK_AGAIN: Duration = Duration::from_millis(1);
+pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);
 
 /// Why a request had no effect.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -76,14 +77,26 @@ pub(crate) struct Control {
     channel: ControlChannel,
     port: OnceCell<Port>,
     sender: Sender,
+    /// How many clients may ask, this one included, for it to be one of them.
+    clients_max: usize,
 }
 
 impl Control {
+    /// For everything but a stop: leaves the places free that are kept for one.
     pub(crate) fn new(channel: ControlChannel, sender: Sender) -> Self {
         Self {
             channel,
             port: OnceCell::new(),
             sender,
+            clients_max: Service::CONTROL_CLIENTS - Service::CONTROL_KEPT,
+        }
+    }
+
+    /// May take the places that are kept for a stop.
+    pub(crate) fn with_kept_places(self) -> Self {
+        Self {
+            clients_max: Service::CONTROL_CLIENTS,
+            ..self
         }
     }
 
@@ -93,6 +106,9 @@ impl Control {
             return Ok(port);
         }
         room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(Service::Control, no_room))?;
+        if self.channel.dynamic_config().number_of_clients() >= self.clients_max {
+            return Err(LinkError::askers("all places are taken"));
+        }
         let port = self
             .channel
             .client_builder()

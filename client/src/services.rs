@@ -36,13 +36,9 @@ impl Services {
     /// Opens what a daemon has created; creates nothing. [`check_owners`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
         room::ask(CONNECTION_BYTES).map_err(|no_room| memory_error(place, &no_room.to_string()))?;
-        let opener = Opener {
-            node: location
-                .node_builder()?
-                .create::<ipc::Service>()
-                .map_err(|cause| memory_error(place, &format!("{cause:?}")))?,
-            place,
-        };
+        let opener = Opener::new(location, place)?;
+        // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
+        location.clear_dead_nodes(DEAD_NODES);
         Ok(Self {
             status: opener.channel()?,
             reference: opener.channel()?,
@@ -56,12 +52,32 @@ impl Services {
     }
 }
 
+/// Dead processes that a client clears away when it connects: a few more than a daemon that was killed leaves.
+pub(crate) const DEAD_NODES: usize = 16;
+
+/// The service for requests and nothing else: all that a stop needs.
+pub(crate) fn open_control(
+    location: &Location,
+    place: &Place,
+) -> Result<ControlChannel, ConnectError> {
+    room::ask(CONNECTION_BYTES).map_err(|no_room| memory_error(place, &no_room.to_string()))?;
+    Opener::new(location, place)?.control()
+}
+
 struct Opener<'a> {
     node: Node<ipc::Service>,
     place: &'a Place,
 }
 
-impl Opener<'_> {
+impl<'a> Opener<'a> {
+    fn new(location: &Location, place: &'a Place) -> Result<Self, ConnectError> {
+        let node = location.client_node_builder()?.create::<ipc::Service>();
+        Ok(Self {
+            node: node.map_err(|cause| memory_error(place, &format!("{cause:?}")))?,
+            place,
+        })
+    }
+
     fn channel<T: Message>(&self) -> Result<Channel<T>, ConnectError> {
         let name = T::SERVICE.name(&self.place.robot)?;
         self.node

@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 use cdcr_shared_types::{Command, Header, Telemetry};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::ipc;
+use iceoryx2::service::port_factory::PortFactory as _;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use crate::room::{self, PORT_BYTES};
@@ -33,7 +34,17 @@ pub type TelemetryStream = Stream<Telemetry>;
 pub type CommandStream = Stream<Command>;
 
 impl<T: Message> Stream<T> {
+    /// For who only watches: leaves the places free that are kept for the driver and the daemon.
     pub(crate) fn open(service: &PortFactory<ipc::Service, T, ()>) -> Result<Self, LinkError> {
+        let readers = service.dynamic_config().number_of_subscribers();
+        if readers >= T::SERVICE.queues().watchers() {
+            return Err(LinkError::port(T::SERVICE, "all places are taken"));
+        }
+        Self::open_kept(service)
+    }
+
+    /// For who takes part.
+    pub(crate) fn open_kept(service: &PortFactory<ipc::Service, T, ()>) -> Result<Self, LinkError> {
         room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
         let subscriber = service
             .subscriber_builder()

@@ -5,13 +5,15 @@
 //! go.
 
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
 use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
+use signal_hook::consts::{SIGHUP, SIGUSR1};
 
+use crate::caretaker::Caretaker;
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
 use crate::cycle::{Cycle, Policy, Settings};
 use crate::exchange::{Exchange, UnfinishedFiles, services};
@@ -53,27 +55,38 @@ pub fn run_until(
     should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
-    let _instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
+    // Before anybody can find this process by its lock: these signals would end it.
+    let signals = Signals::catch()?;
+    let instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
     match validated.config.link.kind {
         LinkKind::Simulated => {
             let period_ns = ns(validated.config.cycle.period_ms);
             let moving_ns = Policy::new(&validated.config).moving_ns(u64::MAX, period_ns);
             let plant = KinematicPlant::new(&validated.robot, validated.initial)
                 .with_extrapolate_max_s(moving_ns as f64 * 1e-9);
-            run_with(validated, SimulatedRobot::new(plant), should_end, watch)
+            run_with(
+                validated,
+                SimulatedRobot::new(plant),
+                &instance,
+                signals,
+                should_end,
+                watch,
+            )
         }
-        LinkKind::Driver => run_with(validated, DriverLink, should_end, watch),
+        LinkKind::Driver => run_with(validated, DriverLink, &instance, signals, should_end, watch),
     }
 }
 
 fn run_with<L: RobotLink + Send + 'static>(
     validated: &Validated,
     link: L,
-    should_end: impl FnMut() -> bool,
+    instance: &Instance,
+    signals: Signals,
+    mut should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
     let daemon_id = random_id();
-    let shared = Arc::new(Shared::default());
+    let shared = Arc::new(Shared::with_stop_flag(signals.stop));
     let (cycle_ends, exchange_ends, reporter_ends, supervisor_ends) =
         channels(Settings::new(&validated.config));
     let clock = MonotonicClock;
@@ -116,6 +129,21 @@ fn run_with<L: RobotLink + Send + 'static>(
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
+    // Last, because it inherits what the supervisor was given: a core beside the loop, and its priority.
+    let caretaker = Caretaker::start(
+        instance.watch(&validated.config.robot.name)?,
+        Arc::clone(&shared),
+    )?;
+    let reload = signals.reload;
+    let should_end = || {
+        if reload.swap(false, Ordering::Relaxed) {
+            tracing::warn!(
+                "SIGHUP: the configuration file is not read again while the daemon runs; restart it, or change the \
+                 solver with cdcrctl settings"
+            );
+        }
+        should_end() || caretaker.is_place_lost()
+    };
     supervisor.run(&clock, &shared, should_end, || {
         // A thread that ends by itself takes the process with it.
         if cycle.is_finished() || exchange.is_finished() || reporter.is_finished() {
@@ -155,8 +183,36 @@ fn run_with<L: RobotLink + Send + 'static>(
                 .to_owned(),
         });
     }
+    if caretaker.is_place_lost() {
+        bail!(Ended {
+            cause: ExitCause::PlaceLost,
+            message: format!(
+                "the root folder {} was emptied or replaced while the daemon ran, so no client could reach it: the \
+                 robot came to rest, and the process ends",
+                validated.location.root().display()
+            ),
+        });
+    }
     tracing::info!("ended");
     Ok(())
+}
+
+/// What signals ask for, but for the end.
+#[derive(Debug)]
+struct Signals {
+    /// `SIGUSR1`: stop the robot.
+    stop: Arc<AtomicBool>,
+    /// `SIGHUP`: read the configuration again.
+    reload: Arc<AtomicBool>,
+}
+
+impl Signals {
+    fn catch() -> Result<Self> {
+        Ok(Self {
+            stop: start::flag_of(&[SIGUSR1])?,
+            reload: start::flag_of(&[SIGHUP])?,
+        })
+    }
 }
 
 /// Cycles that the robot has to come to rest: its longest ramp, and a little more.
@@ -295,6 +351,9 @@ pub fn run_cycles<L: RobotLink>(
             } else {
                 cycles_to_rest - 1
             };
+        }
+        if shared.take_stop() {
+            cycle.stop();
         }
         shared.beat_cycle();
         let inputs = ends.inputs.read();

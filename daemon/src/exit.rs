@@ -1,6 +1,6 @@
 //! Why the process ends, as the number that a service manager sees.
 //!
-//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 to 82 are our own. The
+//! Numbers from 64 to 78 have the meaning that BSD's `sysexits.h` gives them. 80 to 83 are our own. The
 //! table in `docs/faults.md` says what to do about each.
 
 use std::process::ExitCode;
@@ -36,11 +36,13 @@ pub enum ExitCause {
     ExchangeHung,
     /// It was asked to end, and the robot did not come to rest in time.
     NotAtRest,
+    /// The root folder was emptied or replaced while it ran.
+    PlaceLost,
 }
 
 impl ExitCause {
     /// Every cause.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 13] = [
         Self::Asked,
         Self::Other,
         Self::Usage,
@@ -53,6 +55,7 @@ impl ExitCause {
         Self::CycleHung,
         Self::ExchangeHung,
         Self::NotAtRest,
+        Self::PlaceLost,
     ];
 
     /// The exit status.
@@ -70,6 +73,7 @@ impl ExitCause {
             Self::CycleHung => 80,
             Self::ExchangeHung => 81,
             Self::NotAtRest => 82,
+            Self::PlaceLost => 83,
         }
     }
 

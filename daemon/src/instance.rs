@@ -1,28 +1,39 @@
 //! One daemon per robot and location, and a location that no other user can disturb.
 
 mod memory;
+mod name;
+mod place;
 mod root;
 
 use std::fs::{File, OpenOptions, TryLockError};
 use std::io::{Read, Seek, Write};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
 use iceoryx2::prelude::{Node, ipc};
 
 use crate::exchange::remains;
 use crate::exchange::services::{self, ServiceError};
+pub(crate) use place::{Found, PlaceWatch};
 
-/// The right to be the daemon of one robot at one location: a locked file in the root folder. The
-/// kernel gives the lock back when the process ends, however it ends.
+/// Longer than a client holds the lock to see whether a daemon does.
+const LOOK_MAX: Duration = Duration::from_millis(200);
+
+/// The right to be the daemon of one robot at one location: a locked file in the root folder, and a name among the
+/// abstract Unix sockets. The kernel gives both back when the process ends, however it ends.
 #[derive(Debug)]
 pub struct Instance {
     path: PathBuf,
     location: Location,
     /// As long as it is there, no client that leaves tidies the location up.
     node: Option<Node<ipc::Service>>,
-    _locked: File,
+    locked: Arc<Mutex<File>>,
+    /// Taken for as long as the process lives, whatever becomes of the files.
+    name: Option<Arc<UnixListener>>,
 }
 
 /// Why this process may not be the daemon.
@@ -110,6 +121,7 @@ impl Instance {
     /// [`InstanceError`] when another daemon is, or the folder cannot be used.
     pub fn claim(location: &Location, robot: &str) -> Result<Self, InstanceError> {
         root::prepare(location.root())?;
+        let name = name::take(location, robot)?.map(Arc::new);
         let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
         write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
@@ -119,7 +131,8 @@ impl Instance {
             path,
             location: location.clone(),
             node: None,
-            _locked: locked,
+            locked: Arc::new(Mutex::new(locked)),
+            name,
         };
         // Before our own node is there, because it counts as somebody who lives here.
         remains::sweep(location);
@@ -130,20 +143,36 @@ impl Instance {
         }
         Ok(instance)
     }
+
+    /// What has to stay where it is for as long as the daemon of `robot` runs. Call it when the services are there.
+    ///
+    /// # Errors
+    /// [`InstanceError::File`] when the root folder is gone already.
+    pub(crate) fn watch(&self, robot: &str) -> Result<PlaceWatch, InstanceError> {
+        let (locked, name) = (Arc::clone(&self.locked), self.name.clone());
+        PlaceWatch::new(&self.location, robot, locked, name)
+    }
 }
 
 impl Drop for Instance {
     /// Removes what iceoryx2 keeps for the location when its last node is gone, and last the lock file.
     fn drop(&mut self) {
-        drop(self.node.take());
+        if let Some(node) = self.node.take() {
+            node.try_cleanup_dead_nodes();
+        }
         self.location.tidy();
-        remove_if_there(&self.path);
+        let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
+        // Otherwise it is another daemon's, which came when ours had been deleted.
+        if is_file_at(&locked, &self.path) {
+            remove_if_there(&self.path);
+        }
     }
 }
 
 /// Locks the file at `path`. A daemon that ended between our opening and our locking has removed it;
 /// then the lock is worth nothing, and we try again with the file that is there now.
 fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceError> {
+    let begin = Instant::now();
     loop {
         let mut file = OpenOptions::new()
             .read(true)
@@ -156,16 +185,25 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
         match file.try_lock() {
             Ok(()) if is_file_at(&file, path) => return Ok(file),
             Ok(()) => {}
+            // A client that looks whether a daemon runs has it for microseconds.
+            Err(TryLockError::WouldBlock) if begin.elapsed() < LOOK_MAX => {
+                std::thread::sleep(LOOK_MAX / 20);
+            }
             Err(TryLockError::WouldBlock) => {
-                return Err(InstanceError::Runs {
-                    robot: robot.to_owned(),
-                    process: owner_of(&mut file),
-                    prefix: location.prefix().to_owned(),
-                    root: location.root().display().to_string(),
-                });
+                return Err(runs_already(location, robot, owner_of(&mut file)));
             }
             Err(TryLockError::Error(cause)) => return Err(file_error(path, cause)),
         }
+    }
+}
+
+/// The refusal of a second daemon beside `process`.
+fn runs_already(location: &Location, robot: &str, process: String) -> InstanceError {
+    InstanceError::Runs {
+        robot: robot.to_owned(),
+        process,
+        prefix: location.prefix().to_owned(),
+        root: location.root().display().to_string(),
     }
 }
 

@@ -24,6 +24,7 @@
 
 pub mod app;
 pub mod bare;
+mod caretaker;
 pub mod cli;
 pub mod config;
 pub mod cycle;

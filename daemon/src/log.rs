@@ -2,9 +2,10 @@
 //!
 //! Started by systemd, the standard error is the journal (`JOURNAL_STREAM` of `systemd.exec(5)` says so),
 //! and the lines go there with their fields: `reason` becomes `CDCR_REASON`. Anywhere else they are text on
-//! the standard error, which never makes anybody wait. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
+//! the standard error. Neither makes anybody wait. Either way the same line comes at most [`LINES_MAX`] times in [`INTERVAL`]; what was
 //! left out is counted and said. Counters in status and telemetry never pass through here.
 
+mod journal;
 mod standard_error;
 
 use std::backtrace::{Backtrace, BacktraceStatus};
@@ -17,11 +18,11 @@ use std::time::{Duration, Instant};
 
 use iceoryx2::prelude::{LogLevel, set_log_level, set_logger};
 use iceoryx2_log::Log as ForeignLog;
+use journal::Journal;
 use rustix::fs::fstat;
 use standard_error::{Text, TextGuard};
 use tracing::callsite::Identifier;
 use tracing::{Event, Subscriber};
-use tracing_journald::{Priority, PriorityMappings};
 use tracing_subscriber::Layer;
 use tracing_subscriber::filter::{LevelFilter, ParseError, Targets};
 use tracing_subscriber::layer::{Context, SubscriberExt};
@@ -39,6 +40,8 @@ pub const INTERVAL: Duration = Duration::from_secs(10);
 pub struct Log {
     text: Text,
     guard: TextGuard,
+    /// Of the journal, where the lines go there.
+    journal: Option<TextGuard>,
 }
 
 impl Log {
@@ -47,12 +50,16 @@ impl Log {
     /// Errors of iceoryx2 are lines of it, and so are the words of a panic, in any thread.
     pub fn start() -> Self {
         let (text, guard) = Text::new();
-        start_lines(&text);
+        let journal = start_lines(&text);
         set_logger(&Iceoryx2);
         set_log_level(LogLevel::Error);
         let panics = text.clone();
         std::panic::set_hook(Box::new(move |panic| say(&panics, &words(panic))));
-        Self { text, guard }
+        Self {
+            text,
+            guard,
+            journal,
+        }
     }
 
     /// Writes a message to whoever started the process. It is on the standard error once the log has ended.
@@ -60,21 +67,28 @@ impl Log {
         say(&self.text, message);
     }
 
-    /// Writes what is still to be written, and waits for it 2 s at most: nobody may be reading.
+    /// Writes what is still to be written, and waits for it 2 s at most (and as long for the journal): nobody may be reading.
     pub fn end(self) {
+        if let Some(journal) = self.journal {
+            journal.end();
+        }
         self.guard.end();
     }
 }
 
-fn start_lines(text: &Text) {
+fn start_lines(text: &Text) -> Option<TextGuard> {
     let (filter, misunderstood) = filter(std::env::var("RUST_LOG").ok().as_deref());
     let log = tracing_subscriber::registry()
         .with(filter)
         .with(RateLimit::new(LINES_MAX, INTERVAL));
     let stream = std::env::var("JOURNAL_STREAM").ok();
+    let mut guard = None;
     if stream.is_some_and(|stream| is_standard_error(&stream)) {
-        match journal() {
-            Ok(journal) => log.with(journal).init(),
+        match Journal::new() {
+            Ok((journal, ends)) => {
+                log.with(journal).init();
+                guard = Some(ends);
+            }
             Err(error) => {
                 log.with(lines(text)).init();
                 tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
@@ -89,6 +103,7 @@ fn start_lines(text: &Text) {
              target=level, separated by commas"
         );
     }
+    guard
 }
 
 /// What `RUST_LOG` asks for, and why it is ignored if it makes no sense.
@@ -145,17 +160,6 @@ fn is_standard_error(stream: &str) -> bool {
 fn device_and_inode(stream: &str) -> Option<(u64, u64)> {
     let (device, inode) = stream.split_once(':')?;
     Some((device.parse().ok()?, inode.parse().ok()?))
-}
-
-fn journal() -> std::io::Result<tracing_journald::Layer> {
-    let priorities = PriorityMappings {
-        info: Priority::Informational,
-        debug: Priority::Debug,
-        ..PriorityMappings::new()
-    };
-    Ok(tracing_journald::layer()?
-        .with_field_prefix(Some("CDCR".to_owned()))
-        .with_priority_mappings(priorities))
 }
 
 fn lines<S: Subscriber + for<'a> LookupSpan<'a>>(text: &Text) -> impl Layer<S> + use<S> {

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
 use cdcr_shared_types::codes::realtime;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
 use crate::exit::{Ended, ExitCause};
@@ -33,11 +33,16 @@ const STACK_BYTES: usize = 1024 * 1024;
 
 /// A flag that is set by the signals that ask the process to end.
 pub(crate) fn end_signals() -> Result<Arc<AtomicBool>> {
-    let ending = Arc::new(AtomicBool::new(false));
-    for signal in [SIGINT, SIGTERM, SIGHUP] {
-        signal_hook::flag::register(signal, Arc::clone(&ending)).context("signals")?;
+    flag_of(&[SIGINT, SIGTERM])
+}
+
+/// A flag that is set by any of these signals.
+pub(crate) fn flag_of(signals: &[i32]) -> Result<Arc<AtomicBool>> {
+    let flag = Arc::new(AtomicBool::new(false));
+    for signal in signals {
+        signal_hook::flag::register(*signal, Arc::clone(&flag)).context("signals")?;
     }
-    Ok(ending)
+    Ok(flag)
 }
 
 /// What the system granted to the real-time threads. The processor stays awake for as long as it lives.

@@ -40,6 +40,7 @@ mod incident;
 pub mod limits;
 mod measurement;
 mod obstacles;
+mod presence;
 mod reference;
 mod services;
 mod settings;
@@ -52,6 +53,7 @@ pub use header::Header;
 pub use incident::Incident;
 pub use measurement::Measurement;
 pub use obstacles::{Obstacle, ObstacleUpdate};
+pub use presence::{NameHolder, Presence};
 pub use reference::{ReferenceChunk, ReferencePoint};
 pub use services::{
     DEFAULT_PREFIX, Location, LocationError, QueueLengths, Service, ServiceNameError, memory_files,

@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use iceoryx2::config::Config;
+use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::{
     CallbackProgression, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, ServiceName,
     SignalHandlingMode, ipc,
@@ -42,6 +43,9 @@ pub struct QueueLengths {
     pub publishers: usize,
     /// Readers at one time.
     pub subscribers: usize,
+    /// Of them, places that are kept for those who take part: the driver, the daemon itself. Clients that only
+    /// watch leave them free.
+    pub kept: usize,
     /// Messages that wait for one reader.
     pub queue: usize,
     /// Messages that a late joiner still gets.
@@ -51,6 +55,11 @@ pub struct QueueLengths {
 impl QueueLengths {
     /// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
     const HELD: usize = 2;
+
+    /// Readers that only watch, at one time.
+    pub const fn watchers(self) -> usize {
+        self.subscribers - self.kept
+    }
 
     /// Shared memory of one writer's messages \[bytes\]: as many as all readers together may have, so that it never
     /// waits.
@@ -74,11 +83,15 @@ impl Service {
     ];
 
     /// Clients that may have a control connection at one time.
-    pub const CONTROL_CLIENTS: usize = 16;
+    pub const CONTROL_CLIENTS: usize = 20;
+    /// Of them, places that are kept for a stop: clients that ask for anything else leave them free.
+    pub const CONTROL_KEPT: usize = 4;
     /// Requests of one client that may wait at one time.
     pub const CONTROL_REQUESTS: usize = 4;
     /// Processes that may have a service open at one time.
     pub const NODES: usize = 40;
+    /// The same of [`Service::Control`]: a stop opens no other service, so it finds a place when all others are full.
+    pub const CONTROL_NODES: usize = Self::NODES + 8;
 
     /// Last part of the service's name.
     pub const fn key(self) -> &'static str {
@@ -96,21 +109,25 @@ impl Service {
 
     /// Queue lengths, for all but [`Service::Control`].
     pub const fn queues(self) -> QueueLengths {
-        let (publishers, subscribers, queue, history) = match self {
+        let (publishers, subscribers, kept, queue, history) = match self {
             // 32 chunks: the whole reference buffer of the daemon.
-            Self::Reference => (8, 4, 32, 0),
-            Self::Obstacles => (8, 4, 16, 0),
-            Self::Measurement => (2, 4, 16, 0),
-            Self::Command => (1, 4, 16, 0),
-            // 256 records: 1.28 s at 5 ms.
-            Self::Telemetry => (1, 8, 256, 0),
-            Self::Status | Self::Control => (1, 16, 2, 1),
+            Self::Reference => (8, 4, 1, 32, 0),
+            Self::Obstacles => (8, 4, 1, 16, 0),
+            // Who may connect may read, where the messages are small.
+            Self::Measurement => (2, Self::NODES + 1, 1, 16, 0),
+            // A driver, and the one that takes its place.
+            Self::Command => (1, Self::NODES + 2, 2, 16, 0),
+            // 256 records: 1.28 s at 5 ms. A reader costs 4 MB.
+            Self::Telemetry => (1, 8, 0, 256, 0),
+            // Each connection reads it, and may have one stream of it.
+            Self::Status | Self::Control => (1, 2 * Self::NODES, 0, 2, 1),
             // Few look at bad cycles, and each reader costs 64 of them, 1 MB.
-            Self::Incidents => (1, 4, INCIDENTS_MAX, INCIDENTS_MAX),
+            Self::Incidents => (1, 4, 0, INCIDENTS_MAX, INCIDENTS_MAX),
         };
         QueueLengths {
             publishers,
             subscribers,
+            kept,
             queue,
             history,
         }
@@ -302,6 +319,48 @@ impl Location {
         Ok(NodeBuilder::new()
             .config(&self.iceoryx2_config()?)
             .signal_handling_mode(SignalHandlingMode::Disabled))
+    }
+
+    /// A node builder for clients: as [`node_builder`](Self::node_builder), but nothing is done about dead processes.
+    /// To clear one away takes 5 ms, and a client that wants to stop a robot may come after a thousand of them.
+    ///
+    /// # Errors
+    /// As [`Location::new`].
+    pub fn client_node_builder(&self) -> Result<NodeBuilder, LocationError> {
+        let mut config = self.iceoryx2_config()?;
+        config.global.node.cleanup_dead_nodes_on_creation = false;
+        config.global.node.cleanup_dead_nodes_on_destruction = false;
+        config.global.service.cleanup_dead_nodes_on_open = false;
+        Ok(NodeBuilder::new()
+            .config(&config)
+            .signal_handling_mode(SignalHandlingMode::Disabled))
+    }
+
+    /// Clears away what dead processes left, `most` of them at most. Returns how many it was.
+    pub fn clear_dead_nodes(&self, most: usize) -> usize {
+        let Ok(config) = self.iceoryx2_config() else {
+            return 0;
+        };
+        let mut cleared = 0;
+        if most == 0 {
+            return cleared;
+        }
+        // What cannot be listed or cleared now, the next one tries again.
+        let _ = Node::<ipc::Service>::list(&config, |node| {
+            // Of one without details iceoryx2 would clear the place that its global configuration names.
+            if let NodeState::Dead(dead) = node
+                && dead.details().is_some()
+                && dead.try_remove_stale_resources().is_ok()
+            {
+                cleared += 1;
+            }
+            if cleared < most {
+                CallbackProgression::Continue
+            } else {
+                CallbackProgression::Stop
+            }
+        });
+        cleared
     }
 
     fn is_legal_name(name: &str) -> bool {

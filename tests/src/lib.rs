@@ -319,6 +319,12 @@ impl Program {
         text.split(|byte| *byte == b'\n').count() - 1
     }
 
+    /// What it has printed on standard output so far.
+    pub fn printed(&self) -> String {
+        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
+        String::from_utf8_lossy(&text).into_owned()
+    }
+
     /// Waits for its end.
     pub fn output(&mut self) -> Output {
         let begin = Instant::now();

@@ -32,7 +32,9 @@ enum Command {
     /// Run the control loop until SIGINT or SIGTERM.
     #[command(after_help = "Example: cdcrd run --config robot.toml\n\
         Without --config, the paper's robot with three sections is simulated.\n\
-        The log goes to the standard error; RUST_LOG=debug shows more.")]
+        The log goes to the standard error; RUST_LOG=debug shows more.\n\n\
+        Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches,\n\
+        as cdcrctl stop does, without shared memory. SIGHUP is logged: the configuration is not read again.")]
     Run {
         #[command(flatten)]
         source: Source,

@@ -143,6 +143,11 @@ impl<L: RobotLink> Cycle<L> {
         self.rates.as_slice().iter().all(|rate| *rate == 0.0)
     }
 
+    /// The next cycle stops the robot, as if the count of stops in its inputs had grown.
+    pub fn stop(&mut self) {
+        self.stops = self.stops.wrapping_sub(1);
+    }
+
     /// The process ends: bring the robot to rest.
     pub fn shut_down(&mut self) {
         self.modes.shut_down();

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use cdcr_shared_types::Location;
+use iceoryx2::config::Config;
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node, ServiceName, ipc};
 use iceoryx2::service::Service;
@@ -43,12 +44,21 @@ fn is_half_made(cause: &dyn Debug) -> bool {
         .any(|name| cause.contains(name))
 }
 
-fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPattern) {
-    let global = &node.config().global;
+/// The file by which clients find a service.
+pub(crate) fn service_file(
+    config: &Config,
+    name: &ServiceName,
+    pattern: MessagingPattern,
+) -> PathBuf {
+    let global = &config.global;
     let hash = ServiceHash::new::<Hasher>(name, pattern);
     let suffix = &global.service.static_config_storage_suffix;
     let file = format!("{}{}{suffix}", global.prefix, hash.as_str());
-    let path = Path::new(&global.service_dir().to_string()).join(file);
+    Path::new(&global.service_dir().to_string()).join(file)
+}
+
+fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPattern) {
+    let path = service_file(node.config(), name, pattern);
     let removed = std::fs::remove_file(&path);
     tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service half made");
 }

@@ -9,7 +9,9 @@ use cdcr_shared_types::{
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
+use iceoryx2::prelude::{
+    BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend, ipc,
+};
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
@@ -85,9 +87,15 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     let taken_bytes = room::taken_bytes(&location.file_prefix());
     room::ask(room::daemon_bytes().saturating_sub(taken_bytes))
         .map_err(|no_room| ServiceError::full("the daemon".to_owned(), no_room))?;
-    let builder = location
-        .node_builder()
+    let mut config = location
+        .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;
+    // What clients left that died meanwhile is cleared away by the caretaker, and at last by the instance: of a thousand
+    // of them it would take seconds, in which the other threads wait for the end.
+    config.global.node.cleanup_dead_nodes_on_destruction = false;
+    let builder = NodeBuilder::new()
+        .config(&config)
+        .signal_handling_mode(SignalHandlingMode::Disabled);
     builder
         .create::<ipc::Service>()
         .map_err(|cause| error(format!("{cause:?}")))
@@ -256,7 +264,7 @@ fn control(
                 .max_active_requests_per_client(Service::CONTROL_REQUESTS)
                 .enable_safe_overflow_for_requests(true)
                 .enable_safe_overflow_for_responses(true)
-                .max_nodes(Service::NODES)
+                .max_nodes(Service::CONTROL_NODES)
                 .open_or_create()
         })
         .map_err(|cause| failed(&cause))?

@@ -1,6 +1,6 @@
-//! Text for the standard error, written by a thread of its own.
+//! Text for the standard error, or entries for the journal, written by a thread of their own.
 //!
-//! Whoever holds the other end may stop reading: a terminal after Ctrl-S, a full pipe. Then that thread waits,
+//! Whoever holds the other end may stop reading: a terminal after Ctrl-S, a full pipe, a journal that stands still. Then that thread waits,
 //! and nobody else. At most [`LINES_QUEUED_MAX`] lines wait with it; what is lost is counted and said.
 
 use std::io::{Result, Write};
@@ -21,6 +21,8 @@ const END_MAX: Duration = Duration::from_secs(2);
 pub(super) struct Text {
     queue: SyncSender<Vec<u8>>,
     counts: Arc<Counts>,
+    /// Tells how many lines were lost so far.
+    loss: fn(usize) -> Vec<u8>,
 }
 
 #[derive(Debug, Default)]
@@ -42,20 +44,27 @@ pub(super) struct TextGuard {
 impl Text {
     /// The standard error.
     pub(super) fn new() -> (Self, TextGuard) {
-        Self::onto(std::io::stderr(), LINES_QUEUED_MAX)
+        Self::onto(std::io::stderr(), LINES_QUEUED_MAX, "cdcr-log", lost_text)
     }
 
-    fn onto(writer: impl Write + Send + 'static, lines_max: usize) -> (Self, TextGuard) {
+    /// What takes lines one by one, with a thread of this name. `loss` words what is said of lines that were lost.
+    pub(super) fn onto(
+        writer: impl Write + Send + 'static,
+        lines_max: usize,
+        thread: &str,
+        loss: fn(usize) -> Vec<u8>,
+    ) -> (Self, TextGuard) {
         let (queue, lines) = sync_channel(lines_max);
         let (alive, ended) = channel();
         let text = Self {
             queue,
             counts: Arc::default(),
+            loss,
         };
         let counts = Arc::clone(&text.counts);
         // Without the thread every line is lost, and counted.
         let _ = std::thread::Builder::new()
-            .name("cdcr-log".to_owned())
+            .name(thread.to_owned())
             .spawn(move || write_all(&lines, writer, &counts, alive));
         let guard = TextGuard {
             text: text.clone(),
@@ -68,13 +77,15 @@ impl Text {
         self.counts.lost.load(Ordering::Relaxed)
     }
 
-    fn put(&self, line: Vec<u8>) -> bool {
-        let taken = self.queue.try_send(line).is_ok();
-        if !taken {
+    fn put(&self, line: Vec<u8>) {
+        if self.queue.try_send(line).is_err() {
             self.counts.lost.fetch_add(1, Ordering::Relaxed);
         }
-        taken
     }
+}
+
+fn lost_text(lines: usize) -> Vec<u8> {
+    format!("cdcrd: {lines} lines so far were lost: nobody read the standard error\n").into_bytes()
 }
 
 /// Writes line after line until the log ends and none is left.
@@ -100,18 +111,13 @@ fn write_all(
 impl Write for Text {
     fn write(&mut self, line: &[u8]) -> Result<usize> {
         let lost = self.lost();
-        if lost == self.counts.told.load(Ordering::Relaxed) {
-            self.put(line.to_vec());
-            return Ok(line.len());
-        }
-        let mut both =
-            format!("cdcrd: {lost} lines so far were lost: nobody read the standard error\n")
-                .into_bytes();
-        both.extend_from_slice(line);
-        // Otherwise it was lost as well, and the next line says so.
-        if self.put(both) {
+        // Where that finds no room, neither does the line, and the next one says so.
+        if lost != self.counts.told.load(Ordering::Relaxed)
+            && self.queue.try_send((self.loss)(lost)).is_ok()
+        {
             self.counts.told.store(lost, Ordering::Relaxed);
         }
+        self.put(line.to_vec());
         Ok(line.len())
     }
 
@@ -189,7 +195,7 @@ mod tests {
         const LINES: usize = 100;
         const LINES_MAX: usize = 8;
         let (writer, open, written) = unread();
-        let (mut text, guard) = Text::onto(writer, LINES_MAX);
+        let (mut text, guard) = Text::onto(writer, LINES_MAX, "test", lost_text);
         for line in 0..LINES {
             put(&mut text, &format!("line {line}"));
         }
@@ -219,7 +225,7 @@ mod tests {
     #[test]
     fn the_end_does_not_wait_for_ever() {
         let (writer, open, _) = unread();
-        let (mut text, guard) = Text::onto(writer, 1);
+        let (mut text, guard) = Text::onto(writer, 1, "test", lost_text);
         for _ in 0..10 {
             put(&mut text, "a line");
         }

@@ -9,6 +9,7 @@
 //!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
 //! ```
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 
 use cdcr_controller::reference::ReferenceWindow;
@@ -191,9 +192,25 @@ pub struct Shared {
     statistics_resets: AtomicU64,
     still_moving: AtomicBool,
     last_word_moves: AtomicBool,
+    /// Set by a signal, so that neither shared memory nor another thread is needed for a stop.
+    stop_asked: Arc<AtomicBool>,
 }
 
 impl Shared {
+    /// With a flag that a signal sets when it asks for a stop.
+    pub fn with_stop_flag(stop_asked: Arc<AtomicBool>) -> Self {
+        Self {
+            stop_asked,
+            ..Self::default()
+        }
+    }
+
+    /// Whether a stop was asked for by a signal since the last call.
+    pub fn take_stop(&self) -> bool {
+        // The flag is hardly ever set: a look costs less than a write.
+        self.stop_asked.load(Ordering::Relaxed) && self.stop_asked.swap(false, Ordering::AcqRel)
+    }
+
     /// The cycle thread has made its last command, and it was (not) zero rates.
     pub fn set_still_moving(&self, still_moving: bool) {
         self.still_moving.store(still_moving, Ordering::Release);

@@ -7,7 +7,7 @@ use std::os::fd::OwnedFd;
 use std::os::unix::net::{UnixDatagram, UnixStream};
 use std::path::Path;
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use cdcr_test_skip::{Need, skip};
 
@@ -150,4 +150,65 @@ fn lines_are_text_when_the_standard_error_is_something_else() {
         return;
     };
     assert!(text.contains("running robot=\"journal\""), "{text}");
+}
+
+/// Whoever logs to a journal that takes nothing any more goes on: here the supervisor, which has to see the signal.
+#[test]
+fn a_journal_that_stands_still_holds_nobody_up() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = folder.path().join("socket");
+    let journal = UnixDatagram::bind(&socket).unwrap();
+    if !may_have_a_journal(folder.path()) {
+        return;
+    }
+    journal.set_read_timeout(Some(PATIENCE)).unwrap();
+    let (theirs, _ours) = UnixStream::pair().unwrap();
+    let file = rustix::fs::fstat(&theirs).unwrap();
+    let prefix = format!("cdcrtest_journal_full_{}_", std::process::id());
+    let mut child = with_journal(folder.path(), env!("CARGO_BIN_EXE_cdcrd"))
+        .args(["run", "--prefix", &prefix, "--robot", "journal", "--root"])
+        .arg(folder.path().join("root"))
+        .env("JOURNAL_STREAM", format!("{}:{}", file.st_dev, file.st_ino))
+        .env_remove("RUST_LOG")
+        .env_remove("CDCR_CONFIG")
+        .stdin(Stdio::null())
+        .stderr(OwnedFd::from(theirs))
+        .spawn()
+        .unwrap();
+    let mut buffer = vec![0; 65536];
+    loop {
+        let length = journal.recv(&mut buffer).unwrap();
+        if is_running(&fields(&buffer[..length])) {
+            break;
+        }
+    }
+    // From here on nobody reads, and there is no room for a single line.
+    let filler = UnixDatagram::unbound().unwrap();
+    filler.set_nonblocking(true).unwrap();
+    let is_full = || filler.send_to(b"MESSAGE=full\n", &socket).is_err();
+    let begin = Instant::now();
+    while !is_full() {
+        assert!(begin.elapsed() < PATIENCE, "it is never full");
+    }
+    let id = rustix::process::Pid::from_child(&child);
+    let signal = |signal| rustix::process::kill_process(id, signal).unwrap();
+    // Each of them is a line of the supervisor.
+    signal(rustix::process::Signal::HUP);
+    std::thread::sleep(Duration::from_millis(100));
+    signal(rustix::process::Signal::USR1);
+    std::thread::sleep(Duration::from_millis(100));
+    signal(rustix::process::Signal::TERM);
+    let begin = Instant::now();
+    let status = loop {
+        if let Some(status) = child.try_wait().unwrap() {
+            break status;
+        }
+        if begin.elapsed() > PATIENCE {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            panic!("it waits for the journal");
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    assert!(status.success(), "{status}");
 }

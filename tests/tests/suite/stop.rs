@@ -5,6 +5,11 @@
 //! release, carried out by that release, and from there on the rates shrink by deceleration · T each cycle. Whatever took longer, the records
 //! have to account for: releases that were skipped, a gather or a start that came late.
 
+mod access;
+mod matrix;
+mod place;
+mod signal;
+
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};

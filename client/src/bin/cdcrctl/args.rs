@@ -58,9 +58,15 @@ pub(crate) struct Target {
 impl Target {
     /// Connects to that daemon.
     pub(crate) fn connect(&self) -> anyhow::Result<Connection> {
+        let (location, robot) = self.location()?;
+        Ok(Connection::open(&location, robot)?)
+    }
+
+    /// Where it is, and the name of its robot.
+    pub(crate) fn location(&self) -> anyhow::Result<(Location, &str)> {
         let root = self.root.clone().unwrap_or_else(Location::default_root);
         let location = Location::new(&self.prefix, &root).context("--prefix or --root")?;
-        Ok(Connection::open(&location, &self.robot)?)
+        Ok((location, &self.robot))
     }
 }
 

@@ -221,6 +221,31 @@ fn assert_survives_full_memory(realtime: &str) {
 }
 
 #[test]
+fn a_stop_gets_through_to_a_daemon_without_room_for_clients() {
+    let Some(memory) = SmallMemory::new(64_000) else {
+        return;
+    };
+    let mut daemon = Program::start(&mut memory.daemon("[cycle]\nmiss_limit = 1000000\n"));
+    wait_until("the daemon is up", || memory.status().is_some());
+    memory.fill(0);
+    let output = memory.cdcrctl(&["stop"]);
+    // Nobody could answer, so nobody says that it is done.
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+    for part in ["not confirmed", "SIGUSR1", "is full"] {
+        assert!(text(&output).contains(part), "{part}: {}", text(&output));
+    }
+    let other = memory.cdcrctl(&["hold"]);
+    assert!(text(&other).contains("is full"), "{}", text(&other));
+    memory.shell("rm /dev/shm/fill");
+    wait_until("it is stopped", || {
+        let status = memory.status();
+        status.is_some_and(|status| status["mode"].as_str() == Some(Mode::Stopped.text()))
+    });
+    daemon.signal(Signal::TERM);
+    assert_eq!(daemon.output().status.code(), Some(0));
+}
+
+#[test]
 fn memory_that_fills_up_later_keeps_clients_out_and_the_daemon_running() {
     assert_survives_full_memory("off");
 }

@@ -8,7 +8,7 @@ use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENCE, Place, Program, ROBOT, until_undisturbed, wait_status, wait_until,
+    Daemon, PATIENCE, Place, Program, ROBOT, text, until_undisturbed, wait_status, wait_until,
 };
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
@@ -20,13 +20,13 @@ use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, fastest, is, rests};
 
 /// A thread of another process that stands still until this is dropped.
-struct Hung {
+pub(crate) struct Hung {
     thread: Pid,
 }
 
 impl Hung {
     /// Stops the thread of `process` that has this name. None: the system does not let us; it is said why.
-    fn new(process: u32, name: &str) -> Option<Self> {
+    pub(crate) fn new(process: u32, name: &str) -> Option<Self> {
         let thread = Pid::from_raw(thread_of(process, name));
         if let Err(cause) = ptrace::seize(thread, ptrace::Options::empty()) {
             skip(
@@ -458,14 +458,16 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
         record.release_ns > last.header.sent_ns + silent_ns
     });
     assert_eq!(managed.fed(), 0, "five were due");
-    // New clients do not find a living daemon; old ones can still stop the robot.
+    // New clients are told that it runs and is held up; anybody can still stop the robot, in two ways.
     let error = Connection::open(location, ROBOT).expect_err("no status");
-    assert!(
-        matches!(error, ConnectError::DaemonNotRunning { .. }),
-        "{error:?}"
-    );
-    connection.request(RequestKind::Stop).unwrap();
+    assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
+    let output = managed.place.cdcrctl(&["stop"]);
+    assert!(output.status.success(), "{}", text(&output));
     trail.until("stopped", is(Mode::Stopped));
+    connection.request(RequestKind::Reset).unwrap();
+    trail.until("holding again", is(Mode::Holding));
+    managed.daemon.signal(Signal::USR1);
+    trail.until("stopped by a signal", is(Mode::Stopped));
 
     drop(hung);
     wait_until("the watchdog is fed", || managed.fed() > 0);

@@ -277,6 +277,8 @@ fn every_thread_runs_before_those_that_may_wait() {
         ("cdcr-reporter", (SCHED_FIFO, 1)),
         // The supervisor, which shares the lock of the address space with the exchange.
         ("cdcrd", (SCHED_FIFO, 1)),
+        // As the supervisor: it clears away what dead clients left.
+        ("cdcr-caretaker", (SCHED_FIFO, 1)),
         ("cdcr-log", (SCHED_OTHER, 0)),
     ];
     assert_eq!(

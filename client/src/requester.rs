@@ -1,0 +1,141 @@
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::{Location, Response, Service, SolverSettings};
+
+use crate::connect_error::{Place, not_reached};
+use crate::connection::Departure;
+use crate::request::{Control, LOOK_AGAIN};
+use crate::sender::Sender;
+use crate::services::{ControlChannel, DEAD_NODES, check_owners, open_control};
+use crate::{ConnectError, LinkError, RequestError};
+
+/// How long a request tries to find a place, and then waits for its answer.
+const PATIENCE: Duration = Duration::from_secs(1);
+
+/// Asks a daemon for one thing after the other, and does nothing else.
+///
+/// It opens the service for requests alone. So it needs no status, and no place that clients who watch or feed could
+/// have taken; what dead processes left it does not look at.
+#[derive(Debug)]
+pub struct Requester {
+    control: Control,
+    /// The last field, because it must be dropped after everything that holds the node.
+    departure: Departure,
+}
+
+/// Why a stop was not confirmed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum StopError {
+    /// It could not be asked for at all.
+    #[error(transparent)]
+    Connect(#[from] ConnectError),
+    /// It was asked for, and no answer said that it is done.
+    #[error(transparent)]
+    Request(#[from] RequestError),
+    /// It went another way, which knows no answer.
+    #[error(
+        "the stop is not confirmed: it was sent to the daemon (process {process_id}) as the signal SIGUSR1, which its next \
+         cycle carries out\nwatch the robot; the way by which the daemon could have answered failed: {cause}"
+    )]
+    Unconfirmed {
+        /// Process of the daemon.
+        process_id: u32,
+        /// Why it went that way.
+        cause: String,
+    },
+}
+
+impl Requester {
+    /// Opens the way to the daemon that controls `robot` at `location`.
+    ///
+    /// # Errors
+    /// As [`Connection::open`](crate::Connection::open), but for the status, which it does not need.
+    pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
+        let place = Place {
+            prefix: location.prefix().to_owned(),
+            root: location.root().to_owned(),
+            robot: robot.to_owned(),
+        };
+        Service::Control.name(robot)?;
+        check_owners(&place, location)?;
+        // Before the service, so that it is dropped after it.
+        let departure = Departure(location.clone());
+        if location.presence(robot).is_none() {
+            let found = "no process holds its lock";
+            return Err(ConnectError::DaemonNotRunning { place, found });
+        }
+        let channel = find_place(location, &place)?;
+        Ok(Self {
+            control: Control::new(channel, Sender::new()),
+            departure,
+        })
+    }
+
+    /// Asks for something and waits for the answer, at most 1 s.
+    ///
+    /// # Errors
+    /// As [`Connection::request`](crate::Connection::request).
+    pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
+        self.control.ask(kind, SolverSettings::default(), PATIENCE)
+    }
+
+    /// Stops the robot, by whatever way there is: a place of its own among those who ask, and where shared memory
+    /// cannot be used or nobody answers, the signal `SIGUSR1`.
+    ///
+    /// # Errors
+    /// No daemon runs, or nothing confirmed the stop: then [`StopError`] says what was done.
+    pub fn stop(location: &Location, robot: &str) -> Result<Response, StopError> {
+        let failed: StopError = match Self::open(location, robot) {
+            Ok(requester) => match requester.ask_for_stop() {
+                Ok(response) => return Ok(response),
+                // The daemon has answered: there is nothing that a signal could add.
+                Err(error @ RequestError::Refused { .. }) => return Err(error.into()),
+                Err(error) => error.into(),
+            },
+            Err(error) => error.into(),
+        };
+        match location.stop_by_signal(robot) {
+            Ok(process_id) => Err(StopError::Unconfirmed {
+                process_id,
+                cause: failed.to_string(),
+            }),
+            Err(_) => Err(failed),
+        }
+    }
+
+    fn ask_for_stop(self) -> Result<Response, RequestError> {
+        let Self { control, departure } = self;
+        let control = control.with_kept_places();
+        let deadline = Instant::now() + PATIENCE;
+        // Who has a kept place leaves it soon: it only stops, too.
+        while let Err(LinkError::Askers { .. }) = control.port() {
+            if Instant::now() >= deadline {
+                break;
+            }
+            departure.0.clear_dead_nodes(DEAD_NODES);
+            thread::sleep(LOOK_AGAIN);
+        }
+        control.ask(RequestKind::Stop, SolverSettings::default(), PATIENCE)
+    }
+}
+
+/// Opens the service. Where others have all places, it waits for one: they are for those who stay for a moment.
+fn find_place(location: &Location, place: &Place) -> Result<ControlChannel, ConnectError> {
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        match open_control(location, place) {
+            Err(ConnectError::Full { .. }) if Instant::now() < deadline => {
+                location.clear_dead_nodes(DEAD_NODES);
+                thread::sleep(LOOK_AGAIN);
+            }
+            // It has just been seen to run.
+            Err(ConnectError::DaemonNotRunning { found, .. }) => {
+                let missing = "files of its root folder are missing: it is just starting, or the folder was emptied";
+                return Err(not_reached(location, place, missing, found));
+            }
+            result => return result,
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there.
+//!
+//! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+
+use crate::instance::{Found, PlaceWatch};
+use crate::rt::handoff::Shared;
+
+/// How often it looks.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Dead processes that it clears away each time. One takes about 5 ms of processor time.
+const DEAD_NODES: usize = 8;
+/// iceoryx2 lists its nodes with large arrays on the stack.
+const STACK_BYTES: usize = 1024 * 1024;
+/// How long the end waits for it.
+const END_MAX: Duration = Duration::from_secs(1);
+
+/// The thread, for as long as it is wanted.
+#[derive(Debug)]
+pub(crate) struct Caretaker {
+    place_lost: Arc<AtomicBool>,
+    end: Option<Sender<()>>,
+    thread: JoinHandle<()>,
+}
+
+impl Caretaker {
+    /// Starts it with the priority and the cores of the calling thread.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub(crate) fn start(place: PlaceWatch, shared: Arc<Shared>) -> Result<Self> {
+        let place_lost = Arc::new(AtomicBool::new(false));
+        let (end, ended) = channel();
+        let lost = Arc::clone(&place_lost);
+        let thread = Builder::new()
+            .name("cdcr-caretaker".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || look_after(&place, &shared, &lost, &ended))
+            .context("the thread cdcr-caretaker")?;
+        Ok(Self {
+            place_lost,
+            end: Some(end),
+            thread,
+        })
+    }
+
+    /// Whether clients cannot find the daemon any more.
+    pub(crate) fn is_place_lost(&self) -> bool {
+        self.place_lost.load(Ordering::Acquire)
+    }
+}
+
+impl Drop for Caretaker {
+    fn drop(&mut self) {
+        self.end = None;
+        let begin = Instant::now();
+        while !self.thread.is_finished() && begin.elapsed() < END_MAX {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Receiver<()>) {
+    loop {
+        place.let_go();
+        match place.look() {
+            Found::Whole => {}
+            Found::Mended => tracing::warn!("the lock file was deleted, and has been made again"),
+            // At the end the services go with their ports.
+            Found::Lost { .. } if shared.is_ending() => return,
+            Found::Lost { path } => {
+                tracing::error!(
+                    path = %path.display(),
+                    "was deleted or replaced, so clients cannot reach this daemon any more: the robot comes to rest"
+                );
+                lost.store(true, Ordering::Release);
+                return;
+            }
+        }
+        place.location().clear_dead_nodes(DEAD_NODES);
+        if ended.recv_timeout(LOOK_EVERY) != Err(RecvTimeoutError::Timeout) {
+            return;
+        }
+    }
+}

@@ -1,0 +1,51 @@
+use std::io::ErrorKind;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener};
+use std::time::Duration;
+
+use cdcr_shared_types::{Location, NameHolder};
+
+use super::{InstanceError, runs_already};
+
+/// How often a name is tried for that somebody holds who does not answer: it may just be ending.
+const TRIES: usize = 10;
+/// Between two tries.
+const TRY_AGAIN: Duration = Duration::from_millis(20);
+
+/// Takes the name of the daemon of `robot` among the abstract Unix sockets, which nobody can delete: a second daemon
+/// finds it taken when the lock file has been deleted. None, with a line in the log: it cannot be had, because another
+/// user has it or the system knows no such names; then the lock file alone keeps a second daemon out.
+pub(super) fn take(
+    location: &Location,
+    robot: &str,
+) -> Result<Option<UnixListener>, InstanceError> {
+    for _ in 0..TRIES {
+        match listen(&location.daemon_name(robot)) {
+            Ok(listener) => return Ok(Some(listener)),
+            Err(error) if error.kind() == ErrorKind::AddrInUse => {}
+            Err(error) => {
+                tracing::warn!(%error, "a second daemon is kept out by the lock file alone: no abstract socket");
+                return Ok(None);
+            }
+        }
+        match location.name_holder(robot) {
+            NameHolder::Ours { process_id } => {
+                let process = process_id.map_or_else(|| "unknown".to_owned(), |id| id.to_string());
+                return Err(runs_already(location, robot, process));
+            }
+            NameHolder::Foreign => break,
+            NameHolder::Nobody => std::thread::sleep(TRY_AGAIN),
+        }
+    }
+    tracing::warn!(
+        name = location.daemon_name(robot),
+        "a second daemon is kept out by the lock file alone: another user holds the name of this daemon's socket"
+    );
+    Ok(None)
+}
+
+fn listen(name: &str) -> std::io::Result<UnixListener> {
+    let listener = UnixListener::bind_addr(&SocketAddr::from_abstract_name(name)?)?;
+    listener.set_nonblocking(true)?;
+    Ok(listener)
+}

@@ -1,0 +1,174 @@
+//! Nothing keeps a stop out: neither those who watch nor those who ask, neither the living nor the dead.
+
+use std::time::{Duration, Instant};
+
+use cdcr_client::{ConnectError, Connection, LinkError};
+use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
+use cdcr_shared_types::{Location, Service};
+use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, text, wait_mode, wait_until};
+use iceoryx2::node::NodeState;
+use iceoryx2::prelude::{CallbackProgression, Node, ipc};
+use rustix::process::Signal;
+
+/// Every connection that a daemon takes, with every reader of the status and everybody who may ask.
+pub(super) struct Crowd {
+    pub(super) connections: Vec<Connection>,
+    _statuses: Vec<cdcr_client::Stream<cdcr_shared_types::Status>>,
+    pub(super) askers: usize,
+}
+
+impl Crowd {
+    pub(super) fn of(location: &Location) -> Self {
+        let mut connections = Vec::new();
+        loop {
+            match Connection::open(location, ROBOT) {
+                Ok(connection) => connections.push(connection),
+                Err(ConnectError::Full { .. }) => break,
+                Err(error) => panic!("{error}"),
+            }
+        }
+        let readers = connections.iter().cycle().map(Connection::statuses);
+        let statuses = readers.map_while(Result::ok).collect();
+        let ready = |connection: &&Connection| connection.prepare_requests().is_ok();
+        let askers = connections.iter().filter(ready).count();
+        Self {
+            connections,
+            _statuses: statuses,
+            askers,
+        }
+    }
+}
+
+#[test]
+fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
+    let daemon = Daemon::start(PATIENT);
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+    let crowd = Crowd::of(daemon.place().location());
+    println!(
+        "{} connections, {} ask",
+        crowd.connections.len(),
+        crowd.askers
+    );
+    assert!(crowd.connections.len() > 16);
+    assert_eq!(
+        crowd.askers,
+        Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
+    );
+    for _ in 0..3 {
+        let output = daemon.place().cdcrctl(&["stop"]);
+        assert!(output.status.success(), "{}", text(&output));
+        wait_mode(&mut telemetry, Mode::Stopped);
+        // Of the others, only who has a place can ask for anything.
+        let output = daemon.place().cdcrctl(&["reset"]);
+        assert!(!output.status.success(), "{}", text(&output));
+        assert!(text(&output).contains("close one of them"));
+        crowd.connections[0].request(RequestKind::Reset).unwrap();
+        wait_mode(&mut telemetry, Mode::Holding);
+    }
+}
+
+#[test]
+fn readers_leave_the_driver_and_the_daemon_their_places() {
+    let mut daemon = Daemon::start("[link]\nkind = \"driver\"\n");
+    let connection = daemon.connect();
+    let commands = std::iter::repeat_with(|| connection.commands());
+    let commands: Vec<_> = commands.map_while(Result::ok).collect();
+    let references = std::iter::repeat_with(|| connection.references());
+    let references: Vec<_> = references.map_while(Result::ok).collect();
+    assert!(commands.len() >= Service::NODES, "{}", commands.len());
+    assert!(!references.is_empty());
+    let full = connection.commands().expect_err("all are taken");
+    assert!(matches!(full, LinkError::Port { .. }), "{full:?}");
+    // One driver, and the one that takes its place before it has gone.
+    let first = connection.driver(Interface::Velocity).unwrap();
+    let second = connection.driver(Interface::Velocity).unwrap();
+    drop((first, second));
+    // A daemon that is started again needs readers of its own, too.
+    daemon.kill();
+    daemon.restart();
+    drop((commands, references));
+}
+
+/// Set for the process that makes nodes and is killed: prefix and root.
+const VICTIM: &str = "CDCR_TEST_VICTIM";
+/// Nodes of one process: each has a file open.
+const NODES: usize = 300;
+/// Processes that are killed.
+const VICTIMS: usize = 4;
+/// Dead nodes that a daemon clears away in a second, and the looks that a test may meet.
+const CLEARED_PER_S: u64 = 8;
+
+pub(super) fn dead_nodes(location: &Location) -> u64 {
+    let config = location.iceoryx2_config().unwrap();
+    let mut dead = 0;
+    Node::<ipc::Service>::list(&config, |state| {
+        dead += u64::from(matches!(state, NodeState::Dead(_)));
+        CallbackProgression::Continue
+    })
+    .unwrap();
+    dead
+}
+
+/// Makes nodes until it is killed.
+fn die() -> bool {
+    let Ok(place) = std::env::var(VICTIM) else {
+        return false;
+    };
+    let (prefix, root) = place.split_once(' ').unwrap();
+    let location = Location::new(prefix, std::path::Path::new(root)).unwrap();
+    let make = || location.client_node_builder().unwrap().create();
+    let _nodes: Vec<Node<ipc::Service>> = (0..NODES).map(|_| make().unwrap()).collect();
+    println!("made");
+    loop {
+        std::thread::park();
+    }
+}
+
+pub(super) fn kill_a_victim(place: &Place, test: &str) {
+    let location = place.location();
+    let mut command = std::process::Command::new(std::env::current_exe().unwrap());
+    let given = format!("{} {}", location.prefix(), location.root().display());
+    command
+        .args(["--exact", test, "--nocapture"])
+        .env(VICTIM, given);
+    let mut victim = Program::start(&mut command);
+    wait_until("it has made its nodes", || {
+        assert!(victim.runs());
+        victim.printed().contains("made")
+    });
+    victim.signal(Signal::KILL);
+    victim.output();
+}
+
+#[test]
+fn a_stop_does_not_wait_for_the_dead() {
+    if die() {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    for _ in 0..VICTIMS {
+        let test = "stop::access::a_stop_does_not_wait_for_the_dead";
+        kill_a_victim(daemon.place(), test);
+    }
+    let location = daemon.place().location();
+    let begin = Instant::now();
+    let before = dead_nodes(location);
+    assert!(before > (VICTIMS * NODES) as u64 / 2, "{before}");
+    let asked = Instant::now();
+    let output = daemon.place().cdcrctl(&["stop"]);
+    let took = asked.elapsed();
+    assert!(output.status.success(), "{}", text(&output));
+    let after = dead_nodes(location);
+    println!("beside {before} dead nodes: a stop took {took:?}, and {after} were left");
+    // It cleared none away; the daemon did.
+    let looks = begin.elapsed().as_secs() + 2;
+    assert!(
+        after + CLEARED_PER_S * looks >= before,
+        "{before} to {after} in {looks} s"
+    );
+    wait_until("the daemon clears some away", || {
+        std::thread::sleep(Duration::from_millis(200));
+        dead_nodes(location) < after.saturating_sub(CLEARED_PER_S)
+    });
+}

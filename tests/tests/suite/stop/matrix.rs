@@ -1,0 +1,175 @@
+//! A stop in each mode, beside each thing that could keep it out, with and without floods: accepted and at rest within
+//! the cycles of the ramp, or an error that is true; never a success that is not.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
+
+use cdcr_client::Connection;
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::{Obstacle, Telemetry};
+use cdcr_tests::load::{Done, flood_obstacles, flood_references};
+use cdcr_tests::{Daemon, Place, text, wait_until};
+
+use super::access::Crowd;
+use crate::faults::reference::track;
+use crate::faults::threads::Hung;
+use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
+
+/// Modes that are left by a stop, and two that stay.
+const MODES: [Mode; 5] = [
+    Mode::Holding,
+    Mode::Tracking,
+    Mode::Homing,
+    Mode::Stopped,
+    Mode::Faulted,
+];
+
+/// What could keep a stop out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Beside {
+    Nothing,
+    Crowd,
+    HungSupervisor,
+}
+
+/// Slow enough that a robot still moves when the stop arrives.
+const CONFIGURATION: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n\
+    [reference]\nlease_ms = 60000.0\n[motion]\nhome_rate_rad_s = 0.1\n\
+    [link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+
+/// A ball in the body of the robot: a fault.
+fn ball() -> Obstacle {
+    Obstacle {
+        id: 63,
+        start_m: [0.0, 0.0, 0.02],
+        end_m: [0.0, 0.0, 0.02],
+        radius_m: 0.02,
+        measured_ns: cdcr_client::monotonic_ns(),
+        ..Obstacle::default()
+    }
+}
+
+/// Brings a daemon that holds into `mode`, and stops it there.
+fn stop_in(
+    daemon: &Daemon,
+    connection: &Connection,
+    trail: &mut Trail,
+    mode: Mode,
+    beside: Beside,
+) {
+    let obstacles = connection.obstacle_sender().unwrap();
+    let feeding = match mode {
+        Mode::Tracking => Some(track(connection, 100, 40)),
+        _ => None,
+    };
+    match mode {
+        Mode::Homing => drop(connection.request(RequestKind::Home).unwrap()),
+        Mode::Stopped => drop(connection.request(RequestKind::Stop).unwrap()),
+        Mode::Faulted => drop(obstacles.upsert(&[ball()]).unwrap()),
+        _ => {}
+    }
+    trail.until("the mode", is(mode));
+    if mode == Mode::Homing {
+        trail.until("moving", |record| !rests(record));
+    }
+    let hung = (beside == Beside::HungSupervisor).then(|| Hung::new(daemon.id(), "cdcrd"));
+    if let Some(None) = hung {
+        return;
+    }
+    let begin = Instant::now();
+    let output = daemon.place().cdcrctl(&["stop"]);
+    let took = begin.elapsed();
+    println!("{mode:?} beside {beside:?}: {took:?}");
+    let said = text(&output);
+    assert!(
+        output.status.success(),
+        "{mode:?} beside {beside:?}: {said}"
+    );
+    let goal = if mode == Mode::Faulted {
+        Mode::Faulted
+    } else {
+        Mode::Stopped
+    };
+    assert!(
+        said.contains(&format!("the daemon is {}", goal.text())),
+        "{said}"
+    );
+    assert_rests_from(trail, accepted_in(&said), goal);
+    drop(hung);
+    // Back to holding.
+    drop(feeding);
+    obstacles.clear().unwrap();
+    let is_held = |record: &Telemetry| {
+        let is_held = record.mode == Mode::Holding.code();
+        if !is_held {
+            // Refused while the ball is still known.
+            let _ = connection.request(RequestKind::Reset);
+        }
+        is_held
+    };
+    trail.until("holding", is_held);
+}
+
+/// The cycle that a client says its request was accepted in.
+fn accepted_in(said: &str) -> u64 {
+    let (_, cycle) = said.split_once("accepted in cycle ").unwrap();
+    cycle.split(',').next().unwrap().parse().unwrap()
+}
+
+/// From the cycle of the answer on the mode is `goal`, and the rates ramp to zero.
+fn assert_rests_from(trail: &mut Trail, cycle: u64, goal: Mode) {
+    let (_, first) = trail.until("the cycle of the answer", |record| record.cycle >= cycle);
+    assert_eq!(first.mode, goal.code(), "cycle {} of {cycle}", first.cycle);
+    assert_ramps_to_rest(trail, &first, || {});
+    for _ in 0..20 {
+        let (_, later) = trail.until("later", |_| true);
+        assert!(rests(&later) && later.mode == goal.code());
+    }
+}
+
+fn run(beside: Beside, floods: bool) {
+    let daemon = Daemon::start(CONFIGURATION);
+    let connection = daemon.connect();
+    let ending = AtomicBool::new(false);
+    let done = Done::default();
+    let place: &Place = daemon.place();
+    std::thread::scope(|scope| {
+        if floods {
+            scope.spawn(|| flood_references(place, &ending, &done));
+            scope.spawn(|| flood_obstacles(place, &ending, &done));
+        }
+        let _ends = super::EndWhenDropped(&ending);
+        wait_until("the floods begin", || {
+            !floods || done.updates.load(Ordering::Relaxed) > 0
+        });
+        connection.prepare_requests().unwrap();
+        // It takes long to come, beside floods.
+        let _crowd = (beside == Beside::Crowd).then(|| Crowd::of(place.location()));
+        let mut trail = Trail::new(&connection);
+        trail.until("holding", is(Mode::Holding));
+        for mode in MODES {
+            stop_in(&daemon, &connection, &mut trail, mode, beside);
+        }
+    });
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out() {
+    run(Beside::Nothing, false);
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_beside_floods() {
+    run(Beside::Nothing, true);
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_beside_a_crowd_that_floods() {
+    run(Beside::Crowd, true);
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_while_the_supervisor_hangs() {
+    run(Beside::HungSupervisor, false);
+    run(Beside::HungSupervisor, true);
+}
