@@ -165,6 +165,11 @@ fn run_with<L: RobotLink + Send + 'static>(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
+    how_it_ended(validated, &shared, caretaker.is_place_lost())
+}
+
+/// An orderly end: the robot rests, its driver was told so, and clients could reach the daemon until then.
+fn how_it_ended(validated: &Validated, shared: &Shared, is_place_lost: bool) -> Result<()> {
     if shared.is_still_moving() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -183,7 +188,7 @@ fn run_with<L: RobotLink + Send + 'static>(
                 .to_owned(),
         });
     }
-    if caretaker.is_place_lost() {
+    if is_place_lost {
         bail!(Ended {
             cause: ExitCause::PlaceLost,
             message: format!(
