@@ -165,6 +165,13 @@ fn run_with<L: RobotLink + Send + 'static>(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
+    judge_end(validated, &shared, caretaker.is_place_lost())?;
+    tracing::info!("ended");
+    Ok(())
+}
+
+/// Whether the daemon ended as it was asked to, with the robot at rest.
+fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result<()> {
     if shared.is_still_moving() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -183,7 +190,7 @@ fn run_with<L: RobotLink + Send + 'static>(
                 .to_owned(),
         });
     }
-    if caretaker.is_place_lost() {
+    if place_lost {
         bail!(Ended {
             cause: ExitCause::PlaceLost,
             message: format!(
@@ -193,7 +200,6 @@ fn run_with<L: RobotLink + Send + 'static>(
             ),
         });
     }
-    tracing::info!("ended");
     Ok(())
 }
 
