@@ -165,11 +165,13 @@ fn run_with<L: RobotLink + Send + 'static>(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
-    how_it_ended(validated, &shared, caretaker.is_place_lost())
+    judge_end(validated, &shared, caretaker.is_place_lost())?;
+    tracing::info!("ended");
+    Ok(())
 }
 
-/// An orderly end: the robot rests, its driver was told so, and clients could reach the daemon until then.
-fn how_it_ended(validated: &Validated, shared: &Shared, is_place_lost: bool) -> Result<()> {
+/// Whether the daemon ended as it was asked to, with the robot at rest.
+fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result<()> {
     if shared.is_still_moving() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -188,7 +190,7 @@ fn how_it_ended(validated: &Validated, shared: &Shared, is_place_lost: bool) -> 
                 .to_owned(),
         });
     }
-    if is_place_lost {
+    if place_lost {
         bail!(Ended {
             cause: ExitCause::PlaceLost,
             message: format!(
@@ -198,7 +200,6 @@ fn how_it_ended(validated: &Validated, shared: &Shared, is_place_lost: bool) -> 
             ),
         });
     }
-    tracing::info!("ended");
     Ok(())
 }
 

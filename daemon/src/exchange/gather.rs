@@ -18,16 +18,6 @@ const fn drain_limit(service: Service) -> usize {
     service.queues().publishers * service.queues().queue
 }
 
-/// Of messages whose check is long (points, obstacles), those that a gather of a 5 ms period looks at. They may all be
-/// refused, so that a client who sends nothing else takes a fixed part of the period: 2 %, at 3 µs each.
-const CHECKS_PER_GATHER: u64 = 32;
-
-/// As [`drain_limit`], for messages whose check is long.
-fn check_limit(service: Service, period_ns: u64) -> usize {
-    let scaled = (CHECKS_PER_GATHER * period_ns / 5_000_000) as usize;
-    scaled.clamp(UPDATES_PER_GATHER, drain_limit(service))
-}
-
 impl Exchange {
     /// Takes in what clients and driver sent, and hands the inputs of `cycle` over.
     pub(super) fn gather(
@@ -113,7 +103,7 @@ impl Exchange {
 
     fn take_references(&mut self, now_ns: u64) {
         let mut accepted = 0;
-        for _ in 0..check_limit(Service::Reference, self.period_ns) {
+        for _ in 0..drain_limit(Service::Reference) {
             let Ok(Some(chunk)) = self.ports.reference.receive() else {
                 break;
             };
@@ -172,7 +162,7 @@ impl Exchange {
         self.obstacles
             .retain(|known| !sources.let_expire(known, now_ns));
         let mut accepted = 0;
-        for _ in 0..check_limit(Service::Obstacles, self.period_ns) {
+        for _ in 0..drain_limit(Service::Obstacles) {
             let Ok(Some(update)) = self.ports.obstacles.receive() else {
                 break;
             };
@@ -261,19 +251,5 @@ impl Exchange {
             return Err(Refused::whole(Outcome::InThePast));
         }
         Ok(timed)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_short_period_checks_few_messages_and_a_long_one_no_more_than_the_queues_hold() {
-        let checked = |period_ms: u64| check_limit(Service::Obstacles, period_ms * 1_000_000);
-        assert_eq!(checked(1), UPDATES_PER_GATHER);
-        assert_eq!(checked(5), 32);
-        assert_eq!(checked(10), 64);
-        assert_eq!(checked(1000), drain_limit(Service::Obstacles));
     }
 }
