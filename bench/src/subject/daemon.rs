@@ -20,8 +20,9 @@ use crate::system::process::Process;
 const START_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
-/// not stop the robot, or end the lease of its reference.
-pub const PATIENT: [(&str, &str); 2] = [
+/// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
+pub const PATIENT: [(&str, &str); 3] = [
+    ("link.command_valid_ms", "100"),
     ("cycle.miss_limit", "1000000"),
     ("reference.lease_ms", "60000"),
 ];
