@@ -41,7 +41,7 @@ pub struct Command {
     /// Bend-vector rates (u̇₁, v̇₁, …) \[rad/s\].
     pub bend_rate_rad_s: [f64; COORDINATES_MAX],
     /// Commanded bend vector at `target_ns` \[rad\]: that of the command before, moved on by the rates. It begins at
-    /// the measured one when control begins, after a reset, and after a lost measurement.
+    /// the measured one when control begins, and after a reset.
     pub bend_target_rad: [f64; COORDINATES_MAX],
     /// Cable lengths at `bend_target_rad`, section by section, three each \[m\].
     pub cable_length_m: [f64; CABLES_MAX],
