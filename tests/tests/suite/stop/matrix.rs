@@ -5,24 +5,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
 use cdcr_client::Connection;
+use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{Mode, RequestKind};
-use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
-use cdcr_tests::{Daemon, Place, text, wait_until};
+use cdcr_tests::{Daemon, Place, text, wait_status, wait_until};
 
 use super::access::Crowd;
 use crate::faults::reference::track;
 use crate::faults::threads::Hung;
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
-/// Modes that are left by a stop, and two that stay.
-const MODES: [Mode; 5] = [
-    Mode::Holding,
-    Mode::Tracking,
-    Mode::Homing,
-    Mode::Stopped,
-    Mode::Faulted,
-];
+/// Modes that one daemon is brought to one after the other.
+const MODES: [Mode; 4] = [Mode::Holding, Mode::Tracking, Mode::Homing, Mode::Stopped];
 
 /// What could keep a stop out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,7 +51,6 @@ fn stop_in(
     mode: Mode,
     beside: Beside,
 ) {
-    let obstacles = connection.obstacle_sender().unwrap();
     let feeding = match mode {
         Mode::Tracking => Some(track(connection, 100, 40)),
         _ => None,
@@ -65,7 +58,6 @@ fn stop_in(
     match mode {
         Mode::Homing => drop(connection.request(RequestKind::Home).unwrap()),
         Mode::Stopped => drop(connection.request(RequestKind::Stop).unwrap()),
-        Mode::Faulted => drop(obstacles.upsert(&[ball()]).unwrap()),
         _ => {}
     }
     trail.until("the mode", is(mode));
@@ -96,18 +88,11 @@ fn stop_in(
     );
     assert_rests_from(trail, accepted_in(&said), goal);
     drop(hung);
-    // Back to holding.
     drop(feeding);
-    obstacles.clear().unwrap();
-    let is_held = |record: &Telemetry| {
-        let is_held = record.mode == Mode::Holding.code();
-        if !is_held {
-            // Refused while the ball is still known.
-            let _ = connection.request(RequestKind::Reset);
-        }
-        is_held
-    };
-    trail.until("holding", is_held);
+    if mode != Mode::Faulted {
+        connection.request(RequestKind::Reset).unwrap();
+        trail.until("holding", is(Mode::Holding));
+    }
 }
 
 /// The cycle that a client says its request was accepted in.
@@ -128,8 +113,19 @@ fn assert_rests_from(trail: &mut Trail, cycle: u64, goal: Mode) {
 }
 
 fn run(beside: Beside, floods: bool) {
+    stop_one_daemon(&MODES, beside, floods);
+    stop_one_daemon(&[Mode::Faulted], beside, floods);
+}
+
+fn stop_one_daemon(modes: &[Mode], beside: Beside, floods: bool) {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
+    if modes == [Mode::Faulted] {
+        // Before the floods: beside a flood of obstacles nobody else's update may get its turn.
+        let obstacles = connection.obstacle_sender().unwrap();
+        obstacles.upsert(&[ball()]).unwrap();
+        wait_status(&connection, |status| status.mode == Mode::Faulted.code());
+    }
     let ending = AtomicBool::new(false);
     let done = Done::default();
     let place: &Place = daemon.place();
@@ -146,9 +142,8 @@ fn run(beside: Beside, floods: bool) {
         // It takes long to come, beside floods.
         let _crowd = (beside == Beside::Crowd).then(|| Crowd::of(place.location()));
         let mut trail = Trail::new(&connection);
-        trail.until("holding", is(Mode::Holding));
-        for mode in MODES {
-            stop_in(&daemon, &connection, &mut trail, mode, beside);
+        for mode in modes {
+            stop_in(&daemon, &connection, &mut trail, *mode, beside);
         }
     });
 }
