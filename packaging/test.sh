@@ -113,6 +113,8 @@ unit() { sed -n "s/^$1=//p" /usr/lib/systemd/system/cdcrd.service; }
 [ "$(unit User):$(unit RuntimeDirectory):$(unit Environment)" = cdcr:cdcr:CDCR_ROOT=/run/cdcr ] || fail "the unit changed"
 [ ! -e /run/cdcr ] || fail "/run/cdcr exists already"
 install -d -o cdcr -g cdcr -m 0750 /run/cdcr
+# systemd has it in memory; a container may not.
+[ "$(stat -f -c %T /run/cdcr)" = tmpfs ] || mount -t tmpfs -o uid=cdcr,gid=cdcr,mode=0750 tmpfs /run/cdcr
 scratch=$(mktemp -d)
 chmod 755 "$scratch"
 configuration=/etc/cdcr/cdcr.toml
@@ -149,7 +151,7 @@ done
 sleep 2
 as_service cdcrctl status || { cat "$scratch/log"; fail "no status"; }
 [ "$(stat -c %U /run/cdcr)" = cdcr ] || fail "/run/cdcr belongs to somebody else"
-[ -n "$(find /dev/shm -maxdepth 1 -user cdcr)" ] || fail "no shared memory of the user cdcr"
+[ -n "$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr)" ] || fail "no shared memory of the user cdcr"
 others=$(find /run/cdcr /dev/shm -user cdcr -perm /007)
 [ -z "$others" ] || fail "open to others: $others"
 as_service cdcrctl stop
@@ -158,7 +160,7 @@ kill -TERM "$daemon"
 wait "$daemon" || { cat "$scratch/log"; fail "the daemon ended with status $?"; }
 daemon=
 cat "$scratch/log"
-left=$(find /dev/shm -maxdepth 1 -user cdcr)
+left=$(find /run/cdcr /dev/shm -user cdcr -type f)
 [ -z "$left" ] || fail "left in shared memory: $left"
 
 step "remove and purge"

@@ -83,18 +83,6 @@ pub enum ConnectError {
         /// User id of this process.
         user_id: u32,
     },
-    /// Another user has put a file where ours would be.
-    #[error(
-        "{} belongs to user {owner_id} and has a name that only the daemon and its clients use: let that user or \
-         root remove it, or choose another --root or --prefix",
-        path.display()
-    )]
-    ForeignMemory {
-        /// The file.
-        path: PathBuf,
-        /// User id of its owner.
-        owner_id: u32,
-    },
     /// As many processes as the service allows are connected already.
     #[error(
         "the {service} service of the daemon for {place} has as many clients as it allows: close one"

@@ -11,7 +11,7 @@ use cdcr_shared_types::{
 use crate::connect_error::{Place, not_reached};
 use crate::request::Control;
 use crate::sender::Sender;
-use crate::services::{DEAD_NODES, Services, check_owners};
+use crate::services::{Services, check_owner};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
     ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
@@ -26,9 +26,8 @@ const STATUS_FRESH: Duration = Duration::from_secs(1);
 /// An open connection to one daemon.
 ///
 /// It opens what the daemon created and creates nothing itself. Ports made from it (streams, feeds)
-/// stay usable on their own, but drop them before the connection: when it goes as the last user of its
-/// location, it removes what iceoryx2 would leave. A connection stays on the thread that opened it; a
-/// second thread opens a second connection.
+/// stay usable on their own. A connection stays on the thread that opened it; a second thread opens a
+/// second connection.
 ///
 /// Who only watches (status, telemetry, incidents) is kept apart from the daemon's control loop. The port for requests is
 /// made with the first one, or by [`prepare_requests`](Self::prepare_requests).
@@ -47,22 +46,6 @@ pub struct Connection {
     status: RefCell<StatusReader>,
     /// Number of the newest lease; a new one that was given back counts, too.
     leases: Cell<u64>,
-    /// The last field, because it must be dropped after everything that holds the node.
-    _departure: Departure,
-}
-
-/// Leaves the location as if nobody had been there, when its last user leaves and no daemon has it. To be dropped
-/// after the node is gone.
-#[derive(Debug)]
-pub(crate) struct Departure(pub(crate) Location);
-
-impl Drop for Departure {
-    fn drop(&mut self) {
-        if !self.0.is_claimed() {
-            self.0.clear_dead_nodes(DEAD_NODES);
-            self.0.tidy();
-        }
-    }
 }
 
 impl Connection {
@@ -78,9 +61,7 @@ impl Connection {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_owners(&place, location)?;
-        // Before the services, so that it is dropped after them when something below fails.
-        let departure = Departure(location.clone());
+        check_owner(&place)?;
         let services = Services::open(location, &place)?;
         let memory = |cause: String| ConnectError::Memory {
             place: place.clone(),
@@ -99,7 +80,6 @@ impl Connection {
             sender,
             control,
             leases: Cell::new(0),
-            _departure: departure,
         };
         match connection.status(STATUS_FRESH) {
             Ok(_) => Ok(connection),

@@ -1,10 +1,10 @@
-use cdcr_shared_types::Header;
+use cdcr_shared_types::{Header, ipc};
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::prelude::{BackpressureStrategy, ipc};
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::prelude::BackpressureStrategy;
 
-use crate::room::{self, PORT_BYTES};
+use crate::room::PORT_BYTES;
 use crate::sender::Sender;
+use crate::services::Channel;
 use crate::{LinkError, Message};
 
 /// The writing end of one service: stamps the header and sends.
@@ -17,12 +17,11 @@ pub(crate) struct Outlet<T: Message> {
 }
 
 impl<T: Message> Outlet<T> {
-    pub(crate) fn open(
-        service: &PortFactory<ipc::Service, T, ()>,
-        sender: Sender,
-    ) -> Result<Self, LinkError> {
+    pub(crate) fn open(service: &Channel<T>, sender: Sender) -> Result<Self, LinkError> {
         let bytes = T::SERVICE.queues().writer_bytes(size_of::<T>());
-        room::ask(bytes + PORT_BYTES).map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
+        service
+            .ask_room(bytes + PORT_BYTES)
+            .map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
         let publisher = service
             .publisher_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)

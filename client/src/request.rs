@@ -3,14 +3,14 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
-use cdcr_shared_types::{Request, Response, Service, SolverSettings};
+use cdcr_shared_types::{Request, Response, Service, SolverSettings, ipc};
 use iceoryx2::port::client::Client;
-use iceoryx2::prelude::{BackpressureStrategy, ipc};
+use iceoryx2::prelude::BackpressureStrategy;
 use iceoryx2::service::port_factory::PortFactory;
 
 use crate::LinkError;
 use crate::remedy::request_remedy;
-use crate::room::{self, PORT_BYTES};
+use crate::room::PORT_BYTES;
 use crate::sender::Sender;
 use crate::services::ControlChannel;
 
@@ -105,7 +105,9 @@ impl Control {
         if let Some(port) = self.port.get() {
             return Ok(port);
         }
-        room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(Service::Control, no_room))?;
+        self.channel
+            .ask_room(PORT_BYTES)
+            .map_err(|no_room| LinkError::memory(Service::Control, no_room))?;
         if self.channel.dynamic_config().number_of_clients() >= self.clients_max {
             return Err(LinkError::askers("all places are taken"));
         }

@@ -5,10 +5,9 @@ use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Location, Response, Service, SolverSettings};
 
 use crate::connect_error::{Place, not_reached};
-use crate::connection::Departure;
 use crate::request::{Control, LOOK_AGAIN};
 use crate::sender::Sender;
-use crate::services::{ControlChannel, DEAD_NODES, check_owners, open_control};
+use crate::services::{ControlChannel, DEAD_NODES, check_owner, open_control};
 use crate::{ConnectError, LinkError, RequestError};
 
 /// How long a request tries to find a place, and then waits for its answer.
@@ -21,8 +20,7 @@ const PATIENCE: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Requester {
     control: Control,
-    /// The last field, because it must be dropped after everything that holds the node.
-    departure: Departure,
+    location: Location,
 }
 
 /// Why a stop was not confirmed.
@@ -59,9 +57,7 @@ impl Requester {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_owners(&place, location)?;
-        // Before the service, so that it is dropped after it.
-        let departure = Departure(location.clone());
+        check_owner(&place)?;
         if location.presence(robot).is_none() {
             let found = "no process holds its lock";
             return Err(ConnectError::DaemonNotRunning { place, found });
@@ -69,7 +65,7 @@ impl Requester {
         let channel = find_place(location, &place)?;
         Ok(Self {
             control: Control::new(channel, Sender::new()),
-            departure,
+            location: location.clone(),
         })
     }
 
@@ -106,7 +102,7 @@ impl Requester {
     }
 
     fn ask_for_stop(self) -> Result<Response, RequestError> {
-        let Self { control, departure } = self;
+        let Self { control, location } = self;
         let control = control.with_kept_places();
         let deadline = Instant::now() + PATIENCE;
         // Who has a kept place leaves it soon: it only stops, too.
@@ -114,7 +110,7 @@ impl Requester {
             if Instant::now() >= deadline {
                 break;
             }
-            departure.0.clear_dead_nodes(DEAD_NODES);
+            location.clear_dead_nodes(DEAD_NODES);
             thread::sleep(LOOK_AGAIN);
         }
         control.ask(RequestKind::Stop, SolverSettings::default(), PATIENCE)

@@ -4,19 +4,19 @@
 //! left (SIGBUS). A client that asks first can say what is wrong instead.
 
 use core::fmt::{Display, Formatter};
+use std::path::{Path, PathBuf};
 
 use rustix::fs::statvfs;
 
-/// Where the files are.
-const FOLDER: &str = "/dev/shm";
 /// What a connection takes without further ports \[bytes\]. No more than it needs: a stop has to get in.
 pub(crate) const CONNECTION_BYTES: u64 = 64 * 1024;
 /// What a port takes beside its messages \[bytes\].
 pub(crate) const PORT_BYTES: u64 = 64 * 1024;
 
 /// There is less room than is needed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct NoRoom {
+    folder: PathBuf,
     needed_bytes: u64,
     free_bytes: u64,
 }
@@ -24,19 +24,21 @@ pub(crate) struct NoRoom {
 impl Display for NoRoom {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
         let mb = |bytes: u64| bytes as f64 * 1e-6;
+        let folder = self.folder.display();
         write!(
             f,
-            "shared memory ({FOLDER}) is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed \
-             (ls -l {FOLDER}), or make it larger (mount -o remount,size=256M {FOLDER}; a container: --shm-size=256m)",
+            "the memory of {folder} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed, or \
+             make it larger (find its mount point with df {folder}, then mount -o remount,size=256M on that; a \
+             container: --shm-size=256m)",
             mb(self.needed_bytes),
             mb(self.free_bytes)
         )
     }
 }
 
-/// Whether `needed_bytes` are free. Where the system does not tell, or sets no limit, they are.
-pub(crate) fn ask(needed_bytes: u64) -> Result<(), NoRoom> {
-    let free_bytes = match statvfs(FOLDER) {
+/// Whether the memory of `folder` has `needed_bytes`. Where the system does not tell, or sets no limit, it has.
+pub(crate) fn ask(folder: &Path, needed_bytes: u64) -> Result<(), NoRoom> {
+    let free_bytes = match statvfs(folder) {
         Ok(folder) if folder.f_blocks > 0 => folder.f_bavail * folder.f_frsize,
         _ => return Ok(()),
     };
@@ -44,6 +46,7 @@ pub(crate) fn ask(needed_bytes: u64) -> Result<(), NoRoom> {
         return Ok(());
     }
     Err(NoRoom {
+        folder: folder.to_owned(),
         needed_bytes,
         free_bytes,
     })
@@ -55,9 +58,10 @@ mod tests {
 
     #[test]
     fn what_nobody_has_is_refused_in_words() {
-        assert_eq!(ask(0), Ok(()));
+        let folder = Path::new("/dev/shm");
+        assert_eq!(ask(folder, 0), Ok(()));
         // A shared memory without a limit has room for everything.
-        if let Err(no_room) = ask(u64::MAX) {
+        if let Err(no_room) = ask(folder, u64::MAX) {
             let text = no_room.to_string();
             assert!(
                 text.contains("/dev/shm") && text.contains("MB are free"),

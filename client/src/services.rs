@@ -1,22 +1,46 @@
 use std::io;
+use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
+use std::path::PathBuf;
 
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
-    Service, Status, Telemetry,
+    Service, Status, Telemetry, ipc,
 };
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
-use crate::room::{self, CONNECTION_BYTES};
+use crate::room::{self, CONNECTION_BYTES, NoRoom};
 use crate::{ConnectError, Message};
 
 /// A publish-subscribe service that is open.
-pub(crate) type Channel<T> = publish_subscribe::PortFactory<ipc::Service, T, ()>;
+pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Service, T, ()>>;
 /// The request-response service.
 pub(crate) type ControlChannel =
-    request_response::PortFactory<ipc::Service, Request, (), Response, ()>;
+    Open<request_response::PortFactory<ipc::Service, Request, (), Response, ()>>;
+
+/// A service that is open, and the folder that has to have room for each port of it.
+#[derive(Debug, Clone)]
+pub(crate) struct Open<S> {
+    service: S,
+    root: PathBuf,
+}
+
+impl<S> Open<S> {
+    /// Whether a port may take `bytes`.
+    pub(crate) fn ask_room(&self, bytes: u64) -> Result<(), NoRoom> {
+        room::ask(&self.root, bytes)
+    }
+}
+
+impl<S> Deref for Open<S> {
+    type Target = S;
+
+    fn deref(&self) -> &S {
+        &self.service
+    }
+}
 
 /// All services of one daemon, open, so that a difference of version shows at once and not in the
 /// middle of the work.
@@ -33,9 +57,9 @@ pub(crate) struct Services {
 }
 
 impl Services {
-    /// Opens what a daemon has created; creates nothing. [`check_owners`] comes first.
+    /// Opens what a daemon has created; creates nothing. [`check_owner`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
-        room::ask(CONNECTION_BYTES).map_err(|no_room| memory_error(place, &no_room.to_string()))?;
+        ask_room(location, place)?;
         let opener = Opener::new(location, place)?;
         // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
         location.clear_dead_nodes(DEAD_NODES);
@@ -60,8 +84,13 @@ pub(crate) fn open_control(
     location: &Location,
     place: &Place,
 ) -> Result<ControlChannel, ConnectError> {
-    room::ask(CONNECTION_BYTES).map_err(|no_room| memory_error(place, &no_room.to_string()))?;
+    ask_room(location, place)?;
     Opener::new(location, place)?.control()
+}
+
+fn ask_room(location: &Location, place: &Place) -> Result<(), ConnectError> {
+    room::ask(location.root(), CONNECTION_BYTES)
+        .map_err(|no_room| memory_error(place, &no_room.to_string()))
 }
 
 struct Opener<'a> {
@@ -84,6 +113,7 @@ impl<'a> Opener<'a> {
             .service_builder(&name)
             .publish_subscribe::<T>()
             .open()
+            .map(|service| self.opened(service))
             .map_err(|cause| self.error(T::SERVICE, cause.into()))
     }
 
@@ -93,7 +123,15 @@ impl<'a> Opener<'a> {
             .service_builder(&name)
             .request_response::<Request, Response>()
             .open()
+            .map(|service| self.opened(service))
             .map_err(|cause| self.error(Service::Control, cause.into()))
+    }
+
+    fn opened<S>(&self, service: S) -> Open<S> {
+        Open {
+            service,
+            root: self.place.root.clone(),
+        }
     }
 
     fn error(&self, service: Service, trouble: OpenTrouble) -> ConnectError {
@@ -115,10 +153,9 @@ impl<'a> Opener<'a> {
     }
 }
 
-/// Looks at the owners of root path and shared memory before iceoryx2 does. A node would create a root path that is
-/// missing, and would leave a file of ours in the way of a daemon that runs as another user; and it would wait for
-/// ever for a file that somebody else has made empty.
-pub(crate) fn check_owners(place: &Place, location: &Location) -> Result<(), ConnectError> {
+/// Checks the owner of the root path before iceoryx2 uses it. A node would create a root path that is missing, and would
+/// leave a file of ours in the way of a daemon that runs as another user.
+pub(crate) fn check_owner(place: &Place) -> Result<(), ConnectError> {
     let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
         place: place.clone(),
         found: if cause.kind() == io::ErrorKind::PermissionDenied {
@@ -137,16 +174,6 @@ pub(crate) fn check_owners(place: &Place, location: &Location) -> Result<(), Con
             owner_id: root.uid(),
             user_id,
         });
-    }
-    for path in location.memory_files() {
-        // One that is gone meanwhile is in nobody's way.
-        let owner = std::fs::symlink_metadata(&path).map(|file| file.uid());
-        if let Ok(owner_id) = owner
-            && owner_id != user_id
-            && owner_id != 0
-        {
-            return Err(ConnectError::ForeignMemory { path, owner_id });
-        }
     }
     Ok(())
 }

@@ -2,13 +2,12 @@ use std::collections::HashMap;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::{Command, Header, Telemetry};
+use cdcr_shared_types::{Command, Header, Telemetry, ipc};
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::ipc;
 use iceoryx2::service::port_factory::PortFactory as _;
-use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use crate::room::{self, PORT_BYTES};
+use crate::room::PORT_BYTES;
+use crate::services::Channel;
 use crate::{LinkError, Message};
 
 /// How often a waiting reader looks for a message: a fifth of the daemon's usual period.
@@ -35,7 +34,7 @@ pub type CommandStream = Stream<Command>;
 
 impl<T: Message> Stream<T> {
     /// For who only watches: leaves the places free that are kept for the driver and the daemon.
-    pub(crate) fn open(service: &PortFactory<ipc::Service, T, ()>) -> Result<Self, LinkError> {
+    pub(crate) fn open(service: &Channel<T>) -> Result<Self, LinkError> {
         let readers = service.dynamic_config().number_of_subscribers();
         if readers >= T::SERVICE.queues().watchers() {
             return Err(LinkError::port(T::SERVICE, "all places are taken"));
@@ -44,8 +43,10 @@ impl<T: Message> Stream<T> {
     }
 
     /// For who takes part.
-    pub(crate) fn open_kept(service: &PortFactory<ipc::Service, T, ()>) -> Result<Self, LinkError> {
-        room::ask(PORT_BYTES).map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
+    pub(crate) fn open_kept(service: &Channel<T>) -> Result<Self, LinkError> {
+        service
+            .ask_room(PORT_BYTES)
+            .map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
         let subscriber = service
             .subscriber_builder()
             .create()

@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::io::ErrorKind;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::thread::sleep;
 use std::time::Duration;
@@ -77,11 +77,7 @@ fn an_empty_root_is_no_daemon_either() {
         "{text}"
     );
     let location = Location::new("cdcr_cli_test_", folder.path()).expect("legal");
-    let prefix = location.file_prefix();
-    let entries = fs::read_dir("/dev/shm").expect("Linux").flatten();
-    let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
-    let left: Vec<String> = names.filter(|name| name.starts_with(&prefix)).collect();
-    assert!(left.is_empty(), "{left:?}");
+    assert_eq!(location.memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]
@@ -152,17 +148,23 @@ fn the_demo_says_when_its_daemon_is_not_built() {
 }
 
 #[test]
-fn a_demo_in_too_deep_a_folder_says_that_tmpdir_is_the_cause() {
+fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
     let folder = tempfile::tempdir().expect("a folder");
     let deep = folder.path().join("d".repeat(100));
     fs::create_dir(&deep).expect("made");
     let alone = folder.path().join("cdcrctl");
     fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
     fs::write(folder.path().join("cdcrd"), "").expect("written");
-    let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", &deep));
-    let text = stderr(&output);
-    assert_eq!(output.status.code(), Some(1), "{text}");
+    let demo = |temporary: &Path| {
+        let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", temporary));
+        assert_eq!(output.status.code(), Some(1), "{}", stderr(&output));
+        stderr(&output)
+    };
+    let text = demo(&folder.path().join("missing"));
     assert!(text.contains("set TMPDIR"), "{text}");
+    // This one gets as far as the daemon, which is no program.
+    let text = demo(&deep);
+    assert!(text.contains("cdcrd") && !text.contains("TMPDIR"), "{text}");
     assert_eq!(fs::read_dir(&deep).expect("there").count(), 0);
 }
 

@@ -16,7 +16,7 @@ use signal_hook::consts::{SIGHUP, SIGUSR1};
 use crate::caretaker::Caretaker;
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
 use crate::cycle::{Cycle, Policy, Settings};
-use crate::exchange::{Exchange, UnfinishedFiles, services};
+use crate::exchange::{Exchange, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
 use crate::link::{DriverLink, SimulatedRobot};
@@ -95,7 +95,7 @@ fn run_with<L: RobotLink + Send + 'static>(
 
     let cycle = Cycle::new(validated, link).context("the solver")?;
     let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
-    // One after the other: each clears away what was left unfinished, and must not meet files in the making.
+    // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
         give_up([reporter]);
         return Err(error);
@@ -269,7 +269,6 @@ fn spawn_exchange(
         shared.set_exchange_ended();
         reporter.unpark();
         drop(exchange);
-        UnfinishedFiles::new(validated.location.file_prefix()).clear();
         drop(node);
     })
 }
@@ -296,7 +295,6 @@ fn spawn_reporter(
             reporter.run(&MonotonicClock, &shared);
         }
         drop(reporter);
-        UnfinishedFiles::new(validated.location.file_prefix()).clear();
         drop(node);
     })
 }

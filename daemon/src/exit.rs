@@ -89,11 +89,9 @@ impl ExitCause {
                     InstanceError::ForeignRoot { .. }
                     | InstanceError::ForeignLink { .. }
                     | InstanceError::OpenRoot { .. }
+                    | InstanceError::RootOnDisk { .. }
                     | InstanceError::File { .. },
                 ) => return Some(Self::Root),
-                Some(InstanceError::ForeignMemory { .. } | InstanceError::Memory(_)) => {
-                    return Some(Self::SharedMemory);
-                }
                 None => {}
             }
             if cause.is::<ConfigError>() {

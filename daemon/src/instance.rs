@@ -1,6 +1,5 @@
 //! One daemon per robot and location, and a location that no other user can disturb.
 
-mod memory;
 mod name;
 mod place;
 mod root;
@@ -14,11 +13,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
-use iceoryx2::prelude::{Node, ipc};
 
 use crate::exchange::remains;
-use crate::exchange::services::{self, ServiceError};
 pub(crate) use place::{Found, PlaceWatch};
+pub use root::is_in_memory;
 
 /// Longer than a client holds the lock to see whether a daemon does.
 const LOOK_MAX: Duration = Duration::from_millis(200);
@@ -29,8 +27,6 @@ const LOOK_MAX: Duration = Duration::from_millis(200);
 pub struct Instance {
     path: PathBuf,
     location: Location,
-    /// As long as it is there, no client that leaves tidies the location up.
-    node: Option<Node<ipc::Service>>,
     locked: Arc<Mutex<File>>,
     /// Taken for as long as the process lives, whatever becomes of the files.
     name: Option<Arc<UnixListener>>,
@@ -90,20 +86,15 @@ pub enum InstanceError {
         /// Its permissions.
         mode: u32,
     },
-    /// Another user has put a file where ours will be.
+    /// The root folder is not in memory.
     #[error(
-        "{path} belongs to user id {owner} and has a name that this daemon needs\n\
-         let that user or root remove it, or choose another --root or --prefix"
+        "the root folder {root} lies on a disk, and the system would hold up the daemon to write shared memory to it\n\
+         choose a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
     )]
-    ForeignMemory {
-        /// The file.
-        path: String,
-        /// Who owns it.
-        owner: u32,
+    RootOnDisk {
+        /// Root folder.
+        root: String,
     },
-    /// Shared memory cannot be used.
-    #[error(transparent)]
-    Memory(#[from] ServiceError),
     /// The lock file cannot be used.
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
     File {
@@ -125,23 +116,14 @@ impl Instance {
         let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
         write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
-        memory::check_owners(location).inspect_err(|_| remove_if_there(&path))?;
-        // From here on, what fails takes its files with it.
-        let mut instance = Self {
+        // Before our own nodes are there, because they count as somebody who lives here.
+        remains::sweep(location);
+        Ok(Self {
             path,
             location: location.clone(),
-            node: None,
             locked: Arc::new(Mutex::new(locked)),
             name,
-        };
-        // Before our own node is there, because it counts as somebody who lives here.
-        remains::sweep(location);
-        instance.node = Some(services::node(location)?);
-        while !memory::close_management_file(location)? {
-            // A client that left meanwhile has taken it away.
-            instance.node = Some(services::node(location)?);
-        }
-        Ok(instance)
+        })
     }
 
     /// What has to stay where it is for as long as the daemon of `robot` runs. Call it when the services are there.
@@ -155,12 +137,9 @@ impl Instance {
 }
 
 impl Drop for Instance {
-    /// Removes what iceoryx2 keeps for the location when its last node is gone, and last the lock file.
     fn drop(&mut self) {
-        if let Some(node) = self.node.take() {
-            node.try_cleanup_dead_nodes();
-        }
-        self.location.tidy();
+        // What the caretaker has not come to.
+        self.location.clear_dead_nodes(usize::MAX);
         let locked = self.locked.lock().unwrap_or_else(PoisonError::into_inner);
         // Otherwise it is another daemon's, which came when ours had been deleted.
         if is_file_at(&locked, &self.path) {

@@ -7,7 +7,7 @@
 //!          hand on: bad cycles and a summary to the supervisor }
 //! ```
 //!
-//! With each reader that joins or leaves, files in `/dev/shm` are made and removed under one lock of the whole machine.
+//! With each reader that joins or leaves, files in the root folder are made and removed under one lock of that folder.
 //! A client that is starved on a crowded core may hold it for a tenth of a second and more, and no priority helps. That
 //! is waited for here, so that neither inputs nor commands wait for those who only watch. It runs off the core of the
 //! cycle, before ordinary tasks.
@@ -20,9 +20,9 @@ use cdcr_controller::nmpc::SolveStatus;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
+use cdcr_shared_types::ipc;
 use cdcr_shared_types::limits::EVENTS_MAX;
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::prelude::ipc;
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::{CycleRecord, MeasurementUse};

@@ -37,6 +37,7 @@ mod command;
 mod control;
 mod header;
 mod incident;
+pub mod ipc;
 pub mod limits;
 mod measurement;
 mod obstacles;

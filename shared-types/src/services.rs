@@ -5,9 +5,10 @@ use iceoryx2::config::Config;
 use iceoryx2::node::{NodeState, NodeView};
 use iceoryx2::prelude::{
     CallbackProgression, FileName, Node, NodeBuilder, Path as IoxPath, SemanticString, ServiceName,
-    SignalHandlingMode, ipc,
+    SignalHandlingMode,
 };
 
+use crate::ipc;
 use crate::limits::INCIDENTS_MAX;
 
 /// Prefix of every shared-memory file of ours, unless a user chooses another.
@@ -168,8 +169,8 @@ impl core::fmt::Display for ServiceNameError {
 
 impl core::error::Error for ServiceNameError {}
 
-/// Where in shared memory a daemon and its clients meet: an iceoryx2 prefix and root path of our own,
-/// never iceoryx2's defaults (which a file in the working directory could change).
+/// Where a daemon and its clients meet: an iceoryx2 prefix and a root path of our own, never iceoryx2's defaults (which a
+/// file in the working directory could change). All shared memory is in files below the root path, which lies in memory.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Location {
     prefix: String,
@@ -223,12 +224,17 @@ impl Location {
         Ok(location)
     }
 
-    /// Root path unless a user chooses another: one per Unix user, because the files are private to
-    /// their owner.
+    /// A folder that every Linux has in memory. Everybody may create files there, and nobody may rename or remove those of
+    /// another user.
+    pub const MEMORY: &str = "/dev/shm";
+
+    /// Root path unless a user chooses another: one for each Unix user, because the files are private to their owner.
+    ///
+    /// It depends on no environment variable: a `stop` has to find the daemon from any shell, service or `sudo`.
     pub fn default_root() -> PathBuf {
         use std::os::unix::fs::MetadataExt;
         let user_id = std::fs::metadata("/proc/self").map_or(0, |process| process.uid());
-        PathBuf::from(format!("/tmp/cdcr-{user_id}"))
+        Path::new(Self::MEMORY).join(format!("cdcr-{user_id}"))
     }
 
     /// Prefix of the shared-memory files.
@@ -236,58 +242,25 @@ impl Location {
         &self.prefix
     }
 
-    /// Start of the names of our files in `/dev/shm`: the prefix, and a hash of the root path, because
-    /// these names do not tell one root from another.
+    /// Start of the names of iceoryx2's files: the prefix, and a hash, so that no prefix is the beginning of another one
+    /// that uses the same root path.
     pub fn file_prefix(&self) -> String {
         // FNV-1a (Fowler, Noll, Vo), 32 bits.
-        let root = self.root.as_os_str().as_encoded_bytes();
-        let hash = root.iter().fold(0x811c_9dc5_u32, |hash, byte| {
-            (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
+        let hash = self.prefix.bytes().fold(0x811c_9dc5_u32, |hash, byte| {
+            (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193)
         });
         format!("{}{hash:08x}_", self.prefix)
     }
 
-    /// Removes the small management file that iceoryx2 keeps for ever for each prefix, once no node
-    /// uses the location any more. Whoever leaves last calls it after its own node is gone.
-    pub fn tidy(&self) {
-        let Ok(config) = self.iceoryx2_config() else {
-            return;
-        };
-        let mut nodes = 0;
-        let listed = Node::<ipc::Service>::list(&config, |_| {
-            nodes += 1;
-            CallbackProgression::Stop
-        });
-        if listed.is_err() || nodes > 0 {
-            return;
-        }
-        for path in self.memory_files() {
-            if path.extension().is_some_and(|end| end == "global_mgmt") {
-                // Somebody else may have been faster.
-                let _ = std::fs::remove_file(path);
-            }
-        }
-    }
-
-    /// The files of this location in shared memory, whoever made them.
+    /// The files of this location that are mapped into memory.
     pub fn memory_files(&self) -> Vec<PathBuf> {
-        memory_files(&self.file_prefix())
+        memory_files(&self.root, &self.file_prefix())
     }
 
     /// Name of the file in the root folder that the daemon of `robot` locks while it runs, and removes at a clean
     /// end.
     pub fn lock_file(&self, robot: &str) -> PathBuf {
         self.root.join(format!("{}{robot}.lock", self.prefix))
-    }
-
-    /// Whether a daemon has the location, or was killed in it: then what is there is the daemon's to clean up.
-    pub fn is_claimed(&self) -> bool {
-        let entries = std::fs::read_dir(&self.root).into_iter().flatten();
-        let mut names = entries.flatten().map(|entry| entry.file_name());
-        names.any(|name| {
-            let name = name.as_encoded_bytes();
-            name.starts_with(self.prefix.as_bytes()) && name.ends_with(b".lock")
-        })
     }
 
     /// Root path.
@@ -371,9 +344,9 @@ impl Location {
     }
 }
 
-/// The files in shared memory whose names begin with `file_prefix`, whoever made them.
-pub fn memory_files(file_prefix: &str) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir("/dev/shm").into_iter().flatten();
+/// The files in the folder `root` that are mapped into memory: their names begin with `file_prefix`.
+pub fn memory_files(root: &Path, file_prefix: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(root).into_iter().flatten();
     let paths = entries.flatten().map(|entry| entry.path());
     paths
         .filter(|path| {

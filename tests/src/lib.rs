@@ -14,6 +14,7 @@ pub mod robot;
 mod sweep;
 pub mod system_calls;
 
+use std::fs::DirEntry;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
@@ -52,7 +53,8 @@ pub fn binary(name: &str) -> PathBuf {
     path
 }
 
-/// A place in shared memory that no other test uses. Removed when dropped.
+/// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
+/// are removed when it is dropped.
 #[derive(Debug)]
 pub struct Place {
     location: Location,
@@ -69,7 +71,8 @@ impl Place {
         let count = COUNT.fetch_add(1, Ordering::Relaxed);
         let prefix = sweep::place_name(std::process::id(), count);
         let (folder, lock) = sweep::locked_folder(&prefix);
-        let location = Location::new(&prefix, &folder.path().join("root")).expect("a legal place");
+        let root = Path::new(Location::MEMORY).join(format!("{prefix}root"));
+        let location = Location::new(&prefix, &root).expect("a legal place");
         Self {
             location,
             folder,
@@ -94,19 +97,9 @@ impl Place {
         self.folder.path()
     }
 
-    /// Files of this place that are in shared memory.
-    pub fn shared_memory_files(&self) -> Vec<String> {
-        shared_memory_files(self.location.prefix())
-    }
-
-    /// Files of this place in shared memory that somebody should have removed, once all have left.
-    ///
-    /// Where clients were killed, the small management file of the place may stay: iceoryx2 0.10 cannot clear away
-    /// a node whose process was killed while it opened a service, and keeps the file as long as it knows a node.
-    pub fn leftovers_after_kills(&self) -> Vec<String> {
-        let mut names = self.shared_memory_files();
-        names.retain(|name| !name.ends_with(".global_mgmt"));
-        names
+    /// Files of this place that are mapped into memory.
+    pub fn shared_memory_files(&self) -> Vec<PathBuf> {
+        self.location.memory_files()
     }
 
     /// A command of ours that looks at this place.
@@ -130,13 +123,17 @@ impl Place {
     }
 }
 
-/// Files in shared memory whose names begin with `prefix`.
-pub fn shared_memory_files(prefix: &str) -> Vec<String> {
-    let entries = std::fs::read_dir("/dev/shm").expect("/dev/shm");
-    let names = entries
-        .flatten()
-        .map(|entry| entry.file_name().to_string_lossy().into_owned());
-    names.filter(|name| name.starts_with(prefix)).collect()
+/// What the folder in memory that is open to all has with names that begin with `prefix`.
+pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(Location::MEMORY).expect("it is there");
+    let is_meant = |entry: &DirEntry| {
+        entry
+            .file_name()
+            .as_encoded_bytes()
+            .starts_with(prefix.as_bytes())
+    };
+    let entries = entries.flatten().filter(is_meant);
+    entries.map(|entry| entry.path()).collect()
 }
 
 /// Everything that a program printed.
@@ -153,8 +150,9 @@ impl Default for Place {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        for name in self.shared_memory_files() {
-            let _ = std::fs::remove_file(Path::new("/dev/shm").join(name));
+        // The root folder, also one that a test has given another name.
+        for path in in_public_memory(self.location.prefix()) {
+            let _ = std::fs::remove_dir_all(path);
         }
     }
 }

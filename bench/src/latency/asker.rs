@@ -4,10 +4,10 @@
 use anyhow::{Context, Result, anyhow, ensure};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::codes::RequestKind;
-use cdcr_shared_types::{Header, Location, Request, Response, Service};
+use cdcr_shared_types::{Header, Location, Request, Response, Service, ipc};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
-use iceoryx2::prelude::{BackpressureStrategy, Node, ipc};
+use iceoryx2::prelude::{BackpressureStrategy, Node};
 
 use crate::subject::place::ROBOT;
 

@@ -14,12 +14,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use cdcr_client::monotonic_ns;
-use cdcr_shared_types::{Command, Header, Location, Request, Response};
+use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
@@ -28,7 +28,7 @@ use super::leg::Leg;
 use super::round::Round;
 use crate::interrupt;
 use crate::subject::daemon::program;
-use crate::subject::place::Place;
+use crate::subject::place::{self, Place};
 use crate::system::cores::Cores;
 use crate::system::process::Process;
 use crate::system::thread::pin;
@@ -123,23 +123,17 @@ pub fn peer(options: &PeerOptions) -> Result<()> {
 
 /// Whoever would have cleaned up is gone. A root that is no [`Place`]'s is left alone.
 fn clean_up(location: &Location) {
-    for file in location.memory_files() {
-        let _ = fs::remove_file(file);
-    }
-    if let Some(folder) = folder_of(location.root()) {
+    if is_root_of_place(location.root()) {
         let _ = fs::remove_dir_all(location.root());
-        // If nothing else is in it.
-        let _ = fs::remove_dir(folder);
     }
 }
 
-/// The folder of the [`Place`] whose root this is; none of any other root.
-fn folder_of(root: &Path) -> Option<&Path> {
-    // None of a path that ends with `..`.
-    root.file_name()?;
-    let folder = root.parent()?;
-    let name = folder.file_name()?.to_str()?;
-    name.starts_with("cdcr-bench-").then_some(folder)
+/// Whether this is the root of a [`Place`].
+fn is_root_of_place(root: &Path) -> bool {
+    let name = root.file_name().unwrap_or_default().to_string_lossy();
+    root.parent() == Some(Path::new(Location::MEMORY))
+        && name.starts_with(place::PREFIX)
+        && name.ends_with(place::ROOT)
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
@@ -400,16 +394,16 @@ mod tests {
     #[test]
     fn only_the_root_of_a_place_is_removed() {
         let place = Place::new().expect("a place");
-        assert_eq!(folder_of(place.location().root()), Some(place.folder()));
+        assert!(is_root_of_place(place.location().root()));
         for root in [
             "/",
-            "/tmp",
-            "/tmp/root",
-            "/tmp/cdcr-bench-1/..",
-            "/tmp/cdcr-bench-1/../root",
-            "/tmp/other/root",
+            "/dev/shm",
+            "/dev/shm/root",
+            "/dev/shm/cdcr-bench-1_root/..",
+            "/dev/shm/cdcr-bench-1_lock",
+            "/tmp/cdcr-bench-1_root",
         ] {
-            assert_eq!(folder_of(Path::new(root)), None, "{root}");
+            assert!(!is_root_of_place(Path::new(root)), "{root}");
         }
     }
 }

@@ -1,5 +1,5 @@
-//! A private place in shared memory. Dropping it removes every trace. What a killed measurement left in shared memory,
-//! the next place removes; its folder for temporary files stays.
+//! A private place: a folder in memory, and one for temporary files. Dropping it removes every trace. What a killed
+//! measurement left in memory, the next place removes; its folder for temporary files stays.
 
 use std::collections::hash_map::RandomState;
 use std::fs::{self, File, OpenOptions};
@@ -9,7 +9,7 @@ use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result};
-use cdcr_shared_types::{Location, memory_files};
+use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::process::geteuid;
 use tempfile::TempDir;
@@ -18,7 +18,9 @@ use tempfile::TempDir;
 pub const ROBOT: &str = "bench";
 
 /// What the names of all places begin with.
-const PREFIX: &str = "cdcr-bench-";
+pub(crate) const PREFIX: &str = "cdcr-bench-";
+/// What the name of a place's root folder ends with.
+pub(crate) const ROOT: &str = "root";
 /// What the name of a place's lock ends with.
 const LOCK: &str = "lock";
 
@@ -43,8 +45,8 @@ impl Place {
             .context("a folder for temporary files")?;
         let random = RandomState::new().build_hasher().finish() as u32;
         let prefix = format!("{PREFIX}{}-{random:08x}_", std::process::id());
-        let location = Location::new(&prefix, &folder.path().join("root"))
-            .context("the folder lies in TMPDIR: set TMPDIR to a shorter absolute path")?;
+        let root = Path::new(Location::MEMORY).join(format!("{prefix}{ROOT}"));
+        let location = Location::new(&prefix, &root).context("the names of a place")?;
         let lock = Lock::new(&prefix)?;
         Ok(Self {
             location,
@@ -58,22 +60,20 @@ impl Place {
         &self.location
     }
 
-    /// The folder of this place; its sub-folder `root` is iceoryx2's.
+    /// The folder of this place for temporary files.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
-    /// The files of this place in shared memory.
+    /// The files of this place that are mapped into memory.
     pub fn memory_files(&self) -> Vec<PathBuf> {
-        memory_files(&self.location.file_prefix())
+        self.location.memory_files()
     }
 }
 
 impl Drop for Place {
     fn drop(&mut self) {
-        for file in self.memory_files() {
-            let _ = fs::remove_file(file);
-        }
+        let _ = fs::remove_dir_all(self.location.root());
         // The last one, so that who is killed here is cleared up after.
         let _ = fs::remove_file(&self.lock.path);
     }
@@ -91,7 +91,7 @@ struct Lock {
 
 impl Lock {
     fn new(prefix: &str) -> Result<Self> {
-        let path = Path::new("/dev/shm").join(format!("{prefix}{LOCK}"));
+        let path = Path::new(Location::MEMORY).join(format!("{prefix}{LOCK}"));
         loop {
             let file =
                 Self::make(&path).with_context(|| format!("cannot write {}", path.display()))?;
@@ -118,7 +118,8 @@ impl Lock {
 /// only regular files of our own with a name of ours are opened, no link is followed, and a lock that is held is left
 /// alone.
 fn remove_abandoned() {
-    for path in memory_files(PREFIX) {
+    let entries = fs::read_dir(Location::MEMORY).into_iter().flatten();
+    for path in entries.flatten().map(|entry| entry.path()) {
         let name = path.file_name().and_then(|name| name.to_str());
         let Some(prefix) = name.and_then(prefix_of_lock) else {
             continue;
@@ -128,11 +129,7 @@ fn remove_abandoned() {
         };
         if lock.try_lock().is_ok() && is_file_at(&lock, &path) {
             // The lock last: who is killed here leaves the rest to the next one.
-            for file in memory_files(prefix) {
-                if file != path {
-                    let _ = fs::remove_file(file);
-                }
-            }
+            let _ = fs::remove_dir_all(path.with_file_name(format!("{prefix}{ROOT}")));
             let _ = fs::remove_file(&path);
         }
     }
@@ -237,6 +234,8 @@ mod tests {
     }
 
     fn shared(place: &Place, name: &str) -> PathBuf {
-        Path::new("/dev/shm").join(format!("{}{name}", place.location.file_prefix()))
+        let root = place.location.root();
+        fs::create_dir(root).expect("a folder");
+        root.join(name)
     }
 }

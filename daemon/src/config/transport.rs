@@ -12,7 +12,7 @@ use super::{ConfigError, Origins};
 pub struct TransportConfig {
     /// Prefix of the shared-memory files.
     pub prefix: String,
-    /// Root folder of iceoryx2; empty: `/tmp/cdcr-<user id>`.
+    /// Root folder, in memory; empty: `/dev/shm/cdcr-<user id>`.
     pub root: String,
 }
 

@@ -15,11 +15,17 @@ pub(super) const CHECKS: &[Check] = &[Check {
     judge: root_folder,
 }];
 
+const IN_MEMORY: &str =
+    "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root";
 const ANOTHER: &str = "choose a folder of your own: --root DIR, or transport.root";
 
 #[allow(clippy::unnecessary_wraps, reason = "every check has this signature")]
 fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
     let shown = scene.plan.root.display().to_string();
+    if let Ok(false) = scene.probe.root_in_memory {
+        let value = format!("{shown} lies on a disk");
+        return Ok(Judgement::fault(value, IN_MEMORY));
+    }
     let path = scene.system.path(&shown);
     let folder = match std::fs::metadata(&path) {
         Ok(folder) => folder,
@@ -96,6 +102,16 @@ mod tests {
         fake.expect("root_folder", Warning, &["others may write", "chmod 750"]);
         fake.scene.probe.user_id += 1;
         fake.expect("root_folder", Fault, &["belongs to", "--root"]);
+    }
+
+    #[test]
+    fn a_folder_must_be_in_memory() {
+        let mut fake = Fake::new(&[]);
+        fake.scene.probe.root_in_memory = Ok(false);
+        fake.expect("root_folder", Fault, &["on a disk", "/dev/shm", "--root"]);
+        // What cannot be found out is no fault.
+        fake.scene.probe.root_in_memory = Err("no".to_owned());
+        fake.expect("root_folder", Good, &["/run/cdcr"]);
     }
 
     #[test]

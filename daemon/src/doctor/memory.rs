@@ -10,7 +10,7 @@ pub(super) const CHECKS: &[Check] = &[
     Check {
         key: "shared_memory",
         title: "shared memory",
-        why: "The daemon and its clients meet in /dev/shm; when it is full, nobody can connect.",
+        why: "The daemon and its clients meet in files in the root folder; when its memory is full, nobody can connect.",
         concern: Concern::Always,
         judge: shared_memory,
     },
@@ -46,7 +46,7 @@ fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
         .probe
         .shared_memory_bytes
         .clone()
-        .map_err(|cause| Unreadable::new("/dev/shm", cause))?;
+        .map_err(|cause| Unreadable::new(scene.plan.root.display().to_string(), cause))?;
     // A daemon that runs has taken its part.
     let daemon = if scene.daemon_runs() {
         0
@@ -62,8 +62,9 @@ fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
         mb(both)
     );
     let enough_bytes = (size + both).next_multiple_of(1 << 26) >> 20;
+    let mount = scene.probe.shared_memory_mount.display();
     let mend = format!(
-        "sudo mount -o remount,size={enough_bytes}M /dev/shm   (a container: --shm-size={enough_bytes}m)"
+        "sudo mount -o remount,size={enough_bytes}M {mount}   (a container: --shm-size={enough_bytes}m)"
     );
     Ok(if free < daemon {
         Judgement::fault(value, mend)
@@ -134,10 +135,10 @@ mod tests {
         fake.expect(
             "shared_memory",
             Fault,
-            &["0 MB of 67 MB", "remount,size=", "--shm-size"],
+            &["0 MB of 67 MB", "remount,size=", "/run", "--shm-size"],
         );
         fake.scene.probe.shared_memory_bytes = Err("no such file".to_owned());
-        fake.expect("shared_memory", Unknown, &["/dev/shm", "no such file"]);
+        fake.expect("shared_memory", Unknown, &["/run/cdcr", "no such file"]);
     }
 
     #[test]

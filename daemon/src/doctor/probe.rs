@@ -1,6 +1,6 @@
 //! What no file tells: it is tried, and undone.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rustix::fs::statvfs;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
@@ -9,6 +9,8 @@ use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_
 
 use super::plan::Plan;
 use super::system::System;
+use crate::exchange::mount_point;
+use crate::instance::is_in_memory;
 use crate::rt::sys;
 
 /// What was tried.
@@ -28,8 +30,12 @@ pub struct Probe {
     pub memlock_max_bytes: Option<u64>,
     /// `/dev/cpu_dma_latency` opened for writing, without a request.
     pub deep_sleep_lock: Result<(), String>,
-    /// Size and free space of `/dev/shm` \[bytes\].
+    /// Where the file system of the root folder begins, or of the folder that it will be made in.
+    pub shared_memory_mount: PathBuf,
+    /// Its size and free space \[bytes\].
     pub shared_memory_bytes: Result<(u64, u64), String>,
+    /// Whether it is in memory.
+    pub root_in_memory: Result<bool, String>,
     /// Effective user id.
     pub user_id: u32,
 }
@@ -38,6 +44,7 @@ impl Probe {
     /// Tries everything.
     pub fn new(system: &System, plan: &Plan) -> Self {
         let (fifo, pinned) = try_thread(plan);
+        let folder = first_that_exists(&system.path(&plan.root.display().to_string()));
         Self {
             fifo,
             pinned,
@@ -46,7 +53,9 @@ impl Probe {
             rtprio_max: getrlimit(Resource::Rtprio).current,
             memlock_max_bytes: getrlimit(Resource::Memlock).current,
             deep_sleep_lock: try_deep_sleep_lock(&system.path("/dev/cpu_dma_latency")),
-            shared_memory_bytes: shared_memory_bytes(&system.path("/dev/shm")),
+            shared_memory_bytes: shared_memory_bytes(&folder),
+            root_in_memory: is_in_memory(&folder).map_err(|error| error.to_string()),
+            shared_memory_mount: mount_point(&folder),
             user_id: geteuid().as_raw(),
         }
     }
@@ -84,6 +93,11 @@ fn try_no_huge_pages() -> Result<(), String> {
 fn try_deep_sleep_lock(path: &Path) -> Result<(), String> {
     let opened = std::fs::OpenOptions::new().write(true).open(path);
     opened.map(|_| ()).map_err(|error| error.to_string())
+}
+
+fn first_that_exists(folder: &Path) -> PathBuf {
+    let there = folder.ancestors().find(|folder| folder.exists());
+    there.unwrap_or(folder).to_owned()
 }
 
 fn shared_memory_bytes(path: &Path) -> Result<(u64, u64), String> {

@@ -23,7 +23,6 @@ pub mod remains;
 mod requests;
 mod room;
 pub mod services;
-mod unfinished;
 
 use std::thread::Thread;
 use std::time::Duration;
@@ -49,8 +48,7 @@ use obstacle_sources::ObstacleSources;
 use requests::Waiting;
 use services::Ports;
 
-pub use room::daemon_bytes;
-pub use unfinished::UnfinishedFiles;
+pub use room::{daemon_bytes, mount_point};
 
 /// The exchange of one daemon.
 #[derive(Debug)]

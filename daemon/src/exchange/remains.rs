@@ -9,10 +9,10 @@ use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use cdcr_shared_types::Location;
+use cdcr_shared_types::{Location, ipc};
 use iceoryx2::config::Config;
 use iceoryx2::node::NodeState;
-use iceoryx2::prelude::{CallbackProgression, Node, ServiceName, ipc};
+use iceoryx2::prelude::{CallbackProgression, Node, ServiceName};
 use iceoryx2::service::Service;
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::service_hash::ServiceHash;
@@ -67,8 +67,8 @@ fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPatte
 const OLD: Duration = Duration::from_secs(2);
 
 /// Removes what killed processes left and iceoryx2 does not, as long as nobody else is here: nodes that were
-/// killed before their details were written, and what was shared with half made services. Call it before the
-/// first node of this process.
+/// killed before their details were written, and the memory of half made services. Call it before the first
+/// node of this process.
 pub fn sweep(location: &Location) {
     let Ok(config) = location.iceoryx2_config() else {
         return;
@@ -90,8 +90,8 @@ pub fn sweep(location: &Location) {
         let _ = std::fs::remove_dir(folder);
     }
     let services = global.service_dir().to_string();
-    for folder in [nodes.as_str(), &services, "/dev/shm"] {
-        remove_old_files(Path::new(folder), &prefix);
+    for folder in [Path::new(&nodes), Path::new(&services), location.root()] {
+        remove_old_files(folder, &prefix);
     }
 }
 

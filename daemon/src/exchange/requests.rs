@@ -2,9 +2,8 @@
 
 use cdcr_controller::safety::Request as ModeRequest;
 use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
-use cdcr_shared_types::{Header, Request, Response, Service};
+use cdcr_shared_types::{Header, Request, Response, Service, ipc};
 use iceoryx2::active_request::ActiveRequest;
-use iceoryx2::prelude::ipc;
 
 use super::convert::{self, Refused};
 use super::{Exchange, convert::mode_request};

@@ -1,4 +1,4 @@
-//! Room in shared memory: asked for before it is used, and then taken for good.
+//! Room in the memory of the root folder: asked for before it is used, and then taken for good.
 //!
 //! iceoryx2 gives its files a size, and the system looks for memory when a page is first touched. When there is
 //! none left at that moment, the kernel kills whoever touched it (SIGBUS), be it hours later in the middle of a
@@ -6,13 +6,15 @@
 
 use std::fs::{File, OpenOptions};
 use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
 
-use cdcr_shared_types::{Command, Incident, Response, Service, Status, Telemetry, memory_files};
+use cdcr_shared_types::{
+    Command, Incident, Response, Service, Status, Telemetry, ipc, memory_files,
+};
+use iceoryx2::prelude::Node;
 use rustix::fs::{FallocateFlags, fallocate, statvfs};
 use rustix::io::Errno;
 
-/// Where the files are.
-const FOLDER: &str = "/dev/shm";
 /// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
 const ANSWERS: usize = 6;
 /// What iceoryx2 needs beside the messages to manage one port and its readers \[bytes\].
@@ -40,57 +42,96 @@ pub const fn daemon_bytes() -> u64 {
 }
 
 /// There is less room than is needed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct NoRoom {
+    /// The file system that is full.
+    pub(super) mount: PathBuf,
     pub(super) needed_bytes: u64,
     pub(super) free_bytes: u64,
 }
 
-/// Whether `needed_bytes` are free. Where the system does not tell, they are.
-pub(super) fn ask(needed_bytes: u64) -> Result<(), NoRoom> {
-    match free_bytes() {
-        Some(free_bytes) if free_bytes < needed_bytes => Err(NoRoom {
-            needed_bytes,
-            free_bytes,
-        }),
-        _ => Ok(()),
-    }
+/// The memory of one location.
+#[derive(Debug)]
+pub(super) struct Room {
+    root: PathBuf,
+    file_prefix: String,
 }
 
-/// Has every page of the files whose names begin with `prefix` allocated; what they hold stays.
-pub(super) fn take(prefix: &str) -> Result<(), NoRoom> {
-    let mut free_before = free_bytes();
-    for file in files(prefix) {
-        let Ok(size) = file.metadata().map(|file| file.len()) else {
-            continue;
-        };
-        if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
-            return Err(NoRoom {
-                needed_bytes: size,
-                free_bytes: free_before.unwrap_or(0),
-            });
+impl Room {
+    pub(super) fn new(root: &Path, file_prefix: &str) -> Self {
+        Self {
+            root: root.to_owned(),
+            file_prefix: file_prefix.to_owned(),
         }
-        free_before = free_bytes();
     }
-    Ok(())
+
+    /// The memory that `node` uses.
+    pub(super) fn of(node: &Node<ipc::Service>) -> Self {
+        let global = &node.config().global;
+        Self {
+            root: PathBuf::from(global.root_path().to_string()),
+            file_prefix: global.prefix.to_string(),
+        }
+    }
+
+    /// Whether `needed_bytes` are free. Where the system does not tell, they are.
+    pub(super) fn ask(&self, needed_bytes: u64) -> Result<(), NoRoom> {
+        match self.free_bytes() {
+            Some(free_bytes) if free_bytes < needed_bytes => Err(NoRoom {
+                mount: mount_point(&self.root),
+                needed_bytes,
+                free_bytes,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Has every page of the files allocated; what they hold stays.
+    pub(super) fn take(&self) -> Result<(), NoRoom> {
+        let mut free_before = self.free_bytes();
+        for file in self.files() {
+            let Ok(size) = file.metadata().map(|file| file.len()) else {
+                continue;
+            };
+            if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
+                return Err(NoRoom {
+                    mount: mount_point(&self.root),
+                    needed_bytes: size,
+                    free_bytes: free_before.unwrap_or(0),
+                });
+            }
+            free_before = self.free_bytes();
+        }
+        Ok(())
+    }
+
+    /// Bytes that the files have in memory.
+    pub(super) fn taken_bytes(&self) -> u64 {
+        let blocks = self.files().filter_map(|file| file.metadata().ok());
+        blocks.map(|file| file.blocks() * 512).sum()
+    }
+
+    /// Free bytes; none when the system does not tell, or sets no limit.
+    fn free_bytes(&self) -> Option<u64> {
+        let folder = statvfs(&self.root).ok()?;
+        (folder.f_blocks > 0).then_some(folder.f_bavail * folder.f_frsize)
+    }
+
+    /// Files of ours. One that has just gone is left out.
+    fn files(&self) -> impl Iterator<Item = File> {
+        let open = |path| OpenOptions::new().read(true).write(true).open(path).ok();
+        memory_files(&self.root, &self.file_prefix)
+            .into_iter()
+            .filter_map(open)
+    }
 }
 
-/// Bytes that these files have in memory.
-pub(super) fn taken_bytes(prefix: &str) -> u64 {
-    let blocks = files(prefix).filter_map(|file| file.metadata().ok());
-    blocks.map(|file| file.blocks() * 512).sum()
-}
-
-/// Free bytes; none when the system does not tell, or sets no limit.
-fn free_bytes() -> Option<u64> {
-    let folder = statvfs(FOLDER).ok()?;
-    (folder.f_blocks > 0).then_some(folder.f_bavail * folder.f_frsize)
-}
-
-/// Files of ours. One that has just gone, or is another user's, is left out.
-fn files(prefix: &str) -> impl Iterator<Item = File> {
-    let open = |path| OpenOptions::new().read(true).write(true).open(path).ok();
-    memory_files(prefix).into_iter().filter_map(open)
+/// The topmost folder of the file system in which `folder` is.
+pub fn mount_point(folder: &Path) -> PathBuf {
+    let device = |folder: &Path| folder.metadata().map(|folder| folder.dev()).ok();
+    let own = device(folder);
+    let same = folder.ancestors().take_while(|above| device(above) == own);
+    same.last().unwrap_or(folder).to_owned()
 }
 
 #[cfg(test)]
@@ -107,43 +148,49 @@ mod tests {
 
     #[test]
     fn a_daemon_takes_what_it_says_and_takes_it_for_good() {
-        let folder = tempfile::tempdir().unwrap();
-        let prefix = format!("cdcrtest_room_{}_", std::process::id());
-        let location = Location::new(&prefix, &folder.path().join("root")).unwrap();
-        {
-            let node = node(&location).unwrap();
-            let _ports = Ports::create(&node, "cdcr").unwrap();
-            let _telemetry = telemetry(&node, "cdcr").unwrap();
-            let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
-            let _incidents = incidents(&node, "cdcr").unwrap();
-            let sizes: u64 = files(&location.file_prefix())
-                .map(|file| file.metadata().unwrap().len())
-                .sum();
-            let taken_bytes = taken_bytes(&location.file_prefix());
-            assert!(taken_bytes >= sizes, "{taken_bytes} of {sizes}");
-            let said = daemon_bytes();
-            assert!(
-                (taken_bytes..taken_bytes + taken_bytes / 20).contains(&said),
-                "{said} said, {taken_bytes} taken"
-            );
-        }
-        location.tidy();
+        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let location = Location::new("cdcrtest_room_", &folder.path().join("root")).unwrap();
+        std::fs::create_dir(location.root()).unwrap();
+        let node = node(&location).unwrap();
+        let _ports = Ports::create(&node, "cdcr").unwrap();
+        let _telemetry = telemetry(&node, "cdcr").unwrap();
+        let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
+        let _incidents = incidents(&node, "cdcr").unwrap();
+        let room = Room::of(&node);
+        let sizes: u64 = room
+            .files()
+            .map(|file| file.metadata().unwrap().len())
+            .sum();
+        let taken_bytes = room.taken_bytes();
+        assert!(taken_bytes >= sizes, "{taken_bytes} of {sizes}");
+        let said = daemon_bytes();
+        assert!(
+            (taken_bytes..taken_bytes + taken_bytes / 20).contains(&said),
+            "{said} said, {taken_bytes} taken"
+        );
     }
 
     #[test]
     fn what_nobody_has_is_refused_in_words() {
-        let Some(free_bytes) = free_bytes() else {
+        let room = Room::new(Path::new(Location::MEMORY), "");
+        let Some(free_bytes) = room.free_bytes() else {
             return;
         };
-        let refused = ask(u64::MAX).unwrap_err();
+        let refused = room.ask(u64::MAX).unwrap_err();
         assert_eq!(refused.needed_bytes, u64::MAX);
-        assert!(ask(0).is_ok());
-        let error = ServiceError::full("the daemon".to_owned(), refused).to_string();
+        assert!(room.ask(0).is_ok());
+        let error = ServiceError::full("the daemon".to_owned(), &refused).to_string();
         assert!(
             error.contains("/dev/shm") && error.contains("MB"),
             "{error}"
         );
         // Others use it, too: what is free now was about that a moment ago.
         assert!(refused.free_bytes / 2 < free_bytes, "{error}");
+    }
+
+    #[test]
+    fn the_file_system_of_a_folder_begins_where_it_is_mounted() {
+        assert_eq!(mount_point(Path::new("/proc/self")), Path::new("/proc"));
+        assert_eq!(mount_point(Path::new("/")), Path::new("/"));
     }
 }

@@ -4,20 +4,19 @@ use std::fmt::Debug;
 
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
-    Service, Telemetry,
+    Service, Telemetry, ipc,
 };
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{
-    BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend, ipc,
+    BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend,
 };
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 use super::remains;
-use super::room::{self, MANAGEMENT_BYTES, NoRoom};
-use super::unfinished::UnfinishedFiles;
+use super::room::{self, MANAGEMENT_BYTES, NoRoom, Room};
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -25,7 +24,7 @@ pub enum ServiceError {
     /// The node cannot be created.
     #[error(
         "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
-         check that the folder belongs to you and that /dev/shm has room"
+         check that the folder belongs to you and has room"
     )]
     Node {
         /// Prefix.
@@ -48,11 +47,13 @@ pub enum ServiceError {
     },
     /// Shared memory has less room than is needed.
     #[error(
-        "shared memory (/dev/shm) is full: {what} needs {needed_mb:.1} MB, {free_mb:.1} MB are free\n\
-         remove what is not needed (ls -l /dev/shm), or make it larger \
-         (mount -o remount,size=256M /dev/shm); cdcrd doctor shows how much it should have"
+        "shared memory ({mount}) is full: {what} needs {needed_mb:.1} MB, {free_mb:.1} MB are free\n\
+         remove what is not needed (ls -l {mount}), or make it larger \
+         (mount -o remount,size=256M {mount}); cdcrd doctor shows how much it should have"
     )]
     Full {
+        /// The file system that is full.
+        mount: String,
         /// Who needs it.
         what: String,
         /// How much \[MB\].
@@ -63,8 +64,9 @@ pub enum ServiceError {
 }
 
 impl ServiceError {
-    pub(super) fn full(what: String, no_room: NoRoom) -> Self {
+    pub(super) fn full(what: String, no_room: &NoRoom) -> Self {
         Self::Full {
+            mount: no_room.mount.display().to_string(),
             what,
             needed_mb: no_room.needed_bytes as f64 * 1e-6,
             free_mb: no_room.free_bytes as f64 * 1e-6,
@@ -82,11 +84,10 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         root: location.root().display().to_string(),
         cause,
     };
-    UnfinishedFiles::new(location.file_prefix()).clear();
+    let room = Room::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
-    let taken_bytes = room::taken_bytes(&location.file_prefix());
-    room::ask(room::daemon_bytes().saturating_sub(taken_bytes))
-        .map_err(|no_room| ServiceError::full("the daemon".to_owned(), no_room))?;
+    room.ask(room::daemon_bytes().saturating_sub(room.taken_bytes()))
+        .map_err(|no_room| ServiceError::full("the daemon".to_owned(), &no_room))?;
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;
@@ -148,14 +149,14 @@ fn with_room<P>(
     bytes: u64,
     create: impl FnOnce() -> Result<P, ServiceError>,
 ) -> Result<P, ServiceError> {
-    let full = |no_room| {
+    let full = |no_room: NoRoom| {
         let service = format!("the service cdcr/{robot}/{}", service.key());
-        ServiceError::full(service, no_room)
+        ServiceError::full(service, &no_room)
     };
-    room::ask(bytes + MANAGEMENT_BYTES).map_err(full)?;
+    let room = Room::of(node);
+    room.ask(bytes + MANAGEMENT_BYTES).map_err(full)?;
     let port = create()?;
-    let prefix = node.config().global.prefix.to_string();
-    room::take(&prefix).map_err(full)?;
+    room.take().map_err(full)?;
     Ok(port)
 }
 

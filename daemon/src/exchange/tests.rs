@@ -7,14 +7,14 @@ use cdcr_shared_types::codes::{
     ChunkMode, Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind,
 };
 use cdcr_shared_types::{
-    Command, Header, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint,
-    Request, Response, Service,
+    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk,
+    ReferencePoint, Request, Response, Service, ipc,
 };
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 
 use super::*;
 use crate::config::Config;
@@ -64,7 +64,7 @@ struct Rig {
     references: Publisher<ipc::Service, ReferenceChunk, ()>,
     commands: Subscriber<ipc::Service, Command, ()>,
     control: Client<ipc::Service, Request, (), Response, ()>,
-    node: Node<ipc::Service>,
+    _node: Node<ipc::Service>,
     _root: tempfile::TempDir,
 }
 
@@ -72,7 +72,7 @@ impl Rig {
     fn new(configuration: &str) -> Self {
         let folder = tempfile::Builder::new()
             .prefix("cdcr-exchange-")
-            .tempdir()
+            .tempdir_in(Location::MEMORY)
             .unwrap();
         let root = folder.path().join("root");
         let text = format!(
@@ -109,7 +109,7 @@ impl Rig {
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),
             next_cycle: 1,
-            node,
+            _node: node,
             _root: folder,
         }
     }
@@ -243,18 +243,6 @@ impl Rig {
             };
         }
         self.obstacles.send_copy(update).unwrap();
-    }
-}
-
-impl Drop for Rig {
-    fn drop(&mut self) {
-        let prefix = self.node.config().global.prefix.to_string();
-        // Files of the ports that still live are only names.
-        for entry in std::fs::read_dir("/dev/shm").unwrap().flatten() {
-            if entry.file_name().to_string_lossy().starts_with(&prefix) {
-                let _ = std::fs::remove_file(entry.path());
-            }
-        }
     }
 }
 

@@ -63,7 +63,7 @@ impl PlaceWatch {
 
     /// Looks whether the files are those of the beginning, and makes the lock file again where it is missing.
     pub(crate) fn look(&self) -> Found {
-        // Programs that delete old files of /tmp leave a locked folder alone. Another one may have it for a moment.
+        // Programs that delete old files leave a locked folder alone. Another one may have it for a moment.
         let _ = flock(&self.root, FlockOperation::NonBlockingLockShared);
         if !is_file_at(&self.root, self.location.root()) {
             let path = self.location.root().to_owned();

@@ -2,13 +2,18 @@ use std::fs::{DirBuilder, Metadata};
 use std::os::unix::fs::{DirBuilderExt, MetadataExt};
 use std::path::Path;
 
+use rustix::fs::statfs;
+
 use super::{InstanceError, file_error};
 
 /// Write permission of group and others.
 const OPEN_TO_WRITE: u32 = 0o022;
 
-/// Makes the root folder if it is missing, and sees that it is ours alone to write to: who may write there
-/// can put files in our way, or take them away from our clients.
+/// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
+const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
+
+/// Makes the root folder if it is missing, and sees that it is in memory, and ours alone to write to: who may write
+/// there can put files in our way, or take them away from our clients.
 pub(super) fn prepare(root: &Path) -> Result<(), InstanceError> {
     DirBuilder::new()
         .recursive(true)
@@ -39,18 +44,38 @@ pub(super) fn prepare(root: &Path) -> Result<(), InstanceError> {
             mode: folder.mode() & 0o7777,
         });
     }
+    if !is_in_memory(root).map_err(|cause| file_error(root, cause))? {
+        return Err(InstanceError::RootOnDisk {
+            root: root.display().to_string(),
+        });
+    }
     Ok(())
+}
+
+/// Whether files in `folder` have no disk behind them.
+///
+/// # Errors
+/// When the system does not tell, because there is no such folder, for example.
+pub fn is_in_memory(folder: &Path) -> std::io::Result<bool> {
+    let kind = statfs(folder)?.f_type;
+    #[allow(
+        clippy::useless_conversion,
+        reason = "the type differs between processors"
+    )]
+    let kind = i64::from(kind);
+    Ok(IN_MEMORY.contains(&kind))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cdcr_shared_types::Location;
     use std::fs::{Permissions, set_permissions};
     use std::os::unix::fs::PermissionsExt;
 
     #[test]
     fn a_new_root_is_open_to_nobody_else() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
         let root = folder.path().join("a/root");
         prepare(&root).expect("it is made");
         let mode = std::fs::metadata(&root).expect("it is there").mode();
@@ -59,7 +84,7 @@ mod tests {
 
     #[test]
     fn a_root_that_others_may_write_to_is_refused_and_left_as_it_is() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
         let root = folder.path();
         for mode in [0o777, 0o770, 0o757, 0o1777] {
             set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
@@ -79,10 +104,24 @@ mod tests {
 
     #[test]
     fn a_link_of_our_own_may_lead_to_the_root() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
         let (root, link) = (folder.path().join("root"), folder.path().join("link"));
         prepare(&root).expect("it is made");
         std::os::unix::fs::symlink(&root, &link).expect("a link");
         prepare(&link).expect("both are ours");
+    }
+
+    #[test]
+    fn a_root_on_a_disk_is_refused() {
+        // A file system that is neither memory nor ours; where it is memory, there is nothing to refuse.
+        let folder = tempfile::tempdir_in(env!("CARGO_MANIFEST_DIR")).expect("a folder");
+        if is_in_memory(folder.path()).expect("it is there") {
+            return;
+        }
+        let error = prepare(folder.path()).expect_err("it is on a disk");
+        let text = error.to_string();
+        for part in ["on a disk", "--root", "/dev/shm"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
     }
 }

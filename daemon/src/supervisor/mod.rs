@@ -12,14 +12,15 @@ use std::time::{Duration, Instant};
 use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason};
+use cdcr_shared_types::ipc;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::cycle::Settings;
+use crate::exchange::convert;
 use crate::exchange::services::{incidents, publisher};
-use crate::exchange::{UnfinishedFiles, convert};
 use crate::exit::{Ended, ExitCause};
 use crate::ports::Clock;
 use crate::rt::accounting::{Totals, Verdict};
@@ -131,7 +132,6 @@ pub struct Supervisor {
     steal: Steal,
     watchdog: Watchdog,
     manager: ServiceManager,
-    unfinished: UnfinishedFiles,
     rate: Rate,
     newest: Summary,
     /// When it came.
@@ -179,7 +179,6 @@ impl Supervisor {
                 now,
             ),
             manager: ServiceManager::from_environment(),
-            unfinished: UnfinishedFiles::new(validated.location.file_prefix()),
             rate: Rate {
                 cycles: 0,
                 since: now,
@@ -219,7 +218,6 @@ impl Supervisor {
             self.take_summaries(clock);
             self.take_incidents(clock);
             self.tell_manager(shared);
-            self.unfinished.look();
             if over || Instant::now() >= next_status {
                 next_status = Instant::now() + STATUS_EVERY;
                 self.publish(clock, shared);

@@ -155,19 +155,19 @@ fn lines_are_text_when_the_standard_error_is_something_else() {
 /// Whoever logs to a journal that takes nothing any more goes on: here the supervisor, which has to see the signal.
 #[test]
 fn a_journal_that_stands_still_holds_nobody_up() {
-    let folder = tempfile::tempdir().unwrap();
-    let socket = folder.path().join("socket");
+    let place = Place::new("journal-full");
+    let socket = place.path().join("socket");
     let journal = UnixDatagram::bind(&socket).unwrap();
-    if !may_have_a_journal(folder.path()) {
+    if !may_have_a_journal(place.path()) {
         return;
     }
     journal.set_read_timeout(Some(PATIENCE)).unwrap();
     let (theirs, _ours) = UnixStream::pair().unwrap();
     let file = rustix::fs::fstat(&theirs).unwrap();
-    let prefix = format!("cdcrtest_journal_full_{}_", std::process::id());
-    let mut child = with_journal(folder.path(), env!("CARGO_BIN_EXE_cdcrd"))
-        .args(["run", "--prefix", &prefix, "--robot", "journal", "--root"])
-        .arg(folder.path().join("root"))
+    let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
+        .args(["run", "--robot", "journal", "--root"])
+        .arg(place.path().join("root"))
+        .env("CDCR_PREFIX", place.prefix())
         .env("JOURNAL_STREAM", format!("{}:{}", file.st_dev, file.st_ino))
         .env_remove("RUST_LOG")
         .env_remove("CDCR_CONFIG")

@@ -25,7 +25,7 @@ function __fish_cdcrctl_using_subcommand
 end
 
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s V -l version -d 'Print version'
@@ -47,11 +47,11 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l format -d 'How 
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l out -d 'Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand demo" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and not __fish_seen_subcommand_from spiral line circle file" -f -a "spiral" -d 'The paper\'s spiral, Eq. 8'
@@ -66,7 +66,7 @@ cubic\t'A smooth cubic curve'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l track -d 'Ask for tracking as soon as the first chunk is in'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -s h -l help -d 'Print help (see more with \'--help\')'
@@ -80,7 +80,7 @@ cubic\t'A smooth cubic curve'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l track -d 'Ask for tracking as soon as the first chunk is in'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -s h -l help -d 'Print help (see more with \'--help\')'
@@ -94,7 +94,7 @@ cubic\t'A smooth cubic curve'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l track -d 'Ask for tracking as soon as the first chunk is in'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -s h -l help -d 'Print help (see more with \'--help\')'
@@ -103,34 +103,34 @@ cubic\t'A smooth cubic curve'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l track -d 'Ask for tracking as soon as the first chunk is in'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l format -d 'How to print' -r -f -a "text\t'For people'
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l watch -d 'Show it anew every second, until interrupted'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand status" -l reset-statistics -d 'Begin the statistics anew and show nothing; a stopped robot stays stopped (that is cdcrctl reset)'
@@ -139,14 +139,14 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l format -d 
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l count -d 'Only so many of those that are kept, the newest' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l follow -d 'Go on with each new one, until interrupted'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l format -d 'How to print' -r -f -a "text\t'For people'
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -f -a "show" -d 'Show them with their ranges, as the newest cycle used them'
@@ -154,11 +154,11 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l format -d 'How to print' -r -f -a "text\t'For people'
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l format -d 'One line for each message (text), or one JSON object on each line' -r -f -a "text\t'For people'
@@ -166,11 +166,11 @@ json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l count -d 'End after this many messages' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l rate -d 'Print at most this many messages a second and leave out the rest' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -f -a "add" -d 'Add a sphere, or with --to a capsule; a known id is replaced'
@@ -183,14 +183,14 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_see
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l velocity -d 'Velocity in m/s: the daemon moves it on from now' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l lifetime -d 'How long it stays known [default: until removed]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from clear" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from clear" -l root -d 'Root path of the daemon\'s files [default: /tmp/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from clear" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from clear" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from clear" -s h -l help -d 'Print help'

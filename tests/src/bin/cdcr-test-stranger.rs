@@ -9,10 +9,8 @@
 use std::path::Path;
 
 use cdcr_client::{ConnectError, Connection};
-use cdcr_shared_types::Location;
+use cdcr_shared_types::{Location, ipc};
 use cdcr_tests::ROBOT;
-use iceoryx2::config::Config;
-use iceoryx2::prelude::{FileName, NodeBuilder, SemanticString, ipc};
 
 fn main() {
     let given: Vec<String> = std::env::args().skip(1).collect();
@@ -28,16 +26,6 @@ fn main() {
     // Without the client's look at the owner.
     let by_hand = location.node_builder().unwrap().create::<ipc::Service>();
     println!("{:?}", by_hand.unwrap_err());
-    // With a root folder of one's own, and the daemon's names in shared memory.
-    let own = tempfile::tempdir().unwrap();
-    let mut config = Config::default();
-    config.global.prefix = FileName::new(location.file_prefix().as_bytes()).unwrap();
-    let path = own.path().as_os_str().as_encoded_bytes();
-    config
-        .global
-        .set_root_path(&iceoryx2::prelude::Path::new(path).unwrap());
-    let same_names = NodeBuilder::new().config(&config).create::<ipc::Service>();
-    println!("{:?}", same_names.unwrap_err());
     println!(
         "joined nothing as user {}",
         rustix::process::geteuid().as_raw()

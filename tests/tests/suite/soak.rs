@@ -12,9 +12,10 @@ use std::sync::{Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 
 use cdcr_client::Connection;
-use cdcr_shared_types::Service;
+use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
 use cdcr_tests::{Daemon, PATIENCE, Place, Program, wait_until};
+use rustix::process::Signal;
 
 /// Timing is not the subject. Everything else is as in service.
 const CONFIGURATION: &str = "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n";
@@ -129,7 +130,7 @@ fn soak(link: &str) {
     write_csv(link, &samples);
     assert_no_growth(&samples);
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 /// Ends the load also when the test fails.
@@ -248,7 +249,7 @@ fn field(text: &str, key: &str) -> u64 {
 /// Files of this place in shared memory, and their bytes.
 fn shared_memory(place: &Place) -> (u64, u64) {
     let names = place.shared_memory_files();
-    let sizes = names.iter().filter_map(|name| fs::metadata(shm(name)).ok());
+    let sizes = names.iter().filter_map(|path| fs::metadata(path).ok());
     (names.len() as u64, sizes.map(|file| file.len()).sum())
 }
 
@@ -265,7 +266,7 @@ fn files_below(folder: &Path) -> u64 {
 
 /// Nodes that iceoryx2 knows here: those that live, and those of processes that were killed.
 fn nodes(place: &Place) -> [u64; 2] {
-    use iceoryx2::prelude::{CallbackProgression, Node, NodeState, ipc};
+    use iceoryx2::prelude::{CallbackProgression, Node, NodeState};
     let mut count = [0, 0];
     let config = place.location().iceoryx2_config().unwrap();
     Node::<ipc::Service>::list(&config, |state| {
@@ -364,15 +365,18 @@ fn what_killed_clients_leave_goes_when_the_next_one_comes() {
     for _ in 0..3 {
         let mut victims: Vec<_> = (0..4).map(|_| echo(place)).collect();
         victims.iter_mut().for_each(wait_until_it_reads);
+        // Before the daemon can clear away after them.
+        daemon.signal(Signal::STOP);
         victims.into_iter().for_each(kill);
         assert!(inventory(place)[3] > 0, "a killed client cannot tidy up");
+        daemon.signal(Signal::CONT);
         wait_until("it is as before", || {
             drop(daemon.connect());
             inventory(place) == before
         });
     }
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 /// iceoryx2 0.10 cannot clear away all of a client that was killed between announcing that it will open a service
@@ -385,7 +389,7 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
     // Without the queues to single clients, of which the daemon keeps the last until it connects to another one.
     let memory = || {
         let mut names = place.shared_memory_files();
-        names.retain(|name| !name.ends_with(".connection"));
+        names.retain(|path| path.extension().is_none_or(|end| end != "connection"));
         names.sort();
         names
     };
@@ -423,24 +427,21 @@ fn a_file_that_a_killed_client_began_holds_nobody_up() {
     let names = place.shared_memory_files();
     let newest = names
         .iter()
-        .filter(|name| name.ends_with(".connection"))
-        .max_by_key(|name| fs::metadata(shm(name)).unwrap().modified().unwrap());
+        .filter(|path| path.extension().is_some_and(|end| end == "connection"))
+        .max_by_key(|path| fs::metadata(path).unwrap().modified().unwrap());
+    let newest = newest.unwrap().to_str().unwrap();
     // <prefix><hash>_<writer>_<reader>.connection: the same reader, and a writer that is none.
-    let [reader, _, start] = *newest.unwrap().rsplitn(3, '_').collect::<Vec<_>>() else {
+    let [reader, _, start] = *newest.rsplitn(3, '_').collect::<Vec<_>>() else {
         panic!("another name: {newest:?}");
     };
-    let begun = shm(&format!("{start}_1_{reader}"));
+    let begun = PathBuf::from(format!("{start}_1_{reader}"));
     fs::write(&begun, "").unwrap();
     fs::set_permissions(&begun, fs::Permissions::from_mode(0o200)).unwrap();
     kill(victim);
     let mut next = Program::start(place.command("cdcrctl").arg("status"));
     wait_until("the next client is served", || !next.runs());
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
-}
-
-fn shm(name: &str) -> PathBuf {
-    Path::new("/dev/shm").join(name)
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -20,12 +20,12 @@ use cdcr_client::{
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 use cdcr_controller::safety::{ramp_to_zero, shorten};
 use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, RequestKind, guard};
-use cdcr_shared_types::{Header, Request, Response, Service, Telemetry};
+use cdcr_shared_types::{Header, Request, Response, Service, Telemetry, ipc};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_record};
 use iceoryx2::port::client::Client;
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 
 /// Stops that are measured.
 const STOPS: usize = 20;

@@ -35,7 +35,7 @@ pub(crate) struct Target {
     /// Prefix of the daemon's shared-memory files
     #[arg(long, global = true, env = "CDCR_PREFIX", default_value = DEFAULT_PREFIX, help_heading = "Which daemon")]
     prefix: String,
-    /// Root path of the daemon's files [default: /tmp/cdcr-UID]
+    /// Root path of the daemon's files [default: /dev/shm/cdcr-UID]
     #[arg(
         long,
         global = true,

@@ -1,8 +1,7 @@
 //! Invariant: nobody waits for ever for what a killed process began.
 //!
-//! iceoryx2 0.10 makes a file in shared memory in two steps: it has no bytes, then its size. Whoever opens one that
-//! stays without bytes, because its maker was killed between the steps, waits without end: a new client that clears
-//! away dead ones, and the daemon when it ends.
+//! iceoryx2 0.10 makes a file in shared memory in two steps: it has no bytes, then its size. One that stays without bytes,
+//! because its maker was killed between the steps, has to be removed with the rest of the dead client.
 
 use std::fs;
 use std::path::Path;
@@ -20,14 +19,14 @@ const AGE_MAX: Duration = Duration::from_secs(10);
 /// that those who wait for it can end.
 pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> Verdict {
     while !ending.load(Ordering::Relaxed) {
-        for name in place.shared_memory_files() {
-            let path = Path::new("/dev/shm").join(&name);
+        for path in place.shared_memory_files() {
             if is_half_made(&path) {
                 ending.store(true, Ordering::Relaxed);
                 // Somebody may have been faster.
                 let _ = fs::remove_file(&path);
                 return Err(format!(
-                    "{name} has no bytes for {} s: whoever opens it waits for ever",
+                    "{} has no bytes for {} s",
+                    path.display(),
                     AGE_MAX.as_secs()
                 ));
             }

@@ -17,6 +17,7 @@ mod ramp;
 mod tally;
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -124,7 +125,7 @@ fn run(link: &str) {
     come_back(&daemon);
     assert!(driver.is_none_or(|mut driver| driver.runs()));
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().leftovers_after_kills(), Vec::<String>::new());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 /// Ends the run also when the director fails.

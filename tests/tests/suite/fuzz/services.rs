@@ -3,13 +3,13 @@
 use cdcr_client::{Connection, Driver, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{
-    Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status,
+    Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status, ipc,
 };
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_status, wait_until};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend, ipc};
+use iceoryx2::prelude::{BackpressureStrategy, Node, ZeroCopySend};
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;

@@ -4,10 +4,10 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, LinkError};
 use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
-use cdcr_shared_types::{Location, Service};
+use cdcr_shared_types::{Location, Service, ipc};
 use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, text, wait_mode, wait_until};
 use iceoryx2::node::NodeState;
-use iceoryx2::prelude::{CallbackProgression, Node, ipc};
+use iceoryx2::prelude::{CallbackProgression, Node};
 use rustix::process::Signal;
 
 /// Every connection that a daemon takes, with every reader of the status and everybody who may ask.

@@ -2,6 +2,7 @@
 //! starts beside it, and no stop is said to have succeeded that did not.
 
 use std::fs;
+use std::path::PathBuf;
 
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Daemon, PATIENT, Program, ROBOT, text, wait_mode, wait_until};
@@ -76,7 +77,7 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&std::path::Path)) {
     assert!(daemon.place().cdcrctl(&["stop"]).status.success());
     assert!(daemon.stop().success(), "{}", daemon.log());
     let left = daemon.place().shared_memory_files();
-    assert_eq!(left, Vec::<String>::new());
+    assert_eq!(left, Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -1,12 +1,12 @@
 //! The demo: one command, everything real.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use cdcr_client::Connection;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{PATIENCE, Place, Program, shared_memory_files, text, wait_status, wait_until};
+use cdcr_tests::{PATIENCE, Place, Program, in_public_memory, text, wait_status, wait_until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -225,7 +225,7 @@ impl RunningDemo {
         let [folder] = &self.temporary()[..] else {
             panic!("one folder: {:?}", self.temporary());
         };
-        let root = self.place.folder().join("tmp").join(folder).join("root");
+        let root = Path::new(Location::MEMORY).join(folder);
         let location = Location::new(&format!("{folder}_"), &root).unwrap();
         let connection = Connection::open_within(&location, "demo", PATIENCE).unwrap();
         wait_status(&connection, |status| status.mode == Mode::Tracking.code());
@@ -238,8 +238,8 @@ impl Drop for RunningDemo {
             let daemon = Pid::from_raw(daemon.cast_signed()).unwrap();
             let _ = kill_process(daemon, Signal::KILL);
         }
-        for name in shared_memory_files(&self.prefix()) {
-            let _ = fs::remove_file(Path::new("/dev/shm").join(name));
+        for root in in_public_memory(&self.prefix()) {
+            let _ = fs::remove_dir_all(root);
         }
     }
 }
@@ -260,7 +260,7 @@ fn an_interrupted_demo_leaves_nothing() {
         let output = demo.program.output();
         assert_eq!(output.status.code(), Some(130), "{}", text(&output));
         assert!(!demo.is_its_daemon(daemon), "its daemon still runs");
-        assert_eq!(shared_memory_files(&demo.prefix()), Vec::<String>::new());
+        assert_eq!(in_public_memory(&demo.prefix()), Vec::<PathBuf>::new());
         assert_eq!(demo.temporary(), Vec::<String>::new());
     }
 }
@@ -278,12 +278,11 @@ fn the_daemon_of_a_killed_demo_ends() {
     wait_until("the end of its daemon", || {
         !demo.is_its_daemon(daemon) && has_ended(&stat())
     });
-    // One file of 16 bytes is iceoryx2's own.
-    let left = shared_memory_files(&demo.prefix());
-    assert!(
-        left.iter().all(|name| name.ends_with(".global_mgmt")),
-        "{left:?}"
-    );
+    // Of its memory nothing but folders.
+    for root in in_public_memory(&demo.prefix()) {
+        let mut entries = fs::read_dir(&root).unwrap().flatten();
+        assert!(entries.all(|entry| entry.path().is_dir()), "{root:?}");
+    }
     // The next one removes what is left, says so, and leaves nothing itself.
     let next = demo
         .place
@@ -299,5 +298,5 @@ fn the_daemon_of_a_killed_demo_ends() {
         text(&next)
     );
     assert_eq!(demo.temporary(), Vec::<String>::new());
-    assert_eq!(shared_memory_files(&demo.prefix()), Vec::<String>::new());
+    assert_eq!(in_public_memory(&demo.prefix()), Vec::<PathBuf>::new());
 }

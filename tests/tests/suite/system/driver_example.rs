@@ -1,6 +1,7 @@
 //! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
 
 use std::ops::ControlFlow;
+use std::path::PathBuf;
 use std::time::Duration;
 
 use cdcr_client::{FeedEvent, FeedOptions, Line};
@@ -82,7 +83,7 @@ fn run_example(interface: &str) {
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
     drop((telemetry, connection));
     assert!(daemon.stop().success(), "{}", daemon.log());
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -1,5 +1,7 @@
 //! The end of a daemon: the robot comes to rest, whatever clients ask meanwhile.
 
+use std::path::PathBuf;
+
 use cdcr_client::{FeedOptions, Line, RequestError};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
@@ -91,7 +93,7 @@ fn a_robot_that_cannot_rest_in_time_ends_with_a_status_of_its_own() {
     let status = daemon.stop_after_signal();
     assert_eq!(status.code(), Some(NOT_AT_REST), "{}", daemon.log());
     assert!(daemon.log().contains("motion.deceleration_rad_s2"));
-    assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+    assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }
 
 #[test]

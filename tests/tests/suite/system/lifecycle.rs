@@ -1,5 +1,7 @@
 //! Start, end, death and return of the daemon.
 
+use std::path::PathBuf;
+
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_mode, wait_status};
@@ -37,7 +39,7 @@ fn a_clean_end_leaves_nothing_behind() {
         daemon.signal(signal);
         let status = daemon.stop_after_signal();
         assert!(status.success(), "{status}: {}", daemon.log());
-        assert_eq!(daemon.place().shared_memory_files(), Vec::<String>::new());
+        assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
         let root = daemon.place().location().root();
         let left: Vec<_> = walk(root)
             .into_iter()
@@ -47,7 +49,7 @@ fn a_clean_end_leaves_nothing_behind() {
     }
 }
 
-fn walk(folder: &std::path::Path) -> Vec<std::path::PathBuf> {
+fn walk(folder: &std::path::Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     entries
         .flat_map(|entry| {
@@ -143,5 +145,5 @@ fn real_time_that_is_required_and_not_granted_is_refused_or_granted_in_full() {
     for part in ["require", "core pinning", "prefer"] {
         assert!(message.contains(part), "{part}: {message}");
     }
-    assert_eq!(place.shared_memory_files(), Vec::<String>::new());
+    assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
 }

@@ -8,9 +8,9 @@ use cdcr_client::{
     obstacles,
 };
 use cdcr_shared_types::codes::{EventKind, Mode, ObstacleShape, Outcome, RequestKind, guard};
-use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry};
+use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry, ipc};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, wait_record, wait_status};
-use iceoryx2::prelude::{Node, ipc};
+use iceoryx2::prelude::Node;
 
 /// The safe distance of the default configuration.
 const SAFE_DISTANCE_M: f64 = 0.01;

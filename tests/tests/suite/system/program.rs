@@ -1,7 +1,7 @@
 //! `cdcrctl` as a user meets it when all is well.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -136,10 +136,10 @@ fn whoever_leaves_last_leaves_nothing() {
     assert!(daemon.stop().success());
     drop((telemetry, connection));
     let files = || daemon.place().shared_memory_files();
-    assert_eq!(files(), Vec::<String>::new());
+    assert_eq!(files(), Vec::<PathBuf>::new());
     // A client that finds nobody.
     assert!(!daemon.place().cdcrctl(&["status"]).status.success());
-    assert_eq!(files(), Vec::<String>::new());
+    assert_eq!(files(), Vec::<PathBuf>::new());
 }
 
 #[test]

@@ -1,9 +1,9 @@
 //! Whom the client does not talk to: services of another version. What a second user gets of a daemon is in `access`.
 
 use cdcr_client::{ConnectError, Connection};
-use cdcr_shared_types::{Service, Status};
+use cdcr_shared_types::{Service, Status, ipc};
 use cdcr_tests::{Place, ROBOT, text};
-use iceoryx2::prelude::{Node, ZeroCopySend, ipc};
+use iceoryx2::prelude::{Node, ZeroCopySend};
 
 fn node(place: &Place) -> Node<ipc::Service> {
     let builder = place.location().node_builder().unwrap();

@@ -9,12 +9,10 @@ use cdcr_shared_types::Location;
 use rustix::io::Errno;
 use rustix::process::{Pid, geteuid, test_kill_process};
 
-/// Where iceoryx2 keeps shared memory.
-const SHARED_MEMORY: &str = "/dev/shm";
 /// Beginning of the name of each demo's folder; its process id and a random number follow.
 const NAME: &str = "cdcr-demo-";
 
-/// A prefix and a folder that nobody else uses. Dropping it removes what they hold.
+/// A folder, and a root folder in memory, that nobody else uses. Dropping it removes both.
 pub(super) struct PrivatePlace {
     folder: PathBuf,
     location: Location,
@@ -28,8 +26,7 @@ impl PrivatePlace {
         let random = RandomState::new().build_hasher().finish() as u32;
         let name = format!("{NAME}{}-{random:08x}", std::process::id());
         let folder = std::env::temp_dir().join(name);
-        let location = location(&folder)
-            .context("the demo's folder lies in TMPDIR: set TMPDIR to a shorter absolute path")?;
+        let location = location(&folder).context("the names of a demo")?;
         let problem = || {
             format!(
                 "cannot write to {}: set TMPDIR to a folder on a disk with room that you may write to",
@@ -83,9 +80,7 @@ pub(super) fn sweep_abandoned() {
             .and_then(|location| remove(&folder, &location));
         let folder = folder.display();
         match removed {
-            Ok(files) => eprintln!(
-                "removed {folder} and {files} files in {SHARED_MEMORY}: left by a demo that was killed"
-            ),
+            Ok(()) => eprintln!("removed {folder} and its memory: left by a demo that was killed"),
             Err(error) => eprintln!("warning: cannot remove {folder}: {error}"),
         }
     }
@@ -123,22 +118,18 @@ fn has_ended(process: Pid) -> bool {
 /// Where daemon and clients of the demo with this folder meet.
 fn location(folder: &Path) -> Result<Location, cdcr_shared_types::LocationError> {
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
-    Location::new(&format!("{name}_"), &folder.join("root"))
+    let root = Path::new(Location::MEMORY).join(&*name);
+    Location::new(&format!("{name}_"), &root)
 }
 
-/// Removes the folder and the files in shared memory, and returns how many these were.
-fn remove(folder: &Path, location: &Location) -> io::Result<usize> {
-    let prefix = location.file_prefix();
-    let mut files = 0;
-    for entry in fs::read_dir(SHARED_MEMORY)? {
-        let entry = entry?;
-        if entry.file_name().to_string_lossy().starts_with(&prefix) {
-            fs::remove_file(entry.path())?;
-            files += 1;
-        }
+/// Removes the folder and the root folder.
+fn remove(folder: &Path, location: &Location) -> io::Result<()> {
+    match fs::remove_dir_all(location.root()) {
+        // Its daemon had not started.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+        result => result?,
     }
-    fs::remove_dir_all(folder)?;
-    Ok(files)
+    fs::remove_dir_all(folder)
 }
 
 #[cfg(test)]
@@ -154,7 +145,8 @@ mod tests {
     }
 
     fn stray(location: &Location) -> PathBuf {
-        Path::new(SHARED_MEMORY).join(format!("{}x", location.file_prefix()))
+        fs::create_dir(location.root()).expect("made");
+        location.root().join("x")
     }
 
     #[test]
@@ -168,6 +160,7 @@ mod tests {
         assert!(folder.join(PrivatePlace::CONFIG).exists());
         drop(place);
         assert!(!folder.exists() && !stray.exists());
+        assert!(!stray.parent().expect("its folder").exists());
         assert!(other.folder.exists());
     }
 
@@ -201,11 +194,11 @@ mod tests {
     fn an_abandoned_place_is_removed_with_its_shared_memory() {
         let temporary = tempfile::tempdir().expect("a folder");
         let folder = temporary.path().join(format!("{NAME}{}-0123abcd", ended()));
-        fs::create_dir_all(folder.join("root")).expect("made");
+        fs::create_dir(&folder).expect("made");
         let location = location(&folder).expect("legal");
         let stray = stray(&location);
         fs::write(&stray, "x").expect("written");
-        assert_eq!(remove(&folder, &location).expect("removed"), 1);
-        assert!(!folder.exists() && !stray.exists());
+        remove(&folder, &location).expect("removed");
+        assert!(!folder.exists() && !location.root().exists());
     }
 }

@@ -3,19 +3,21 @@
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, lchown, symlink};
-use std::path::Path;
+use std::path::PathBuf;
 use std::process::{Command, Output};
 
 use cdcr_client::Connection;
+use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, shared_memory_files, text, wait_until,
+    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, in_public_memory, text, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 
 use super::stranger::{
-    EXIT_ROOT, EXIT_SHARED_MEMORY, NOBODY, assert_says, everything, files_below,
-    folder_of_stranger, have_a_stranger, in_view, start, stranger,
+    EXIT_ROOT, NOBODY, assert_says, everything, files_below, folder_of_stranger, have_a_stranger,
+    in_view, start, stranger,
 };
 
 /// Runs `cdcrd` to its end, which must come.
@@ -33,8 +35,8 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     let root = place.location().root();
     let foreign = "belongs to user id 65534, not to 0";
     let remedy = "--root";
-    let theirs = folder_of_stranger(&place, "root");
-    fs::set_permissions(&theirs, Permissions::from_mode(0o777)).unwrap();
+    folder_of_stranger(root);
+    fs::set_permissions(root, Permissions::from_mode(0o777)).unwrap();
     assert_says(&ended(&place), EXIT_ROOT, &[foreign, remedy]);
     // Ours, but open to all.
     chown(root, Some(0), Some(0)).unwrap();
@@ -46,7 +48,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of theirs to a folder of ours.
-    let ours = place.folder().join("ours");
+    let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
     fs::rename(root, &ours).unwrap();
     fs::set_permissions(&ours, Permissions::from_mode(0o700)).unwrap();
     symlink(&ours, root).unwrap();
@@ -59,73 +61,111 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     chown(&ours, Some(NOBODY), Some(NOBODY)).unwrap();
     assert_says(&ended(&place), EXIT_ROOT, &[foreign, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
-    assert_eq!(place.shared_memory_files(), Vec::<String>::new());
+    fs::remove_file(root).unwrap();
+    fs::remove_dir(&ours).unwrap();
 }
 
-/// Lets the other user make the file `path` with the bytes of `source`.
-fn plant(path: &Path, source: &Path, mode: &str) {
-    let script = r#"umask 0; cat "$1" > "$0" && chmod "$2" "$0""#;
+/// Runs a script as the other user, with these arguments, in the folder in memory that is open to all.
+fn as_stranger(script: &str, arguments: &[String]) {
     let mut command = stranger("/bin/sh");
-    command.args(["-c", script]).args([path, source]).arg(mode);
-    assert!(command.status().unwrap().success());
+    command.current_dir(Location::MEMORY).args(["-c", script]);
+    let output = command.arg("attack").args(arguments).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
 }
 
+/// A daemon that is disturbed by nothing: it publishes, takes clients that read and feed, and stops when asked.
+fn assert_serves(daemon: &Daemon) {
+    let connection = daemon.connect();
+    let before = connection.status(PATIENCE).unwrap();
+    assert_eq!(before.process_id, daemon.id());
+    let mut telemetry = connection.telemetry().unwrap();
+    assert!(telemetry.next_within(PATIENCE).unwrap().is_some());
+    connection.obstacle_sender().unwrap().clear().unwrap();
+    wait_status(&connection, |status| status.cycles > before.cycles);
+    for (request, mode) in [("stop", Mode::Stopped), ("reset", Mode::Holding)] {
+        let output = Program::start(daemon.place().command("cdcrctl").arg(request)).output();
+        assert_says(&output, 0, &["accepted"]);
+        wait_status(&connection, |status| status.mode == mode.code());
+    }
+}
+
+/// What another user could do to a daemon as long as its memory was in `/dev/shm` under names that everybody saw: the
+/// daemon died of a file that it mapped (SIGBUS), clients waited for ever for one that was empty, the supervisor had too
+/// many to look at, and one kept every client and every start away.
 #[test]
-fn a_file_that_another_user_put_into_shared_memory_is_not_used_and_not_waited_for() {
+fn what_another_user_puts_into_public_memory_is_nobodys_concern() {
     if !have_a_stranger() {
         return;
     }
     let mut daemon = Daemon::start(PATIENT);
-    let location = daemon.place().location().clone();
-    in_view(daemon.place());
-    let names = shared_memory_files(&location.file_prefix());
-    let name = names
+    let _client = daemon.connect();
+    let prefix = daemon.place().location().file_prefix();
+    // The very names that the daemon and its clients use, and the one that iceoryx2 gives to its management.
+    let mut names: Vec<_> = daemon
+        .place()
+        .shared_memory_files()
         .iter()
-        .find(|name| name.ends_with(".global_mgmt"))
-        .unwrap();
-    let path = Path::new("/dev/shm").join(name);
-    let bytes = daemon.place().folder().join("bytes");
-    fs::write(&bytes, fs::read(&path).unwrap()).unwrap();
-    fs::set_permissions(&bytes, Permissions::from_mode(0o644)).unwrap();
-    assert!(daemon.stop().success());
-    assert!(!path.exists());
-    // Empty, closed, and one that looks exactly as iceoryx2's own.
-    for (source, mode) in [
-        (Path::new("/dev/null"), "666"),
-        (&bytes, "600"),
-        (&bytes, "666"),
-    ] {
-        plant(&path, source, mode);
-        let content = fs::read(&path).unwrap();
-        let words = [
-            path.to_str().unwrap(),
-            "belongs to user id 65534",
-            "remove it",
-        ];
-        assert_says(&ended(daemon.place()), EXIT_SHARED_MEMORY, &words);
-        // A client that finds no daemon says the same, and does not wait, either.
-        let words = [path.to_str().unwrap(), "belongs to user 65534", "remove it"];
-        for arguments in [&["status"][..], &["stop"]] {
-            let mut client = daemon.place().command("cdcrctl");
-            let output = Program::start(client.args(arguments)).output();
-            assert_says(&output, 1, &words);
+        .map(|path| path.file_name().unwrap().to_string_lossy().into_owned())
+        .collect();
+    names.push(format!("{prefix}node.0_10_0.global_mgmt"));
+    assert!(names.len() > 10, "{names:?}");
+    let attacks: [(&str, &str, &[String]); 4] = [
+        (
+            "files that get shorter when they are mapped",
+            r#"for name; do head -c 100000 /dev/zero > "$name" && chmod 666 "$name" && truncate -s 0 "$name"; done"#,
+            &names,
+        ),
+        (
+            "empty files",
+            r#"umask 0; for name; do : > "$name"; done"#,
+            &names,
+        ),
+        (
+            "files that nobody may open",
+            r#"umask 777; for name; do : > "$name"; done"#,
+            &names,
+        ),
+        (
+            "40 000 empty files",
+            r#"seq -f "$1%.0f.connection" 40000 | xargs touch"#,
+            std::slice::from_ref(&prefix),
+        ),
+    ];
+    for (what, script, arguments) in attacks {
+        println!("{what}");
+        as_stranger(script, arguments);
+        assert_serves(&daemon);
+        // Neither its end nor its next start minds them, be it killed or asked to end.
+        daemon.kill();
+        daemon.restart();
+        assert!(daemon.stop().success(), "{what}: {}", daemon.log());
+        daemon.restart();
+        assert_serves(&daemon);
+        let planted = in_public_memory(&prefix);
+        assert!(planted.len() >= arguments.len(), "{what}: {planted:?}");
+        for path in planted {
+            assert_eq!(fs::metadata(&path).unwrap().uid(), NOBODY, "{what}");
+            fs::remove_file(path).unwrap();
         }
-        assert_eq!(fs::read(&path).unwrap(), content);
-        assert_eq!(fs::metadata(&path).unwrap().uid(), NOBODY);
-        assert_eq!(
-            files_below(location.root())
-                .iter()
-                .filter(|path| path.is_file())
-                .count(),
-            0
-        );
-        fs::remove_file(&path).unwrap();
     }
-    daemon.restart();
-    assert_eq!(
-        daemon.connect().status(PATIENCE).unwrap().mode,
-        Mode::Holding.code()
+    assert!(daemon.stop().success(), "{}", daemon.log());
+}
+
+#[test]
+fn a_file_in_the_place_of_the_root_folder_keeps_the_daemon_out_with_words() {
+    if !have_a_stranger() {
+        return;
+    }
+    let place = Place::new();
+    let root = place.location().root();
+    as_stranger(r#": > "$1""#, &[root.to_str().unwrap().to_owned()]);
+    assert_says(
+        &ended(&place),
+        EXIT_ROOT,
+        &[root.to_str().unwrap(), "--root"],
     );
+    assert_eq!(fs::metadata(root).unwrap().uid(), NOBODY);
+    fs::remove_file(root).unwrap();
 }
 
 #[test]
@@ -160,7 +200,9 @@ fn no_umask_opens_a_file_to_others() {
     wait_until("files of all three", || {
         let connections = place.shared_memory_files();
         nodes().count() >= before + 2
-            && connections.iter().any(|name| name.ends_with(".connection"))
+            && connections
+                .iter()
+                .any(|path| path.extension().is_some_and(|end| end == "connection"))
     });
     for path in everything(&place) {
         // What a client has closed meanwhile is not open to anybody.
@@ -210,8 +252,5 @@ fn the_working_folder_and_foreign_variables_decide_nothing_and_are_not_logged() 
     assert_says(&output, 0, &["running"]);
     assert!(!text(&output).contains(secret), "{}", text(&output));
     assert!(!elsewhere.exists());
-    assert_eq!(
-        shared_memory_files("cdcrtest_hostile_"),
-        Vec::<String>::new()
-    );
+    assert_eq!(in_public_memory("cdcrtest_hostile_"), Vec::<PathBuf>::new());
 }

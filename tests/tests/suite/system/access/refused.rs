@@ -4,11 +4,11 @@ use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::process::CommandExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use cdcr_client::Connection;
-use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::{Mode, Outcome};
+use cdcr_shared_types::{Location, Status};
 use cdcr_tests::{
     Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, text, wait_status, wait_until,
 };
@@ -145,13 +145,14 @@ fn a_root_folder_that_the_other_user_cannot_even_see_is_said_to_be_closed() {
     if !have_a_stranger() {
         return;
     }
-    let (closed, open) = (Place::new(), Place::new());
-    fs::create_dir(closed.location().root()).unwrap();
-    fs::set_permissions(closed.folder(), Permissions::from_mode(0o700)).unwrap();
-    in_view(&open);
-    let [cdcrctl, cdcrd] = ["cdcrctl", "cdcrd"].map(|name| open_to_all(&open, &binary(name)));
-    let root = closed.location().root();
-    let command = |program| of_stranger(program, closed.location().prefix(), root);
+    let place = Place::new();
+    let closed = place.location().root();
+    let root = &closed.join("root");
+    fs::create_dir_all(root).unwrap();
+    fs::set_permissions(closed, Permissions::from_mode(0o700)).unwrap();
+    in_view(&place);
+    let [cdcrctl, cdcrd] = ["cdcrctl", "cdcrd"].map(|name| open_to_all(&place, &binary(name)));
+    let command = |program| of_stranger(program, place.location().prefix(), root);
     let output = command(&cdcrctl).arg("status").output().unwrap();
     let words = [root.to_str().unwrap(), "permission denied"];
     assert_says(&output, 1, &words);
@@ -206,12 +207,10 @@ fn the_kernel_refuses_another_user_every_file() {
     let _busy = busy_daemon(place);
     let files = everything(place);
     assert!(files.len() > 60, "{}", files.len());
-    assert!(files.iter().any(|path| path.ends_with("services")));
-    assert!(
-        files
-            .iter()
-            .any(|path| path.to_string_lossy().ends_with(".global_mgmt"))
-    );
+    for part in ["services", "nodes", ".data", ".connection", ".lock"] {
+        let is_it = |path: &PathBuf| path.to_string_lossy().ends_with(part);
+        assert!(files.iter().any(is_it), "{part}");
+    }
     assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
     // One of the daemon's own group may see the names, and no more.
     let group = fs::metadata(place.location().root()).unwrap().gid();
@@ -296,7 +295,8 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     ];
     assert_says(&output, EXIT_ROOT, &words);
     // On a root folder of its own: yes, with the same prefix and robot.
-    let root = folder_of_stranger(place, "theirs").join("root");
+    let root = Path::new(Location::MEMORY).join(format!("{prefix}theirs"));
+    folder_of_stranger(&root);
     let mut command = of_stranger(&cdcrd, prefix, &root);
     let mut theirs = Program::start(command.args(["run", "--config"]).arg(config));
     let ask = |words: &[&str]| {
@@ -328,4 +328,5 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     theirs.signal(Signal::TERM);
     assert_says(&theirs.output(), 0, &[]);
     assert_eq!(left_by_stranger(place), Vec::<PathBuf>::new());
+    fs::remove_dir_all(&root).unwrap();
 }

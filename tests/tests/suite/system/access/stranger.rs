@@ -16,11 +16,10 @@ use cdcr_tests::{PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wa
 /// User and group `nobody`.
 pub(super) const NOBODY: u32 = 65_534;
 
-/// Statuses that the manual gives.
-pub(super) const EXIT_SHARED_MEMORY: i32 = 71;
+/// The status that the manual gives.
 pub(super) const EXIT_ROOT: i32 = 73;
 
-/// A place that the other user can see into, as far as its folder goes: what keeps the user out is the root.
+/// A place whose folder the other user can see into, for programs and files: what keeps the user out is the root.
 pub(super) fn in_view(place: &Place) {
     fs::set_permissions(place.folder(), Permissions::from_mode(0o755)).unwrap();
 }
@@ -85,13 +84,9 @@ pub(super) fn files_below(folder: &Path) -> BTreeSet<PathBuf> {
     files
 }
 
-/// Every file and folder of the daemon: below its root and in shared memory.
+/// Every file and folder of the daemon.
 pub(super) fn everything(place: &Place) -> BTreeSet<PathBuf> {
-    let shared = place.shared_memory_files().into_iter();
-    let mut files: BTreeSet<_> = shared
-        .map(|name| Path::new("/dev/shm").join(name))
-        .collect();
-    files.extend(files_below(place.location().root()));
+    let mut files = files_below(place.location().root());
     files.insert(place.location().root().to_owned());
     files
 }
@@ -152,10 +147,8 @@ pub(super) fn assert_says(output: &Output, status: i32, parts: &[&str]) {
     }
 }
 
-/// A folder that belongs to the other user.
-pub(super) fn folder_of_stranger(place: &Place, name: &str) -> PathBuf {
-    let folder = place.folder().join(name);
-    fs::create_dir(&folder).unwrap();
-    chown(&folder, Some(NOBODY), Some(NOBODY)).unwrap();
-    folder
+/// Makes a folder that belongs to the other user.
+pub(super) fn folder_of_stranger(folder: &Path) {
+    fs::create_dir(folder).unwrap();
+    chown(folder, Some(NOBODY), Some(NOBODY)).unwrap();
 }

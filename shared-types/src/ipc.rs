@@ -1,0 +1,50 @@
+//! The variant of iceoryx2 that daemon and clients use.
+
+use core::fmt::Debug;
+
+use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2::service;
+use iceoryx2_bb_elementary_traits::testing::abandonable::Abandonable;
+use iceoryx2_cal::shm_allocator::bump_allocator::BumpAllocator;
+use iceoryx2_cal::shm_allocator::pool_allocator::PoolAllocator;
+use iceoryx2_cal::{
+    arc_sync_policy, bag, dynamic_storage, event, hash, monitoring, reactor,
+    resizable_shared_memory, serialize, shared_memory, static_storage, zero_copy_connection,
+};
+
+/// iceoryx2's `ipc::Service`, but all memory is in files below the root folder of the
+/// [`Location`](crate::Location), which belongs to one user, and none in `/dev/shm`, where every user may create files.
+///
+/// Invariant: the root folder lies on a tmpfs, because the system writes
+/// mapped files of a disk back to it, and holds up whoever touches one meanwhile. The daemon checks that at its start.
+#[derive(Debug, Clone)]
+pub struct Service {}
+
+impl service::Service for Service {
+    type StaticStorage = static_storage::recommended::Ipc;
+    type ConfigSerializer = serialize::recommended::Recommended;
+    /// Holds one number only, which makes the identities of the nodes of one process differ; process id and time are
+    /// part of them as well. In a file it would be open to all users (0666).
+    type PersistentDynamicStorage<T: Debug + Send + Sync + ZeroCopySend + 'static> =
+        dynamic_storage::process_local::Storage<T>;
+    type Bag = bag::recommended::Recommended;
+    type DynamicStorage<T: Debug + Send + Sync + ZeroCopySend + 'static> =
+        dynamic_storage::file::Storage<T>;
+    type ServiceNameHasher = hash::recommended::Recommended;
+    type SharedMemory = shared_memory::file::Memory<PoolAllocator>;
+    type ResizableSharedMemory =
+        resizable_shared_memory::dynamic::DynamicMemory<PoolAllocator, Self::SharedMemory>;
+    type Connection = zero_copy_connection::file::Connection;
+    /// Unused: no service of ours sends events.
+    type Event = event::recommended::Local;
+    type Monitoring = monitoring::recommended::Ipc;
+    type Reactor = reactor::recommended::Ipc;
+    type ArcThreadSafetyPolicy<T: Send + Debug + Abandonable> =
+        arc_sync_policy::single_threaded::SingleThreaded<T>;
+    type BlackboardMgmt<T: Send + Sync + Debug + ZeroCopySend + 'static> =
+        dynamic_storage::file::Storage<T>;
+    type BlackboardPayload = shared_memory::file::Memory<BumpAllocator>;
+    type UniqueId = iceoryx2::unique_id_generator::unique_system_id::UniqueSystemId;
+}
+
+impl service::internal::ServiceInternal<Service> for Service {}
