@@ -109,7 +109,13 @@ fn run_with<L: RobotLink + Send + 'static>(
         }
     };
     let waker = exchange.thread().clone();
-    let cycle = spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch)?;
+    let cycle = match spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch) {
+        Ok(cycle) => cycle,
+        Err(error) => {
+            give_up([exchange, reporter]);
+            return Err(error);
+        }
+    };
 
     // Held until the threads have ended.
     let armed = match arm(&validated.config.realtime, &[&reporter, &exchange, &cycle]) {
@@ -123,17 +129,24 @@ fn run_with<L: RobotLink + Send + 'static>(
     if armed.missing & (realtime::FIFO | realtime::OFF) == 0 {
         go_before_ordinary_tasks();
     }
+    // Here, because it inherits what this thread was given: a core beside the loop, and its priority.
+    let watch = instance.watch(&validated.config.robot.name);
+    let caretaker = match watch
+        .map_err(anyhow::Error::from)
+        .and_then(|place| Caretaker::start(place, Arc::clone(&shared)))
+    {
+        Ok(caretaker) => caretaker,
+        Err(error) => {
+            give_up([cycle, exchange, reporter]);
+            return Err(error);
+        }
+    };
     let schedule = start::schedule(&validated.config, &clock);
     shared.set_origin_ns(schedule.release_ns(0));
     reporter.go(&schedule);
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
-    // Last, because it inherits what the supervisor was given: a core beside the loop, and its priority.
-    let caretaker = Caretaker::start(
-        instance.watch(&validated.config.robot.name)?,
-        Arc::clone(&shared),
-    )?;
     let reload = signals.reload;
     let should_end = || {
         if reload.swap(false, Ordering::Relaxed) {
@@ -208,7 +221,7 @@ fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result
 struct Signals {
     /// `SIGUSR1`: stop the robot.
     stop: Arc<AtomicBool>,
-    /// `SIGHUP`: read the configuration again.
+    /// `SIGHUP`: somebody wants the configuration read again, which is answered in the log.
     reload: Arc<AtomicBool>,
 }
 

@@ -69,7 +69,6 @@ impl Drop for Caretaker {
 
 fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Receiver<()>) {
     loop {
-        place.let_go();
         match place.look() {
             Found::Whole => {}
             Found::Mended => tracing::warn!("the lock file was deleted, and has been made again"),
@@ -84,6 +83,7 @@ fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Re
                 return;
             }
         }
+        place.let_go();
         place.location().clear_dead_nodes(DEAD_NODES);
         if ended.recv_timeout(LOOK_EVERY) != Err(RecvTimeoutError::Timeout) {
             return;

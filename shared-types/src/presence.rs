@@ -63,7 +63,7 @@ impl Location {
             Ok((user_id, process_id)) if user_id == geteuid().as_raw() => {
                 NameHolder::Ours { process_id }
             }
-            // Somebody does not accept connections any more: it has ended, or too many wait.
+            // Its holder has ended.
             Err(Errno::CONNREFUSED | Errno::NOENT) => NameHolder::Nobody,
             _ => NameHolder::Foreign,
         }
@@ -115,9 +115,21 @@ impl Location {
         if process() != Some(process_id) || program.trim() != PROGRAM {
             return Err(not_found());
         }
+        // One that does not know the signal would end by it, in the middle of a motion.
+        let status = std::fs::read_to_string(format!("/proc/{process_id}/status"))?;
+        if !catches_stop_signal(&status) {
+            return Err(ErrorKind::Unsupported.into());
+        }
         pidfd_send_signal(&handle, Signal::USR1)?;
         Ok(process_id)
     }
+}
+
+/// Whether a process with this `/proc/<pid>/status` has a handler for `SIGUSR1`, see `proc_pid_status(5)`.
+fn catches_stop_signal(status: &str) -> bool {
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    caught.is_some_and(|mask| mask & (1 << (Signal::USR1.as_raw() - 1)) != 0)
 }
 
 /// User and process at the other end of an abstract name.

@@ -162,7 +162,7 @@ impl CommandFollower {
     }
 
     /// Rests until the next command, whose position is then taken as it is. For motors whose torque was off: they are no
-    /// longer where the last command led.
+    /// longer where the last command led. To be called after the reset: until then the commands name the old position.
     pub fn forget(&mut self) {
         self.present = None;
     }

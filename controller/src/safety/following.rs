@@ -46,13 +46,20 @@ pub struct FollowingWatch {
     rules: FollowingRules,
     obeys_positions: bool,
     commanded: Configuration,
-    past: [Configuration; PAST_MAX],
+    past: [Past; PAST_MAX],
     newest: usize,
-    /// Since the newest of the past \[s\].
-    unstored_s: f64,
+    /// Since control began \[s\].
+    now_s: f64,
     /// Since the last measurement \[s\].
     unmeasured_s: f64,
     error: FollowingError,
+}
+
+/// Where the robot was commanded to be, and until when \[s\].
+#[derive(Debug, Clone, Copy)]
+struct Past {
+    commanded: Configuration,
+    until_s: f64,
 }
 
 impl FollowingWatch {
@@ -62,9 +69,12 @@ impl FollowingWatch {
             rules,
             obeys_positions,
             commanded: at,
-            past: [at; PAST_MAX],
+            past: [Past {
+                commanded: at,
+                until_s: 0.0,
+            }; PAST_MAX],
             newest: 0,
-            unstored_s: 0.0,
+            now_s: 0.0,
             unmeasured_s: 0.0,
             error: FollowingError::default(),
         }
@@ -82,14 +92,17 @@ impl FollowingWatch {
 
     /// The robot was commanded to move at `rates` for `moving_s` of the last `elapsed_s`.
     pub fn commanded(&mut self, rates: &BendRates, moving_s: f64, elapsed_s: f64) {
+        let stored_s = self.now_s - self.past[self.newest].until_s;
+        if (stored_s + elapsed_s) * (PAST_MAX - 1) as f64 >= self.rules.lag_s {
+            self.newest = (self.newest + 1) % PAST_MAX;
+            self.past[self.newest] = Past {
+                commanded: self.commanded,
+                until_s: self.now_s,
+            };
+        }
         self.commanded = self.commanded.advanced(rates, moving_s);
         self.unmeasured_s += elapsed_s;
-        self.unstored_s += elapsed_s;
-        if self.unstored_s * PAST_MAX as f64 >= self.rules.lag_s {
-            self.unstored_s = 0.0;
-            self.newest = (self.newest + 1) % PAST_MAX;
-            self.past[self.newest] = self.commanded;
-        }
+        self.now_s += elapsed_s;
     }
 
     /// The robot was measured.
@@ -99,13 +112,14 @@ impl FollowingWatch {
             self.draw_to(measured, gain);
         }
         self.unmeasured_s = 0.0;
+        let since_s = self.now_s - self.rules.lag_s;
         let mut off_rad = [0.0; COORDINATES_MAX];
         for (i, measured) in measured.as_slice().iter().enumerate() {
             let (mut least, mut most) =
                 (self.commanded.as_slice()[i], self.commanded.as_slice()[i]);
-            for past in &self.past {
-                least = least.min(past.as_slice()[i]);
-                most = most.max(past.as_slice()[i]);
+            for past in self.past.iter().filter(|past| past.until_s >= since_s) {
+                least = least.min(past.commanded.as_slice()[i]);
+                most = most.max(past.commanded.as_slice()[i]);
             }
             off_rad[i] = (measured - most).max(0.0) + (measured - least).min(0.0);
         }
@@ -198,6 +212,37 @@ mod tests {
         // A constant offset is the error that it is.
         let offset = largest_rad(true, swing, |commanded, _| commanded + 0.05);
         assert!((offset - 0.05).abs() < 0.01, "{offset}");
+    }
+
+    /// The window is the lag, at any period: what was commanded before it is forgotten.
+    #[test]
+    fn the_window_is_as_long_as_the_lag() {
+        for (period_s, lag_s) in [
+            (0.005, 0.1),
+            (0.02, 0.1),
+            (0.1, 0.1),
+            (0.001, 0.1),
+            (0.02, 0.0),
+        ] {
+            let rules = FollowingRules { lag_s, ..RULES };
+            let mut watch = FollowingWatch::new(rules, true, bends(0.0, 0.0));
+            let rates = BendRates::from_slice(&[1.0, 0.0]).unwrap();
+            let mut commanded = 0.0;
+            for _ in 0..200 {
+                watch.commanded(&rates, period_s, period_s);
+                commanded += period_s;
+            }
+            // A robot that lags by half of it is no error, one by twice of it and two periods is.
+            let at = |behind_s: f64| bends(commanded - behind_s, 0.0);
+            let near_rad = watch.measured(&robot(), &at(0.5 * lag_s)).largest_rad();
+            assert!(near_rad < 1e-12, "{period_s} s: {near_rad}");
+            let far_s = 2.0 * lag_s + 2.0 * period_s;
+            let far_rad = watch.measured(&robot(), &at(far_s)).largest_rad();
+            assert!(
+                far_rad >= lag_s + period_s - 1e-9,
+                "{period_s} s: {far_rad}"
+            );
+        }
     }
 
     #[test]

@@ -55,6 +55,8 @@ pub struct Cycle<L> {
     stops: u64,
     /// Time of cycles in a row that had no new inputs \[ns\].
     stale_ns: u64,
+    /// A latched mode was left, and the robot has not come to rest since.
+    control_begins: bool,
     /// Times that the machine slept when the last cycle ran.
     suspends: u64,
     /// Clearance in the cycle before \[m\].
@@ -87,6 +89,7 @@ impl<L: RobotLink> Cycle<L> {
         Ok(Self {
             link,
             state: RobotState::new(robot.clone(), policy, period_ns, *initial),
+            control_begins: false,
             stale_ns: 0,
             suspends: 0,
             modes: ModeMachine::default(),
@@ -182,7 +185,11 @@ impl<L: RobotLink> Cycle<L> {
         let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
         let answers = self.answer(next_request, inputs, &seen);
-        if was_latched && !self.modes.mode().is_latched() {
+        // A robot that is still on its ramp goes on along it first.
+        self.control_begins |= was_latched && !self.modes.mode().is_latched();
+        self.control_begins &= matches!(self.modes.mode(), Mode::Holding { .. });
+        if self.control_begins && self.is_at_rest() {
+            self.control_begins = false;
             self.state.take_control();
         }
 
@@ -190,9 +197,12 @@ impl<L: RobotLink> Cycle<L> {
         let configuration = *self.state.configuration();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
-        // A mode that comes to rest, and one that moves: a fault that the solve finds still ends in zero rates.
+        let (mut wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
         let comes_to_rest = self.modes.mode().comes_to_rest();
-        let (wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
+        if report.status == SolveStatus::NonFinite {
+            // The solve itself has found a fault.
+            wish = self.ramp();
+        }
         let solve_end_ns = clock.now_ns();
 
         let safe = self.make_safe(&wish, comes_to_rest);
@@ -366,11 +376,17 @@ impl<L: RobotLink> Cycle<L> {
                 period_s,
             ),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {
-                ramp_to_zero(&self.rates, self.policy.deceleration_rad_s2, period_s)
+                self.ramp()
             }
         };
         self.nmpc.forget_plan();
         (rates, SolveReport::default())
+    }
+
+    /// The next rates on the way to rest.
+    fn ramp(&self) -> BendRates {
+        let period_s = self.period_ns as f64 * 1e-9;
+        ramp_to_zero(&self.rates, self.policy.deceleration_rad_s2, period_s)
     }
 
     /// NMPC in the time that is left.

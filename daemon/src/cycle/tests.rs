@@ -336,6 +336,44 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
     }
 }
 
+/// A reset is granted while the robot is still on its ramp: the commanded position goes on along it, and control begins
+/// where the robot is once it rests.
+#[test]
+fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
+    let mut trial = Trial::new(SLOPPY);
+    trial.turns(3);
+    trial.begin_tracking();
+    // On its way to the first point, which is far from the straight robot.
+    let fastest = trial
+        .turns(12)
+        .rates
+        .as_slice()
+        .iter()
+        .fold(0.0_f64, |most, rate| most.max(rate.abs()));
+    assert!(fastest > 0.5, "{fastest} rad/s");
+    trial.ask(Request::Stop);
+    let mut before = trial.target_rad.clone();
+    let mut record = trial.ask(Request::Reset);
+    assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
+    let mut ramp = 0;
+    while !is_at_rest(&record) {
+        for (i, before) in before.iter().enumerate() {
+            let moved = before + PERIOD_S * record.rates.as_slice()[i];
+            assert_eq!(trial.target_rad[i].to_bits(), moved.to_bits());
+        }
+        before.clone_from(&trial.target_rad);
+        record = trial.turn();
+        ramp += 1;
+    }
+    assert!(ramp > 1, "{ramp}");
+    // What is left is the following error, taken over once.
+    trial.turns(2);
+    let target_rad = bits(&trial.target_rad);
+    trial.turns(100);
+    assert_eq!(bits(&trial.target_rad), target_rad);
+    assert!(trial.turn().following.largest_rad() < 0.1);
+}
+
 /// In every message the position is that of the message before, moved on by the speeds.
 #[test]
 fn positions_are_the_integral_of_the_speeds() {

@@ -38,6 +38,9 @@ pub(crate) enum Found {
     },
 }
 
+/// Of those who ask for the holder of the name, so many are let go at one look: anybody may ask, as often as he likes.
+const LET_GO_MAX: usize = 256;
+
 impl PlaceWatch {
     pub(super) fn new(
         location: &Location,
@@ -106,7 +109,11 @@ impl PlaceWatch {
     /// Lets those go who asked for the holder of the name: the kernel has answered them.
     pub(crate) fn let_go(&self) {
         let Some(name) = &self.name else { return };
-        while name.accept().is_ok() {}
+        for _ in 0..LET_GO_MAX {
+            if name.accept().is_err() {
+                break;
+            }
+        }
     }
 
     /// Where it is.
