@@ -57,6 +57,7 @@ clean_up() {
     kill "$daemon" 2>/dev/null || true
     wait "$daemon" 2>/dev/null || true
   fi
+  umount /run/cdcr 2>/dev/null || true
   dpkg --purge cdcr >/dev/null 2>&1 || true
   # What the test made and the package does not know.
   rm -rf "${scratch:-}"
@@ -162,6 +163,9 @@ daemon=
 cat "$scratch/log"
 left=$(find /run/cdcr /dev/shm -user cdcr -type f)
 [ -z "$left" ] || fail "left in shared memory: $left"
+
+# What systemd would do with it when the service ends.
+umount /run/cdcr 2>/dev/null || true
 
 step "remove and purge"
 echo "# changed by a test" >> /etc/cdcr/cdcr.toml
