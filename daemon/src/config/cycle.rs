@@ -1,4 +1,3 @@
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::ns;
@@ -7,7 +6,8 @@ use super::ns;
 const EXCHANGE_NS: u64 = 40_000;
 
 /// The period and what counts as late.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct CycleConfig {
     /// Period T \[ms\].

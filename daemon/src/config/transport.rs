@@ -1,13 +1,13 @@
 use std::path::PathBuf;
 
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
 /// Where in shared memory daemon and clients meet.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct TransportConfig {
     /// Prefix of the shared-memory files.
