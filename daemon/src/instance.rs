@@ -13,6 +13,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
+use rustix::fs::OFlags;
+use rustix::io::Errno;
 
 use crate::exchange::remains;
 pub(crate) use place::{Found, PlaceWatch};
@@ -159,8 +161,9 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
             .create(true)
             .truncate(false)
             .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
             .open(path)
-            .map_err(|cause| file_error(path, cause))?;
+            .map_err(|cause| file_error(path, without_link(cause)))?;
         match file.try_lock() {
             Ok(()) if is_file_at(&file, path) => return Ok(file),
             Ok(()) => {}
@@ -173,6 +176,14 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
             }
             Err(TryLockError::Error(cause)) => return Err(file_error(path, cause)),
         }
+    }
+}
+
+/// Why a file was not opened, in words where it was for a link in its place.
+fn without_link(cause: std::io::Error) -> std::io::Error {
+    match Errno::from_io_error(&cause) {
+        Some(Errno::LOOP) => std::io::Error::other("it is a symbolic link"),
+        _ => cause,
     }
 }
 
@@ -218,5 +229,34 @@ fn remove_if_there(path: &Path) {
         && error.kind() != std::io::ErrorKind::NotFound
     {
         tracing::warn!(path = %path.display(), %error, "cannot be removed");
+    }
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_in_the_place_of_the_lock_file_is_not_followed() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let location = Location::new("cdcrtest_lock_", &folder.path().join("root")).unwrap();
+        root::prepare(location.root()).unwrap();
+        let elsewhere = folder.path().join("elsewhere");
+        std::fs::write(&elsewhere, "theirs").unwrap();
+        std::os::unix::fs::symlink(&elsewhere, location.lock_file("a")).unwrap();
+        let refused = Instance::claim(&location, "a").unwrap_err().to_string();
+        assert!(
+            refused.contains("a.lock: it is a symbolic link"),
+            "{refused}"
+        );
+        assert_eq!(std::fs::read_to_string(&elsewhere).unwrap(), "theirs");
+        // Nor by those who ask whether a daemon runs, however the file that it leads to is locked.
+        let locked = File::open(&elsewhere).unwrap();
+        locked.try_lock().unwrap();
+        assert_eq!(location.presence("a"), None);
     }
 }

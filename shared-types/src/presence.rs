@@ -7,6 +7,7 @@
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read};
 
+use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::net::sockopt::socket_peercred;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -84,7 +85,10 @@ impl Location {
 
     /// Who has locked the file in the root folder. The daemon tries for longer to lock it than this look takes.
     fn lock_holder(&self, robot: &str) -> Option<Presence> {
-        let mut file = File::open(self.lock_file(robot)).ok()?;
+        // Neither a link nor a pipe in its place leads anywhere.
+        let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
+        let opened = open(self.lock_file(robot), flags, Mode::empty()).ok()?;
+        let mut file = File::from(opened);
         let Err(TryLockError::WouldBlock) = file.try_lock_shared() else {
             return None;
         };

@@ -1,4 +1,4 @@
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::time::Duration;
 
 use iceoryx2::config::Config;
@@ -177,7 +177,16 @@ pub struct Location {
     root: PathBuf,
 }
 
-/// A prefix or root path that iceoryx2 cannot use.
+/// How many folders deep an absolute path leads, links aside.
+fn depth(path: &Path) -> usize {
+    path.components().fold(0, |depth: usize, part| match part {
+        Component::Normal(_) => depth + 1,
+        Component::ParentDir => depth.saturating_sub(1),
+        _ => depth,
+    })
+}
+
+/// A prefix or root path that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LocationError {
     /// The prefix is not a legal start of a file name.
@@ -195,7 +204,7 @@ impl core::fmt::Display for LocationError {
             ),
             Self::Root(root) => write!(
                 f,
-                "{} is no root path: use an absolute path of at most 100 characters",
+                "{} is no root path: use an absolute path of at most 100 characters, not / itself",
                 root.display()
             ),
         }
@@ -213,7 +222,7 @@ impl Location {
         if !Self::is_legal_name(prefix) {
             return Err(LocationError::Prefix(prefix.to_owned()));
         }
-        if !root.is_absolute() || root.as_os_str().len() > 100 {
+        if !root.is_absolute() || root.as_os_str().len() > 100 || depth(root) == 0 {
             return Err(LocationError::Root(root.to_owned()));
         }
         let location = Self {
