@@ -6,6 +6,7 @@
 
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read};
+use std::os::unix::fs::MetadataExt;
 
 use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
@@ -32,7 +33,7 @@ pub struct Presence {
 pub enum NameHolder {
     /// Nobody who answers.
     Nobody,
-    /// A process of this user.
+    /// A process of the user to whom the root folder belongs.
     Ours {
         /// Its id; none when it is not visible here.
         process_id: Option<u32>,
@@ -58,10 +59,15 @@ impl Location {
         format!("cdcrd-{hash:016x}-{robot}")
     }
 
+    /// The user to whom the root folder belongs; without one, the user of this process.
+    fn owner_id(&self) -> u32 {
+        std::fs::metadata(self.root()).map_or_else(|_| geteuid().as_raw(), |root| root.uid())
+    }
+
     /// Who holds [`daemon_name`](Self::daemon_name). Never waits.
     pub fn name_holder(&self, robot: &str) -> NameHolder {
         match peer_of(&self.daemon_name(robot)) {
-            Ok((user_id, process_id)) if user_id == geteuid().as_raw() => {
+            Ok((user_id, process_id)) if user_id == self.owner_id() => {
                 NameHolder::Ours { process_id }
             }
             // Its holder has ended.

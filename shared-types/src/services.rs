@@ -1,3 +1,5 @@
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
 use std::path::{Component, Path, PathBuf};
 use std::time::Duration;
 
@@ -237,7 +239,7 @@ impl Location {
     /// another user.
     pub const MEMORY: &str = "/dev/shm";
 
-    /// Root path unless a user chooses another: one for each Unix user, because the files are private to their owner.
+    /// Root path unless a user chooses another: one for each Unix user, because the folder is private to its owner.
     ///
     /// It depends on no environment variable: a `stop` has to find the daemon from any shell, service or `sudo`.
     pub fn default_root() -> PathBuf {
@@ -293,11 +295,15 @@ impl Location {
         Ok(config)
     }
 
-    /// A node builder for this location that leaves signals to the process.
+    /// A node builder for this location that leaves signals to the process. Makes the root folder if it is missing, closed to
+    /// others: iceoryx2 would make one that is open to all.
     ///
     /// # Errors
     /// As [`Location::new`].
     pub fn node_builder(&self) -> Result<NodeBuilder, LocationError> {
+        let mut folder = DirBuilder::new();
+        // Where that fails, the node fails, too, and says so.
+        let _ = folder.recursive(true).mode(0o700).create(&self.root);
         Ok(NodeBuilder::new()
             .config(&self.iceoryx2_config()?)
             .signal_handling_mode(SignalHandlingMode::Disabled))

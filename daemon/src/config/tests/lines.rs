@@ -207,6 +207,24 @@ fn the_root_of_the_file_system_is_no_root_folder() {
 }
 
 #[test]
+fn a_group_is_one_of_the_system_or_a_number() {
+    let group_id = |group: &str| {
+        let text = format!("[transport]\ngroup = \"{group}\"\n");
+        Config::parse(&text, Path::new("robot.toml")).map(|validated| validated.group_id)
+    };
+    assert_eq!(group_id("").unwrap(), None);
+    assert_eq!(group_id("1001").unwrap(), Some(1001));
+    let message = group_id("no such group").unwrap_err().to_string();
+    for part in [
+        "robot.toml, line 2: transport.group: ",
+        "\"no such group\"",
+        "getent group",
+    ] {
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
 fn an_unknown_key_is_found_wherever_it_stands() {
     for (text, start) in [
         (
