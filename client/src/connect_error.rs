@@ -71,7 +71,7 @@ pub enum ConnectError {
     /// The files belong to another user.
     #[error(
         "{} belongs to user {owner_id}, this program runs as user {user_id}: only the daemon's own \
-         user can reach it. Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
+         user can reach it, and the group to which that opened it (transport.group). Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
          a daemon of your own with another --root",
         place.root.display()
     )]

@@ -57,7 +57,7 @@ impl Requester {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_owner(&place)?;
+        check_owner(location, &place)?;
         if location.presence(robot).is_none() {
             let found = "no process holds its lock";
             return Err(ConnectError::DaemonNotRunning { place, found });

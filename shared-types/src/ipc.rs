@@ -15,6 +15,9 @@ use iceoryx2_cal::{
 /// iceoryx2's `ipc::Service`, but all memory is in files below the root folder of the
 /// [`Location`](crate::Location), which belongs to one user, and none in `/dev/shm`, where every user may create files.
 ///
+/// The files and folders in it are open to all (iceoryx2's feature `dev_permissions`). Who may use them is decided by the
+/// root folder alone, which the daemon keeps closed to all but its user and, if it is told so, a group.
+///
 /// Invariant: the root folder lies on a tmpfs, because the system writes
 /// mapped files of a disk back to it, and holds up whoever touches one meanwhile. The daemon checks that at its start.
 #[derive(Debug, Clone)]

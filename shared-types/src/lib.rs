@@ -32,6 +32,7 @@
 //! Invariant: no logic lives here. Nothing validates, computes or decides; the daemon's
 //! `exchange/convert/` does that at the edge.
 
+mod access;
 pub mod codes;
 mod command;
 mod control;

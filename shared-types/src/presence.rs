@@ -6,7 +6,9 @@
 
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read};
+use std::os::unix::fs::MetadataExt;
 
+use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::net::sockopt::socket_peercred;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -31,7 +33,7 @@ pub struct Presence {
 pub enum NameHolder {
     /// Nobody who answers.
     Nobody,
-    /// A process of this user.
+    /// A process of the user to whom the root folder belongs.
     Ours {
         /// Its id; none when it is not visible here.
         process_id: Option<u32>,
@@ -57,10 +59,15 @@ impl Location {
         format!("cdcrd-{hash:016x}-{robot}")
     }
 
+    /// The user to whom the root folder belongs; without one, the user of this process.
+    fn owner_id(&self) -> u32 {
+        std::fs::metadata(self.root()).map_or_else(|_| geteuid().as_raw(), |root| root.uid())
+    }
+
     /// Who holds [`daemon_name`](Self::daemon_name). Never waits.
     pub fn name_holder(&self, robot: &str) -> NameHolder {
         match peer_of(&self.daemon_name(robot)) {
-            Ok((user_id, process_id)) if user_id == geteuid().as_raw() => {
+            Ok((user_id, process_id)) if user_id == self.owner_id() => {
                 NameHolder::Ours { process_id }
             }
             // Its holder has ended.
@@ -84,7 +91,10 @@ impl Location {
 
     /// Who has locked the file in the root folder. The daemon tries for longer to lock it than this look takes.
     fn lock_holder(&self, robot: &str) -> Option<Presence> {
-        let mut file = File::open(self.lock_file(robot)).ok()?;
+        // Neither a link nor a pipe in its place leads anywhere.
+        let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
+        let opened = open(self.lock_file(robot), flags, Mode::empty()).ok()?;
+        let mut file = File::from(opened);
         let Err(TryLockError::WouldBlock) = file.try_lock_shared() else {
             return None;
         };

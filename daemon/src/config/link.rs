@@ -89,7 +89,7 @@ impl LinkConfig {
                     index + 1,
                     section.bend_max_rad
                 );
-                return Err(origins.error(&[key], &message));
+                return Err(origins.error(&[&format!("{key}[{index}]")], &message));
             }
         }
         let flat: Vec<f64> = given.iter().flatten().copied().collect();

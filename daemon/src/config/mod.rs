@@ -99,6 +99,8 @@ pub struct Validated {
     pub initial: Configuration,
     /// Where daemon and clients meet.
     pub location: Location,
+    /// The group that may take part, beside the daemon's user.
+    pub group_id: Option<u32>,
 }
 
 /// Nanoseconds of a duration in milliseconds that was validated.

@@ -30,11 +30,13 @@ impl Settings {
         let robot = config.robot.robot(&origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         let location = config.transport.location(&origins)?;
+        let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {
             config,
             robot,
             initial,
             location,
+            group_id,
         })
     }
 

@@ -25,6 +25,8 @@ pub struct Plan {
     pub no_deep_sleep: bool,
     /// Root folder of the shared-memory services.
     pub root: PathBuf,
+    /// Whether the root folder is for a group, too.
+    pub is_for_group: bool,
     /// File that the daemon of this robot locks.
     pub lock_file: PathBuf,
 }
@@ -33,7 +35,10 @@ impl Plan {
     /// The plan of a configuration.
     pub fn new(validated: &Validated) -> Self {
         let Validated {
-            config, location, ..
+            config,
+            location,
+            group_id,
+            ..
         } = validated;
         let (cycle, realtime) = (&config.cycle, &config.realtime);
         let solve_ns = match ns(cycle.budget_ms) {
@@ -50,6 +55,7 @@ impl Plan {
             core_share_max: (busy_ms / cycle.period_ms).min(1.0),
             no_deep_sleep: realtime.no_deep_sleep,
             root: location.root().to_owned(),
+            is_for_group: group_id.is_some(),
             lock_file: location.lock_file(&config.robot.name),
         }
     }
