@@ -116,33 +116,53 @@ fn placed(robot: &Robot, at: &Configuration, numbers: (usize, [f64; 9], bool)) -
     Obstacle::new(shape, radius_m, velocity_m_s).unwrap()
 }
 
+/// Robots of 1 to 6 sections with strokes from tight to free, among 1 to 64 obstacles that stand or move.
 fn moments() -> impl Strategy<Value = Moment> {
+    let obstacles = prop_oneof![
+        prop::collection::vec(obstacle(), 1..4),
+        prop::collection::vec(obstacle(), 4..16),
+        prop::collection::vec(obstacle(), 16..=64),
+    ];
     (
-        1..=3_usize,
-        prop::array::uniform6(-1.9..1.9_f64),
-        prop::array::uniform6(-2.5..2.5_f64),
-        prop::collection::vec(obstacle(), 1..6),
+        1..=6_usize,
+        prop::collection::vec(-1.9..1.9_f64, 12),
+        prop::collection::vec(-2.5..2.5_f64, 12),
+        obstacles,
         0.0..0.03_f64,
+        0.01..0.2_f64,
     )
-        .prop_map(|(sections, bends, rates, obstacles, safe_distance_m)| {
-            let robot = trunk(sections);
-            let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
-            let wish = BendRates::from_slice(&rates[..2 * sections]).unwrap();
-            let wish = limit(&robot, &at, &wish, STOPPING.way_s).rates;
-            let place = |numbers| placed(&robot, &at, numbers);
-            let obstacles = obstacles.into_iter().map(place).collect();
-            Moment {
-                robot,
-                at,
-                wish,
-                obstacles,
-                safe_distance_m,
-            }
-        })
+        .prop_map(
+            |(sections, bends, rates, obstacles, safe_distance_m, stroke_m)| {
+                let mut parameters = RobotParameters::paper(sections);
+                parameters.cable_stroke_max_m = stroke_m;
+                let robot = Robot::new(&parameters).unwrap();
+                let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
+                let wish = BendRates::from_slice(&rates[..2 * sections]).unwrap();
+                let wish = limit(&robot, &at, &wish, STOPPING.way_s).rates;
+                let place = |numbers| placed(&robot, &at, numbers);
+                let obstacles = obstacles.into_iter().map(place).collect();
+                Moment {
+                    robot,
+                    at,
+                    wish,
+                    obstacles,
+                    safe_distance_m,
+                }
+            },
+        )
+}
+
+/// As many as `PROPTEST_CASES` asks for.
+fn cases() -> ProptestConfig {
+    if std::env::var_os("PROPTEST_CASES").is_some() {
+        ProptestConfig::default()
+    } else {
+        ProptestConfig::with_cases(1000)
+    }
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(2000))]
+    #![proptest_config(cases())]
 
     #[test]
     fn what_leaves_keeps_clear_and_inside_the_limits(moment in moments()) {
