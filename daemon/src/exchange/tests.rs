@@ -225,6 +225,7 @@ impl Rig {
         let mut update = ObstacleUpdate {
             header: Header {
                 sender_id,
+                sent_ns: at_ns,
                 ..Header::default()
             },
             action: action.code(),
