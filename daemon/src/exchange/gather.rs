@@ -9,13 +9,22 @@ use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
-/// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
+/// Chunks that one gather takes or refuses. A client streams one in half a second; more than this wait.
 pub(super) const CHUNKS_PER_GATHER: usize = 4;
-/// Obstacle updates that one gather accepts: half of what one client's queue holds; more than this wait.
+/// Obstacle updates that one gather takes or refuses, where there is time for them: half of what one client's queue holds;
+/// more than this wait.
 pub(super) const UPDATES_PER_GATHER: usize = 8;
-/// Messages that one gather looks at on one service: all that its queues can hold.
-const fn drain_limit(service: Service) -> usize {
-    service.queues().publishers * service.queues().queue
+/// Time before a release that is there for one obstacle update \[ns\]. A full one takes a fifth of it.
+const UPDATE_NS: u64 = 25_000;
+/// Measurements that one gather looks at: all that the queues can hold.
+const MEASUREMENTS_PER_GATHER: usize = {
+    let queues = Service::Measurement.queues();
+    queues.publishers * queues.queue
+};
+
+/// Obstacle updates that a gather so long before its release takes or refuses.
+pub(super) fn updates_per_gather(gather_lead_ns: u64) -> usize {
+    ((gather_lead_ns / UPDATE_NS) as usize).clamp(1, UPDATES_PER_GATHER)
 }
 
 impl Exchange {
@@ -102,9 +111,8 @@ impl Exchange {
     }
 
     fn take_references(&mut self, now_ns: u64) {
-        let mut accepted = 0;
-        for _ in 0..drain_limit(Service::Reference) {
-            let Ok(Some(chunk)) = self.ports.reference.receive() else {
+        for _ in 0..CHUNKS_PER_GATHER {
+            let Some(chunk) = self.ports.reference.receive() else {
                 break;
             };
             let result = self.take_chunk(&chunk, now_ns);
@@ -115,10 +123,6 @@ impl Exchange {
                 now_ns,
                 result,
             );
-            accepted += usize::from(result.is_ok());
-            if accepted == CHUNKS_PER_GATHER {
-                break;
-            }
         }
     }
 
@@ -161,9 +165,8 @@ impl Exchange {
         let sources = &self.obstacle_sources;
         self.obstacles
             .retain(|known| !sources.let_expire(known, now_ns));
-        let mut accepted = 0;
-        for _ in 0..drain_limit(Service::Obstacles) {
-            let Ok(Some(update)) = self.ports.obstacles.receive() else {
+        for _ in 0..updates_per_gather(self.gather_lead_ns) {
+            let Some(update) = self.ports.obstacles.receive() else {
                 break;
             };
             // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
@@ -177,10 +180,6 @@ impl Exchange {
                 now_ns,
                 result,
             );
-            accepted += usize::from(result.is_ok());
-            if accepted == UPDATES_PER_GATHER {
-                break;
-            }
         }
     }
 
@@ -203,8 +202,8 @@ impl Exchange {
 
     /// Keeps the newest measurement. Good ones are many and not reported one by one.
     fn take_measurements(&mut self, clock: &impl Clock) {
-        for _ in 0..drain_limit(Service::Measurement) {
-            let Ok(Some(message)) = self.ports.measurement.receive() else {
+        for _ in 0..MEASUREMENTS_PER_GATHER {
+            let Some(message) = self.ports.measurement.receive() else {
                 break;
             };
             // As for obstacles: it may be newer than the gather.
@@ -231,6 +230,7 @@ impl Exchange {
             }
         }
     }
+
     /// One that is old at its arrival does not tell where the robot is, though its driver may be well: it is never
     /// believed, and a first one least of all.
     fn judge_measurement(

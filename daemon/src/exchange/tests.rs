@@ -1,20 +1,20 @@
 //! The exchange with real ports and a clock that stands still: who sends what when is up to the test.
 
+mod obstacles;
+mod references;
+
 use std::cell::Cell;
 
-use cdcr_controller::reference::ReferenceState;
-use cdcr_shared_types::codes::{
-    ChunkMode, Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind,
-};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind};
 use cdcr_shared_types::{
-    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk,
-    ReferencePoint, Request, Response, Service, ipc,
+    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, Request,
+    Response, Service, ipc,
 };
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::Node;
+use iceoryx2::prelude::{Node, ZeroCopySend};
 
 use super::*;
 use crate::config::Config;
@@ -64,7 +64,7 @@ struct Rig {
     references: Publisher<ipc::Service, ReferenceChunk, ()>,
     commands: Subscriber<ipc::Service, Command, ()>,
     control: Client<ipc::Service, Request, (), Response, ()>,
-    _node: Node<ipc::Service>,
+    node: Node<ipc::Service>,
     _root: tempfile::TempDir,
 }
 
@@ -109,7 +109,7 @@ impl Rig {
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),
             next_cycle: 1,
-            _node: node,
+            node,
             _root: folder,
         }
     }
@@ -221,6 +221,16 @@ impl Rig {
 
     /// An obstacle far from the robot that moves away, seen at the next gather, or a clear.
     fn tell(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
+        let update = self.update(sender_id, action, lifetimes_ms);
+        self.obstacles.send_copy(update).unwrap();
+    }
+
+    fn update(
+        &self,
+        sender_id: u64,
+        action: ObstacleAction,
+        lifetimes_ms: &[u64],
+    ) -> ObstacleUpdate {
         let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
         let mut update = ObstacleUpdate {
             header: Header {
@@ -243,7 +253,31 @@ impl Rig {
                 ..Obstacle::default()
             };
         }
-        self.obstacles.send_copy(update).unwrap();
+        update
+    }
+
+    /// As many writers of a service as are allowed beside the first, which is the rig's.
+    fn crowd<T: ZeroCopySend + std::fmt::Debug + 'static>(
+        &self,
+        service: Service,
+    ) -> Vec<Publisher<ipc::Service, T, ()>> {
+        let name = &Config::default().robot.name;
+        let others = (1..service.queues().publishers)
+            .map(|_| services::publisher(&self.node, service, name).unwrap());
+        others.collect()
+    }
+}
+
+/// Each of `crowd` sends as much as its queue holds, before each gather.
+fn flood<T: ZeroCopySend + Copy + std::fmt::Debug + 'static>(
+    crowd: &[Publisher<ipc::Service, T, ()>],
+    service: Service,
+    message: &T,
+) {
+    for other in crowd {
+        for _ in 0..service.queues().queue {
+            other.send_copy(*message).unwrap();
+        }
     }
 }
 
@@ -381,113 +415,4 @@ fn a_machine_that_slept_is_told_to_the_cycle_once() {
     assert_eq!((rig.gather().suspends, rig.gather().suspends), (0, 0));
     rig.clock.slept_ns.set(3_600_500 * MS);
     assert_eq!((rig.gather().suspends, rig.gather().suspends), (1, 1));
-}
-
-#[test]
-fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
-    // Taken by a gather, and by the last look of a lease that expires after the gather.
-    for by_last_look in [false, true] {
-        let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
-        rig.gather();
-        let first = rig.ask(1, RequestKind::AcquireLease);
-        rig.gather();
-        let mut chunk = ReferenceChunk {
-            header: Header {
-                sender_id: 1,
-                sequence: 1,
-                sent_ns: rig.now_ns(),
-            },
-            mode: ChunkMode::Replace.code(),
-            count: 2,
-            ..ReferenceChunk::default()
-        };
-        for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
-            *point = ReferencePoint {
-                time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
-                position_m: [0.0, 0.0, 0.89],
-                ..ReferencePoint::default()
-            };
-        }
-        rig.references.send_copy(chunk).unwrap();
-        let ahead = |inputs: &CycleInputs, cycle| inputs.window.at(cycle).state;
-        let cycle = rig.next_cycle;
-        assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-        let (inputs, second, cycle) = if by_last_look {
-            let renewed = rig.ask(1, RequestKind::AcquireLease);
-            rig.look_again();
-            rig.gather_for(15);
-            // The lease ends 20 ms after that look: after this gather, and with the look that follows it.
-            let cycle = rig.next_cycle;
-            assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-            let second = rig.ask(2, RequestKind::AcquireLease);
-            drop(renewed);
-            (rig.look_again(), second, cycle)
-        } else {
-            // 20 ms after the gather that took the chunk.
-            rig.gather_for(15);
-            let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
-            (rig.gather(), second, cycle)
-        };
-        assert_eq!(ahead(inputs, cycle), ReferenceState::None, "{by_last_look}");
-        let answer = second.receive().unwrap().unwrap();
-        assert_eq!(answer.outcome, Outcome::Accepted.code());
-        assert_eq!(answer.lease_holder, 2);
-        drop(first);
-    }
-}
-
-#[test]
-fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
-    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
-    let lifetime_ms = 50;
-    for _ in 0..5 {
-        rig.tell(4, ObstacleAction::Upsert, &[lifetime_ms]);
-        assert!(!rig.gather().obstacle_source_silent);
-    }
-    let begin_ns = rig.now_ns();
-    let mut silent_ns = None;
-    for _ in 0..100 {
-        let inputs = rig.gather();
-        let (count, is_silent) = (inputs.obstacles.count(), inputs.obstacle_source_silent);
-        let placed = inputs.obstacles.at(inputs.gather_ns + PERIOD_NS);
-        assert_eq!((count, placed.count()), (1, 1));
-        if is_silent {
-            silent_ns.get_or_insert(rig.now_ns() - begin_ns);
-        }
-    }
-    let silent_ns = silent_ns.unwrap();
-    assert!(
-        (100 * MS..=100 * MS + 2 * PERIOD_NS).contains(&silent_ns),
-        "{silent_ns}"
-    );
-    // It is heard again, and says nothing of the obstacle.
-    rig.tell(4, ObstacleAction::Upsert, &[]);
-    rig.gather();
-    let inputs = rig.gather();
-    assert!(!inputs.obstacle_source_silent);
-    assert_eq!(inputs.obstacles.count(), 0);
-    // It dies again, now with no obstacle known; an operator clears.
-    rig.gather_for(200);
-    assert!(rig.gather().obstacle_source_silent);
-    rig.tell(5, ObstacleAction::Clear, &[]);
-    assert!(!rig.gather().obstacle_source_silent);
-    rig.gather_for(200);
-    assert!(!rig.gather().obstacle_source_silent);
-}
-
-#[test]
-fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
-    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
-    rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
-    rig.gather();
-    rig.gather_for(300);
-    let inputs = rig.gather();
-    assert_eq!(inputs.obstacles.count(), 64);
-    assert!(
-        !inputs.obstacle_source_silent,
-        "they are kept, and the robot goes on"
-    );
-    rig.tell(4, ObstacleAction::Upsert, &[]);
-    rig.gather();
-    assert_eq!(rig.gather().obstacles.count(), 0);
 }
