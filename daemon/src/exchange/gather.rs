@@ -1,6 +1,6 @@
 //! Shortly before each release: drain, check, hand over.
 
-use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, Outcome};
 use cdcr_shared_types::{Header, Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
@@ -136,6 +136,9 @@ impl Exchange {
         if self.lease.holder(now_ns) != Some(client) {
             return Err(Refused::whole(Outcome::NoLease));
         }
+        if chunk.reserved != 0 {
+            return Err(Refused::whole(Outcome::UnknownCode));
+        }
         let mode =
             ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
         self.check_sequence(mode, client, sequence)?;
@@ -194,7 +197,7 @@ impl Exchange {
         // Where there is no room, its own obstacles that are out of date may take it: they go when their source is heard.
         let is_full = |refused: &Refused| refused.outcome == full.outcome;
         if updated.as_ref().err().is_none_or(is_full) {
-            self.obstacle_sources.hear(update, now_ns);
+            self.obstacle_sources.hear(update, self.gather_began_ns);
         }
         self.obstacles = updated?;
         Ok(self.obstacles.count() as u32)
@@ -219,7 +222,8 @@ impl Exchange {
                 }
                 Ok(timed) => {
                     self.measurement = Some(timed);
-                    self.driver.hear(message.header.sender_id, now_ns);
+                    let sender = message.header.sender_id;
+                    self.driver.hear(sender, self.gather_began_ns);
                     self.events.count(Outcome::Accepted);
                 }
                 Err(refused) => {
@@ -241,7 +245,10 @@ impl Exchange {
         if !self.has_driver {
             return Err(Refused::whole(Outcome::Unsupported));
         }
-        if !self.driver.is(message.header.sender_id, now_ns) {
+        // The cycle sees first that the driver is lost, and the robot rests before another one has it.
+        let is_faulted = self.last_mode == Mode::Faulted;
+        let sender = message.header.sender_id;
+        if !self.driver.is(sender, self.gather_began_ns, is_faulted) {
             return Err(Refused::whole(Outcome::OtherDriver));
         }
         let interface = convert::interface(self.interface);

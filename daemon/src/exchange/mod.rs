@@ -158,8 +158,7 @@ impl Exchange {
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,
             measurement_timeout_ns,
-            // The cycle sees first that it is lost, and the robot rests before another driver has it.
-            driver: BoundDriver::new(measurement_timeout_ns + 2 * period_ns),
+            driver: BoundDriver::new(measurement_timeout_ns),
             measurement: None,
             obstacles: ObstacleSet::default(),
             obstacle_sources: ObstacleSources::new(&config.obstacles),

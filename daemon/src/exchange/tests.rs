@@ -391,12 +391,19 @@ fn a_robot_has_one_driver_until_that_is_lost() {
         );
     }
     assert_eq!(rig.counted(Outcome::OtherDriver), 10);
+    let turn = |rig: &mut Rig| {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+        rig.run(rig.next_cycle - 1, None);
+        rig.publish();
+    };
+    rig.measure(1, 0.5, 0);
+    turn(&mut rig);
     // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
     let (mut silent_ns, last_ns) = (0, rig.now_ns());
     while rig.exchange.measurement.unwrap().measured_ns <= last_ns {
         silent_ns = rig.now_ns() - last_ns;
-        rig.measure(2, 1.0, 0);
-        rig.gather();
+        turn(&mut rig);
     }
     assert!(silent_ns > TIMEOUT_MS * MS, "{silent_ns}");
     assert!(silent_ns <= TIMEOUT_MS * MS + 3 * PERIOD_NS, "{silent_ns}");
@@ -405,6 +412,25 @@ fn a_robot_has_one_driver_until_that_is_lost() {
     assert_eq!(
         rig.exchange.measurement.unwrap().measured_ns,
         rig.now_ns() - PERIOD_NS
+    );
+}
+
+#[test]
+fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    // No cycle runs, and inputs replace each other unseen.
+    for _ in 0..3 * TIMEOUT_MS * MS / PERIOD_NS {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+    }
+    let last = rig.exchange.measurement.unwrap().measurement;
+    let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
+    assert_eq!(
+        last,
+        cdcr_controller::estimator::Measurement::Configuration(first)
     );
 }
 

@@ -60,6 +60,35 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
 }
 
 #[test]
+fn what_is_reserved_must_be_zero_but_in_a_stop() {
+    let mut rig = Rig::new("");
+    rig.gather();
+    let lease = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    let chunk = ReferenceChunk {
+        header: Header {
+            sender_id: 1,
+            sequence: 1,
+            sent_ns: rig.now_ns(),
+        },
+        reserved: 1,
+        ..ReferenceChunk::default()
+    };
+    rig.references.send_copy(chunk).unwrap();
+    let request = |kind: RequestKind| Request {
+        header: chunk.header,
+        kind: kind.code(),
+        reserved: 1,
+        ..Request::default()
+    };
+    let release = rig.control.send_copy(request(RequestKind::ReleaseLease));
+    let stop = rig.control.send_copy(request(RequestKind::Stop));
+    assert_eq!(rig.gather().stops, 1);
+    assert_eq!(rig.counted(Outcome::UnknownCode), 2);
+    drop((lease, release, stop));
+}
+
+#[test]
 fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
     let mut rig = Rig::new("");
     let mut crowd = rig.crowd(Service::Reference);
