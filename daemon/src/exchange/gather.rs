@@ -4,6 +4,7 @@ use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, Outcome};
 use cdcr_shared_types::{Header, Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
+use super::inlet::Received;
 use super::{Exchange, LastChunk, LastLook};
 use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::Shared;
@@ -112,9 +113,10 @@ impl Exchange {
 
     fn take_references(&mut self, now_ns: u64) {
         for _ in 0..CHUNKS_PER_GATHER {
-            let Some(chunk) = self.ports.reference.receive() else {
+            let Some(received) = self.ports.reference.receive() else {
                 break;
             };
+            let chunk = received.message;
             let result = self.take_chunk(&chunk, now_ns);
             self.events.note(
                 self.gather,
@@ -169,12 +171,17 @@ impl Exchange {
         self.obstacles
             .retain(|known| !sources.let_expire(known, now_ns));
         for _ in 0..updates_per_gather(self.gather_lead_ns) {
-            let Some(update) = self.ports.obstacles.receive() else {
+            let Some(received) = self.ports.obstacles.receive() else {
                 break;
             };
+            let update = received.message;
             // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
             let now_ns = clock.now_ns();
-            let result = self.take_update(&update, now_ns);
+            let result = if received.is_newer {
+                self.take_update(&update, now_ns)
+            } else {
+                Err(Refused::whole(Outcome::Stale))
+            };
             self.obstacles_refused += u64::from(result.is_err());
             self.events.note(
                 self.gather,
@@ -206,7 +213,7 @@ impl Exchange {
     /// Keeps the newest measurement. Good ones are many and not reported one by one.
     fn take_measurements(&mut self, clock: &impl Clock) {
         for _ in 0..MEASUREMENTS_PER_GATHER {
-            let Some(message) = self.ports.measurement.receive() else {
+            let Some(Received { message, is_newer }) = self.ports.measurement.receive() else {
                 break;
             };
             // As for obstacles: it may be newer than the gather.
@@ -214,9 +221,10 @@ impl Exchange {
             let result = self.judge_measurement(&message, now_ns);
             match result {
                 Ok(timed)
-                    if self
-                        .measurement
-                        .is_some_and(|last| timed.measured_ns <= last.measured_ns) =>
+                    if !is_newer
+                        || self
+                            .measurement
+                            .is_some_and(|last| timed.measured_ns <= last.measured_ns) =>
                 {
                     self.events.count(Outcome::Stale);
                 }

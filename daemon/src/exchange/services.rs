@@ -3,7 +3,7 @@
 use std::fmt::Debug;
 
 use cdcr_shared_types::{
-    Command, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
+    Command, Header, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
     Request, Response, Service, Telemetry, ipc,
 };
 use iceoryx2::port::publisher::Publisher;
@@ -99,7 +99,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         .signal_handling_mode(SignalHandlingMode::Disabled);
     builder
         .create::<ipc::Service>()
-        .map_err(|cause| error(format!("{cause:?}")))
+        .map_err(|cause| error(ipc::words(&cause)))
 }
 
 /// Every port of the exchange thread.
@@ -124,9 +124,24 @@ impl Ports {
     /// [`ServiceError::Service`] or [`ServiceError::Full`] with the name of the service.
     pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
-            reference: inlet(node, Service::Reference, robot)?,
-            obstacles: inlet(node, Service::Obstacles, robot)?,
-            measurement: inlet(node, Service::Measurement, robot)?,
+            reference: inlet(
+                node,
+                Service::Reference,
+                robot,
+                |message: &ReferenceChunk| &message.header,
+            )?,
+            obstacles: inlet(
+                node,
+                Service::Obstacles,
+                robot,
+                |message: &ObstacleUpdate| &message.header,
+            )?,
+            measurement: inlet(
+                node,
+                Service::Measurement,
+                robot,
+                |message: &Measurement| &message.header,
+            )?,
             command: publisher(node, Service::Command, robot)?,
             control: control(node, robot)?,
         })
@@ -137,7 +152,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
     let service = format!("cdcr/{robot}/{}", service.key());
     move |cause| ServiceError::Service {
         service: service.clone(),
-        cause: format!("{cause:?}"),
+        cause: ipc::words(cause),
     }
 }
 
@@ -239,6 +254,7 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
     node: &Node<ipc::Service>,
     service: Service,
     robot: &str,
+    header_of: fn(&T) -> &Header,
 ) -> Result<Inlet<T>, ServiceError> {
     let subscriber = with_room(node, service, robot, 0, || {
         topic::<T>(node, service, robot)?
@@ -247,10 +263,8 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
             .map_err(|cause| failed(service, robot)(&cause))
     })?;
     let queues = service.queues();
-    Ok(Inlet::new(
-        subscriber,
-        queues.publishers * QueueLengths::HELD,
-    ))
+    let most = queues.publishers * QueueLengths::HELD;
+    Ok(Inlet::new(subscriber, most, header_of))
 }
 
 fn control(

@@ -59,6 +59,7 @@ struct Rig {
     schedule: Schedule,
     clock: Still,
     next_cycle: u64,
+    sequence: Cell<u64>,
     measurements: Publisher<ipc::Service, Measurement, ()>,
     obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
     references: Publisher<ipc::Service, ReferenceChunk, ()>,
@@ -109,6 +110,7 @@ impl Rig {
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),
             next_cycle: 1,
+            sequence: Cell::default(),
             node,
             _root: folder,
         }
@@ -184,10 +186,7 @@ impl Rig {
     fn measure(&self, sender_id: u64, bend_rad: f64, age_ms: u64) {
         let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
         let mut message = Measurement {
-            header: Header {
-                sender_id,
-                ..Header::default()
-            },
+            header: self.header(sender_id),
             measured_ns: at_ns - age_ms * MS,
             kind: MeasurementKind::Configuration.code(),
             sections: 3,
@@ -196,6 +195,15 @@ impl Rig {
         };
         message.bend_rad[0] = bend_rad;
         self.measurements.send_copy(message).unwrap();
+    }
+
+    fn header(&self, sender_id: u64) -> Header {
+        self.sequence.set(self.sequence.get() + 1);
+        Header {
+            sender_id,
+            sequence: self.sequence.get(),
+            sent_ns: self.now_ns(),
+        }
     }
 
     fn counted(&self, outcome: Outcome) -> u64 {
@@ -208,11 +216,7 @@ impl Rig {
         kind: RequestKind,
     ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
         let request = Request {
-            header: Header {
-                sender_id,
-                sequence: 1,
-                sent_ns: self.now_ns(),
-            },
+            header: self.header(sender_id),
             kind: kind.code(),
             ..Request::default()
         };
@@ -234,9 +238,8 @@ impl Rig {
         let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
         let mut update = ObstacleUpdate {
             header: Header {
-                sender_id,
                 sent_ns: at_ns,
-                ..Header::default()
+                ..self.header(sender_id)
             },
             action: action.code(),
             count: lifetimes_ms.len() as u32,
@@ -272,11 +275,11 @@ impl Rig {
 fn flood<T: ZeroCopySend + Copy + std::fmt::Debug + 'static>(
     crowd: &[Publisher<ipc::Service, T, ()>],
     service: Service,
-    message: &T,
+    mut message: impl FnMut() -> T,
 ) {
     for other in crowd {
         for _ in 0..service.queues().queue {
-            other.send_copy(*message).unwrap();
+            other.send_copy(message()).unwrap();
         }
     }
 }

@@ -94,7 +94,7 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
     };
     for message in [taken as fn(&Rig) -> _, refused] {
         for _ in 0..20 {
-            flood(&crowd, Service::Obstacles, &message(&rig));
+            flood(&crowd, Service::Obstacles, || message(&rig));
             rig.gather();
         }
         let mut mine = rig.update(4, ObstacleAction::Upsert, &[0]);
@@ -102,7 +102,7 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
         rig.obstacles.send_copy(mine).unwrap();
         let mut gathers = 0;
         while !rig.exchange.obstacles.iter().any(|known| known.id == 99) {
-            flood(&crowd, Service::Obstacles, &message(&rig));
+            flood(&crowd, Service::Obstacles, || message(&rig));
             let before: u64 = rig.exchange.events.outcomes().iter().sum();
             rig.gather();
             let judged = rig.exchange.events.outcomes().iter().sum::<u64>() - before;
@@ -124,4 +124,22 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
     assert_eq!(gather::updates_per_gather(200_000), 8);
     assert_eq!(gather::updates_per_gather(100_000), 4);
     assert_eq!(gather::updates_per_gather(20_000), 1);
+}
+
+#[test]
+fn a_message_that_is_repeated_or_older_than_its_writers_last_is_refused() {
+    let mut rig = Rig::new("");
+    let older = rig.update(4, ObstacleAction::Upsert, &[0, 0]);
+    let newer = rig.update(4, ObstacleAction::Upsert, &[0]);
+    for update in [&newer, &newer, &older] {
+        rig.obstacles.send_copy(*update).unwrap();
+    }
+    assert_eq!(rig.gather().obstacles.count(), 1);
+    assert_eq!(rig.counted(Outcome::Stale), 2);
+    assert_eq!(rig.exchange.obstacles_refused, 2);
+    // Two writers of one client come in any order.
+    let crowd = rig.crowd(Service::Obstacles);
+    crowd[0].send_copy(older).unwrap();
+    assert_eq!(rig.gather().obstacles.count(), 2);
+    assert_eq!(rig.counted(Outcome::Stale), 2);
 }

@@ -15,11 +15,7 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
         let first = rig.ask(1, RequestKind::AcquireLease);
         rig.gather();
         let mut chunk = ReferenceChunk {
-            header: Header {
-                sender_id: 1,
-                sequence: 1,
-                sent_ns: rig.now_ns(),
-            },
+            header: rig.header(1),
             mode: ChunkMode::Replace.code(),
             count: 2,
             ..ReferenceChunk::default()
@@ -66,11 +62,7 @@ fn what_is_reserved_must_be_zero_but_in_a_stop() {
     let lease = rig.ask(1, RequestKind::AcquireLease);
     rig.gather();
     let chunk = ReferenceChunk {
-        header: Header {
-            sender_id: 1,
-            sequence: 1,
-            sent_ns: rig.now_ns(),
-        },
+        header: rig.header(1),
         reserved: 1,
         ..ReferenceChunk::default()
     };
@@ -97,11 +89,7 @@ fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
     let lease = rig.ask(1, RequestKind::AcquireLease);
     rig.gather();
     let mut chunk = ReferenceChunk {
-        header: Header {
-            sender_id: 1,
-            sequence: 1,
-            sent_ns: rig.now_ns(),
-        },
+        header: rig.header(1),
         mode: ChunkMode::Replace.code(),
         count: 1,
         ..ReferenceChunk::default()
@@ -111,13 +99,13 @@ fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
     let mut flooding = chunk;
     flooding.header.sender_id = 2;
     for _ in 0..20 {
-        flood(&crowd, Service::Reference, &flooding);
+        flood(&crowd, Service::Reference, || flooding);
         rig.gather();
     }
     rig.references.send_copy(chunk).unwrap();
     let mut gathers = 0;
     while rig.exchange.last_chunk.is_none() {
-        flood(&crowd, Service::Reference, &flooding);
+        flood(&crowd, Service::Reference, || flooding);
         let before = rig.counted(Outcome::NoLease);
         rig.gather();
         assert!(rig.counted(Outcome::NoLease) - before <= gather::CHUNKS_PER_GATHER as u64);
