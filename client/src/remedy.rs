@@ -35,6 +35,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::CauseStands => {
             "Mend the cause first (cdcrctl status names it), then cdcrctl reset again."
         }
+        Outcome::Waits => {
+            "Start the program that sends the obstacles again, or forget them all: cdcrctl obstacle clear."
+        }
         Outcome::Busy => "Wait a moment and try again.",
         Outcome::Stale => "Use one connection for each sender, and count its messages up.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",

@@ -166,13 +166,13 @@ impl Control {
         let port = self.port().map_err(|cause| link(cause.to_string()))?;
         let pending = port
             .send_copy(request)
-            .map_err(|cause| link(format!("{cause:?}")))?;
+            .map_err(|cause| link(ipc::words(&cause)))?;
         loop {
             // Before the look for the answer: a daemon answers first and then lets the request go.
             let is_open = pending.is_connected();
             let answer = pending
                 .receive()
-                .map_err(|cause| link(format!("{cause:?}")))?;
+                .map_err(|cause| link(ipc::words(&cause)))?;
             match answer {
                 Some(answer) if answer.payload().request_sequence == request.header.sequence => {
                     return Ok(Some(*answer.payload()));

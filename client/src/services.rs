@@ -102,7 +102,7 @@ impl<'a> Opener<'a> {
     fn new(location: &Location, place: &'a Place) -> Result<Self, ConnectError> {
         let node = location.client_node_builder()?.create::<ipc::Service>();
         Ok(Self {
-            node: node.map_err(|cause| memory_error(place, &format!("{cause:?}")))?,
+            node: node.map_err(|cause| memory_error(place, &ipc::words(&cause)))?,
             place,
         })
     }

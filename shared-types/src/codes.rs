@@ -289,6 +289,8 @@ wire_enum! {
         WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
         /// The robot has a driver, and the message came from another one.
         OtherDriver = 23: "another driver has the robot",
+        /// The robot waits, though nothing is broken; it may be asked again.
+        Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
     }
 }
 
@@ -532,7 +534,7 @@ mod tests {
         }
         assert_eq!(
             Outcome::try_from(Outcome::COUNT as u32),
-            Err(UnknownCode { code: 24 })
+            Err(UnknownCode { code: 25 })
         );
         assert_eq!(Mode::text_of(77), "unknown code");
     }

@@ -57,7 +57,7 @@ pub struct QueueLengths {
 
 impl QueueLengths {
     /// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
-    const HELD: usize = 2;
+    pub const HELD: usize = 2;
 
     /// Readers that only watch, at one time.
     pub const fn watchers(self) -> usize {
