@@ -222,6 +222,7 @@ impl Recorder {
                 early_ns: self.spin_ns,
                 wake_ns: release.start_ns - release.due_ns,
                 compute_ns,
+                planned_ns: 0,
                 longest_gap_ns: compute_ns,
                 after_solve_ns: 0,
             },
