@@ -54,7 +54,7 @@ impl Plan {
     pub fn missing(&self, value: impl Into<String>, mend: impl Into<String>) -> Judgement {
         let verdict = match self.mode {
             RealtimeMode::Require => Verdict::Fault,
-            RealtimeMode::Prefer => Verdict::Warning,
+            RealtimeMode::Prefer | RealtimeMode::Auto => Verdict::Warning,
             RealtimeMode::Off => Verdict::Ok,
         };
         Judgement::new(verdict, value, mend)

@@ -194,10 +194,16 @@ fn settings_into_which_no_cycle_fits_end_with_78() {
 
 #[test]
 fn real_time_that_is_not_granted_ends_with_77() {
-    let place = Place::new();
     // No machine of ours has a core 1000.
-    let output = run_configured(&place, "[realtime]\nmode = \"require\"\ncore = 1000\n");
-    assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+    for configuration in [
+        "[realtime]\nmode = \"require\"\ncore = 1000\n",
+        // The default of a robot behind a driver.
+        "[link]\nkind = \"driver\"\n[realtime]\ncore = 1000\n",
+    ] {
+        let place = Place::new();
+        let output = run_configured(&place, configuration);
+        assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+    }
 }
 
 #[test]
