@@ -18,7 +18,7 @@ use crate::caretaker::Caretaker;
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
 use crate::core_budget::{KERNEL_SHARE, kernel_share};
 use crate::cycle::{Cycle, Policy, Settings};
-use crate::doctor::System;
+use crate::doctor::{System, with_core};
 use crate::exchange::{Exchange, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
@@ -58,6 +58,7 @@ pub fn run_until(
     should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
+    let validated = &with_core(validated);
     // Before anybody can find this process by its lock: these signals would end it.
     let signals = Signals::catch()?;
     let instance = Instance::claim(&validated.location, &validated.config.robot.name)?;

@@ -17,6 +17,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::config::{Config, Validated, ns};
 use crate::cycle::Policy;
+use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
 use crate::ports::Clock;
 use crate::rt::accounting::{Accounting, Totals, Verdict};
@@ -94,7 +95,7 @@ pub fn run_until(
     duration: Duration,
     mut should_end: impl FnMut() -> bool,
 ) -> Result<Outcome> {
-    let config = &validated.config;
+    let config = &with_core(validated).config;
     let recorder = Recorder::new(config, last_cycle(config, duration)?)?;
     let ending = Arc::new(AtomicBool::new(false));
     let thread = spawn(config, recorder, &ending)?;

@@ -34,7 +34,8 @@ const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 /// Stack that a real-time thread touches beforehand.
 const STACK_BYTES: usize = 256 * 1024;
 
-/// The core that the configuration asks for: −1 is the last one that the process may use.
+/// The core that the configuration asks for. Where it leaves that open and none could be chosen
+/// ([`with_core`](crate::doctor::with_core)), the last one that the process may use.
 pub fn choose_core(config: &RealtimeConfig) -> Option<usize> {
     match usize::try_from(config.core) {
         Ok(core) => Some(core),
