@@ -1,7 +1,7 @@
 //! A complete driver. Its robot is simulated: put your motors and encoders where `Motors` is (docs/drivers.md).
 //!
 //! ```sh
-//! cdcrd run --set link.kind=driver --set link.interface=position
+//! cdcrd run --set link.kind=driver --set link.interface=position --set realtime.mode=prefer
 //! cargo run -p cdcr-client --example driver -- position
 //! ```
 

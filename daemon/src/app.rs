@@ -4,6 +4,7 @@
 //! release. Order at the end: the robot comes to rest → threads end → ports close → files
 //! go.
 
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Thread;
@@ -15,7 +16,9 @@ use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
+use crate::core_budget::{KERNEL_SHARE, kernel_share};
 use crate::cycle::{Cycle, Policy, Settings};
+use crate::doctor::{System, with_core};
 use crate::exchange::{Exchange, services};
 use crate::exit::{Ended, ExitCause};
 use crate::instance::Instance;
@@ -55,6 +58,7 @@ pub fn run_until(
     should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
+    let validated = &with_core(validated);
     // Before anybody can find this process by its lock: these signals would end it.
     let signals = Signals::catch()?;
     let (location, robot) = (&validated.location, &validated.config.robot.name);
@@ -94,7 +98,7 @@ fn run_with<L: RobotLink + Send + 'static>(
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
-    let cycle = Cycle::new(validated, link).context("the solver")?;
+    let cycle = make_cycle(validated, link, &clock)?;
     let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
     // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
@@ -233,6 +237,25 @@ impl Signals {
             reload: start::flag_of(&[SIGHUP])?,
         })
     }
+}
+
+/// The cycle of a configuration whose parts fit into the period on this machine.
+fn make_cycle<L: RobotLink>(
+    validated: &Validated,
+    link: L,
+    clock: &impl Clock,
+) -> Result<Cycle<L>> {
+    let share = kernel_share(&System::at(Path::new("/"))).unwrap_or_else(|error| {
+        tracing::info!(%error, "the share of real-time threads is taken to be 95 % of a core");
+        KERNEL_SHARE
+    });
+    let cycle = Cycle::new(validated, link).context("the solver")?;
+    let mut cycle = cycle.with_kernel_share(share);
+    cycle.check_that_it_fits(clock).map_err(|message| Ended {
+        cause: ExitCause::Configuration,
+        message,
+    })?;
+    Ok(cycle)
 }
 
 /// Cycles that the robot has to come to rest: its longest ramp, and a little more.
@@ -378,6 +401,7 @@ pub fn run_cycles<L: RobotLink>(
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
         ends.records.send(record);
         exchange.unpark();
+        cycle.rest(clock);
     }
     shared.set_still_moving(!cycle.is_at_rest());
 }

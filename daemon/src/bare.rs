@@ -17,6 +17,7 @@ use anyhow::{Context, Result, bail};
 
 use crate::config::{Config, Validated, ns};
 use crate::cycle::Policy;
+use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
 use crate::ports::Clock;
 use crate::rt::accounting::{Accounting, Totals, Verdict};
@@ -94,7 +95,7 @@ pub fn run_until(
     duration: Duration,
     mut should_end: impl FnMut() -> bool,
 ) -> Result<Outcome> {
-    let config = &validated.config;
+    let config = &with_core(validated).config;
     let recorder = Recorder::new(config, last_cycle(config, duration)?)?;
     let ending = Arc::new(AtomicBool::new(false));
     let thread = spawn(config, recorder, &ending)?;
@@ -222,6 +223,7 @@ impl Recorder {
                 early_ns: self.spin_ns,
                 wake_ns: release.start_ns - release.due_ns,
                 compute_ns,
+                planned_ns: 0,
                 longest_gap_ns: compute_ns,
                 after_solve_ns: 0,
             },

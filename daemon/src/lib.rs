@@ -9,6 +9,7 @@
 //! |---|---|---|
 //! | [`config`] | TOML, ranges | threads, messages |
 //! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
+//! | [`core_budget`] | how long the solver may take | who measures the other parts |
 //! | [`obstacles`] | what is known around the robot | who says so |
 //! | [`ports`] | what the cycle needs | who provides it |
 //! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
@@ -27,6 +28,7 @@ pub mod bare;
 mod caretaker;
 pub mod cli;
 pub mod config;
+pub mod core_budget;
 pub mod cycle;
 pub mod doctor;
 pub mod exchange;

@@ -17,6 +17,12 @@ pub trait Clock {
     /// block.
     fn sleep_until(&self, time_ns: u64);
 
+    /// For how long the calling thread has had a core so far \[ns\]. A system call. A clock that nobody runs by need not
+    /// say it.
+    fn on_core_ns(&self) -> u64 {
+        0
+    }
+
     /// For how long the machine has slept so far (suspended), in which time [`now_ns`](Self::now_ns) stood still: least
     /// and most \[ns\]. No system call either. A clock of a machine that never sleeps need not say it.
     fn slept_ns(&self) -> RangeInclusive<u64> {

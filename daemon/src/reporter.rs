@@ -198,6 +198,8 @@ impl Reporter {
             cycle: record.release.cycle,
             wake_ns: record.release.start_ns - due_ns,
             solve_ns: record.solve_end_ns - record.solve_start_ns,
+            core_budget: record.core_budget,
+            costs: record.costs,
             solved: record.report.status != SolveStatus::Idle,
             budget_hit: record.report.budget_spent,
             compute_ns: record.handed_over_ns - record.release.start_ns,
@@ -259,6 +261,9 @@ fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
             early_ns: spin_ns,
             wake_ns: release.start_ns - release.due_ns,
             compute_ns: record.handed_over_ns - release.start_ns,
+            planned_ns: record
+                .solve_until_ns
+                .saturating_sub(record.release.start_ns),
             longest_gap_ns: record.longest_gap_ns,
             after_solve_ns: record.handed_over_ns - record.solve_end_ns,
         },

@@ -2,9 +2,6 @@ use serde::{Deserialize, Serialize};
 
 use super::ns;
 
-/// What one gather and one publication take, with a little more for slower machines \[ns\].
-const EXCHANGE_NS: u64 = 40_000;
-
 /// The period and what counts as late.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
@@ -50,6 +47,8 @@ impl CycleConfig {
     /// Level at which the leaky bucket is full when the configuration sets no `miss_limit`: 200 ms without control at
     /// 5 ms.
     pub const MISS_LIMIT: u32 = 40;
+    /// What one gather and one publication take at least, with a little more for slower machines \[ns\].
+    pub const EXCHANGE_NS: u64 = 40_000;
 
     /// Deadline D after the release \[ns\].
     pub fn deadline_ns(&self) -> u64 {
@@ -59,12 +58,12 @@ impl CycleConfig {
         }
     }
 
-    /// Time that the solver leaves for what follows it \[ns\]. By default a tenth of the period: Linux
-    /// halts real-time threads that use more than 95 % of a core for 50 ms in each second. And at least
-    /// what the exchange needs on the same core, without which the reference does not arrive.
+    /// Time that the solver leaves at least for what follows it \[ns\], by default a tenth of the period. And at least
+    /// what the exchange needs on the same core, without which the reference does not arrive. What was measured to
+    /// take longer is left by the [`CoreBudget`](crate::core_budget::CoreBudget).
     pub fn budget_margin_ns(&self) -> u64 {
         match ns(self.budget_margin_ms) {
-            0 => (ns(self.period_ms) / 10).max(EXCHANGE_NS),
+            0 => (ns(self.period_ms) / 10).max(Self::EXCHANGE_NS),
             margin_ns => margin_ns,
         }
     }

@@ -1,4 +1,5 @@
-use super::{Config, LinkKind, REST_MAX_S, RealtimeMode, ns};
+use super::{Config, LinkKind, REST_MAX_S, ns};
+use crate::core_budget::{CoreBudget, Costs};
 
 /// What is allowed but hardly meant, each with the keys that it is about.
 pub fn doubts(config: &Config) -> Vec<String> {
@@ -80,27 +81,28 @@ pub fn doubts(config: &Config) -> Vec<String> {
                 safety.clearance_fault_m, controller.safe_distance_m
             )
         }),
-        throttled(config),
+        cut(config),
     ];
     doubts.into_iter().flatten().collect()
 }
 
-/// Linux halts real-time threads that use more than 95 % of a core.
-fn throttled(config: &Config) -> Option<String> {
+/// Where somebody set how long the solver may take, and the real-time threads do not have so much of the core.
+fn cut(config: &Config) -> Option<String> {
     let cycle = &config.cycle;
-    let period_ms = cycle.period_ms;
+    let is_asked_for = cycle.budget_ms > 0.0 || cycle.budget_margin_ms > 0.0;
     let until_ns = cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns());
-    let solve_ms = match cycle.budget_ms {
-        0.0 => until_ns as f64 * 1e-6,
-        budget_ms => budget_ms.min(until_ns as f64 * 1e-6),
+    let asked_ns = match ns(cycle.budget_ms) {
+        0 => until_ns,
+        budget_ns => budget_ns.min(until_ns),
     };
-    let busy_ms = solve_ms + 1e-3 * config.realtime.spin_us;
-    let is_throttled = config.realtime.mode != RealtimeMode::Off && busy_ms > 0.95 * period_ms;
-    is_throttled.then(|| {
+    let budget = CoreBudget::new(config);
+    let costs = Costs::default();
+    (is_asked_for && asked_ns > budget.solve_ns(costs)).then(|| {
         format!(
-            "solver and spinning may use {busy_ms} ms of each period of {period_ms} ms: by default, Linux \
-             halts real-time threads that use more than 95 % of a core (cycle.budget_margin_ms, \
-             cycle.budget_ms, realtime.spin_us)"
+            "cycle.budget_ms and cycle.budget_margin_ms leave the solver {} ms, and it is cut: {}; Linux halts \
+             real-time threads that take more than 95 % of a core (realtime.spin_us takes its part)",
+            asked_ns as f64 / 1e6,
+            budget.describe(costs)
         )
     })
 }
@@ -140,7 +142,10 @@ mod tests {
                 "safety.clearance_fault_m",
             ),
             ("[cycle]\nbudget_margin_ms = 0.1\n", "95 %"),
-            ("[realtime]\nspin_us = 400\n", "realtime.spin_us"),
+            (
+                "[cycle]\nbudget_ms = 4.4\n[realtime]\nspin_us = 400\n",
+                "4.185 ms until the solver ends",
+            ),
         ] {
             let config = Config::parse(text, Path::new("x")).unwrap().config;
             let doubts = doubts(&config);
@@ -149,7 +154,8 @@ mod tests {
         }
         for text in [
             "",
-            "[realtime]\nmode = \"off\"\nspin_us = 400\n",
+            "[realtime]\nspin_us = 400\n",
+            "[cycle]\nbudget_ms = 4.4\n[realtime]\nmode = \"off\"\nspin_us = 400\n",
             include_str!("../../../configs/driver.toml"),
         ] {
             let config = Config::parse(text, Path::new("x")).unwrap().config;

@@ -91,7 +91,7 @@ pub struct Config {
 /// A configuration whose every part was checked, as domain values.
 #[derive(Debug, Clone)]
 pub struct Validated {
-    /// The configuration as written.
+    /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`.
     pub config: Config,
     /// The robot.
     pub robot: Robot,

@@ -1,17 +1,33 @@
 use serde::{Deserialize, Serialize};
 
+use super::LinkKind;
+
 /// How much real time is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum RealtimeMode {
+    /// [`Require`](Self::Require) for a robot behind a driver, [`Prefer`](Self::Prefer) for a simulated one. A validated
+    /// configuration says which of them.
+    #[default]
+    Auto,
     /// Refuse to start without all of it.
     Require,
     /// Take what the system grants, and say what is missing.
-    #[default]
     Prefer,
     /// Ordinary threads.
     Off,
+}
+
+impl RealtimeMode {
+    /// The mode in force for a robot.
+    pub(super) fn of(self, robot: LinkKind) -> Self {
+        match (self, robot) {
+            (Self::Auto, LinkKind::Driver) => Self::Require,
+            (Self::Auto, LinkKind::Simulated) => Self::Prefer,
+            (mode, _) => mode,
+        }
+    }
 }
 
 /// Threads, priorities, memory.
@@ -21,7 +37,8 @@ pub enum RealtimeMode {
 pub struct RealtimeConfig {
     /// How much real time is asked for.
     pub mode: RealtimeMode,
-    /// Core of the real-time threads; -1: the last one that the process may use.
+    /// Core of the real-time threads; -1: the best one that the process may use, see
+    /// [`with_core`](crate::doctor::with_core).
     pub core: i64,
     /// `SCHED_FIFO` priority of the cycle thread.
     pub cycle_priority: i32,
@@ -36,7 +53,7 @@ pub struct RealtimeConfig {
 impl Default for RealtimeConfig {
     fn default() -> Self {
         Self {
-            mode: RealtimeMode::Prefer,
+            mode: RealtimeMode::default(),
             core: -1,
             cycle_priority: 80,
             exchange_priority: 70,

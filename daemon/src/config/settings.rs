@@ -24,11 +24,15 @@ impl Settings {
     /// # Errors
     /// [`ConfigError`] for the first that is not allowed.
     pub fn validate(self) -> Result<Validated, ConfigError> {
-        let Self { config, origins } = self;
+        let Self {
+            mut config,
+            origins,
+        } = self;
         ranges::check(&config, &origins)?;
         rules::check(&config, &origins)?;
         let robot = config.robot.robot(&origins)?;
         let initial = config.link.initial(&robot, &origins)?;
+        config.realtime.mode = config.realtime.mode.of(config.link.kind);
         let location = config.transport.location(&origins)?;
         let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {

@@ -11,7 +11,9 @@ mod policy;
 mod record;
 mod state;
 
-use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
+use cdcr_controller::nmpc::{
+    HORIZON_STEPS_MAX, Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus,
+};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Obstacle, Robot, Shape};
@@ -22,6 +24,7 @@ use cdcr_controller::safety::{
 use nalgebra::Vector3;
 
 use crate::config::{Interface, Validated, ns};
+use crate::core_budget::{CoreBudget, Costs, RecentCosts};
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, RobotLink, TimedMeasurement};
 use crate::rt::accounting::Accounting;
@@ -35,6 +38,8 @@ use state::RobotState;
 
 /// Longest time that the solver is warmed up \[ns\].
 const WARM_UP_MAX_NS: u64 = 300_000_000;
+/// Solves before the first release.
+const TRIALS: u64 = 20;
 
 /// The controller of one robot, cycle by cycle.
 #[derive(Debug)]
@@ -48,7 +53,13 @@ pub struct Cycle<L> {
     accounting: Accounting,
     policy: Policy,
     period_ns: u64,
-    budget_margin_ns: u64,
+    core_budget: CoreBudget,
+    /// From the end of the solver until the thread sleeps.
+    costs_after_solve: RecentCosts,
+    /// When the solver had to end \[ns\]; 0: it did not run.
+    solve_until_ns: u64,
+    /// Since when what follows the solver runs \[ns\].
+    solve_over_ns: u64,
     settings_revision: u64,
     last_gather: Option<u64>,
     /// Stops that were asked for when the last cycle ran.
@@ -98,7 +109,10 @@ impl<L: RobotLink> Cycle<L> {
             accounting: Accounting::new(policy.limits()),
             policy,
             period_ns,
-            budget_margin_ns: config.cycle.budget_margin_ns(),
+            core_budget: CoreBudget::new(config),
+            costs_after_solve: RecentCosts::default(),
+            solve_until_ns: 0,
+            solve_over_ns: 0,
             settings_revision: 0,
             last_gather: None,
             stops: 0,
@@ -111,9 +125,53 @@ impl<L: RobotLink> Cycle<L> {
         })
     }
 
+    /// The same on a core of which the kernel leaves `share` to real-time threads.
+    #[must_use]
+    pub fn with_kernel_share(mut self, share: f64) -> Self {
+        self.core_budget = self.core_budget.with_kernel_share(share);
+        self
+    }
+
+    /// Refuses settings that leave no time for a cycle that searches nothing, as measured.
+    ///
+    /// # Errors
+    /// In words, with the numbers.
+    pub fn check_that_it_fits(&mut self, clock: &impl Clock) -> Result<(), String> {
+        let measured_ns = (0..TRIALS).map(|seed| {
+            let begin_ns = clock.now_ns();
+            self.solve_once(seed, || true);
+            self.make_safe(&self.rates.clone(), true);
+            clock.now_ns() - begin_ns
+        });
+        let least_ns = measured_ns.min().unwrap_or_default();
+        self.nmpc.forget_plan();
+        let Some(lacks_ns) = self.core_budget.lacks_ns(least_ns) else {
+            return Ok(());
+        };
+        let ms = |ns: u64| ns as f64 / 1e6;
+        Err(format!(
+            "a cycle does not fit into cycle.period_ms = {}: without any search it takes {:.3} ms ({} sections, \
+             controller.horizon_steps = {}), which is {:.3} ms too much; {}",
+            ms(self.period_ns),
+            ms(least_ns),
+            self.robot.section_count(),
+            self.nmpc.settings().horizon_steps,
+            ms(lacks_ns),
+            self.core_budget.describe(Costs::default()),
+        ))
+    }
+
     /// Runs code and data of the solver once, so that the first real solve finds them in memory.
     pub fn warm_up(&mut self, clock: &impl Clock) {
         let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
+        for seed in 0..TRIALS {
+            self.solve_once(seed, || clock.now_ns() >= end_ns);
+        }
+        self.nmpc.forget_plan();
+    }
+
+    /// A solve near a reference that is out of reach, beside an obstacle.
+    fn solve_once(&mut self, seed: u64, is_over: impl FnMut() -> bool) {
         let tip_m = self
             .robot
             .tip_position(self.state.configuration().as_slice());
@@ -126,19 +184,15 @@ impl<L: RobotLink> Cycle<L> {
             centre_m: tip_m * 1.05,
         };
         let obstacle = Obstacle::new(shape, 0.01, Vector3::zeros()).ok();
-        for seed in 0..20 {
-            let input = SolveInput {
-                configuration: self.state.configuration(),
-                previous_rates: &self.rates,
-                reference: &[sample],
-                obstacles: obstacle.as_slice(),
-                elapsed_periods: 1,
-                seed,
-            };
-            let mut budget = Budget::new(|| clock.now_ns() >= end_ns);
-            self.nmpc.solve(&input, &mut budget);
-        }
-        self.nmpc.forget_plan();
+        let input = SolveInput {
+            configuration: self.state.configuration(),
+            previous_rates: &self.rates,
+            reference: &[sample; HORIZON_STEPS_MAX][..self.nmpc.settings().horizon_steps as usize],
+            obstacles: obstacle.as_slice(),
+            elapsed_periods: 1,
+            seed,
+        };
+        self.nmpc.solve(&input, &mut Budget::new(is_over));
     }
 
     /// Whether the robot rests: the last command was zero rates.
@@ -197,13 +251,20 @@ impl<L: RobotLink> Cycle<L> {
         let configuration = *self.state.configuration();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
-        let (mut wish, report) = self.wish(&release, inputs, elapsed_ns, clock);
+        let costs = Costs {
+            after_solve_ns: self.costs_after_solve.high_ns(),
+            exchange_ns: inputs.exchange_ns,
+        };
+        self.solve_until_ns = 0;
+        let (mut wish, report) = self.wish(&release, inputs, elapsed_ns, costs, clock);
         let comes_to_rest = self.modes.mode().comes_to_rest();
         if report.status == SolveStatus::NonFinite {
             // The solve itself has found a fault.
             wish = self.ramp();
         }
         let solve_end_ns = clock.now_ns();
+        // What a solve takes beyond its end cannot be cut: it belongs to what follows.
+        self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&wish, comes_to_rest);
         self.clearance_m = safe.clearance_m;
@@ -220,6 +281,9 @@ impl<L: RobotLink> Cycle<L> {
             solve_end_ns,
             handed_over_ns,
             elapsed_ns,
+            solve_until_ns: self.solve_until_ns,
+            core_budget: self.core_budget,
+            costs,
             longest_gap_ns: self.longest_gap_ns,
             verdict,
             stale_inputs,
@@ -254,6 +318,14 @@ impl<L: RobotLink> Cycle<L> {
         };
         self.copy_plans(&mut record);
         record
+    }
+
+    /// The thread is about to sleep: what followed the solver is over.
+    pub fn rest(&mut self, clock: &impl Clock) {
+        if self.solve_until_ns > 0 {
+            let took_ns = clock.now_ns().saturating_sub(self.solve_over_ns);
+            self.costs_after_solve.note(took_ns);
+        }
     }
 
     fn elapsed_ns(&mut self, release: &Release) -> u64 {
@@ -365,11 +437,12 @@ impl<L: RobotLink> Cycle<L> {
         release: &Release,
         inputs: &CycleInputs,
         elapsed_ns: u64,
+        costs: Costs,
         clock: &impl Clock,
     ) -> (BendRates, SolveReport) {
         let period_s = self.period_ns as f64 * 1e-9;
         let rates = match self.modes.mode() {
-            Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
+            Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, costs, clock),
             Mode::Homing => homing_rates(
                 self.state.configuration(),
                 self.policy.home_rate_rad_s,
@@ -395,6 +468,7 @@ impl<L: RobotLink> Cycle<L> {
         release: &Release,
         inputs: &CycleInputs,
         elapsed_ns: u64,
+        costs: Costs,
         clock: &impl Clock,
     ) -> (BendRates, SolveReport) {
         let settings = self.nmpc.settings();
@@ -409,12 +483,12 @@ impl<L: RobotLink> Cycle<L> {
             seed: cycle_seed(settings.seed, release.cycle),
         };
         let mut looked_ns = clock.now_ns();
-        let deadline_ns = release.release_ns + self.accounting.limits().deadline_ns;
-        let left_ns = deadline_ns.saturating_sub(self.budget_margin_ns);
+        let left_ns = self.core_budget.solve_end_ns(release, costs);
         let end_ns = match self.budget_ns {
             0 => left_ns,
             budget_ns => left_ns.min(looked_ns + budget_ns),
         };
+        self.solve_until_ns = end_ns;
         let longest_gap_ns = &mut self.longest_gap_ns;
         let mut budget = Budget::new(|| {
             let now_ns = clock.now_ns();

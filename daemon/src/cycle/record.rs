@@ -4,6 +4,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode};
 
 use super::{Policy, Settings};
+use crate::core_budget::{CoreBudget, Costs};
 use crate::obstacles::ObstacleSet;
 use crate::ports::TimedMeasurement;
 use crate::rt::accounting::{Totals, Verdict};
@@ -36,6 +37,12 @@ pub struct CycleRecord {
     pub handed_over_ns: u64,
     /// Time since the release of the previous cycle \[ns\].
     pub elapsed_ns: u64,
+    /// When the solver had to end \[ns\]; 0: it did not run.
+    pub solve_until_ns: u64,
+    /// How the real-time threads share out their core.
+    pub core_budget: CoreBudget,
+    /// What the parts beside the solver were known to take.
+    pub costs: Costs,
     /// Longest time between two looks at the clock until the solver was done \[ns\].
     pub longest_gap_ns: u64,
     /// Whether it was late.

@@ -160,6 +160,12 @@ impl Trial {
         record
     }
 
+    /// What follows the solver takes so long.
+    fn rest_after(&mut self, took_ns: u64) {
+        self.clock.0.set(self.cycle.solve_over_ns + took_ns);
+        self.cycle.rest(&self.clock);
+    }
+
     fn obey(&mut self, record: &CycleRecord) {
         let part = (PERIOD_S / self.flaws.lag_s).min(1.0);
         for (i, bend) in self.bend_rad.iter_mut().enumerate() {
@@ -472,4 +478,61 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
             reason: Reason::Request
         }
     );
+}
+
+#[test]
+fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
+    let mut trial = Trial::new(SLOPPY);
+    trial.turns(20);
+    trial.begin_tracking();
+    let until_ns = |record: &CycleRecord| record.solve_until_ns - record.release.release_ns;
+    assert_eq!(until_ns(&trial.turn()), 4_500_000, "a tenth by default");
+    // A few long ones are stalls.
+    for _ in 0..3 {
+        trial.turn();
+        trial.rest_after(3_000_000);
+    }
+    assert_eq!(until_ns(&trial.turn()), 4_500_000);
+    for _ in 0..4 {
+        trial.turn();
+        trial.rest_after(280_000);
+    }
+    trial.inputs.exchange_ns = 150_000;
+    let record = trial.turn();
+    assert_eq!(record.costs.after_solve_ns, 280_100, "a look takes 100 ns");
+    // 92.5 % of the period from the start, which is 0.02 ms late.
+    assert_eq!(until_ns(&record), 4_625_000 + 20_000 - 280_100 - 150_000);
+    assert!(record.solve_end_ns <= record.solve_until_ns);
+    for _ in 0..4 {
+        trial.turn();
+        trial.rest_after(9_000_000);
+    }
+    let record = trial.turn();
+    assert_eq!(until_ns(&record), 0);
+    assert!(record.core_budget.is_cut_short(record.costs));
+    assert_eq!(record.report.quanta, 0);
+}
+
+#[test]
+fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
+    let check = |text: &str| {
+        let validated = Config::parse(text, Path::new("trial")).unwrap();
+        let cycle = Cycle::new(&validated, DriverLink).unwrap();
+        // Each look takes 100 ns, and so does a cycle.
+        cycle
+            .with_kernel_share(0.9)
+            .check_that_it_fits(&Watch::default())
+    };
+    assert_eq!(check(""), Ok(()));
+    let short = "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n";
+    assert_eq!(check(short), Ok(()));
+    let error = check(&format!("{short}[realtime]\nspin_us = 50.0\n")).unwrap_err();
+    for word in [
+        "cycle.period_ms = 0.1",
+        "3 sections",
+        "0.050 ms of spinning",
+        "0.040 ms of exchange",
+    ] {
+        assert!(error.contains(word), "{error}");
+    }
 }

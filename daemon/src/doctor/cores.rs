@@ -51,7 +51,7 @@ pub(super) const CHECKS: &[Check] = &[
 /// From this period on, the tick is small beside the period.
 const PERIOD_MS_TICK: f64 = 1.0;
 /// A sibling with less load is idle.
-const SIBLING_SHARE: f64 = 0.05;
+pub(super) const SIBLING_SHARE: f64 = 0.05;
 /// A sleep with a shorter way out is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
@@ -92,7 +92,7 @@ fn isolation(scene: &Scene) -> Result<Judgement, Unreadable> {
         format!("core {core} is open to everybody"),
         format!(
             "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
-             realtime.core = {core}"
+             kernel.timer_migration=0 in /etc/sysctl.d/"
         ),
     ))
 }
@@ -119,7 +119,9 @@ fn tick(scene: &Scene) -> Result<Judgement, Unreadable> {
         let value = format!("{value}; the period is {} ms", scene.plan.period_ms);
         Judgement::warning(
             value,
-            format!("boot with nohz_full={core} rcu_nocbs={core}"),
+            format!(
+                "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
+            ),
         )
     })
 }

@@ -8,7 +8,8 @@
 use tempfile::TempDir;
 
 use super::{Judgement, Load, Plan, Probe, Scene, System, Verdict, checks};
-use crate::config::RealtimeMode;
+use crate::config::{Config, RealtimeMode};
+use crate::core_budget::CoreBudget;
 
 /// A scene over a folder that plays the system.
 pub(super) struct Fake {
@@ -31,7 +32,7 @@ impl Fake {
                     cycle_priority: 80,
                     exchange_priority: 70,
                     period_ms: 5.0,
-                    core_share_max: 0.9,
+                    core_budget: CoreBudget::new(&Config::default()),
                     no_deep_sleep: true,
                     lock_file: root.join("cdcr_cdcr.lock"),
                     root,

@@ -7,6 +7,7 @@
 //!
 //! Where the configuration asks for no real time, what matters only to real time is shown and judged good.
 
+mod core_choice;
 mod core_set;
 mod cores;
 #[cfg(test)]
@@ -21,11 +22,13 @@ mod privileges;
 mod probe;
 mod sample;
 mod scheduler;
+mod sysctls;
 mod system;
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+pub use core_choice::with_core;
 pub use core_set::CoreSet;
 pub use finding::{Finding, Judgement, NOTHING_TO_DO, Report, Verdict};
 pub use plan::Plan;
@@ -71,10 +74,11 @@ struct Check {
 
 /// Every check, in the order of the report.
 fn checks() -> impl Iterator<Item = &'static Check> {
-    let groups: [&[Check]; 7] = [
+    let groups: [&[Check]; 8] = [
         privileges::CHECKS,
         scheduler::CHECKS,
         cores::CHECKS,
+        sysctls::CHECKS,
         load::CHECKS,
         machine::CHECKS,
         memory::CHECKS,
@@ -92,7 +96,7 @@ impl Scene {
     /// This machine, for a daemon of this configuration.
     pub fn here(validated: &Validated) -> Self {
         let system = System::at(Path::new("/"));
-        let plan = Plan::new(validated);
+        let plan = Plan::new(&with_core(validated));
         let load = watch(&system, &plan);
         let probe = Probe::new(&system, &plan);
         Self {
@@ -120,7 +124,7 @@ impl Scene {
 
     /// Whether the daemon of this robot runs.
     fn daemon_runs(&self) -> bool {
-        let process = daemon_process(&self.system, &self.plan);
+        let process = daemon_process(&self.system, &self.plan.lock_file);
         process.is_some_and(|id| self.system.path(&format!("/proc/{id}")).exists())
     }
 
@@ -159,8 +163,8 @@ impl Check {
 }
 
 /// The process id that the daemon of this robot left in its lock file.
-fn daemon_process(system: &System, plan: &Plan) -> Option<u32> {
-    let id = system.number(&plan.lock_file.to_string_lossy()).ok()?;
+fn daemon_process(system: &System, lock_file: &Path) -> Option<u32> {
+    let id = system.number(&lock_file.to_string_lossy()).ok()?;
     u32::try_from(id).ok()
 }
 
@@ -170,7 +174,7 @@ fn watch(system: &System, plan: &Plan) -> Result<Load, Unreadable> {
         .core
         .ok_or_else(|| Unreadable::new("the load", "no core is known"))?;
     let mut ours = vec![std::process::id()];
-    ours.extend(daemon_process(system, plan));
+    ours.extend(daemon_process(system, &plan.lock_file));
     let before = Snapshot::take(system, core)?;
     let start = Instant::now();
     std::thread::sleep(WATCHED);

@@ -3,7 +3,8 @@
 use std::path::PathBuf;
 
 use super::finding::{Judgement, Verdict};
-use crate::config::{RealtimeMode, Validated, ns};
+use crate::config::{RealtimeMode, Validated};
+use crate::core_budget::CoreBudget;
 use crate::rt::privileges::choose_core;
 
 /// What the configuration asks of the machine.
@@ -19,8 +20,8 @@ pub struct Plan {
     pub exchange_priority: i32,
     /// Period \[ms\].
     pub period_ms: f64,
-    /// Largest share of the core that the cycle thread may use, 0 to 1.
-    pub core_share_max: f64,
+    /// How the real-time threads share out the core, by what the kernel leaves to them by default.
+    pub core_budget: CoreBudget,
     /// Whether deep sleep is to be kept away.
     pub no_deep_sleep: bool,
     /// Root folder of the shared-memory services.
@@ -41,18 +42,13 @@ impl Plan {
             ..
         } = validated;
         let (cycle, realtime) = (&config.cycle, &config.realtime);
-        let solve_ns = match ns(cycle.budget_ms) {
-            0 => cycle.deadline_ns().saturating_sub(cycle.budget_margin_ns()),
-            budget_ns => budget_ns,
-        };
-        let busy_ms = solve_ns as f64 * 1e-6 + realtime.spin_us * 1e-3;
         Self {
             mode: realtime.mode,
             core: choose_core(realtime),
             cycle_priority: realtime.cycle_priority,
             exchange_priority: realtime.exchange_priority,
             period_ms: cycle.period_ms,
-            core_share_max: (busy_ms / cycle.period_ms).min(1.0),
+            core_budget: CoreBudget::new(config),
             no_deep_sleep: realtime.no_deep_sleep,
             root: location.root().to_owned(),
             is_for_group: group_id.is_some(),
@@ -64,33 +60,9 @@ impl Plan {
     pub fn missing(&self, value: impl Into<String>, mend: impl Into<String>) -> Judgement {
         let verdict = match self.mode {
             RealtimeMode::Require => Verdict::Fault,
-            RealtimeMode::Prefer => Verdict::Warning,
+            RealtimeMode::Prefer | RealtimeMode::Auto => Verdict::Warning,
             RealtimeMode::Off => Verdict::Ok,
         };
         Judgement::new(verdict, value, mend)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
-    use super::*;
-    use crate::config::Config;
-
-    #[test]
-    fn the_largest_share_of_the_core_follows_from_the_budget() {
-        let mut config = Config::default();
-        let share = |config: &Config| Plan::new(&config.clone().check().unwrap()).core_share_max;
-        assert!((share(&config) - 0.9).abs() < 1e-9);
-        config.cycle.budget_ms = 2.0;
-        assert!((share(&config) - 0.4).abs() < 1e-9);
-        config.realtime.spin_us = 500.0;
-        assert!((share(&config) - 0.5).abs() < 1e-9);
-        config.cycle.budget_ms = 5.0;
-        assert_eq!(share(&config), 1.0);
     }
 }

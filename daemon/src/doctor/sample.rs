@@ -302,6 +302,17 @@ fn core_loads(before: &Snapshot, after: &Snapshot) -> BTreeMap<usize, CoreLoad> 
     loads.collect()
 }
 
+/// Share of each core that was used for something between two texts of `/proc/stat`, 0 to 1.
+pub(super) fn busy_between(before: &str, after: &str) -> BTreeMap<usize, f64> {
+    let snapshot = |stat| Snapshot {
+        cores: cores(stat),
+        ..Snapshot::default()
+    };
+    let loads = core_loads(&snapshot(before), &snapshot(after));
+    let busy = loads.into_iter().map(|(core, load)| (core, load.busy));
+    busy.collect()
+}
+
 /// A thread that is new has used all its time between the snapshots; so has one with the id of another.
 fn neighbour(before: &Snapshot, thread: &Thread, ticks: u64) -> Option<Neighbour> {
     let earlier = before.threads.get(&thread.id).map_or(0, |old| old.ticks);

@@ -1,5 +1,7 @@
 //! The kernel's scheduler: pre-emption, and what it takes from real-time threads.
 
+use crate::core_budget::{Costs, RT_RUNTIME_US, kernel_share};
+
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
 use super::{Check, Concern, Judgement, Scene, Unreadable};
@@ -93,31 +95,27 @@ fn of_model(scene: &Scene, model: &str, value: &str) -> Judgement {
 }
 
 fn throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
-    let runtime_us = scene
-        .system
-        .number("/proc/sys/kernel/sched_rt_runtime_us")?;
-    let period_us = scene.system.number("/proc/sys/kernel/sched_rt_period_us")?;
-    if runtime_us < 0 {
+    let share = kernel_share(&scene.system)?;
+    if scene.system.number(RT_RUNTIME_US)? < 0 {
         return Ok(Judgement::warning(
             "off: nothing guards the core from a hung loop",
             "sudo sysctl kernel.sched_rt_runtime_us=950000",
         ));
     }
-    let share = runtime_us as f64 / period_us.max(1) as f64;
-    let needed = scene.plan.core_share_max;
+    let usual = scene.plan.core_budget;
+    let budget = usual.with_kernel_share(share);
+    let costs = Costs::default();
     let value = format!(
-        "at {:.1} % of {} s; the cycle uses {:.1} % at most",
+        "at {:.1} % of a core, of which the loop keeps to {:.1} %: {}, and what guard and exchange are measured to take \
+         beyond that is taken from the solver",
         100.0 * share,
-        period_us as f64 * 1e-6,
-        100.0 * needed
+        100.0 * budget.share_max(),
+        budget.describe(costs)
     );
-    Ok(if share > needed {
+    Ok(if budget.solve_ns(costs) == usual.solve_ns(costs) {
         Judgement::ok(value)
     } else {
-        Judgement::warning(
-            value,
-            "sudo sysctl kernel.sched_rt_runtime_us=950000; set cycle.budget_ms below that share of the period",
-        )
+        Judgement::warning(value, "sudo sysctl kernel.sched_rt_runtime_us=950000")
     })
 }
 
@@ -188,7 +186,8 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
 mod tests {
     use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
-    use crate::config::RealtimeMode;
+    use crate::config::{Config, RealtimeMode};
+    use crate::core_budget::CoreBudget;
 
     fn kernel(version: &str) -> Fake {
         Fake::new(&[
@@ -236,13 +235,20 @@ mod tests {
                 ("/proc/sys/kernel/sched_rt_period_us", "1000000"),
             ])
         };
-        fake("950000").expect("rt_throttling", Good, &["95.0 %", "90.0 %"]);
-        fake("500000").expect("rt_throttling", Warning, &["budget_ms"]);
+        fake("950000").expect("rt_throttling", Good, &["95.0 %", "92.5 %", "4.500 ms"]);
+        fake("500000").expect("rt_throttling", Warning, &["47.5 %", "2.335 ms", "sysctl"]);
         fake("-1").expect("rt_throttling", Warning, &["off", "sysctl"]);
         fake("many").expect("rt_throttling", Unknown, &["no number"]);
         let mut spinning = fake("950000");
-        spinning.scene.plan.core_share_max = 1.0;
-        spinning.expect("rt_throttling", Warning, &["100.0 %"]);
+        let mut config = Config::default();
+        config.realtime.spin_us = 400.0;
+        spinning.scene.plan.core_budget = CoreBudget::new(&config);
+        let parts = [
+            "4.185 ms until",
+            "0.040 ms of exchange",
+            "0.400 ms of spinning",
+        ];
+        spinning.expect("rt_throttling", Good, &parts);
     }
 
     #[test]

@@ -35,6 +35,7 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
 use crate::config::{Interface, LinkKind, Validated, ns};
+use crate::core_budget::RecentCosts;
 use crate::cycle::Settings;
 use crate::obstacles::ObstacleSet;
 use crate::ports::{Clock, TimedMeasurement};
@@ -98,6 +99,10 @@ pub struct Exchange {
     gather_took_ns: u64,
     /// How long before its release the cycle thread wakes up \[ns\].
     spin_ns: u64,
+    /// What this thread takes of the core in a period.
+    own_costs: RecentCosts,
+    /// Its time on the core until the newest record \[ns\].
+    on_core_ns: u64,
 }
 
 /// The look for requests between a gather and the release of its cycle: a stop that was sent meanwhile need not wait
@@ -182,6 +187,8 @@ impl Exchange {
             requests_taken: 0,
             gather_took_ns: 0,
             spin_ns: ns(config.realtime.spin_us * 1e-3),
+            own_costs: RecentCosts::default(),
+            on_core_ns: 0,
         }
     }
 

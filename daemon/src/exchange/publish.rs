@@ -48,6 +48,16 @@ impl Exchange {
             reporter.unpark();
         }
         shared.count_dropped_records(self.ends.records.lost() - lost);
+        if scheduling.is_some() {
+            self.note_own_cost(clock);
+        }
+    }
+
+    /// What this thread took of the core since the record before.
+    fn note_own_cost(&mut self, clock: &impl Clock) {
+        let before_ns = core::mem::replace(&mut self.on_core_ns, clock.on_core_ns());
+        self.own_costs
+            .note(self.on_core_ns.saturating_sub(before_ns));
     }
 
     /// The command of `record`. It leaves if the record is the newest, the robot's configuration is known, and the command

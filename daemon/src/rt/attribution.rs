@@ -63,6 +63,9 @@ pub struct Timing {
     pub wake_ns: u64,
     /// From the start to the hand-over \[ns\].
     pub compute_ns: u64,
+    /// From the start to the end that the solver was given, which leaves time for what follows: as much work is what
+    /// the cycle is for, and makes none late \[ns\].
+    pub planned_ns: u64,
     /// Longest time between two looks at the clock until the solver was done \[ns\].
     pub longest_gap_ns: u64,
     /// From the end of the solver to the hand-over: limits and clearance guard \[ns\].
@@ -108,7 +111,10 @@ fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
         (timing.wake_ns - waited_ns, LateCause::Platform),
         (waited_ns + interrupted_ns, LateCause::Load),
         (stalled_ns, stall),
-        (worked_ns - stalled_ns, LateCause::Compute),
+        (
+            (worked_ns - stalled_ns).saturating_sub(timing.planned_ns),
+            LateCause::Compute,
+        ),
     ];
     let largest = parts.into_iter().max_by_key(|(part_ns, _)| *part_ns);
     largest.map_or(LateCause::Platform, |(_, cause)| cause)
@@ -215,6 +221,7 @@ mod tests {
             early_ns: 0,
             wake_ns: wake * US,
             compute_ns: compute * US,
+            planned_ns: 0,
             longest_gap_ns: gap * US,
             after_solve_ns: 20 * US,
         };
@@ -247,6 +254,7 @@ mod tests {
             early_ns: 0,
             wake_ns: 40 * US,
             compute_ns: 6000 * US,
+            planned_ns: 0,
             longest_gap_ns: 4 * US,
             after_solve_ns: 5900 * US,
         };
@@ -257,11 +265,32 @@ mod tests {
     }
 
     #[test]
+    fn work_that_was_planned_makes_no_cycle_late() {
+        let cause = |wake: u64, compute: u64, gap: u64, after: u64| {
+            let timing = Timing {
+                early_ns: 0,
+                wake_ns: wake * US,
+                compute_ns: compute * US,
+                planned_ns: 4200 * US,
+                longest_gap_ns: gap * US,
+                after_solve_ns: after * US,
+            };
+            attribute(&timing, Some(&Scheduling::default()))
+        };
+        // The solver would have ended in time but for the gap.
+        assert_eq!(cause(14, 5700, 1630, 220), LateCause::Stall);
+        assert_eq!(cause(1300, 4400, 4, 220), LateCause::Platform);
+        // It did not end when it should have.
+        assert_eq!(cause(14, 7000, 4, 220), LateCause::Compute);
+    }
+
+    #[test]
     fn without_the_schedulers_word_a_late_wake_up_is_the_platforms() {
         let timing = Timing {
             early_ns: 0,
             wake_ns: 9000 * US,
             compute_ns: 40 * US,
+            planned_ns: 0,
             longest_gap_ns: 0,
             after_solve_ns: 0,
         };
@@ -277,6 +306,7 @@ mod tests {
                         early_ns: other,
                         wake_ns: wake,
                         compute_ns: compute,
+                        planned_ns: other,
                         longest_gap_ns: other,
                         after_solve_ns: other,
                     };
@@ -295,6 +325,7 @@ mod tests {
             early_ns: 500 * US,
             wake_ns: wake * US,
             compute_ns: compute * US,
+            planned_ns: 0,
             longest_gap_ns: gap * US,
             after_solve_ns: 20 * US,
         };
@@ -331,6 +362,7 @@ mod tests {
                 early_ns: 0,
                 wake_ns: 40 * US,
                 compute_ns: compute * US,
+                planned_ns: 0,
                 longest_gap_ns: 4 * US,
                 after_solve_ns: 20 * US,
             },

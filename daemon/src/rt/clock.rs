@@ -26,6 +26,10 @@ impl Clock for MonotonicClock {
         {}
     }
 
+    fn on_core_ns(&self) -> u64 {
+        read_ns(ClockId::ThreadCPUTime)
+    }
+
     fn slept_ns(&self) -> RangeInclusive<u64> {
         // The thread may stand still between two readings. So the one between is later than the first of the others and
         // earlier than the second.

@@ -46,6 +46,8 @@ pub struct CycleInputs {
     pub measurement: Option<TimedMeasurement>,
     /// The obstacles, each at its own stamp.
     pub obstacles: ObstacleSet,
+    /// What the exchange took of the core in a period, of late \[ns\].
+    pub exchange_ns: u64,
     /// The settings in force, checked.
     pub settings: Settings,
     /// Grows with each change of the settings.
@@ -65,6 +67,7 @@ impl CycleInputs {
             obstacle_source_silent: false,
             measurement: None,
             obstacles: ObstacleSet::default(),
+            exchange_ns: 0,
             settings,
             settings_revision: 0,
         }

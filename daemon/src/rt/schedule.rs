@@ -5,8 +5,8 @@ use crate::ports::Clock;
 /// The absolute time grid: cycle k is released at `origin + k · period`.
 ///
 /// Lateness is counted from the release that was due, never from the actual start, so a stall cannot
-/// hide. After an
-/// overrun whole periods are skipped; there is never a burst of cycles that catch up.
+/// hide. After an overrun whole periods are skipped; there is never a burst of cycles that catch up. Who runs over into
+/// a release by little takes it late.
 #[derive(Debug, Clone)]
 pub struct Schedule {
     origin_ns: u64,
@@ -14,6 +14,12 @@ pub struct Schedule {
     spin_ns: u64,
     last_cycle: u64,
 }
+
+/// An overrun of at most this part of a period does not skip the release that it ran into: 0.5 ms of 5 ms.
+const OVERRUN_PART: u64 = 10;
+/// After such an overrun the thread sleeps for this part of a period: the exchange has to publish what the cycle made,
+/// and to gather for the next.
+const BREATH_PART: u64 = 20;
 
 /// One release, as it happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -66,9 +72,21 @@ impl Schedule {
     /// Sleeps to the next release that is still to come, and says which one was met.
     pub fn wait(&mut self, clock: &impl Clock) -> Release {
         let earliest = self.last_cycle + 1;
-        let next = earliest.max(self.cycle_at(clock.now_ns()) + 1);
+        let now_ns = clock.now_ns();
+        let newest = self.cycle_at(now_ns);
+        let takes_late =
+            newest >= earliest && now_ns - self.release_ns(newest) <= self.period_ns / OVERRUN_PART;
+        let next = if takes_late {
+            newest
+        } else {
+            earliest.max(newest + 1)
+        };
         let due_ns = self.release_ns(next);
-        clock.sleep_until(due_ns.saturating_sub(self.spin_ns));
+        clock.sleep_until(if takes_late {
+            now_ns + self.period_ns / BREATH_PART
+        } else {
+            due_ns.saturating_sub(self.spin_ns)
+        });
         let mut start_ns = clock.now_ns();
         while start_ns < due_ns {
             core::hint::spin_loop();
@@ -184,6 +202,33 @@ mod tests {
         assert_eq!((release.due_ns, release.start_ns), (200, 550));
         clock.late.set(0);
         assert_eq!(schedule.wait(&clock).cycle, 6);
+    }
+
+    #[test]
+    fn an_overrun_by_little_takes_its_release_late() {
+        let (clock, mut schedule) = (clock(0), Schedule::new(0, 100));
+        schedule.wait(&clock);
+        for (ran_until, cycle, skipped, start) in [
+            (200, 2, 0, 205),
+            (310, 3, 0, 315),
+            // More than a tenth: the next one.
+            (411, 5, 1, 500),
+            // Releases that passed long ago are skipped.
+            (803, 8, 2, 808),
+        ] {
+            clock.now.set(ran_until);
+            let release = schedule.wait(&clock);
+            assert_eq!(
+                release,
+                Release {
+                    cycle,
+                    release_ns: cycle * 100,
+                    due_ns: cycle * 100,
+                    start_ns: start,
+                    skipped
+                }
+            );
+        }
     }
 
     #[test]

@@ -18,6 +18,7 @@ use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::Node;
 
 use crate::config::{LinkKind, Validated, ns};
+use crate::core_budget::{CoreBudget, Costs};
 use crate::cycle::Settings;
 use crate::exchange::convert;
 use crate::exchange::services::{incidents, publisher};
@@ -39,6 +40,10 @@ pub struct Summary {
     pub wake_ns: u64,
     /// The solver \[ns\].
     pub solve_ns: u64,
+    /// How the real-time threads share out their core.
+    pub core_budget: CoreBudget,
+    /// What the parts beside the solver were known to take.
+    pub costs: Costs,
     /// Whether it ran.
     pub solved: bool,
     /// Whether the budget ended it.
@@ -138,6 +143,8 @@ pub struct Supervisor {
     summed: Instant,
     /// When the log last had a warning of the following error.
     said_off: Instant,
+    /// When the log last said that the solver is cut short.
+    said_cut: Instant,
     /// The newest cycle that was late and is not in the log.
     late: Option<Summary>,
     logged: Instant,
@@ -187,6 +194,7 @@ impl Supervisor {
             newest: Summary::default(),
             summed: now,
             said_off: now,
+            said_cut: now,
             late: None,
             logged: now,
         })
@@ -326,6 +334,17 @@ impl Supervisor {
                 "the robot lags far behind its commands (safety.following_warning_rad)"
             );
         }
+        if is_cut_short(summary)
+            && !is_cut_short(&self.newest)
+            && self.said_cut.elapsed() >= LATE_LINE_EVERY
+        {
+            self.said_cut = Instant::now();
+            tracing::warn!(
+                cycle = summary.cycle,
+                "the solver is cut to less than half of its time, so that the other parts of the cycle fit: {}",
+                summary.core_budget.describe(summary.costs)
+            );
+        }
         let is_late = summary.late_cause != LateCause::None.code();
         if is_late && (summary.verdict.deadline_miss || summary.skipped_periods > 0) {
             self.late = Some(*summary);
@@ -395,6 +414,10 @@ impl Supervisor {
 /// Whether the mode is another one than before, or has another reason.
 fn is_news(summary: &Summary, before: &Summary) -> bool {
     (summary.mode, summary.reason) != (before.mode, before.reason)
+}
+
+fn is_cut_short(summary: &Summary) -> bool {
+    summary.solved && summary.core_budget.is_cut_short(summary.costs)
 }
 
 fn ports_do_not_close() -> Ended {

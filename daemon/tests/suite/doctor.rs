@@ -9,7 +9,7 @@ use serde_json::Value;
 use crate::place::Place;
 
 /// Every key, as programs know it.
-const KEYS: [&str; 23] = [
+const KEYS: [&str; 24] = [
     "fifo",
     "pin",
     "memory_lock",
@@ -22,6 +22,7 @@ const KEYS: [&str; 23] = [
     "siblings",
     "governor",
     "deep_sleep",
+    "sysctls",
     "steal",
     "neighbours",
     "realtime_neighbours",

@@ -45,14 +45,18 @@ fn cycles_under_guard_with_a_simulated_robot() {
 
 #[test]
 fn cycles_under_guard_with_a_driver() {
-    run_guarded("[link]\nkind = \"driver\"\n", |place, ending, busy| {
-        std::thread::scope(|scope| {
-            scope.spawn(|| load::drive(place, ending));
-            let counts = busy(place);
-            ending.store(true, Ordering::Relaxed);
-            counts
-        })
-    });
+    let prefer = "[realtime]\nmode = \"prefer\"\n";
+    run_guarded(
+        &format!("[link]\nkind = \"driver\"\n{prefer}"),
+        |place, ending, busy| {
+            std::thread::scope(|scope| {
+                scope.spawn(|| load::drive(place, ending));
+                let counts = busy(place);
+                ending.store(true, Ordering::Relaxed);
+                counts
+            })
+        },
+    );
 }
 
 /// Keeps a daemon busy, and returns its cycles, and how many of them tracked.

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use cdcr_controller::robot::Configuration;
 
-use crate::config::{Config, DEFAULT_TEXT};
+use crate::config::{Config, DEFAULT_TEXT, RealtimeMode};
 
 #[test]
 fn the_default_file_is_the_default_and_every_key_is_in_it() {
@@ -44,4 +44,24 @@ fn an_empty_file_is_the_papers_robot() {
     let validated = Config::parse("", Path::new("x")).expect("empty is legal");
     assert_eq!(validated.robot.section_count(), 3);
     assert_eq!(validated.initial, Configuration::straight(3));
+}
+
+#[test]
+fn a_robot_behind_a_driver_requires_real_time_unless_told_otherwise() {
+    let mode = |text: &str| {
+        let validated = Config::parse(text, Path::new("x")).expect("legal");
+        validated.config.realtime.mode
+    };
+    let driver = "[link]\nkind = \"driver\"\n";
+    assert_eq!(mode(""), RealtimeMode::Prefer);
+    assert_eq!(mode(driver), RealtimeMode::Require);
+    for (word, expected) in [
+        ("prefer", RealtimeMode::Prefer),
+        ("off", RealtimeMode::Off),
+        ("require", RealtimeMode::Require),
+        ("auto", RealtimeMode::Require),
+    ] {
+        let text = format!("{driver}[realtime]\nmode = \"{word}\"\n");
+        assert_eq!(mode(&text), expected, "{word}");
+    }
 }

@@ -175,11 +175,35 @@ fn a_wrong_configuration_ends_with_78() {
 }
 
 #[test]
-fn real_time_that_is_not_granted_ends_with_77() {
+fn settings_into_which_no_cycle_fits_end_with_78() {
     let place = Place::new();
+    let sections =
+        "[[robot.sections]]\nlength_m = 0.15\ncable_radius_m = 0.0125\ncable_offset_rad = 0.0\n\
+                    bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n"
+            .repeat(6);
+    let output = run_configured(
+        &place,
+        &format!(
+            "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n[realtime]\nspin_us = 50.0\n\
+             [controller]\nhorizon_steps = 50\n{sections}"
+        ),
+    );
+    let parts = ["6 sections", "horizon_steps = 50", "0.050 ms of spinning"];
+    assert_refused(&place, &output, 78, &parts);
+}
+
+#[test]
+fn real_time_that_is_not_granted_ends_with_77() {
     // No machine of ours has a core 1000.
-    let output = run_configured(&place, "[realtime]\nmode = \"require\"\ncore = 1000\n");
-    assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+    for configuration in [
+        "[realtime]\nmode = \"require\"\ncore = 1000\n",
+        // The default of a robot behind a driver.
+        "[link]\nkind = \"driver\"\n[realtime]\ncore = 1000\n",
+    ] {
+        let place = Place::new();
+        let output = run_configured(&place, configuration);
+        assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+    }
 }
 
 #[test]

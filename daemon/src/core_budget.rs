@@ -1,0 +1,297 @@
+//! How the real-time threads share out their core: the one place where their time is added up.
+//!
+//! ```text
+//! release                                                              next release
+//!    │ spin │ estimate, solve ... │ guard, command, record │ exchange │ ordinary tasks │
+//!    │◄──────────────────── real-time time, at most ──────────────────►│
+//! ```
+//!
+//! Linux halts real-time threads that take more than their share of a core (95 % of a second by default), for 50 ms and
+//! more. The solver is the part that can be cut: it ends so early that what was measured of the other parts still fits.
+//! A replay needs none of this: the record says how far the solve went.
+
+use crate::config::{Config, CycleConfig, RealtimeMode, ns};
+use crate::doctor::{System, Unreadable};
+use crate::rt::schedule::Release;
+
+/// Share of a core that Linux leaves to real-time threads by default: `sched_rt_runtime_us`, and the fair server of
+/// newer kernels.
+pub const KERNEL_SHARE: f64 = 0.95;
+/// What of the kernel's share is not used, so that stalls, interrupts and what was measured too small do not use it up.
+const KEPT_BACK: f64 = 0.025;
+
+/// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
+pub const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+
+/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
+/// ordinary tasks of the core starve otherwise, those of the kernel among them.
+///
+/// # Errors
+/// The system does not tell.
+pub fn kernel_share(system: &System) -> Result<f64, Unreadable> {
+    let runtime_us = system.number(RT_RUNTIME_US)?;
+    let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
+    Ok(if runtime_us < 0 {
+        KERNEL_SHARE
+    } else {
+        (runtime_us as f64 / period_us.max(1) as f64).min(KERNEL_SHARE)
+    })
+}
+
+/// What the parts beside the solver take in a period, as far as it was measured \[ns\].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Costs {
+    /// From the end of the solver until the cycle thread sleeps: limits, clearance guard, command, record.
+    pub after_solve_ns: u64,
+    /// The exchange thread.
+    pub exchange_ns: u64,
+}
+
+/// The time of one period.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct CoreBudget {
+    period_ns: u64,
+    deadline_ns: u64,
+    margin_ns: u64,
+    spin_ns: u64,
+    is_real_time: bool,
+    /// What the real-time threads may take.
+    real_time_ns: u64,
+}
+
+impl CoreBudget {
+    /// That of a configuration, by the kernel's default share.
+    pub fn new(config: &Config) -> Self {
+        let period_ns = ns(config.cycle.period_ms);
+        let budget = Self {
+            period_ns,
+            deadline_ns: config.cycle.deadline_ns(),
+            margin_ns: config.cycle.budget_margin_ns(),
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            is_real_time: config.realtime.mode != RealtimeMode::Off,
+            real_time_ns: period_ns,
+        };
+        budget.with_kernel_share(KERNEL_SHARE)
+    }
+
+    /// The same on a core of which the kernel leaves `share` to real-time threads. Ordinary threads are not limited.
+    #[must_use]
+    pub fn with_kernel_share(mut self, share: f64) -> Self {
+        if self.is_real_time {
+            let kept = (share - KEPT_BACK).max(0.0);
+            self.real_time_ns = (self.period_ns as f64 * kept) as u64;
+        }
+        self
+    }
+
+    /// When the solver of the cycle of `release` has to end \[ns\].
+    ///
+    /// Until the deadline half as much again is left as was measured: one late command is a miss. Of the share the
+    /// measured cost is left: it counts over a second.
+    pub fn solve_end_ns(&self, release: &Release, costs: Costs) -> u64 {
+        let left_ns = self
+            .margin_ns
+            .max(costs.after_solve_ns.saturating_mul(3) / 2);
+        let by_deadline_ns = self.deadline_ns.saturating_sub(left_ns);
+        let others_ns = self.spin_ns + costs.after_solve_ns + exchange_ns(costs);
+        let by_share_ns = self.real_time_ns.saturating_sub(others_ns);
+        (release.release_ns + by_deadline_ns).min(release.start_ns + by_share_ns)
+    }
+
+    /// Longest time from the release to the end of the solver, with a punctual start \[ns\].
+    pub fn solve_ns(&self, costs: Costs) -> u64 {
+        self.solve_end_ns(&Release::default(), costs)
+    }
+
+    /// Whether `costs` leave the solver less than half of what it has without them.
+    pub fn is_cut_short(&self, costs: Costs) -> bool {
+        2 * self.solve_ns(costs) < self.solve_ns(Costs::default())
+    }
+
+    /// What a cycle that takes at least `least_ns` without any search lacks to fit \[ns\]; none: it fits.
+    pub fn lacks_ns(&self, least_ns: u64) -> Option<u64> {
+        let needs_ns = least_ns + self.spin_ns + exchange_ns(Costs::default());
+        needs_ns
+            .checked_sub(self.real_time_ns)
+            .filter(|lacks_ns| *lacks_ns > 0)
+    }
+
+    /// The parts in words.
+    pub fn describe(&self, costs: Costs) -> String {
+        let ms = |ns: u64| ns as f64 / 1e6;
+        format!(
+            "of each period of {} ms, real-time threads may take {:.3} ms: {:.3} ms until the solver ends, {:.3} ms \
+             after it, {:.3} ms of exchange, {:.3} ms of spinning",
+            ms(self.period_ns),
+            ms(self.real_time_ns),
+            ms(self.solve_ns(costs)),
+            ms(costs.after_solve_ns),
+            ms(exchange_ns(costs)),
+            ms(self.spin_ns),
+        )
+    }
+
+    /// Largest share of the core that the real-time threads take, 0 to 1.
+    pub fn share_max(&self) -> f64 {
+        self.real_time_ns as f64 / self.period_ns as f64
+    }
+}
+
+/// What is left to the exchange: at least what it takes where nobody sends anything.
+fn exchange_ns(costs: Costs) -> u64 {
+    costs.exchange_ns.max(CycleConfig::EXCHANGE_NS)
+}
+
+/// So many costs are remembered: 0.64 s at 5 ms.
+const REMEMBERED: usize = 128;
+/// So many of the largest are stalls of the processor rather than costs.
+const STALLS: usize = 3;
+
+/// The newest costs of one part.
+#[derive(Debug, Clone)]
+pub struct RecentCosts {
+    costs_ns: [u64; REMEMBERED],
+    next: usize,
+}
+
+impl Default for RecentCosts {
+    fn default() -> Self {
+        Self {
+            costs_ns: [0; REMEMBERED],
+            next: 0,
+        }
+    }
+}
+
+impl RecentCosts {
+    /// Takes note of one more.
+    pub fn note(&mut self, cost_ns: u64) {
+        if let Some(oldest) = self.costs_ns.get_mut(self.next) {
+            *oldest = cost_ns;
+        }
+        self.next = (self.next + 1) % REMEMBERED;
+    }
+
+    /// The largest, but for what stalls made of a few \[ns\]. 0 before there are some.
+    pub fn high_ns(&self) -> u64 {
+        let mut costs_ns = self.costs_ns;
+        let (_, high_ns, _) = costs_ns.select_nth_unstable(REMEMBERED - 1 - STALLS);
+        *high_ns
+    }
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::*;
+
+    const US: u64 = 1000;
+
+    fn budget(change: impl FnOnce(&mut Config)) -> CoreBudget {
+        let mut config = Config::default();
+        change(&mut config);
+        CoreBudget::new(&config)
+    }
+
+    fn costs(after_us: u64, exchange_us: u64) -> Costs {
+        Costs {
+            after_solve_ns: after_us * US,
+            exchange_ns: exchange_us * US,
+        }
+    }
+
+    #[test]
+    fn the_solver_ends_so_early_that_the_other_parts_fit_into_the_share() {
+        let plain = budget(|_| ());
+        // A tenth of the period is more than small costs ask for.
+        assert_eq!(plain.solve_ns(Costs::default()), 4500 * US);
+        assert_eq!(plain.solve_ns(costs(30, 60)), 4500 * US);
+        // The case: six sections among 64 obstacles. 4.5 + 0.28 + 0.15 would be 98.6 %.
+        assert_eq!(plain.solve_ns(costs(280, 150)), 4195 * US);
+        for after_us in [0, 100, 400, 2000] {
+            for exchange_us in [0, 60, 400] {
+                for spin_us in [0.0, 200.0, 1000.0] {
+                    let budget = budget(|config| config.realtime.spin_us = spin_us);
+                    let costs = costs(after_us, exchange_us);
+                    let others_ns = spin_us as u64 * US + costs.after_solve_ns + costs.exchange_ns;
+                    let sum_ns = budget.solve_ns(costs) + others_ns;
+                    assert!(sum_ns <= 4625 * US, "{after_us} {exchange_us} {spin_us}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_late_start_moves_the_end_by_the_share_and_never_beyond_the_deadline() {
+        let plain = budget(|_| ());
+        let release = Release {
+            start_ns: 200 * US,
+            ..Release::default()
+        };
+        assert_eq!(plain.solve_end_ns(&release, costs(280, 150)), 4395 * US);
+        assert_eq!(plain.solve_end_ns(&release, Costs::default()), 4500 * US);
+        // So much after the solver that the deadline asks for more than the share does.
+        assert_eq!(plain.solve_end_ns(&release, costs(800, 0)), 3800 * US);
+        assert_eq!(plain.solve_end_ns(&release, costs(9000, 0)), 0);
+    }
+
+    #[test]
+    fn a_smaller_share_of_the_kernel_is_kept_to_and_ordinary_threads_have_none() {
+        let mut config = Config::default();
+        let half = CoreBudget::new(&config).with_kernel_share(0.5);
+        assert_eq!(half.solve_ns(Costs::default()), 2335 * US);
+        assert!((half.share_max() - 0.475).abs() < 1e-9);
+        config.realtime.mode = RealtimeMode::Off;
+        let off = CoreBudget::new(&config).with_kernel_share(0.5);
+        assert_eq!(off.solve_ns(costs(280, 150)), 4500 * US);
+    }
+
+    #[test]
+    fn what_cannot_fit_is_found() {
+        let short = budget(|config| config.cycle.period_ms = 0.1);
+        assert_eq!(short.lacks_ns(52 * US), None);
+        assert_eq!(short.lacks_ns(60 * US), Some(7500));
+        assert!(!short.is_cut_short(costs(10, 40)));
+        assert!(short.is_cut_short(costs(30, 40)));
+        assert!(short.describe(costs(30, 40)).contains("0.030 ms after it"));
+    }
+
+    #[test]
+    fn a_few_stalls_are_no_costs_and_old_costs_are_forgotten() {
+        let mut recent = RecentCosts::default();
+        assert_eq!(recent.high_ns(), 0);
+        for turn in 0..200 {
+            recent.note(if turn % 50 == 0 { 9_000_000 } else { 280 });
+        }
+        assert_eq!(recent.high_ns(), 280);
+        for _ in 0..10 {
+            recent.note(500);
+        }
+        assert_eq!(recent.high_ns(), 500);
+        for _ in 0..REMEMBERED {
+            recent.note(20);
+        }
+        assert_eq!(recent.high_ns(), 20);
+    }
+
+    #[test]
+    fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
+        for (runtime_us, share) in [
+            ("950000", Some(0.95)),
+            ("500000", Some(0.5)),
+            ("1000000", Some(0.95)),
+            ("-1", Some(0.95)),
+            ("many", None),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            let kernel = folder.path().join("proc/sys/kernel");
+            std::fs::create_dir_all(&kernel).unwrap();
+            std::fs::write(kernel.join("sched_rt_runtime_us"), runtime_us).unwrap();
+            std::fs::write(kernel.join("sched_rt_period_us"), "1000000").unwrap();
+            assert_eq!(kernel_share(&System::at(folder.path())).ok(), share);
+        }
+    }
+}

@@ -1,0 +1,258 @@
+//! The core of the real-time threads where the configuration leaves it open (`realtime.core = -1`).
+
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+use crate::config::Validated;
+
+use super::cores::SIBLING_SHARE;
+use super::sample::busy_between;
+use super::system::field_of;
+use super::{CoreSet, System, daemon_process};
+
+/// How long hyper-threads are watched, where there are some.
+const WATCHED: Duration = Duration::from_millis(100);
+/// The thread of a loop, and the program that it belongs to.
+const LOOP: (&str, &str) = ("cdcr-cycle", "cdcrd");
+
+/// The configuration with the core that was chosen, where it leaves that open and the system tells which there are. The
+/// daemon of this robot keeps the core that it has.
+#[must_use]
+pub fn with_core(validated: &Validated) -> Validated {
+    let mut validated = validated.clone();
+    if validated.config.realtime.core < 0 {
+        let system = System::at(Path::new("/"));
+        let lock_file = validated.location.lock_file(&validated.config.robot.name);
+        let ours = daemon_process(&system, &lock_file);
+        let core = choose(&system, ours, can_be_pinned);
+        validated.config.realtime.core =
+            core.and_then(|core| i64::try_from(core).ok()).unwrap_or(-1);
+    }
+    validated
+}
+
+/// Whether this process may have a thread on `core`: isolated cores are none of those that it begins on.
+fn can_be_pinned(core: usize) -> bool {
+    let pin = move || core_affinity::set_for_current(core_affinity::CoreId { id: core });
+    std::thread::spawn(pin).join().unwrap_or(false)
+}
+
+/// The best core for a loop. In this order: one that no other loop has, an isolated one, one of the fast ones, one with
+/// idle hyper-threads, the last one. Where the process `ours` has a loop, its core.
+fn choose(
+    system: &System,
+    ours: Option<u32>,
+    can_be_pinned: impl Fn(usize) -> bool,
+) -> Option<usize> {
+    let loops = loops(system);
+    if let Some((_, core)) = loops.iter().find(|(process, _)| Some(*process) == ours) {
+        return Some(*core);
+    }
+    let list = |path: &str| CoreSet::parse(&system.read(path).unwrap_or_default());
+    let isolated = list("/sys/devices/system/cpu/isolated");
+    let allowed = CoreSet::parse(&system.own_status("Cpus_allowed_list").ok()?);
+    let online = system.online().unwrap_or_else(|_| allowed.clone());
+    let candidates: Vec<usize> = online
+        .iter()
+        .filter(|core| allowed.contains(*core) || isolated.contains(*core))
+        .filter(|core| allowed.contains(*core) || can_be_pinned(*core))
+        .collect();
+    let slow = slow_cores(system, &candidates);
+    let busy = busy_siblings(system, &candidates);
+    candidates.into_iter().min_by_key(|core| {
+        (
+            loops.iter().any(|(_, taken)| taken == core),
+            !isolated.contains(*core),
+            slow.contains(core),
+            busy.contains(core),
+            Reverse(*core),
+        )
+    })
+}
+
+/// The processes that have a loop on a core, and the core.
+fn loops(system: &System) -> Vec<(u32, usize)> {
+    let is_named = |folder: &str, name: &str| {
+        let comm = system.read(&format!("{folder}/comm"));
+        comm.is_ok_and(|comm| comm == name)
+    };
+    let (thread_name, program) = LOOP;
+    let mut loops = Vec::new();
+    for process in system.numbers("/proc") {
+        if !is_named(&format!("/proc/{process}"), program) {
+            continue;
+        }
+        for id in system.numbers(&format!("/proc/{process}/task")) {
+            let folder = format!("/proc/{process}/task/{id}");
+            let status = system.read(&format!("{folder}/status")).unwrap_or_default();
+            let list = field_of(&status, "Cpus_allowed_list").unwrap_or_default();
+            let cores = CoreSet::parse(&list);
+            if is_named(&folder, thread_name) && cores.count() == 1 {
+                loops.extend(cores.iter().map(|core| (process, core)));
+            }
+        }
+    }
+    loops
+}
+
+/// Those of `cores` that compute slower by design: efficiency cores, and the small ones of big.LITTLE.
+fn slow_cores(system: &System, cores: &[usize]) -> Vec<usize> {
+    let efficient = system.read("/sys/devices/cpu_atom/cpus");
+    let efficient = CoreSet::parse(&efficient.unwrap_or_default());
+    let capacity = |core: usize| {
+        let path = format!("/sys/devices/system/cpu/cpu{core}/cpu_capacity");
+        system.number(&path).ok()
+    };
+    let largest = cores.iter().filter_map(|core| capacity(*core)).max();
+    let is_slow = |core: &usize| efficient.contains(*core) || capacity(*core) < largest;
+    cores.iter().copied().filter(is_slow).collect()
+}
+
+/// Those of `cores` that share their hardware with a core that is at work.
+fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
+    let siblings = |core: usize| {
+        let path = format!("/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list");
+        CoreSet::parse(&system.read(&path).unwrap_or_default()).without(core)
+    };
+    let siblings: BTreeMap<usize, CoreSet> =
+        cores.iter().map(|core| (*core, siblings(*core))).collect();
+    if siblings.values().all(|others| others.count() == 0) {
+        return Vec::new();
+    }
+    let look = || system.read("/proc/stat").unwrap_or_default();
+    let before = look();
+    std::thread::sleep(WATCHED);
+    let busy = busy_between(&before, &look());
+    let is_busy = |other: usize| busy.get(&other).is_some_and(|share| *share > SIBLING_SHARE);
+    let shared = siblings
+        .into_iter()
+        .filter(|(_, others)| others.iter().any(is_busy));
+    shared.map(|(core, _)| core).collect()
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::super::fake::Fake;
+    use super::*;
+
+    const CPU: &str = "/sys/devices/system/cpu";
+
+    /// A machine with cores 0 to 3, all of which the process may use.
+    fn machine() -> Fake {
+        Fake::new(&[
+            (&format!("{CPU}/online"), "0-3"),
+            ("/proc/self/status", "Cpus_allowed_list:\t0-3"),
+        ])
+    }
+
+    fn chosen(fake: &Fake) -> Option<usize> {
+        choose(&fake.scene.system, None, |_| true)
+    }
+
+    fn pin_loop(fake: &Fake, process: u32, program: &str, cores: &str) {
+        let task = format!("/proc/{process}/task/{process}");
+        fake.write(&format!("/proc/{process}/comm"), program);
+        fake.write(&format!("{task}/comm"), "cdcr-cycle");
+        fake.write(
+            &format!("{task}/status"),
+            &format!("Cpus_allowed_list:\t{cores}"),
+        );
+    }
+
+    #[test]
+    fn the_last_core_is_as_good_as_any_other() {
+        assert_eq!(chosen(&machine()), Some(3));
+        let fake = machine();
+        fake.write("/proc/self/status", "Cpus_allowed_list:\t0-1");
+        assert_eq!(chosen(&fake), Some(1));
+        // One that does not run is no choice.
+        fake.write(&format!("{CPU}/online"), "0,2-3");
+        assert_eq!(chosen(&fake), Some(0));
+        assert_eq!(chosen(&Fake::new(&[])), None);
+    }
+
+    #[test]
+    fn an_isolated_core_comes_first_where_it_may_be_used() {
+        let fake = machine();
+        fake.write(&format!("{CPU}/isolated"), "1-2");
+        fake.write("/proc/self/status", "Cpus_allowed_list:\t0,3");
+        assert_eq!(chosen(&fake), Some(2));
+        assert_eq!(choose(&fake.scene.system, None, |core| core != 2), Some(1));
+        assert_eq!(choose(&fake.scene.system, None, |_| false), Some(3));
+    }
+
+    #[test]
+    fn slow_cores_come_last() {
+        let fake = machine();
+        fake.write("/sys/devices/cpu_core/cpus", "0-1");
+        fake.write("/sys/devices/cpu_atom/cpus", "2-3");
+        assert_eq!(chosen(&fake), Some(1));
+        let fake = machine();
+        for (core, capacity) in [(0, "1024"), (1, "1024"), (2, "446"), (3, "446")] {
+            fake.write(&format!("{CPU}/cpu{core}/cpu_capacity"), capacity);
+        }
+        assert_eq!(chosen(&fake), Some(1));
+        // Who isolated one has chosen it.
+        fake.write(&format!("{CPU}/isolated"), "3");
+        assert_eq!(chosen(&fake), Some(3));
+    }
+
+    #[test]
+    fn the_core_of_another_loop_is_taken_only_where_there_is_no_other() {
+        let fake = machine();
+        fake.write(&format!("{CPU}/isolated"), "3");
+        pin_loop(&fake, 40, "cdcrd", "3");
+        assert_eq!(chosen(&fake), Some(2));
+        // The daemon that is looked at has its core already.
+        assert_eq!(choose(&fake.scene.system, Some(40), |_| true), Some(3));
+        // A loop that was not pinned has no core of its own, and a program may name its threads as it likes.
+        pin_loop(&fake, 41, "cdcrd", "0-3");
+        pin_loop(&fake, 42, "other", "2");
+        assert_eq!(chosen(&fake), Some(2));
+        for core in 0..4 {
+            pin_loop(&fake, 50 + core, "cdcrd", &core.to_string());
+        }
+        assert_eq!(chosen(&fake), Some(3));
+    }
+
+    #[test]
+    fn a_core_whose_hyper_thread_is_at_work_is_left_alone() {
+        let fake = machine();
+        for (core, siblings) in [(0, "0,2"), (1, "1,3"), (2, "0,2"), (3, "1,3")] {
+            let path = format!("{CPU}/cpu{core}/topology/thread_siblings_list");
+            fake.write(&path, siblings);
+        }
+        let stat = |busy: u64| {
+            let idle = 1000 - busy;
+            format!("cpu0 0 0 0 1000\ncpu1 {busy} 0 0 {idle}\ncpu2 0 0 0 1000\ncpu3 0 0 0 1000")
+        };
+        fake.write("/proc/stat", &stat(0));
+        assert_eq!(chosen(&fake), Some(3));
+        let busy = busy_between(
+            &stat(0),
+            &stat(0).replace("cpu1 0 0 0 1000", "cpu1 900 0 0 1000"),
+        );
+        assert!(busy[&1] > 0.99 && busy[&3] == 0.0);
+        // Written while it is watched.
+        std::thread::scope(|scope| {
+            let system = &fake.scene.system;
+            let choice = scope.spawn(|| choose(system, None, |_| true));
+            let mut used = 0;
+            while !choice.is_finished() {
+                used += 100;
+                let text = stat(0).replace("cpu1 0", &format!("cpu1 {used}"));
+                fake.write("/proc/stat.new", &text);
+                let path = |name: &str| system.path(name);
+                std::fs::rename(path("/proc/stat.new"), path("/proc/stat")).unwrap();
+                std::thread::sleep(WATCHED / 20);
+            }
+            assert_eq!(choice.join().unwrap(), Some(2));
+        });
+    }
+}

@@ -1,0 +1,145 @@
+//! Settings of the running kernel that let it disturb a core or memory in use.
+
+use super::{Check, Concern, CoreSet, Judgement, Scene, Unreadable};
+
+pub(super) const CHECKS: &[Check] = &[Check {
+    key: "sysctls",
+    title: "kernel settings",
+    why: "Some work that the kernel does by default moves memory in use, or comes onto a core that should be quiet.",
+    concern: Concern::RealTime,
+    judge: sysctls,
+}];
+
+/// When a setting matters.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Matters {
+    Always,
+    /// Where the core has no tick, and so should be left alone.
+    WithoutTick,
+    /// Where microseconds count: without the tick, or at short periods.
+    Finely,
+}
+
+/// A setting, the value from which on it is good or, at 0, the only good one, and what it does otherwise.
+const SETTINGS: [(&str, i64, Matters, &str); 5] = [
+    (
+        "kernel.timer_migration",
+        0,
+        Matters::WithoutTick,
+        "timers of idle cores move to busy ones, nohz_full or not",
+    ),
+    (
+        "kernel.numa_balancing",
+        0,
+        Matters::Always,
+        "takes pages away to see who uses them, also locked ones",
+    ),
+    (
+        "vm.compact_unevictable_allowed",
+        0,
+        Matters::Always,
+        "moves locked pages, and who touches one waits",
+    ),
+    (
+        "kernel.nmi_watchdog",
+        0,
+        Matters::Finely,
+        "interrupts every core, whatever its priority",
+    ),
+    (
+        "vm.stat_interval",
+        10,
+        Matters::Finely,
+        "counts on every core so often (in s)",
+    ),
+];
+/// Below this period, microseconds count \[ms\].
+const PERIOD_MS_FINE: f64 = 1.0;
+
+fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
+    let quiet = scene
+        .system
+        .read_if_there("/sys/devices/system/cpu/nohz_full")?;
+    let has_no_tick = CoreSet::parse(&quiet.unwrap_or_default()).contains(scene.core()?);
+    let is_fine = has_no_tick || scene.plan.period_ms < PERIOD_MS_FINE;
+    let (mut values, mut mends) = (Vec::new(), Vec::new());
+    for (name, good, matters, does) in SETTINGS {
+        let is_meant = match matters {
+            Matters::Always => true,
+            Matters::WithoutTick => has_no_tick,
+            Matters::Finely => is_fine,
+        };
+        let path = format!("/proc/sys/{}", name.replace('.', "/"));
+        // A kernel without the feature has no file.
+        if !is_meant || scene.system.read_if_there(&path)?.is_none() {
+            continue;
+        }
+        let value = scene.system.number(&path)?;
+        let is_good = if good == 0 { value == 0 } else { value >= good };
+        if !is_good {
+            values.push(format!("{name} = {value}: {does}"));
+            mends.push(format!("{name}={good}"));
+        }
+    }
+    Ok(if values.is_empty() {
+        Judgement::ok("none that disturbs the loop")
+    } else {
+        Judgement::warning(
+            values.join("; "),
+            format!(
+                "sudo sysctl {}   (and for good in /etc/sysctl.d/)",
+                mends.join(" ")
+            ),
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::fake::Fake;
+
+    #[test]
+    fn settings_that_disturb_are_named_with_one_command() {
+        let fake = Fake::new(&[]);
+        fake.expect("sysctls", Good, &["none"]);
+        fake.write("/proc/sys/kernel/numa_balancing", "1\n");
+        fake.write("/proc/sys/vm/compact_unevictable_allowed", "1\n");
+        fake.expect(
+            "sysctls",
+            Warning,
+            &["sysctl kernel.numa_balancing=0 vm.compact_unevictable_allowed=0 "],
+        );
+        for file in ["kernel/numa_balancing", "vm/compact_unevictable_allowed"] {
+            fake.write(&format!("/proc/sys/{file}"), "0\n");
+        }
+        fake.expect("sysctls", Good, &[]);
+        fake.write("/proc/sys/kernel/numa_balancing", "often");
+        fake.expect("sysctls", Unknown, &["often"]);
+    }
+
+    #[test]
+    fn a_core_without_tick_wants_timers_to_stay_where_they_are() {
+        let mut fake = Fake::new(&[
+            ("/proc/sys/kernel/timer_migration", "1"),
+            ("/proc/sys/kernel/nmi_watchdog", "1"),
+            ("/proc/sys/vm/stat_interval", "1"),
+        ]);
+        fake.expect("sysctls", Good, &[]);
+        fake.scene.plan.period_ms = 0.5;
+        fake.expect(
+            "sysctls",
+            Warning,
+            &["sysctl kernel.nmi_watchdog=0 vm.stat_interval=10 "],
+        );
+        fake.scene.plan.period_ms = 5.0;
+        fake.write("/sys/devices/system/cpu/nohz_full", "0");
+        fake.expect("sysctls", Good, &[]);
+        fake.write("/sys/devices/system/cpu/nohz_full", "1");
+        fake.expect("sysctls", Warning, &["sysctl kernel.timer_migration=0 "]);
+        fake.write("/proc/sys/kernel/timer_migration", "0");
+        fake.write("/proc/sys/kernel/nmi_watchdog", "0");
+        fake.write("/proc/sys/vm/stat_interval", "120");
+        fake.expect("sysctls", Good, &[]);
+    }
+}

@@ -1,0 +1,224 @@
+//! The share of a core that real-time threads may take: a program of its own, because it needs the core of the loop
+//! for itself. Linux halts real-time threads beyond their share for 50 ms, where an ordinary task wants the core.
+
+#![allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+
+use std::fmt::Write as _;
+use std::ops::ControlFlow;
+use std::slice;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use cdcr_client::{Connection, FeedEvent, FeedOptions, Spiral, monotonic_ns};
+use cdcr_shared_types::codes::{LateCause, Mode, ObstacleShape, timing};
+use cdcr_shared_types::limits::OBSTACLES_MAX;
+use cdcr_shared_types::{Obstacle, Telemetry};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{Daemon, PATIENT, wait_status};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+/// Two daemons on one core would be each other's load.
+static ALONE: Mutex<()> = Mutex::new(());
+
+/// How long it tracks: `CDCR_CORE_BUDGET_S`, or 8 s, in which the kernel would halt it six times.
+fn duration_s() -> f64 {
+    let asked = std::env::var("CDCR_CORE_BUDGET_S").ok();
+    asked.map_or(8.0, |text| {
+        text.parse().expect("CDCR_CORE_BUDGET_S is a number")
+    })
+}
+
+/// Six sections and the longest horizon.
+fn demanding() -> String {
+    let mut configuration = format!("{PATIENT}[controller]\nhorizon_steps = 50\n");
+    for section in 0..6 {
+        write!(
+            configuration,
+            "[[robot.sections]]\nlength_m = 0.15\ncable_radius_m = 0.0125\ncable_offset_rad = 0.{section}\n\
+             bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n"
+        )
+        .unwrap();
+    }
+    configuration
+}
+
+/// As many capsules as there may be, eight around each of eight heights, half a millimetre inside the safe distance: all of
+/// them are within reach in every cycle.
+fn cage() -> Vec<Obstacle> {
+    (0..OBSTACLES_MAX)
+        .map(|index| {
+            let (sin, cos) = (index as f64 * std::f64::consts::FRAC_PI_4).sin_cos();
+            let height_m = 0.06 + 0.1 * (index / 8) as f64;
+            let at = |z| [0.0445 * cos, 0.0445 * sin, z];
+            Obstacle {
+                id: index as u32 + 1,
+                shape: ObstacleShape::Capsule.code(),
+                start_m: at(height_m),
+                end_m: at(height_m + 0.09),
+                radius_m: 0.02,
+                measured_ns: monotonic_ns(),
+                ..Obstacle::default()
+            }
+        })
+        .collect()
+}
+
+/// An ordinary task that always wants the core of the loop.
+struct BusyTask {
+    is_over: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl BusyTask {
+    fn on(core: usize) -> Self {
+        let is_over = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&is_over);
+        let thread = std::thread::spawn(move || {
+            let mut cores = CpuSet::new();
+            cores.set(core);
+            sched_setaffinity(None, &cores).unwrap();
+            while !seen.load(Ordering::Relaxed) {
+                std::hint::spin_loop();
+            }
+        });
+        Self {
+            is_over,
+            thread: Some(thread),
+        }
+    }
+}
+
+impl Drop for BusyTask {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        let _ = self.thread.take().map(JoinHandle::join);
+    }
+}
+
+/// Records of tracking cycles.
+fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
+    let spiral = Spiral {
+        duration_s,
+        ..Spiral::for_sections(&[0.15; 6])
+    };
+    let options = FeedOptions {
+        lead: Duration::from_secs(1),
+        track: true,
+        ..FeedOptions::default()
+    };
+    let mut records = Vec::new();
+    let feed = connection.feed(&spiral, options).unwrap();
+    let report = feed.run(|event| {
+        if let FeedEvent::Record(record) = event
+            && record.mode == Mode::Tracking.code()
+        {
+            records.push(*record);
+        }
+        ControlFlow::Continue(())
+    });
+    assert!(report.unwrap().tracked);
+    records
+}
+
+/// The kernel took the core from the highest priority there is on it, and gave it to an ordinary task.
+fn is_halt(record: &Telemetry) -> bool {
+    record.scheduling.run_delay_ns > 30_000_000
+}
+
+/// Other real-time threads, which use up the share of the loop, took more of the core than is kept back for that.
+fn is_hogged(records: &[Telemetry]) -> bool {
+    let waited_ns = |record: &Telemetry| record.scheduling.run_delay_ns;
+    let others = records.iter().filter(|record| !is_halt(record));
+    share_of(records, others.map(waited_ns).sum()) > 0.02
+}
+
+/// Other daemons on this machine: their threads beside the loop are real-time threads, too, on whichever core.
+fn others_run(ours: &[Daemon]) -> bool {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let mut ids = processes.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    ids.any(|id: u32| {
+        let name = std::fs::read_to_string(format!("/proc/{id}/comm"));
+        ours.iter().all(|daemon| daemon.id() != id) && name.is_ok_and(|name| name.trim() == "cdcrd")
+    })
+}
+
+/// What `ns` are of the time of the records.
+fn share_of(records: &[Telemetry], ns: u64) -> f64 {
+    let passed_ns: u64 = records.iter().map(|record| record.elapsed_ns).sum();
+    ns as f64 / passed_ns as f64
+}
+
+/// A miss that is the cycle's own doing.
+fn is_own_miss(record: &Telemetry) -> bool {
+    record.timing_flags & timing::DEADLINE_MISS != 0
+        && record.scheduling.late_cause == LateCause::Compute.code()
+}
+
+#[test]
+fn six_sections_among_64_obstacles_beside_an_ordinary_task_are_never_halted() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let daemon = Daemon::start(&demanding());
+    let connection = daemon.connect();
+    let status = wait_status(&connection, |status| status.cycles > 5);
+    if status.realtime_missing != 0 {
+        skip(Need::Realtime, "the daemon is not granted real time");
+        return;
+    }
+    let sender = connection.obstacle_sender().unwrap();
+    sender.upsert(&cage()).unwrap();
+    wait_status(&connection, |status| {
+        status.obstacle_count as usize == OBSTACLES_MAX
+    });
+    let begins_alone = !others_run(slice::from_ref(&daemon));
+    let busy = BusyTask::on(status.core as usize);
+    let records = track(&connection, duration_s());
+    drop(busy);
+    let count = |is_it: fn(&Telemetry) -> bool| records.iter().filter(|r| is_it(r)).count();
+    let on_core_ns = records.iter().map(|record| record.scheduling.on_core_ns);
+    let taken = share_of(&records, on_core_ns.sum());
+    let (halts, own) = (count(is_halt), count(is_own_miss));
+    println!(
+        "{} cycles, {:.1} % of the core in the cycle thread, {halts} halts, {own} own misses, {} misses",
+        records.len(),
+        100.0 * taken,
+        count(|record| record.timing_flags & timing::DEADLINE_MISS != 0),
+    );
+    assert!(records.len() > 100, "{}", records.len());
+    assert_eq!(own, 0, "{}", daemon.log());
+    if is_hogged(&records) || !begins_alone || others_run(slice::from_ref(&daemon)) {
+        println!("other real-time threads are there: the halts are theirs, too");
+        return;
+    }
+    // The solver had work for all of its time.
+    let spent = count(|record| record.report.budget_spent == 1);
+    assert!(2 * spent > records.len(), "{spent} of {}", records.len());
+    assert_eq!(halts, 0, "{}", daemon.log());
+}
+
+#[test]
+fn two_loops_have_a_core_each() {
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
+    if sched_getaffinity(None).unwrap().count() < 2 {
+        skip(Need::Cores, "two loops need two cores");
+        return;
+    }
+    let daemons = [Daemon::start(PATIENT), Daemon::start(PATIENT)];
+    let statuses = daemons
+        .each_ref()
+        .map(|daemon| wait_status(&daemon.connect(), |status| status.cycles > 5));
+    if statuses.iter().any(|status| status.realtime_missing != 0) {
+        skip(Need::Realtime, "the daemon is not granted real time");
+        return;
+    }
+    // Where loops of others have all cores but one, there is nothing to choose.
+    if others_run(&daemons) && statuses[0].core == statuses[1].core {
+        println!("another daemon runs, too");
+        return;
+    }
+    assert_ne!(statuses[0].core, statuses[1].core);
+}
