@@ -59,8 +59,10 @@ impl Requester {
         Service::Control.name(robot)?;
         check_owner(&place)?;
         if location.presence(robot).is_none() {
-            let found = "no process holds its lock";
-            return Err(ConnectError::DaemonNotRunning { place, found });
+            return Err(ConnectError::not_running(
+                &place,
+                "no process holds its lock",
+            ));
         }
         let channel = find_place(location, &place)?;
         Ok(Self {

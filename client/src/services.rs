@@ -102,7 +102,7 @@ impl<'a> Opener<'a> {
     fn new(location: &Location, place: &'a Place) -> Result<Self, ConnectError> {
         let node = location.client_node_builder()?.create::<ipc::Service>();
         Ok(Self {
-            node: node.map_err(|cause| memory_error(place, &format!("{cause:?}")))?,
+            node: node.map_err(|cause| memory_error(place, &ipc::words(&cause)))?,
             place,
         })
     }
@@ -138,10 +138,9 @@ impl<'a> Opener<'a> {
         let place = self.place.clone();
         let service = service.key();
         match trouble {
-            OpenTrouble::Missing => ConnectError::DaemonNotRunning {
-                place,
-                found: "there are no services of that name",
-            },
+            OpenTrouble::Missing => {
+                ConnectError::not_running(&place, "there are no services of that name")
+            }
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
                 service,
@@ -156,13 +155,13 @@ impl<'a> Opener<'a> {
 /// Checks the owner of the root path before iceoryx2 uses it. A node would create a root path that is missing, and would
 /// leave a file of ours in the way of a daemon that runs as another user.
 pub(crate) fn check_owner(place: &Place) -> Result<(), ConnectError> {
-    let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
-        place: place.clone(),
-        found: if cause.kind() == io::ErrorKind::PermissionDenied {
+    let missing = |cause: io::Error| {
+        let found = if cause.kind() == io::ErrorKind::PermissionDenied {
             "this user cannot look into the root path (permission denied)"
         } else {
             "the root path does not exist"
-        },
+        };
+        ConnectError::not_running(place, found)
     };
     let root = std::fs::metadata(&place.root).map_err(missing)?;
     // The files are private to their owner (0600). The superuser could open those of a daemon, but the daemon not

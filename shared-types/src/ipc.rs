@@ -48,3 +48,35 @@ impl service::Service for Service {
 }
 
 impl service::internal::ServiceInternal<Service> for Service {}
+
+/// What iceoryx2 says of a failure, in words: its errors are names of types.
+pub fn words(cause: &dyn Debug) -> String {
+    let mut words = String::new();
+    for letter in format!("{cause:?}").chars() {
+        match letter {
+            '(' => words.push_str(": "),
+            ')' => {}
+            letter if letter.is_uppercase() => {
+                if words.ends_with(char::is_alphanumeric) {
+                    words.push(' ');
+                }
+                words.extend(letter.to_lowercase());
+            }
+            letter => words.push(letter),
+        }
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_types_become_words() {
+        use iceoryx2::port::{LoanError, SendError};
+        assert_eq!(words(&LoanError::OutOfMemory), "out of memory");
+        let inner = SendError::LoanError(LoanError::OutOfMemory);
+        assert_eq!(words(&inner), "loan error: out of memory");
+    }
+}

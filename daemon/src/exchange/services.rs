@@ -99,7 +99,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         .signal_handling_mode(SignalHandlingMode::Disabled);
     builder
         .create::<ipc::Service>()
-        .map_err(|cause| error(format!("{cause:?}")))
+        .map_err(|cause| error(ipc::words(&cause)))
 }
 
 /// Every port of the exchange thread.
@@ -137,7 +137,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
     let service = format!("cdcr/{robot}/{}", service.key());
     move |cause| ServiceError::Service {
         service: service.clone(),
-        cause: format!("{cause:?}"),
+        cause: ipc::words(cause),
     }
 }
 

@@ -58,6 +58,9 @@ _cdcrctl() {
             cdcrctl__subcmd__obstacle,clear)
                 cmd="cdcrctl__subcmd__obstacle__subcmd__clear"
                 ;;
+            cdcrctl__subcmd__obstacle,list)
+                cmd="cdcrctl__subcmd__obstacle__subcmd__list"
+                ;;
             cdcrctl__subcmd__obstacle,remove)
                 cmd="cdcrctl__subcmd__obstacle__subcmd__remove"
                 ;;
@@ -72,6 +75,9 @@ _cdcrctl() {
                 ;;
             cdcrctl__subcmd__ref,spiral)
                 cmd="cdcrctl__subcmd__ref__subcmd__spiral"
+                ;;
+            cdcrctl__subcmd__settings,save)
+                cmd="cdcrctl__subcmd__settings__subcmd__save"
                 ;;
             cdcrctl__subcmd__settings,set)
                 cmd="cdcrctl__subcmd__settings__subcmd__set"
@@ -278,7 +284,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__obstacle)
-            opts="-h --prefix --root --robot --help add remove clear"
+            opts="-h --prefix --root --robot --help add list remove clear"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -304,7 +310,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__obstacle__subcmd__add)
-            opts="-h --id --at --to --radius --velocity --lifetime --prefix --root --robot --help"
+            opts="-h --id --at --to --radius --velocity --lifetime --far --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -379,6 +385,36 @@ _cdcrctl() {
             COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
             return 0
             ;;
+        cdcrctl__subcmd__obstacle__subcmd__list)
+            opts="-h --format --prefix --root --robot --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --format)
+                    COMPREPLY=($(compgen -W "text json" -- "${cur}"))
+                    return 0
+                    ;;
+                --prefix)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --root)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --robot)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
         cdcrctl__subcmd__obstacle__subcmd__remove)
             opts="-h --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
@@ -432,7 +468,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__ref__subcmd__circle)
-            opts="-h --radius --height --rate --sections --duration --track --interpolation --lead --step --prefix --root --robot --help"
+            opts="-h --radius --height --rate --sections --duration --track --interpolation --max-error --lead --step --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -460,6 +496,10 @@ _cdcrctl() {
                     ;;
                 --interpolation)
                     COMPREPLY=($(compgen -W "linear cubic" -- "${cur}"))
+                    return 0
+                    ;;
+                --max-error)
+                    COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
                 --lead)
@@ -490,7 +530,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__ref__subcmd__file)
-            opts="-h --track --interpolation --lead --step --prefix --root --robot --help"
+            opts="-h --track --interpolation --max-error --lead --step --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -498,6 +538,10 @@ _cdcrctl() {
             case "${prev}" in
                 --interpolation)
                     COMPREPLY=($(compgen -W "linear cubic" -- "${cur}"))
+                    return 0
+                    ;;
+                --max-error)
+                    COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
                 --lead)
@@ -528,7 +572,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__ref__subcmd__line)
-            opts="-h --start --velocity --axis --sections --duration --track --interpolation --lead --step --prefix --root --robot --help"
+            opts="-h --start --velocity --axis --sections --duration --track --interpolation --max-error --lead --step --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -556,6 +600,10 @@ _cdcrctl() {
                     ;;
                 --interpolation)
                     COMPREPLY=($(compgen -W "linear cubic" -- "${cur}"))
+                    return 0
+                    ;;
+                --max-error)
+                    COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
                 --lead)
@@ -586,7 +634,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__ref__subcmd__spiral)
-            opts="-h --start --sections --duration --track --interpolation --lead --step --prefix --root --robot --help"
+            opts="-h --start --sections --duration --track --interpolation --max-error --lead --step --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -606,6 +654,10 @@ _cdcrctl() {
                     ;;
                 --interpolation)
                     COMPREPLY=($(compgen -W "linear cubic" -- "${cur}"))
+                    return 0
+                    ;;
+                --max-error)
+                    COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
                 --lead)
@@ -662,7 +714,7 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__settings)
-            opts="-h --format --prefix --root --robot --help show set"
+            opts="-h --format --prefix --root --robot --help show set save"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -672,6 +724,32 @@ _cdcrctl() {
                     COMPREPLY=($(compgen -W "text json" -- "${cur}"))
                     return 0
                     ;;
+                --prefix)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --root)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --robot)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        cdcrctl__subcmd__settings__subcmd__save)
+            opts="-h --prefix --root --robot --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
                 --prefix)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

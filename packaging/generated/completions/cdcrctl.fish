@@ -63,6 +63,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_sub
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l duration -d 'How long it lasts [default: as in the paper]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l interpolation -d 'How the daemon interpolates between the points' -r -f -a "linear\t'Straight lines'
 cubic\t'A smooth cubic curve'"
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l max-error -d 'Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit, 2mm or 0.002m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
@@ -72,11 +73,12 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_sub
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from spiral" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l start -d 'Where it begins, in m [default: tip of the straight robot]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l velocity -d 'How fast it goes, in m/s' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l axis -d 'Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]. It is sent, but this daemon follows the position only' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l axis -d 'Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]. The daemon turns the tip that way, too, as much as its orientation weight asks for' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l sections -d 'Sections that the curve is made for [default: those of the daemon\'s robot]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l duration -d 'How long it lasts [default: as in the paper]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l interpolation -d 'How the daemon interpolates between the points' -r -f -a "linear\t'Straight lines'
 cubic\t'A smooth cubic curve'"
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l max-error -d 'Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit, 2mm or 0.002m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from line" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
@@ -91,6 +93,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_sub
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l duration -d 'How long it lasts [default: as in the paper]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l interpolation -d 'How the daemon interpolates between the points' -r -f -a "linear\t'Straight lines'
 cubic\t'A smooth cubic curve'"
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l max-error -d 'Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit, 2mm or 0.002m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
@@ -100,6 +103,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_sub
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from circle" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l interpolation -d 'How the daemon interpolates between the points' -r -f -a "linear\t'Straight lines'
 cubic\t'A smooth cubic curve'"
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l max-error -d 'Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit, 2mm or 0.002m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l lead -d 'How long after now the reference begins' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l step -d 'Time between two points of a curve' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand ref; and __fish_seen_subcommand_from file" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
@@ -143,14 +147,15 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l root -d 'R
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -l follow -d 'Go on with each new one, until interrupted'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand incidents" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l format -d 'How to print' -r -f -a "text\t'For people'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -l format -d 'How to print' -r -f -a "text\t'For people'
 json\t'For programs'"
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -l robot -d 'Name of the robot' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -f -a "show" -d 'Show them with their ranges, as the newest cycle used them'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set" -f -a "set" -d 'Change some of them, all at once or not at all, until the daemon ends'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -l robot -d 'Name of the robot' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -f -a "show" -d 'Show them with their ranges, as the newest cycle used them'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -f -a "set" -d 'Change some of them, all at once or not at all, until the daemon ends'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and not __fish_seen_subcommand_from show set save" -f -a "save" -d 'Write the settings that are in force into a configuration, which keeps its comments and all other keys'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l format -d 'How to print' -r -f -a "text\t'For people'
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from show" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
@@ -161,6 +166,10 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_see
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from set" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from save" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from save" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from save" -l robot -d 'Name of the robot' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand settings; and __fish_seen_subcommand_from save" -s h -l help -d 'Print help'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l format -d 'One line for each message (text), or one JSON object on each line' -r -f -a "text\t'For people'
 json\t'For programs'"
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l count -d 'End after this many messages' -r
@@ -169,23 +178,31 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l prefix -d 'Pref
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand echo" -s h -l help -d 'Print help (see more with \'--help\')'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -l robot -d 'Name of the robot' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -s h -l help -d 'Print help'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -f -a "add" -d 'Add a sphere, or with --to a capsule; a known id is replaced'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -f -a "remove" -d 'Remove obstacles by their ids; one that is not known changes nothing'
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add remove clear" -f -a "clear" -d 'Remove all obstacles'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -l robot -d 'Name of the robot' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -f -a "add" -d 'Add a sphere, or with --to a capsule; a known id is replaced'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -f -a "list" -d 'Show the obstacles that the newest cycle knew, where they were then'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -f -a "remove" -d 'Remove obstacles by their ids; one that is not known changes nothing'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and not __fish_seen_subcommand_from add list remove clear" -f -a "clear" -d 'Remove all obstacles'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l id -d 'Its id, chosen by you, unique among all clients' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l at -d 'Centre of the sphere, or first end of the capsule, in m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l to -d 'Second end of the capsule\'s axis, in m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l radius -d 'Radius in m' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l velocity -d 'Velocity in m/s: the daemon moves it on from now' -r
-complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l lifetime -d 'How long it stays known [default: until removed]' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l lifetime -d 'How long it stays known [default: until removed]. Refused where the daemon watches those who send obstacles with lifetimes' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l robot -d 'Name of the robot' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -l far -d 'The numbers are in m, however far away that is'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from add" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from list" -l format -d 'How to print' -r -f -a "text\t'For people'
+json\t'For programs'"
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from list" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from list" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from list" -l robot -d 'Name of the robot' -r
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from list" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand obstacle; and __fish_seen_subcommand_from remove" -l robot -d 'Name of the robot' -r

@@ -15,6 +15,7 @@ mod obstacle;
 mod request;
 mod settings;
 mod show_status;
+mod tip_error;
 mod value;
 
 use std::io;
