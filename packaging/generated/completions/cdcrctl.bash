@@ -198,12 +198,16 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__hold)
-            opts="-h --prefix --root --robot --help"
+            opts="-h --wait --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --wait)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --prefix)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
@@ -224,12 +228,16 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__home)
-            opts="-h --prefix --root --robot --help"
+            opts="-h --wait --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --wait)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --prefix)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
@@ -688,12 +696,16 @@ _cdcrctl() {
             return 0
             ;;
         cdcrctl__subcmd__reset)
-            opts="-h --prefix --root --robot --help"
+            opts="-h --wait --prefix --root --robot --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
+                --wait)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --prefix)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0

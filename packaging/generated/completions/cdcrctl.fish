@@ -31,7 +31,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s h -l help -d 'Print hel
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -s V -l version -d 'Print version'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "demo" -d 'Run the paper\'s spiral with a daemon of its own and report error, timing and what limits it'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "ref" -d 'Feed a reference to the daemon, ahead of time'
-complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "track" -d 'Ask the daemon to follow the reference that a client feeds'
+complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "track" -d 'Ask the daemon to follow the reference that a client feeds; waits for one at most 2 s'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "hold" -d 'Stop following and keep the position'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "home" -d 'Move to the straight configuration'
 complete -c cdcrctl -n "__fish_cdcrctl_needs_command" -f -a "stop" -d 'Stop the robot and latch; only a reset lets it move again'
@@ -115,10 +115,12 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l prefix -d 'Pre
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand track" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l wait -d 'Wait until it is done and the robot rests; fail when it becomes something else, or takes longer [default: 60s]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand hold" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l wait -d 'Wait until it is done and the robot rests; fail when it becomes something else, or takes longer [default: 60s]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand home" -l robot -d 'Name of the robot' -r
@@ -127,6 +129,7 @@ complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l prefix -d 'Pref
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -l robot -d 'Name of the robot' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand stop" -s h -l help -d 'Print help'
+complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l wait -d 'Wait until it is done and the robot rests; fail when it becomes something else, or takes longer [default: 60s]' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l prefix -d 'Prefix of the daemon\'s shared-memory files' -r
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l root -d 'Root path of the daemon\'s files [default: /dev/shm/cdcr-UID]' -r -F
 complete -c cdcrctl -n "__fish_cdcrctl_using_subcommand reset" -l robot -d 'Name of the robot' -r

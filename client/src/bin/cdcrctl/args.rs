@@ -110,21 +110,25 @@ pub(crate) enum Task {
     /// Feed a reference to the daemon, ahead of time
     #[command(after_help = "Example:\n  cdcrctl ref spiral --track")]
     Ref(RefOptions),
-    /// Ask the daemon to follow the reference that a client feeds
+    /// Ask the daemon to follow the reference that a client feeds; waits for one at most 2 s
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,
     /// Stop following and keep the position
-    #[command(after_help = "Example:\n  cdcrctl hold")]
-    Hold,
+    #[command(
+        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until the robot rests"
+    )]
+    Hold(WaitOptions),
     /// Move to the straight configuration
-    #[command(after_help = "Example:\n  cdcrctl home")]
-    Home,
+    #[command(
+        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        until the robot is there"
+    )]
+    Home(WaitOptions),
     /// Stop the robot and latch; only a reset lets it move again
     #[command(after_help = "Example:\n  cdcrctl stop && cdcrctl reset")]
     Stop,
     /// Leave stopped or faulted
-    #[command(after_help = "Example:\n  cdcrctl reset")]
-    Reset,
+    #[command(after_help = "Example:\n  cdcrctl reset --wait")]
+    Reset(WaitOptions),
     /// Show the newest snapshot: mode, counters, latencies, robot, settings
     #[command(
         after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                once a second\n  \
@@ -168,6 +172,16 @@ pub(crate) enum Format {
     Text,
     /// For programs
     Json,
+}
+
+/// Options of what takes the robot some time.
+#[derive(Debug, Args)]
+pub(crate) struct WaitOptions {
+    /// Wait until it is done and the robot rests; fail when it becomes something else, or takes longer
+    /// [default: 60s]
+    #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
+        value_parser = value::curve_duration)]
+    pub(crate) wait: Option<Duration>,
 }
 
 /// Options of the demo.

@@ -17,6 +17,7 @@ mod settings;
 mod show_status;
 mod tip_error;
 mod value;
+mod wait;
 
 use std::io;
 use std::process::ExitCode;
@@ -58,11 +59,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
     match &arguments.task {
         Task::Demo(options) => demo::run(options),
         Task::Ref(options) => feed::run(target, options),
-        Task::Track => request::run(target, RequestKind::Track),
-        Task::Hold => request::run(target, RequestKind::Hold),
-        Task::Home => request::run(target, RequestKind::Home),
-        Task::Stop => request::run(target, RequestKind::Stop),
-        Task::Reset => request::run(target, RequestKind::Reset),
+        Task::Track => request::run(target, RequestKind::Track, None),
+        Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
+        Task::Home(options) => request::run(target, RequestKind::Home, options.wait),
+        Task::Stop => request::run(target, RequestKind::Stop, None),
+        Task::Reset(options) => request::run(target, RequestKind::Reset, options.wait),
         Task::Status(options) => show_status::run(target, options),
         Task::Incidents(options) => incidents::run(target, options),
         Task::Settings(options) => settings::run(target, options),
