@@ -9,7 +9,9 @@ use anyhow::Context;
 use cdcr_client::Connection;
 use cdcr_shared_types::{DEFAULT_PREFIX, Location};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::ArgValueCandidates;
 
+use crate::complete;
 use crate::value;
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use reference::{
@@ -59,6 +61,7 @@ pub(crate) struct Target {
         global = true,
         env = "CDCR_ROBOT",
         default_value = "cdcr",
+        add = ArgValueCandidates::new(complete::robots),
         help_heading = "Which daemon"
     )]
     robot: String,
@@ -275,7 +278,8 @@ mod tests {
 
     #[test]
     fn the_manual_is_what_the_command_line_says() {
-        cdcr_packaging::check(&Arguments::command(), "1").expect("up to date");
+        cdcr_packaging::check(&Arguments::command(), "1", Some(complete::VARIABLE))
+            .expect("up to date");
     }
 
     #[test]

@@ -6,6 +6,7 @@
 
 mod args;
 mod bar;
+mod complete;
 mod demo;
 mod echo;
 mod feed;
@@ -39,9 +40,10 @@ enum Done {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
     // Errors are told in our own words; iceoryx2's log would say them twice.
     set_log_level(LogLevel::Fatal);
+    complete::answer();
+    let arguments = Arguments::parse();
     match run(&arguments) {
         Ok(Done::Good) => ExitCode::SUCCESS,
         Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),

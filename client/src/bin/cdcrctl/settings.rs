@@ -16,8 +16,7 @@ use serde_json::Value;
 
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
-pub(crate) use keys::Change;
-use keys::SETTINGS;
+pub(crate) use keys::{Change, SETTINGS, Setting};
 
 /// How long a status may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
@@ -95,8 +94,8 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
 fn changed(
     before: SolverSettings,
     after: SolverSettings,
-) -> impl Iterator<Item = &'static keys::Setting> {
-    let is_changed = move |setting: &&keys::Setting| setting.text(before) != setting.text(after);
+) -> impl Iterator<Item = &'static Setting> {
+    let is_changed = move |setting: &&Setting| setting.text(before) != setting.text(after);
     SETTINGS.iter().filter(is_changed)
 }
 

@@ -1,8 +1,10 @@
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
+use clap_complete::ArgValueCandidates;
 
 use super::Format;
+use crate::complete;
 use crate::value::{self, Vector};
 
 /// Options of `obstacle`.
@@ -31,7 +33,8 @@ pub(crate) enum ObstacleAction {
     #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
     Remove {
         /// Their ids
-        #[arg(required = true, value_name = "ID", num_args = 1..=64)]
+        #[arg(required = true, value_name = "ID", num_args = 1..=64,
+            add = ArgValueCandidates::new(complete::obstacle_ids))]
         ids: Vec<u32>,
     },
     /// Remove all obstacles

@@ -1,8 +1,10 @@
 use std::path::PathBuf;
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueHint};
+use clap_complete::ArgValueCompleter;
 
 use super::Format;
+use crate::complete;
 use crate::settings::Change;
 
 /// Options of `settings`.
@@ -30,7 +32,8 @@ pub(crate) enum SettingsAction {
     )]
     Set {
         /// What to change
-        #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse)]
+        #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse,
+            add = ArgValueCompleter::new(complete::changes))]
         changes: Vec<Change>,
     },
     /// Write the settings that are in force into a configuration, which keeps its comments and all other keys
@@ -42,7 +45,7 @@ pub(crate) enum SettingsAction {
     )]
     Save {
         /// The configuration file
-        #[arg(value_name = "FILE")]
+        #[arg(value_name = "FILE", value_hint = ValueHint::FilePath)]
         file: Option<PathBuf>,
     },
 }

@@ -179,6 +179,14 @@ impl Setting {
         }
     }
 
+    /// The words that it may be, if it is no number.
+    pub(crate) fn words(&self) -> Vec<String> {
+        match &self.field {
+            Field::Word(words, _) => words().into_iter().map(str::to_owned).collect(),
+            _ => Vec::new(),
+        }
+    }
+
     /// What it may be for this daemon, in words.
     pub(crate) fn allowed_by(&self, status: &Status) -> String {
         match self.field {
