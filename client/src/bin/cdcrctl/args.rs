@@ -180,8 +180,8 @@ pub(crate) enum Format {
 /// Options of what takes the robot some time.
 #[derive(Debug, Args)]
 pub(crate) struct WaitOptions {
-    /// Wait until it is done and the robot rests; fail when it becomes something else, or takes longer
-    /// [default: 60s]
+    /// Wait until it is done and the robot rests, 60s at most or TIME; fail when it takes longer, or something
+    /// else comes between
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
         value_parser = value::curve_duration)]
     pub(crate) wait: Option<Duration>,

@@ -33,6 +33,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let response = connection.request(kind)?;
     request::tell(kind, &response)?;
     let bar = Bar::new(kind.text());
+    bar.show_share(0.0);
     let begun = Instant::now();
     let (mut heard, mut first) = (begun, None);
     while begun.elapsed() < limit {
