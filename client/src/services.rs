@@ -138,10 +138,9 @@ impl<'a> Opener<'a> {
         let place = self.place.clone();
         let service = service.key();
         match trouble {
-            OpenTrouble::Missing => ConnectError::DaemonNotRunning {
-                place,
-                found: "there are no services of that name",
-            },
+            OpenTrouble::Missing => {
+                ConnectError::not_running(&place, "there are no services of that name")
+            }
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
                 service,
@@ -156,25 +155,25 @@ impl<'a> Opener<'a> {
 /// Checks whether this user may use the root path before iceoryx2 does. A node would create a root path that is missing, and would
 /// leave a file of ours in the way of a daemon that runs as another user.
 pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), ConnectError> {
-    let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
-        place: place.clone(),
-        found: if cause.kind() == io::ErrorKind::PermissionDenied {
+    let missing = |cause: io::Error| {
+        let found = if cause.kind() == io::ErrorKind::PermissionDenied {
             "this user cannot look into the root path (permission denied)"
         } else {
             "the root path does not exist"
-        },
+        };
+        ConnectError::not_running(place, found)
     };
     if location.is_open_to_us().map_err(missing)? {
         return Ok(());
     }
     let owner_id = std::fs::metadata(&place.root).map_err(missing)?.uid();
-    let (place, user_id) = (place.clone(), rustix::process::geteuid().as_raw());
+    let user_id = rustix::process::geteuid().as_raw();
     Err(if owner_id == user_id {
         let found = "anybody may write to the root path, and no daemon uses such a one";
-        ConnectError::DaemonNotRunning { place, found }
+        ConnectError::not_running(place, found)
     } else {
         ConnectError::OtherUser {
-            place,
+            place: place.clone(),
             owner_id,
             user_id,
         }

@@ -252,7 +252,7 @@ wire_enum! {
         /// Times do not increase strictly.
         TimeNotIncreasing = 4: "times do not increase",
         /// The sender does not hold the reference lease.
-        NoLease = 5: "the sender does not hold the reference lease",
+        NoLease = 5: "the sender has no right to feed a reference (it holds no lease)",
         /// A chunk before this one was lost or refused.
         SequenceGap = 6: "an earlier chunk is missing",
         /// There is no room for it.
@@ -266,7 +266,7 @@ wire_enum! {
         /// The daemon has no such function.
         Unsupported = 11: "this daemon does not support it",
         /// Another client holds the lease.
-        LeaseHeld = 12: "another client holds the reference lease",
+        LeaseHeld = 12: "another client feeds the reference (it holds the lease)",
         /// No reference is buffered that is still ahead.
         NoReference = 13: "there is no reference ahead",
         /// The mode does not allow it.

@@ -89,6 +89,21 @@ impl Location {
         by_lock.or(by_name).map(|_| Presence { process_id })
     }
 
+    /// The robots whose daemons run here, in the order of their names, as far as this user can tell.
+    pub fn robots(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(self.root()).into_iter().flatten();
+        let names = entries.flatten().filter_map(|entry| {
+            let name = entry.file_name().into_string().ok()?;
+            let robot = name.strip_prefix(self.prefix())?.strip_suffix(".lock")?;
+            // Of another prefix, which begins with this one, the daemon has another name.
+            let is_ours = matches!(self.name_holder(robot), NameHolder::Ours { .. });
+            is_ours.then(|| robot.to_owned())
+        });
+        let mut names: Vec<_> = names.collect();
+        names.sort();
+        names
+    }
+
     /// Who has locked the file in the root folder. The daemon tries for longer to lock it than this look takes.
     fn lock_holder(&self, robot: &str) -> Option<Presence> {
         // Neither a link nor a pipe in its place leads anywhere.
@@ -187,6 +202,31 @@ mod tests {
         assert!(location.stop_by_signal("a").is_err());
         drop(listener);
         assert_eq!(location.presence("a"), None);
+    }
+
+    #[test]
+    fn the_robots_of_a_place_are_those_whose_daemons_live() {
+        let root = std::env::temp_dir().join(format!("cdcrtest_robots_{}", std::process::id()));
+        std::fs::create_dir(&root).unwrap();
+        let location = Location::new("a_", &root).unwrap();
+        let longer = Location::new("a_b_", &root).unwrap();
+        for (of, robot) in [
+            (&location, "y"),
+            (&location, "x"),
+            (&location, "dead"),
+            (&longer, "x"),
+        ] {
+            File::create(of.lock_file(robot)).unwrap();
+        }
+        let _alive = [
+            listen(&location, "y"),
+            listen(&location, "x"),
+            listen(&longer, "x"),
+        ];
+        assert_eq!(location.robots(), ["x", "y"]);
+        assert_eq!(longer.robots(), ["x"]);
+        std::fs::remove_dir_all(&root).unwrap();
+        assert_eq!(location.robots(), Vec::<String>::new());
     }
 
     #[test]

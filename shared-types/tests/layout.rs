@@ -31,7 +31,7 @@ fn sizes_are_pinned() {
         ("SectionDescription", size_of::<SectionDescription>(), 48),
         ("RobotDescription", size_of::<RobotDescription>(), 320),
         ("Statistics", size_of::<Statistics>(), 408),
-        ("Status", size_of::<Status>(), 2032),
+        ("Status", size_of::<Status>(), 2048),
         ("SchedulingReport", size_of::<SchedulingReport>(), 40),
         ("Incident", size_of::<Incident>(), 13896),
     ];
@@ -161,6 +161,11 @@ fn offsets_are_pinned() {
             "Status.misses_tolerated",
             offset_of!(Status, misses_tolerated),
             1784,
+        ),
+        (
+            "Status.safe_distance_min_m",
+            offset_of!(Status, safe_distance_min_m),
+            2032,
         ),
         (
             "Status.statistics_since_ns",
