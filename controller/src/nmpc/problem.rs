@@ -370,3 +370,6 @@ impl Problem for TrackingProblem<'_> {
         true
     }
 }
+
+#[cfg(test)]
+mod tests;

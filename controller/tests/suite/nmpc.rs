@@ -153,6 +153,36 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
 }
 
 #[test]
+fn a_state_of_another_robot_gives_zero_rates() {
+    let robot = paper(2);
+    let goal = inside(robot.tip_position(&[0.3, 0.1, -0.2, 0.4]));
+    for kind in SOLVERS {
+        for counts in [[1, 2], [3, 2], [2, 1], [2, 6]] {
+            let mut nmpc = solver(&robot, kind, 2);
+            let input = SolveInput {
+                configuration: &Configuration::straight(counts[0]),
+                previous_rates: &BendRates::zero(counts[1]),
+                reference: &[goal],
+                obstacles: &[],
+                elapsed_periods: 1,
+                seed: 1,
+            };
+            let (rates, report) = nmpc.solve(&input, &mut Budget::unlimited());
+            assert_eq!(rates, BendRates::zero(2), "{counts:?}");
+            assert_eq!(report.status, SolveStatus::Idle);
+        }
+    }
+}
+
+#[test]
+fn a_period_that_is_none_is_refused() {
+    for period_s in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
+        let error = Nmpc::new(paper(1), period_s, NmpcSettings::default());
+        assert_eq!(error.map(drop).expect_err("no period").key, "period_s");
+    }
+}
+
+#[test]
 fn without_a_reference_the_rates_are_zero() {
     let robot = paper(1);
     let mut nmpc = solver(&robot, SolverKind::KpsoRefined, 2);

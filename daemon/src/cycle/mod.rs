@@ -371,8 +371,11 @@ impl<L: RobotLink> Cycle<L> {
         let rates = match self.modes.mode() {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, clock),
             Mode::Homing => homing_rates(
+                &self.robot,
                 self.state.configuration(),
+                &self.rates,
                 self.policy.home_rate_rad_s,
+                self.policy.acceleration_rad_s2 * period_s,
                 period_s,
             ),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {

@@ -82,10 +82,10 @@ impl Trial {
         Self {
             cycle: Cycle::new(&validated, DriverLink).unwrap(),
             bend_rad: vec![0.0; validated.robot.coordinate_count()],
+            trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
             robot: validated.robot,
             flaws,
             inputs,
-            trajectory: Trajectory::with_capacity(4096),
             clock: Watch::default(),
             next: 0,
             asked: None,

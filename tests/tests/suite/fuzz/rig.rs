@@ -95,7 +95,7 @@ impl<L: RobotLink> Rig<L> {
             cycle: Cycle::new(validated, link).unwrap(),
             real: KinematicPlant::new(&validated.robot, validated.initial),
             clock: Watch::default(),
-            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, validated.robot.reach_m()),
             inputs,
             requests: VecDeque::new(),
             next_cycle: 0,
