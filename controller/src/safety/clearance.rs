@@ -103,7 +103,7 @@ fn guarded(
     if obstacles.is_empty() {
         return unchanged(f64::INFINITY);
     }
-    let body = step.robot.body(step.at.as_slice());
+    let body = step.robot.body(step.at);
     let clearance_m = least_clearance_m(&body, obstacles);
     let allowed = match Near::find(step, &body, rates, obstacles, safe_distance_m) {
         Some(near) if near.holds(step, rates) => return unchanged(clearance_m),
@@ -141,7 +141,7 @@ struct Step<'a> {
 impl Step<'_> {
     fn body_after(&self, rates: &BendRates) -> Body {
         let next = self.at.advanced(rates, self.period_s);
-        self.robot.body(next.as_slice())
+        self.robot.body(&next)
     }
 
     /// What no point of the body can move by in this period \[m\], at these rates or any others inside
@@ -234,19 +234,15 @@ impl Near {
     fn push_out(&self, step: &Step<'_>, rates: &mut BendRates) {
         let about = *rates;
         let next = step.at.advanced(&about, step.period_s);
-        let body = step.robot.body(next.as_slice());
+        let body = step.robot.body(&next);
         for watched in self.watched() {
             let nearest = body.nearest(&watched.obstacle);
             if nearest.clearance_m >= watched.floor_m {
                 continue;
             }
             let mut columns = [[0.0; 3]; COORDINATES_MAX];
-            step.robot.body_point_jacobian(
-                next.as_slice(),
-                nearest.section,
-                nearest.s,
-                &mut columns,
-            );
+            step.robot
+                .body_point_jacobian(&next, nearest.section, nearest.s, &mut columns);
             let slope = columns.map(|[x, y, z]| {
                 let d = &nearest.direction;
                 step.period_s * (d.x * x + d.y * y + d.z * z)
@@ -490,7 +486,7 @@ mod tests {
     fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
         let robot = trunk(2);
         let mut at = Configuration::from_slice(&[0.5, 0.0, 0.2, 0.0]).unwrap();
-        let tip_m = robot.tip_position(at.as_slice());
+        let tip_m = robot.tip_position(&at);
         let obstacle = ball(tip_m + Vector3::new(0.038, 0.0, 0.0), 0.02);
         let mut before_m = robot.clearance_m(&at, &obstacle);
         assert!(before_m < 0.01 && before_m > 0.0);

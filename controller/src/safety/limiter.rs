@@ -200,7 +200,7 @@ fn shorten_to_bends(
 }
 
 fn slow_cables(robot: &Robot, rates: &mut BendRates) -> bool {
-    let speeds = robot.cable_speeds(rates.as_slice());
+    let speeds = robot.cable_speeds(rates);
     let fastest = speeds
         .iter()
         .fold(0.0_f64, |fastest, speed| fastest.max(speed.abs()));
@@ -214,8 +214,8 @@ fn slow_cables(robot: &Robot, rates: &mut BendRates) -> bool {
 /// Strokes are linear in the bends, so one factor for all rates tells how far everything may go.
 fn keep_strokes(robot: &Robot, at: &Configuration, rates: &mut BendRates, period_s: f64) -> bool {
     let max_m = robot.cable_stroke_max_m();
-    let strokes_m = robot.cable_strokes(at.as_slice());
-    let speeds_m_s = robot.cable_speeds(rates.as_slice());
+    let strokes_m = robot.cable_strokes(at);
+    let speeds_m_s = robot.cable_speeds(rates);
     let mut factor = 1.0_f64;
     for (stroke_m, speed_m_s) in strokes_m.iter().zip(speeds_m_s) {
         let change_m = period_s * speed_m_s;
@@ -451,7 +451,7 @@ mod tests {
             &rates([2.0, 0.0, 2.0, 0.0]),
             PERIOD_S,
         );
-        let speeds = robot.cable_speeds(limited.rates.as_slice());
+        let speeds = robot.cable_speeds(&limited.rates);
         assert!(limited.hit.cable_speed);
         assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));
     }
@@ -462,7 +462,7 @@ mod tests {
         parameters.cable_stroke_max_m = 0.02;
         let robot = Robot::new(&parameters).expect("legal");
         let farthest_m = |bend: &Configuration| {
-            let strokes_m = robot.cable_strokes(bend.as_slice());
+            let strokes_m = robot.cable_strokes(&bend);
             strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
         };
         let (mut bend, mut hits) = (at([0.0; 4]), 0);

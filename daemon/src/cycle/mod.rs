@@ -114,9 +114,7 @@ impl<L: RobotLink> Cycle<L> {
     /// Runs code and data of the solver once, so that the first real solve finds them in memory.
     pub fn warm_up(&mut self, clock: &impl Clock) {
         let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
-        let tip_m = self
-            .robot
-            .tip_position(self.state.configuration().as_slice());
+        let tip_m = self.robot.tip_position(self.state.configuration());
         let sample = ReferenceSample {
             state: cdcr_controller::reference::ReferenceState::Inside,
             position_m: tip_m * 0.99,

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
-use crate::robot::{BendRates, Configuration, RobotParameters};
+use crate::robot::{BendRates, RobotParameters};
 
 const PERIOD_S: f64 = 0.05;
 /// Moves a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near 1e-11.

@@ -283,7 +283,7 @@ mod tests {
     #[test]
     fn measurements_round_trip() {
         let configuration = Configuration::from_slice(&[0.1, -0.2]).unwrap();
-        let lengths = trunk().cable_lengths(configuration.as_slice());
+        let lengths = trunk().cable_lengths(&configuration);
         for measurement_in in [
             Measurement::Configuration(configuration),
             Measurement::CableLengths(lengths),

@@ -16,8 +16,8 @@ pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
     let standing = configuration_of(record);
     let commanded = standing.advanced(&rates, period_s);
-    let standing = robot.body(standing.as_slice());
-    let commanded = robot.body(commanded.as_slice());
+    let standing = robot.body(&standing);
+    let commanded = robot.body(&commanded);
     for (index, obstacle) in obstacles_of(record).iter().enumerate() {
         let later = obstacle.moved(period_s);
         let floor_m = standing
