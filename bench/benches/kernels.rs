@@ -30,10 +30,10 @@ fn kinematics(criterion: &mut Criterion) {
         let (robot, at) = bent(sections);
         let mut jacobian = Jacobian::default();
         group.bench_function(BenchmarkId::new("position", sections), |bencher| {
-            bencher.iter(|| robot.tip_position(black_box(at.as_slice())));
+            bencher.iter(|| robot.tip_position(black_box(&at)));
         });
         group.bench_function(BenchmarkId::new("jacobian", sections), |bencher| {
-            bencher.iter(|| robot.tip_jacobian(black_box(at.as_slice()), &mut jacobian));
+            bencher.iter(|| robot.tip_jacobian(black_box(&at), &mut jacobian));
         });
     }
     group.finish();
@@ -49,7 +49,7 @@ fn clearance(criterion: &mut Criterion) {
     });
     for sections in [1, 3, SECTIONS_MAX] {
         let (robot, at) = bent(sections);
-        let body = robot.body(at.as_slice());
+        let body = robot.body(&at);
         for (name, obstacle) in [("sphere", sphere), ("capsule", capsule)] {
             group.bench_function(BenchmarkId::new(name, sections), |bencher| {
                 bencher.iter(|| black_box(&body).clearance_m(black_box(&obstacle)));

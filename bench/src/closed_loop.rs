@@ -133,7 +133,7 @@ impl<'a> ClosedLoop<'a> {
 
     /// What the cycle before this one led to.
     pub fn sample(&self, solve_ns: u64) -> Sample {
-        let body = self.scene.robot.body(self.configuration.as_slice());
+        let body = self.scene.robot.body(&self.configuration);
         let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
         Sample {
             time_s: self.scene.time_s(self.cycle),

@@ -268,7 +268,7 @@ mod tests {
             let travel_m = scene.robot.travel_m(&[change_rad; SECTIONS_MAX]);
             let reach_m = travel_m.map(|travel_m| travel_m + settings.safe_distance_m);
             for sample in closed_loop::run(&scene, settings).expect("a run") {
-                let body = scene.robot.body(sample.configuration.as_slice());
+                let body = scene.robot.body(&sample.configuration);
                 let near = |o: &&Obstacle| body.sections_in_reach(o, &reach_m) != 0;
                 assert_eq!(scene.obstacles.iter().filter(near).count(), 64);
                 let error_mm = sample.error_mm();

@@ -11,7 +11,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::OutOfReach => {
             "Scale or move the reference into the ball whose radius is the robot's length."
         }
-        Outcome::TimeNotIncreasing => "Give every point a later time than the one before it.",
+        Outcome::TimeNotIncreasing => {
+            "Give every point a time that is at least 1 µs after that of the point before it."
+        }
         Outcome::NoLease => {
             "A library's client acquires the lease before it sends; cdcrctl ref does both."
         }

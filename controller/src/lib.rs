@@ -82,7 +82,7 @@
 //! let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, NmpcSettings::default())?;
 //! let start = Configuration::from_bend_angles(&[[0.0, 0.0], [0.5, 0.0]]);
 //! let mut plant = KinematicPlant::new(&robot, start);
-//! let tip = robot.tip_position(start.as_slice());
+//! let tip = robot.tip_position(&start);
 //! let circle = |cycle: u64| {
 //!     let (sin, cos) = (cycle as f64 * PERIOD_S).sin_cos();
 //!     ReferenceSample {
@@ -104,7 +104,7 @@
 //!     (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
 //!     plant.command(&rates);
 //!     plant.advance(PERIOD_S);
-//!     let reached = robot.tip_position(plant.configuration().as_slice());
+//!     let reached = robot.tip_position(&plant.configuration());
 //!     assert!((reached - circle(cycle + 1).position_m).norm() < 1e-9);
 //! }
 //! # Ok(())

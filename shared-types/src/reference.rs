@@ -21,7 +21,8 @@ pub struct ReferencePoint {
     pub reserved: u32,
 }
 
-/// Part of a reference trajectory: up to [`CHUNK_POINTS_MAX`] points with strictly increasing times.
+/// Part of a reference trajectory: up to [`CHUNK_POINTS_MAX`] points, each at least a microsecond after the one before it, also
+/// where one chunk is appended to another.
 ///
 /// A chunk is accepted whole or refused whole; the outcome is an
 /// [`InputEvent`](crate::InputEvent) in the telemetry. Appended chunks must follow each other without

@@ -1,6 +1,6 @@
 //! A robot as it is built: motors that lag and stand a little beside, encoders that count from elsewhere, noise.
 
-use cdcr_controller::robot::Robot;
+use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::RobotDescription;
 use cdcr_shared_types::limits::{CABLES_MAX, COORDINATES_MAX};
 use rand::{RngExt, SeedableRng};
@@ -70,7 +70,7 @@ impl Plant {
         seed: u64,
     ) -> Self {
         let robot = robot_of(robot);
-        let length_m = robot.cable_lengths(&bend_rad[..robot.coordinate_count()]);
+        let length_m = robot.cable_lengths(&bent(&bend_rad[..robot.coordinate_count()]));
         Self {
             robot,
             flaws,
@@ -133,7 +133,7 @@ impl Plant {
             }
         }
         if is_beyond {
-            self.length_m = self.robot.cable_lengths(bends.as_slice());
+            self.length_m = self.robot.cable_lengths(&bends);
         }
     }
 
@@ -166,6 +166,10 @@ impl Plant {
     }
 }
 
+fn bent(bend_rad: &[f64]) -> Configuration {
+    Configuration::from_slice(bend_rad).expect("a pair for each section")
+}
+
 fn padded(bends: &[f64]) -> [f64; COORDINATES_MAX] {
     core::array::from_fn(|i| bends.get(i).copied().unwrap_or(0.0))
 }
@@ -173,6 +177,7 @@ fn padded(bends: &[f64]) -> [f64; COORDINATES_MAX] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use cdcr_controller::robot::BendRates;
     use cdcr_shared_types::SectionDescription;
 
     const STEP_S: f64 = 0.001;
@@ -202,14 +207,18 @@ mod tests {
         }
     }
 
+    fn rates(rad_s: [f64; 4]) -> BendRates {
+        BendRates::from_slice(&rad_s).unwrap()
+    }
+
     #[test]
     fn the_ideal_robot_goes_where_it_is_sent_at_once() {
         let mut plant = plant(Flaws::NONE);
         near(&plant.measure_bends(), &[0.5, -0.2, 0.1, 0.0], 1e-12);
-        let goal = plant.robot.cable_lengths(&[0.1, 0.2, 0.3, 0.4]);
+        let goal = plant.robot.cable_lengths(&bent(&[0.1, 0.2, 0.3, 0.4]));
         plant.advance(&MotorOrder::Lengths(goal), STEP_S);
         near(&plant.measure_bends(), &[0.1, 0.2, 0.3, 0.4], 1e-12);
-        let speeds = plant.robot.cable_speeds(&[1.0, 0.0, -2.0, 0.0]);
+        let speeds = plant.robot.cable_speeds(&rates([1.0, 0.0, -2.0, 0.0]));
         plant.advance(&MotorOrder::Speeds(speeds), 0.1);
         near(&plant.measure_bends(), &[0.2, 0.2, 0.1, 0.4], 1e-12);
         let before = plant.clone().measure_cables();
@@ -225,7 +234,7 @@ mod tests {
                 lag_s,
                 ..Flaws::NONE
             });
-            let speeds = plant.robot.cable_speeds(&[1.0, 0.0, 0.0, 0.0]);
+            let speeds = plant.robot.cable_speeds(&rates([1.0, 0.0, 0.0, 0.0]));
             let step_s = 0.1 / f64::from(steps);
             for _ in 0..steps {
                 plant.advance(&MotorOrder::Speeds(speeds), step_s);
@@ -235,7 +244,7 @@ mod tests {
             // It runs on for a while when it is told to stand.
             plant.advance(&MotorOrder::Stand, 10.0);
             near(&plant.bend_rad(), &[0.5 + 0.1, -0.2, 0.1], 1e-12);
-            let goal = plant.robot.cable_lengths(&[0.0; 4]);
+            let goal = plant.robot.cable_lengths(&bent(&[0.0; 4]));
             plant.advance(&MotorOrder::Lengths(goal), lag_s);
             near(&plant.bend_rad()[..1], &[0.6 * (-1.0_f64).exp()], 1e-12);
         }
@@ -247,7 +256,7 @@ mod tests {
             noise_m: 0.0,
             ..Flaws::USUAL
         });
-        let goal = built.robot.cable_lengths(&[0.1, 0.2, 0.3, 0.4]);
+        let goal = built.robot.cable_lengths(&bent(&[0.1, 0.2, 0.3, 0.4]));
         for _ in 0..1000 {
             built.advance(&MotorOrder::Lengths(goal), STEP_S);
         }
@@ -270,8 +279,12 @@ mod tests {
     #[test]
     fn sections_have_mechanical_ends() {
         for order in [
-            |plant: &Plant| MotorOrder::Speeds(plant.robot.cable_speeds(&[3.0, 4.0, 0.0, 0.0])),
-            |plant: &Plant| MotorOrder::Lengths(plant.robot.cable_lengths(&[3.0, 4.0, 0.1, 0.0])),
+            |plant: &Plant| {
+                MotorOrder::Speeds(plant.robot.cable_speeds(&rates([3.0, 4.0, 0.0, 0.0])))
+            },
+            |plant: &Plant| {
+                MotorOrder::Lengths(plant.robot.cable_lengths(&bent(&[3.0, 4.0, 0.1, 0.0])))
+            },
         ] {
             let mut plant = plant(Flaws {
                 droop_m: 0.0,

@@ -1,6 +1,6 @@
 //! Curves over time that several simulations have: errors, angles, control signals, cables, solve times.
 
-use cdcr_controller::robot::{CABLES_MAX, COORDINATES_MAX};
+use cdcr_controller::robot::{CABLES_MAX, Configuration};
 use plotters::style::RGBColor;
 
 use crate::chart::{
@@ -129,7 +129,7 @@ pub(super) fn cables(title: String, outcome: &Outcome) -> Panel {
     let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
     let robot = &outcome.scene.robot;
     let cables = robot.cable_count();
-    let straight_m = robot.cable_lengths(&[0.0; COORDINATES_MAX][..robot.coordinate_count()]);
+    let straight_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
     let (label, from_m) = if robot.section_count() == 1 {
         ("length [mm]", [0.0; CABLES_MAX])
     } else {
@@ -137,7 +137,7 @@ pub(super) fn cables(title: String, outcome: &Outcome) -> Panel {
     };
     let curve = |i: usize| {
         let length = |s: &Sample| {
-            let lengths_m = robot.cable_lengths(s.configuration.as_slice());
+            let lengths_m = robot.cable_lengths(&s.configuration);
             1e3 * (lengths_m[i] - from_m[i])
         };
         let label = format!("L{}{}", i / 3 + 1, i % 3 + 1);

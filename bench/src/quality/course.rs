@@ -228,7 +228,7 @@ mod tests {
             let scene = course.scene().unwrap();
             let settings = course.settings();
             settings.validate().unwrap();
-            let body = scene.robot.body(scene.start.as_slice());
+            let body = scene.robot.body(&scene.start);
             for obstacle in &scene.obstacles {
                 let clearance_m = body.clearance_m(obstacle);
                 assert!(
@@ -246,7 +246,7 @@ mod tests {
     #[test]
     fn the_ball_meets_the_body_of_a_robot_that_does_not_make_room() {
         let scene = Course::Crossing.scene().unwrap();
-        let body = scene.robot.body(scene.start.as_slice());
+        let body = scene.robot.body(&scene.start);
         let least_m = (0..scene.cycles)
             .map(|cycle| body.clearance_m(&scene.obstacles[0].moved(scene.time_s(cycle))))
             .fold(f64::INFINITY, f64::min);

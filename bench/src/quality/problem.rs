@@ -156,7 +156,7 @@ impl Problem {
             };
             let obstacles = field.obstacles(&way, &mut numbers)?;
             let is_clear = |shape: &Configuration| {
-                let body = robot.body(shape.as_slice());
+                let body = robot.body(shape);
                 let least_m = CLEAR_DISTANCES * SAFE_DISTANCE_M;
                 obstacles.iter().all(|o| body.clearance_m(o) > least_m)
             };
@@ -245,7 +245,7 @@ mod tests {
                 assert_eq!(problem.target_m, again.target_m);
                 let from_m = robot.tip_pose(&problem.start).position_m;
                 assert!(APART_M.contains(&(problem.target_m - from_m).norm()));
-                let body = robot.body(problem.start.as_slice());
+                let body = robot.body(&problem.start);
                 for obstacle in &problem.obstacles {
                     assert!(body.clearance_m(obstacle) > SAFE_DISTANCE_M);
                 }

@@ -161,7 +161,7 @@ fn nearest_with_tip(
     let mut estimate = start;
     let mut jacobian = Jacobian::default();
     for _ in 0..TIP_STEPS {
-        let tip = robot.tip_jacobian(estimate.as_slice(), &mut jacobian);
+        let tip = robot.tip_jacobian(&estimate, &mut jacobian);
         let missing = position_m - tip.position_m;
         let mut gram = Matrix3::identity() * TIP_DAMPING_M2;
         for i in 0..robot.coordinate_count() {
@@ -198,7 +198,7 @@ mod tests {
         }
         // Measured 12.5 ms ago: after half of the first move.
         let measured = Configuration::from_slice(&[0.1, 0.0]).unwrap();
-        let lengths = robot.cable_lengths(measured.as_slice());
+        let lengths = robot.cable_lengths(&measured);
         let expected = 0.1 + 0.0025 * 1.0 + 0.005 * 2.0 - 0.005 * 3.0;
         for measurement in [
             Measurement::Configuration(measured),
@@ -223,12 +223,10 @@ mod tests {
             let rates = BendRates::from_slice(&vec![1.0; 2 * sections]).unwrap();
             estimator.predict(&rates, 0.005);
             // Measured before that move.
-            let tip = robot.tip_position(truth.as_slice());
+            let tip = robot.tip_position(&truth);
             let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), 0.005);
             let now = truth.advanced(&rates, 0.005);
-            let error = (robot.tip_position(estimate.as_slice())
-                - robot.tip_position(now.as_slice()))
-            .norm();
+            let error = (robot.tip_position(&estimate) - robot.tip_position(&now)).norm();
             assert!(error < if sections == 1 { 1e-9 } else { 1e-3 }, "{error}");
         }
     }

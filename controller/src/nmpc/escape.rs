@@ -11,7 +11,7 @@ use super::pose_error::{self, PoseWeights, Row};
 use super::problem::TrackingProblem;
 use crate::optimizer::Budget;
 use crate::reference::ReferenceSample;
-use crate::robot::{COORDINATES_MAX, Jacobian};
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian};
 
 /// Directions at most.
 pub(super) const DIRECTIONS_MAX: usize = 4;
@@ -80,11 +80,11 @@ pub(super) fn directions<F: FnMut() -> bool>(
     for step in 0..=last {
         problem.motion.advance_one(&mut bends, z, step);
     }
-    let mut bend_rad = bends.scalar();
+    let mut shape = problem.motion.shape(&bends);
     let mut hessian = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
-    let bend_rad = &mut bend_rad[..problem.motion.width()];
     let weights = problem.weights(last);
-    if !differentiate(problem, target, &weights, bend_rad, &mut hessian, budget) || !budget.left() {
+    if !differentiate(problem, target, &weights, &mut shape, &mut hessian, budget) || !budget.left()
+    {
         return none;
     }
     let spectrum = match problem.motion.width() {
@@ -104,14 +104,14 @@ fn differentiate<F: FnMut() -> bool>(
     problem: &TrackingProblem,
     target: &ReferenceSample,
     weights: &PoseWeights,
-    bend_rad: &mut [f64],
+    shape: &mut Configuration,
     hessian: &mut [[f64; COORDINATES_MAX]; COORDINATES_MAX],
     budget: &mut Budget<F>,
 ) -> bool {
     let mut jacobian = Jacobian::default();
-    let mut gradient = |bend_rad: &[f64]| {
+    let mut gradient = |shape: &Configuration| {
         let mut sum = [0.0; COORDINATES_MAX];
-        let tip = problem.robot.tip_jacobian(bend_rad, &mut jacobian);
+        let tip = problem.robot.tip_jacobian(shape, &mut jacobian);
         pose_error::residuals(&tip, &jacobian, target, weights, &mut |row: Row| {
             for (sum, derivative) in sum.iter_mut().zip(row.derivatives) {
                 *sum += row.residual * derivative;
@@ -119,17 +119,17 @@ fn differentiate<F: FnMut() -> bool>(
         });
         sum
     };
-    for i in 0..bend_rad.len() {
+    for i in 0..problem.motion.width() {
         if !budget.spend(COLUMN_NS * problem.robot.section_count() as u32) {
             return false;
         }
-        let at = bend_rad[i];
-        bend_rad[i] = at + DIFFERENCE_RAD;
-        let ahead = gradient(bend_rad);
-        bend_rad[i] = at - DIFFERENCE_RAD;
-        let behind = gradient(bend_rad);
-        bend_rad[i] = at;
-        for k in 0..bend_rad.len() {
+        let at = shape.as_slice()[i];
+        shape.as_mut_slice()[i] = at + DIFFERENCE_RAD;
+        let ahead = gradient(shape);
+        shape.as_mut_slice()[i] = at - DIFFERENCE_RAD;
+        let behind = gradient(shape);
+        shape.as_mut_slice()[i] = at;
+        for k in 0..ahead.len() {
             hessian[i][k] = (ahead[k] - behind[k]) / (2.0 * DIFFERENCE_RAD);
         }
     }

@@ -49,18 +49,16 @@ impl<'a> Limits<'a> {
     ) -> Self {
         let period_s = motion.period_s();
         let horizon_s = period_s * motion.horizon().steps() as f64;
-        let start_rad = motion.start_rad();
-        let (bends, _) = start_rad.as_chunks::<2>();
+        let start = motion.start_shape();
+        let bends = start.pairs();
         let sections = robot.sections().iter().zip(bends).zip(fastest_rad_s);
         let bend = sections
             .clone()
             .any(|((section, [u, v]), rate)| u.hypot(*v) + rate * horizon_s > section.bend_max_rad);
         // No cable is faster than all sections together; the last section's cables pass all of them.
         let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
-        let strokes = robot.cable_shortening_wide(|i| Wide([start_rad[i]]));
-        let longest_m = strokes
-            .iter()
-            .fold(0.0_f64, |most, s| most.max(s.0[0].abs()));
+        let strokes_m = robot.cable_strokes(start);
+        let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
         let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m();
         let speed = fastest_m_s > robot.cable_speed_max_m_s();
         let mut units_m_rad = [[0.0; CABLES_MAX]; COORDINATES_MAX];

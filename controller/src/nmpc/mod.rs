@@ -60,9 +60,9 @@ pub const OBSTACLES_MAX: usize = 64;
 /// What one solve starts from.
 #[derive(Debug, Clone, Copy)]
 pub struct SolveInput<'a> {
-    /// State q at the release.
+    /// State q at the release. One of another section count than the robot's: the solve answers zero rates.
     pub configuration: &'a Configuration,
-    /// Rates of the last command.
+    /// Rates of the last command. Likewise.
     pub previous_rates: &'a BendRates,
     /// The reference at the releases 1, 2, …, N periods from now. Fewer than N: the last one counts
     /// for the rest. Empty: the solve answers zero rates.
@@ -97,7 +97,7 @@ impl Nmpc {
     /// A controller at rest.
     ///
     /// # Errors
-    /// [`SettingsError`] when a setting is out of its range.
+    /// [`SettingsError`] when a setting is out of its range, or the period is outside [`ranges::PERIOD_S`].
     pub fn new(robot: Robot, period_s: f64, settings: NmpcSettings) -> Result<Self, SettingsError> {
         Self::on_path(Path::best(), robot, period_s, settings)
     }
@@ -114,6 +114,7 @@ impl Nmpc {
         settings: NmpcSettings,
     ) -> Result<Self, SettingsError> {
         settings.validate()?;
+        settings::check("period_s", period_s, ranges::PERIOD_S)?;
         let unknowns = robot.coordinate_count() * CONTROL_BLOCKS_MAX;
         let mut nmpc = Self {
             robot,
@@ -198,6 +199,15 @@ impl Nmpc {
         input: &SolveInput,
         budget: &mut Budget<F>,
     ) -> (BendRates, SolveReport) {
+        let n = self.robot.section_count();
+        let counts = [
+            input.configuration.section_count(),
+            input.previous_rates.section_count(),
+        ];
+        if counts != [n; 2] {
+            self.forget_plan();
+            return (BendRates::zero(n), SolveReport::default());
+        }
         budget.erased(|budget| self.solve_within(input, budget))
     }
 

@@ -23,7 +23,7 @@ pub(super) struct Motion<'a> {
     horizon: &'a Horizon,
     width: usize,
     period_s: f64,
-    start_rad: [f64; COORDINATES_MAX],
+    start: Configuration,
     /// (θ, cos φ, sin φ) of each section.
     polar: [[f64; 3]; SECTIONS_MAX],
 }
@@ -61,9 +61,6 @@ impl<'a> Motion<'a> {
         previous_rates: &BendRates,
         goal_m: Option<Vector3<f64>>,
     ) -> Self {
-        let mut start_rad = [0.0; COORDINATES_MAX];
-        let width = robot.coordinate_count();
-        start_rad[..width].copy_from_slice(at.as_slice());
         let mut polar = [[0.0, 1.0, 0.0]; SECTIONS_MAX];
         if coordinates == Coordinates::BendAngles {
             let towards = directions_to(robot, at, goal_m);
@@ -75,16 +72,21 @@ impl<'a> Motion<'a> {
         Self {
             coordinates,
             horizon,
-            width,
+            width: robot.coordinate_count(),
             period_s,
-            start_rad,
+            start: *at,
             polar,
         }
     }
 
-    /// Bend vectors at the start: 2n components \[rad\].
-    pub(super) fn start_rad(&self) -> &[f64] {
-        &self.start_rad[..self.width]
+    /// The shape at the start.
+    pub(super) fn start_shape(&self) -> &Configuration {
+        &self.start
+    }
+
+    /// The shape on the way.
+    pub(super) fn shape(&self, bends: &Bent) -> Configuration {
+        Configuration::of_first(&bends.scalar(), self.width / 2)
     }
 
     pub(super) fn coordinates(&self) -> Coordinates {
@@ -112,8 +114,8 @@ impl<'a> Motion<'a> {
             bend_rad: [zero; COORDINATES_MAX],
             polar: [[zero; 3]; P],
         };
-        for i in 0..self.width {
-            bends.bend_rad[i] = Wide::splat(self.start_rad[i]);
+        for (bend, start) in bends.bend_rad.iter_mut().zip(self.start.as_slice()) {
+            *bend = Wide::splat(*start);
         }
         for section in 0..P.min(self.width / 2) {
             for i in 0..3 {
@@ -233,7 +235,7 @@ impl<'a> Motion<'a> {
         }
         let mut bends: Bent = self.start();
         self.advance_one(&mut bends, plan, 0);
-        let mut rates = BendRates::from_slice(&self.start_rad[..self.width])?;
+        let mut rates = BendRates::from_slice(self.start.as_slice())?;
         for (rate, bend) in rates.as_mut_slice().iter_mut().zip(bends.scalar()) {
             *rate = (bend - *rate) / self.period_s;
         }
@@ -260,10 +262,7 @@ impl<'a> Motion<'a> {
         }
         let elapsed_s = elapsed_periods as f64 * self.period_s;
         for section in 0..self.width / 2 {
-            let ([u, v], rates) = (
-                [self.start_rad[2 * section], self.start_rad[2 * section + 1]],
-                previous_rates.section(section),
-            );
+            let ([u, v], rates) = (self.start.section(section), previous_rates.section(section));
             let before = [u - elapsed_s * rates[0], v - elapsed_s * rates[1]];
             let [_, cos, sin] = self.polar[section];
             let [_, cos_before, sin_before] = polar_of(before, rates, [cos, sin]);
@@ -301,7 +300,7 @@ fn directions_to(
         return towards;
     };
     let mut jacobian = Jacobian::default();
-    let tip = robot.tip_jacobian(at.as_slice(), &mut jacobian);
+    let tip = robot.tip_jacobian(at, &mut jacobian);
     let wanted_m = goal_m - tip.position_m;
     let (pairs, _) = jacobian.columns().as_chunks::<2>();
     for (towards, pair) in towards.iter_mut().zip(pairs) {

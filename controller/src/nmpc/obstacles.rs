@@ -3,7 +3,7 @@
 use super::motion::Motion;
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
 use crate::optimizer::{Budget, Judged};
-use crate::robot::{COORDINATES_MAX, Obstacle, Robot, SECTIONS_MAX, Shape};
+use crate::robot::{COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX, Shape};
 use crate::wide::Wide;
 
 /// Index of the clearance among the violations: metres inside the safe distance.
@@ -88,7 +88,7 @@ impl Obstacles {
             return;
         }
         let steps = motion.horizon().steps();
-        let body = robot.body(motion.start_rad());
+        let body = robot.body(motion.start_shape());
         // What body and obstacle can do in one period; over k periods at most k times as much.
         let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
@@ -170,14 +170,14 @@ impl Obstacles {
         robot: &Robot,
         settings: &NmpcSettings,
         at: Instant,
-        bend_rad: &[f64],
+        shape: &Configuration,
         budget: &mut Budget<F>,
         mut push: impl FnMut(ClearanceRow),
     ) -> bool {
         if !self.matter_at(at.step) {
             return true;
         }
-        let body = robot.body(bend_rad);
+        let body = robot.body(shape);
         let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
         let kept_m = settings.safe_distance_m + MARGIN_M;
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
@@ -189,7 +189,7 @@ impl Obstacles {
                 return false;
             }
             let nearest = body.nearest(&near.obstacle.moved(at.time_s));
-            robot.body_point_jacobian(bend_rad, nearest.section, nearest.s, &mut jacobian);
+            robot.body_point_jacobian(shape, nearest.section, nearest.s, &mut jacobian);
             let mut derivatives = [0.0; COORDINATES_MAX];
             for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
                 let along = nearest.direction.iter().zip(velocity);

@@ -5,7 +5,7 @@ use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{Bounds, Budget, Judged, LinearModel, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
-use crate::robot::{COORDINATES_MAX, Jacobian, Robot};
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 use crate::wide::Wide;
 
 /// The optimal control problem of one cycle: Eq. 4-5 over the horizon, in the controls of every block.
@@ -206,10 +206,10 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    fn push_pose_rows(&self, at: &Step, bend_rad: &[f64], model: &mut LinearModel) {
+    fn push_pose_rows(&self, at: &Step, shape: &Configuration, model: &mut LinearModel) {
         if let Some(target) = self.target(at.index) {
             let mut jacobian = Jacobian::default();
-            let tip = self.robot.tip_jacobian(bend_rad, &mut jacobian);
+            let tip = self.robot.tip_jacobian(shape, &mut jacobian);
             let weights = self.weights(at.index);
             pose_error::residuals(&tip, &jacobian, target, &weights, &mut |mut row: Row| {
                 self.motion.by_controls(at.bends, &mut row.derivatives);
@@ -279,7 +279,7 @@ impl<'a> TrackingProblem<'a> {
     fn push_clearance_rows<F: FnMut() -> bool>(
         &self,
         at: &Step,
-        bend_rad: &[f64],
+        shape: &Configuration,
         model: &mut LinearModel,
         budget: &mut Budget<F>,
     ) -> bool {
@@ -289,7 +289,7 @@ impl<'a> TrackingProblem<'a> {
             self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
         };
         self.obstacles
-            .rows(self.robot, self.settings, instant, bend_rad, budget, push)
+            .rows(self.robot, self.settings, instant, shape, budget, push)
     }
 
     /// Nominal time of one step of [`Problem::judge`] without obstacles.
@@ -352,16 +352,15 @@ impl Problem for TrackingProblem<'_> {
             if !budget.spend(self.linearise_step_ns(step)) {
                 return false;
             }
-            let all = bends.scalar();
-            let bend_rad = &all[..self.width()];
+            let shape = self.motion.shape(&bends);
             let at = Step {
                 index: step,
                 bends: &bends,
                 block_periods: &block_periods[..=block],
             };
-            self.push_pose_rows(&at, bend_rad, model);
+            self.push_pose_rows(&at, &shape, model);
             if !self.push_limit_rows(&before, &at, model, budget)
-                || !self.push_clearance_rows(&at, bend_rad, model, budget)
+                || !self.push_clearance_rows(&at, &shape, model, budget)
             {
                 return false;
             }
@@ -370,3 +369,6 @@ impl Problem for TrackingProblem<'_> {
         true
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -18,7 +18,7 @@ pub enum Constraint {
 /// How a solve ended. The loop has an answer to every one; none is an error.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub enum SolveStatus {
-    /// No solve took place.
+    /// No solve took place, or state or last rates have another section count than the robot. The rates are zero.
     #[default]
     Idle,
     /// The last step was below the tolerance, or the cost is zero to working precision.

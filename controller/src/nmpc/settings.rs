@@ -85,7 +85,7 @@ pub struct NmpcSettings {
     pub rate_weight: f64,
     /// Weight of the squared change of rates from block to block, per (rad/s)².
     pub rate_change_weight: f64,
-    /// Factor ω on the last step's error; 1 counts it like the others.
+    /// Factor ω on the last step's error; 1 counts it like the others. Above zero where the last step is the only one.
     pub terminal_weight: f64,
     /// Distance D that the body keeps from every obstacle, surface to surface \[m\].
     pub safe_distance_m: f64,
@@ -172,6 +172,8 @@ pub mod ranges {
     pub const ORIENTATION_TOLERANCE_RAD: RangeInclusive<f64> = 0.0..=1.0;
     /// Distance kept from obstacles \[m\].
     pub const SAFE_DISTANCE_M: RangeInclusive<f64> = 0.0..=10.0;
+    /// Period T \[s\].
+    pub const PERIOD_S: RangeInclusive<f64> = 1e-6..=10.0;
     /// Position weight: above zero, or there is nothing to follow.
     pub const POSITION_WEIGHT: RangeInclusive<f64> = 1e-12..=1e12;
 }
@@ -244,7 +246,11 @@ impl NmpcSettings {
                 self.rate_change_weight,
                 ranges::WEIGHT,
             ),
-            ("terminal_weight", self.terminal_weight, ranges::WEIGHT),
+            (
+                "terminal_weight",
+                self.terminal_weight,
+                self.terminal_range(),
+            ),
             (
                 "safe_distance_m",
                 self.safe_distance_m,
@@ -266,18 +272,18 @@ impl NmpcSettings {
                 ranges::WEIGHT,
             ),
         ];
-        for (key, value, range) in checks {
-            if !range.contains(&value) {
-                let (low, high) = range.into_inner();
-                return Err(SettingsError {
-                    key,
-                    value,
-                    low,
-                    high,
-                });
-            }
+        checks
+            .into_iter()
+            .try_for_each(|(key, value, range)| check(key, value, range))
+    }
+
+    /// With a single step the weight of the last is that of all.
+    fn terminal_range(&self) -> std::ops::RangeInclusive<f64> {
+        if self.horizon_steps == 1 {
+            ranges::POSITION_WEIGHT
+        } else {
+            ranges::WEIGHT
         }
-        Ok(())
     }
 
     /// A constant penalty alone collides, so it is not allowed: at a depth of a millimetre, slope and square
@@ -309,6 +315,22 @@ impl NmpcSettings {
     }
 }
 
+/// Refuses a value outside its range, NaN included.
+pub(super) fn check(
+    key: &'static str,
+    value: f64,
+    range: std::ops::RangeInclusive<f64>,
+) -> Result<(), SettingsError> {
+    let (low, high) = range.into_inner();
+    let error = SettingsError {
+        key,
+        value,
+        low,
+        high,
+    };
+    (low..=high).contains(&value).then_some(()).ok_or(error)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -335,5 +357,14 @@ mod tests {
             ..NmpcSettings::default()
         };
         assert_eq!(bad.validate().expect_err("M > N").high, 2.0);
+        // With one step, the last is all there is to follow.
+        let weightless = |horizon_steps| NmpcSettings {
+            horizon_steps,
+            terminal_weight: 0.0,
+            ..NmpcSettings::default()
+        };
+        assert_eq!(weightless(2).validate(), Ok(()));
+        let error = weightless(1).validate().expect_err("nothing to follow");
+        assert_eq!((error.key, error.low), ("terminal_weight", 1e-12));
     }
 }

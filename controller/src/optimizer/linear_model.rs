@@ -20,7 +20,7 @@ pub struct LinearModel {
 }
 
 impl LinearModel {
-    pub(super) fn with_capacity(rows: usize, constraints: usize, columns: usize) -> Self {
+    pub(crate) fn with_capacity(rows: usize, constraints: usize, columns: usize) -> Self {
         Self {
             columns: 0,
             residuals: Vec::with_capacity(rows + constraints),
@@ -33,7 +33,7 @@ impl LinearModel {
         }
     }
 
-    pub(super) fn clear(&mut self, columns: usize) {
+    pub(crate) fn clear(&mut self, columns: usize) {
         self.residuals.clear();
         self.jacobian.clear();
         self.constraints.clear();
@@ -71,15 +71,15 @@ impl LinearModel {
     }
 
     /// Residuals, with those of constraints that were met.
-    pub(super) fn rows(&self) -> usize {
+    pub(crate) fn rows(&self) -> usize {
         self.residuals.len()
     }
 
-    pub(super) fn residual(&self, index: usize) -> f64 {
+    pub(crate) fn residual(&self, index: usize) -> f64 {
         self.residuals[index]
     }
 
-    pub(super) fn row(&self, index: usize) -> &[f64] {
+    pub(crate) fn row(&self, index: usize) -> &[f64] {
         &self.jacobian[index * self.columns..][..self.columns]
     }
 

@@ -11,24 +11,54 @@ pub(super) struct Knot {
     pub(super) position_m: Vector3<f64>,
 }
 
+/// Below this angle between two axes, or between one and the opposite of the other, rounding hides their plane \[rad\].
+const PARALLEL: f64 = 1e-9;
+
 /// Points that a tangent is made from.
 pub(super) const STENCIL: usize = 5;
 
-/// Tangent at `knots[at]`: derivative of the polynomial through all `knots` (2 to [`STENCIL`]), by the
-/// barycentric formula (Berrut & Trefethen 2004, eq. 9.4). Fourth order for five knots.
+/// A knot counts for a tangent if its distance from the knot before it, seen from the tangent, is at least this share
+/// of the longest way covered so far. All knots of an even spacing count, up to four steps away (a share of 1/3).
+const APART_SHARE: f64 = 0.3;
+
+/// Tangent at `knots[at]`: derivative of the polynomial through those of `knots` (2 to [`STENCIL`], by time) that are
+/// [`apart`], by the barycentric formula (Berrut & Trefethen 2004, eq. 9.4). Fourth order for five knots.
 pub(super) fn tangent(knots: &[Knot], at: usize) -> Vector3<f64> {
     let here = knots[at];
+    let apart = apart(knots, at);
+    let others = |but: usize| (0..knots.len()).filter(move |&k| apart[k] && k != at && k != but);
     let mut sum = Vector3::zeros();
-    for (j, knot) in knots.iter().enumerate().filter(|(j, _)| *j != at) {
+    for j in others(at) {
+        let knot = knots[j];
         let mut ratio = 1.0;
-        for (k, other) in knots.iter().enumerate() {
-            if k != j && k != at {
-                ratio *= (here.time_s - other.time_s) / (knot.time_s - other.time_s);
-            }
+        for k in others(j) {
+            let other = knots[k];
+            ratio *= (here.time_s - other.time_s) / (knot.time_s - other.time_s);
         }
         sum += (knot.position_m - here.position_m) * (ratio / (knot.time_s - here.time_s));
     }
     sum
+}
+
+/// Which knots are far enough apart to tell a tangent at `knots[at]`. The longer of the two segments at it counts always,
+/// so noise of the points reaches the curve at most eightfold, however close to each other some of them are.
+fn apart(knots: &[Knot], at: usize) -> [bool; STENCIL] {
+    let far_s = |k: usize| (knots[k].time_s - knots[at].time_s).abs();
+    let last = knots.len() - 1;
+    let longest_s = far_s(at.saturating_sub(1)).max(far_s(last.min(at + 1)));
+    let mut apart = [false; STENCIL];
+    let mut thin = |outwards: &mut dyn Iterator<Item = usize>| {
+        let mut kept_s = 0.0;
+        for k in outwards {
+            apart[k] = far_s(k) - kept_s >= APART_SHARE * longest_s.max(kept_s);
+            if apart[k] {
+                kept_s = far_s(k);
+            }
+        }
+    };
+    thin(&mut (0..at).rev());
+    thin(&mut (at + 1..knots.len()));
+    apart
 }
 
 /// Cubic Hermite curve (de Boor, *A Practical Guide to Splines*, ch. IV), `part` ∈ \[0, 1\].
@@ -58,6 +88,19 @@ pub(super) fn orientation(from: Orientation, to: Orientation, part: f64) -> Orie
     }
 }
 
+/// On the great circle from one axis to the other. Between opposite ones no circle is the shortest: then on one that the
+/// first axis alone determines.
 fn axis(from: Unit<Vector3<f64>>, to: Unit<Vector3<f64>>, part: f64) -> Unit<Vector3<f64>> {
-    from.try_slerp(&to, part, 1e-12).unwrap_or(to)
+    let (normal, cos) = (from.cross(&to), from.dot(&to));
+    let sin = normal.norm();
+    let normal = if sin > PARALLEL {
+        normal / sin
+    } else if cos > 0.0 {
+        return to;
+    } else {
+        let across = Vector3::ith(from.iamin(), 1.0);
+        from.cross(&across).normalize()
+    };
+    let (turned_sin, turned_cos) = (part * sin.atan2(cos)).sin_cos();
+    Unit::new_normalize(*from * turned_cos + normal.cross(&from) * turned_sin)
 }

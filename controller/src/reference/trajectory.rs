@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::interpolation::{Knot, STENCIL, hermite, orientation, tangent};
 use super::{Interpolation, ReferencePoint, ReferenceSample, ReferenceState};
 
-/// A bounded buffer of reference points with strictly increasing times.
+/// A bounded buffer of reference points, each at least [`APART_MIN_NS`] after the one before it.
 ///
 /// Clients fill it ahead of time, so their jitter never reaches the loop. The value at an instant
 /// depends on the nearest points only, so forgetting what is long past changes nothing.
@@ -13,13 +13,19 @@ use super::{Interpolation, ReferencePoint, ReferenceSample, ReferenceState};
 pub struct Trajectory {
     points: VecDeque<ReferencePoint>,
     capacity: usize,
+    reach_m: f64,
 }
+
+/// Points are at least this far apart \[ns\].
+pub const APART_MIN_NS: u64 = 1_000;
 
 /// Why points were not taken. The trajectory is then unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum TrajectoryError {
-    /// A time is not greater than the one before it.
-    #[error("point {index}: its time is not greater than that of the point before it")]
+    /// A time is less than [`APART_MIN_NS`] after the one before it.
+    #[error(
+        "point {index}: its time is less than {APART_MIN_NS} ns after that of the point before it"
+    )]
     TimeNotIncreasing {
         /// Index of the point among those offered.
         index: usize,
@@ -40,11 +46,13 @@ pub enum TrajectoryError {
 const KEPT_BEHIND: usize = STENCIL - 1;
 
 impl Trajectory {
-    /// An empty trajectory for up to `capacity` points. All memory is taken here.
-    pub fn with_capacity(capacity: usize) -> Self {
+    /// An empty trajectory for up to `capacity` points. All memory is taken here. A cubic between two points stays
+    /// within `reach_m` of the base, or as far from it as they are.
+    pub fn with_capacity(capacity: usize, reach_m: f64) -> Self {
         Self {
             points: VecDeque::with_capacity(capacity),
             capacity,
+            reach_m,
         }
     }
 
@@ -65,7 +73,7 @@ impl Trajectory {
     /// Continues after the last point.
     ///
     /// # Errors
-    /// [`TrajectoryError`], and nothing is taken, when times do not increase or there is no room.
+    /// [`TrajectoryError`], and nothing is taken, when times are too close or do not increase, or there is no room.
     pub fn append(
         &mut self,
         points: impl Iterator<Item = ReferencePoint> + Clone,
@@ -84,7 +92,7 @@ impl Trajectory {
         let mut last_ns = after_ns;
         let mut offered = 0;
         for (index, point) in points.enumerate() {
-            if last_ns.is_some_and(|last| point.time_ns <= last) {
+            if last_ns.is_some_and(|last| point.time_ns.saturating_sub(last) < APART_MIN_NS) {
                 return Err(TrajectoryError::TimeNotIncreasing { index });
             }
             last_ns = Some(point.time_ns);
@@ -172,13 +180,15 @@ impl Trajectory {
             return start.position_m.lerp(&end.position_m, part);
         }
         let origin_ns = start.time_ns;
-        hermite(
+        let position_m = hermite(
             knot(start, origin_ns),
             knot(end, origin_ns),
             self.tangent_at(from, origin_ns),
             self.tangent_at(from + 1, origin_ns),
             part,
-        )
+        );
+        let ends_m = start.position_m.norm().max(end.position_m.norm());
+        position_m.cap_magnitude(ends_m.max(self.reach_m))
     }
 
     /// Tangent at a point, from the points around it: as many on both sides as there are.
@@ -206,12 +216,15 @@ fn knot(point: &ReferencePoint, origin_ns: u64) -> Knot {
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::{UnitQuaternion, Vector3};
+    use nalgebra::{Unit, UnitQuaternion, Vector3};
+    use proptest::prelude::*;
 
     use super::*;
     use crate::reference::Orientation;
 
     const MS: u64 = 1_000_000;
+    const US: u64 = 1_000;
+    const REACH_M: f64 = 0.9;
 
     fn point(time_ns: u64, x: f64) -> ReferencePoint {
         ReferencePoint {
@@ -223,7 +236,7 @@ mod tests {
     }
 
     fn filled(points: &[ReferencePoint]) -> Trajectory {
-        let mut trajectory = Trajectory::with_capacity(4096);
+        let mut trajectory = Trajectory::with_capacity(4096, REACH_M);
         trajectory
             .replace(points.iter().copied())
             .expect("legal points");
@@ -245,11 +258,11 @@ mod tests {
 
     #[test]
     fn states_before_inside_and_after() {
-        let trajectory = filled(&[point(10, 1.0), point(20, 2.0)]);
+        let trajectory = filled(&[point(10 * US, 1.0), point(20 * US, 2.0)]);
         let at = |time| {
             (
-                trajectory.sample(time).state,
-                trajectory.sample(time).position_m.x,
+                trajectory.sample(time * US).state,
+                trajectory.sample(time * US).position_m.x,
             )
         };
         assert_eq!(at(5), (ReferenceState::Before, 1.0));
@@ -258,7 +271,7 @@ mod tests {
         assert_eq!(at(20), (ReferenceState::Inside, 2.0));
         assert_eq!(at(21), (ReferenceState::Ended, 2.0));
         assert_eq!(
-            Trajectory::with_capacity(1).sample(0).state,
+            Trajectory::with_capacity(1, REACH_M).sample(0).state,
             ReferenceState::None
         );
     }
@@ -284,11 +297,11 @@ mod tests {
             .zip(0..)
             .map(|(&x, k)| ReferencePoint {
                 interpolation: Interpolation::Linear,
-                ..point(k * 10, x)
+                ..point(k * 10 * US, x)
             });
         let trajectory = filled(&corner.collect::<Vec<_>>());
         for time in 0..=30 {
-            assert!((0.0..=1.0).contains(&trajectory.sample(time).position_m.x));
+            assert!((0.0..=1.0).contains(&trajectory.sample(time * US).position_m.x));
         }
     }
 
@@ -307,20 +320,23 @@ mod tests {
 
     #[test]
     fn refuses_whole_and_says_where() {
-        let mut trajectory = filled(&[point(10, 0.0)]);
-        let bad = [point(20, 0.0), point(20, 0.0)];
+        let mut trajectory = filled(&[point(10 * US, 0.0)]);
+        let bad = [point(20 * US, 0.0), point(20 * US, 0.0)];
         assert_eq!(
             trajectory.append(bad.into_iter()),
             Err(TrajectoryError::TimeNotIncreasing { index: 1 })
         );
-        assert_eq!(
-            trajectory.append([point(10, 0.0)].into_iter()),
-            Err(TrajectoryError::TimeNotIncreasing { index: 0 })
-        );
+        // The seam of two chunks counts as any other place.
+        for time_ns in [0, 10 * US, 11 * US - 1] {
+            assert_eq!(
+                trajectory.append([point(time_ns, 0.0)].into_iter()),
+                Err(TrajectoryError::TimeNotIncreasing { index: 0 })
+            );
+        }
         assert_eq!(trajectory.len(), 1);
-        let mut small = Trajectory::with_capacity(1);
+        let mut small = Trajectory::with_capacity(1, REACH_M);
         assert!(matches!(
-            small.replace([point(1, 0.0), point(2, 0.0)].into_iter()),
+            small.replace([point(US, 0.0), point(2 * US, 0.0)].into_iter()),
             Err(TrajectoryError::Full { offered: 2, .. })
         ));
     }
@@ -329,12 +345,91 @@ mod tests {
     fn orientation_takes_the_short_way() {
         let full =
             |angle: f64| Orientation::Full(UnitQuaternion::from_euler_angles(0.0, 0.0, angle));
-        let mut points = [point(0, 0.0), point(10, 0.0)];
+        let mut points = [point(0, 0.0), point(10 * US, 0.0)];
         points[0].orientation = full(0.0);
         points[1].orientation = full(1.0);
-        let Orientation::Full(middle) = filled(&points).sample(5).orientation else {
+        let Orientation::Full(middle) = filled(&points).sample(5 * US).orientation else {
             panic!("kind changed");
         };
         assert!((middle.euler_angles().2 - 0.5).abs() < 1e-12);
+    }
+
+    proptest! {
+        #[test]
+        fn noise_of_the_points_grows_at_most_eightfold_whatever_their_spacing(
+            spacings_ns in prop::collection::vec(
+                prop_oneof![Just(US), Just(5 * US), Just(5 * MS), US..100 * MS], 1..12,
+            ),
+            noise_m in prop::collection::vec(-1e-5..1e-5_f64, 12),
+        ) {
+            // On a straight line at a constant speed, which a cubic meets whatever the spacing.
+            let line_m = |time_ns: u64| 0.3 * time_ns as f64 * 1e-9;
+            let mut time_ns = 0;
+            let mut points = vec![point(0, noise_m[0])];
+            for (spacing_ns, noise_m) in spacings_ns.iter().zip(&noise_m[1..]) {
+                time_ns += spacing_ns;
+                points.push(point(time_ns, line_m(time_ns) + noise_m));
+            }
+            let trajectory = filled(&points);
+            for pair in points.windows(2) {
+                let span_ns = pair[1].time_ns - pair[0].time_ns;
+                for part in 1..20 {
+                    let at_ns = pair[0].time_ns + span_ns * part / 20;
+                    let error_m = trajectory.sample(at_ns).position_m.x - line_m(at_ns);
+                    prop_assert!(error_m.abs() < 8e-5, "{error_m:e} m at {at_ns} ns");
+                }
+            }
+        }
+
+        #[test]
+        fn between_any_two_axes_is_an_even_turn_between_opposite_ones_too(
+            from in prop::array::uniform3(-1.0..1.0_f64), off in prop::array::uniform3(-1.0..1.0_f64),
+            size in prop_oneof![Just(0.0), Just(1e-12), Just(1e-8), Just(1e-4), Just(1.0)],
+            sign in prop_oneof![Just(-1.0), Just(1.0)],
+        ) {
+            let from = Vector3::from(from);
+            let to = from * sign + Vector3::from(off) * size;
+            prop_assume!(from.norm() > 0.1 && to.norm() > 0.1);
+            let [from, to] = [from, to].map(Unit::new_normalize);
+            let mut points = [point(0, 0.0), point(10 * US, 0.0)];
+            points[0].orientation = Orientation::Axis(from);
+            points[1].orientation = Orientation::Axis(to);
+            let trajectory = filled(&points);
+            let angle = |a: Vector3<f64>, b: Vector3<f64>| a.cross(&b).norm().atan2(a.dot(&b));
+            let whole = angle(*from, *to);
+            let mut before = *from;
+            for tenth in 1..=10 {
+                let Orientation::Axis(axis) = trajectory.sample(tenth * US).orientation else {
+                    panic!("kind changed");
+                };
+                prop_assert!((axis.norm() - 1.0).abs() < 1e-12, "{axis:?}");
+                prop_assert!((angle(before, *axis) - whole / 10.0).abs() < 3e-9, "{axis:?} after {before:?}");
+                before = *axis;
+            }
+        }
+    }
+
+    #[test]
+    fn a_cubic_stays_inside_the_reach_or_within_its_points() {
+        let steps = [0.7, 0.7, 0.9, 0.9, 0.9, 0.7];
+        let corners: Vec<_> = (0..)
+            .zip(steps)
+            .map(|(k, x)| point(k * 5 * MS, x))
+            .collect();
+        let farthest = |trajectory: &Trajectory| {
+            let samples = (0..25 * MS)
+                .step_by(100_000)
+                .map(|ns| trajectory.sample(ns));
+            samples
+                .map(|sample| sample.position_m.norm())
+                .fold(0.0, f64::max)
+        };
+        assert!(farthest(&filled(&corners)) <= REACH_M + 1e-15);
+        let mut farther = Trajectory::with_capacity(8, 2.0);
+        farther.replace(corners.into_iter()).expect("legal points");
+        assert!(
+            farthest(&farther) > REACH_M + 0.005,
+            "nothing was to be held back"
+        );
     }
 }

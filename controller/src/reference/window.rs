@@ -123,7 +123,7 @@ mod tests {
     const PERIOD_NS: u64 = 5_000_000;
 
     fn window(first_cycle: u64) -> ReferenceWindow {
-        let mut trajectory = Trajectory::with_capacity(1000);
+        let mut trajectory = Trajectory::with_capacity(1000, f64::INFINITY);
         let points = (0..900).map(|k| ReferencePoint {
             time_ns: k * PERIOD_NS,
             position_m: Vector3::new(k as f64, 0.0, 0.0),
@@ -174,7 +174,7 @@ mod tests {
             orientation: Orientation::Free,
             interpolation: Interpolation::Linear,
         });
-        let mut trajectory = Trajectory::with_capacity(2);
+        let mut trajectory = Trajectory::with_capacity(2, f64::INFINITY);
         trajectory
             .replace(points.into_iter())
             .expect("legal points");

@@ -10,14 +10,14 @@
 //! which is linear in the bend vector. Cables run parallel to the backbone, as through a continuous guide; n disks per section
 //! make them chords, shorter at the outside by 0.05 mm with 20 disks at 75°.
 
-use super::{CABLES_MAX, Configuration, Robot};
+use super::{BendRates, CABLES_MAX, Configuration, Robot};
 use crate::wide::Wide;
 
 impl Robot {
-    /// Length of each cable (m) for `bend_rad` = (u1, v1, …), 2n components (rad): three for each section, base section first;
+    /// Length of each cable (m): three for each section, base section first;
     /// 3n are used, the rest are 0. The three of one section always sum to three times the backbone up to its end.
-    pub fn cable_lengths(&self, bend_rad: &[f64]) -> [f64; CABLES_MAX] {
-        let mut lengths_m = self.cable_shortening(bend_rad);
+    pub fn cable_lengths(&self, configuration: &Configuration) -> [f64; CABLES_MAX] {
+        let mut lengths_m = self.cable_shortening(configuration.pairs());
         let (cables, _) = lengths_m.as_chunks_mut::<3>();
         let mut backbone_m = 0.0;
         for (cables, section) in cables.iter_mut().zip(self.sections()) {
@@ -27,29 +27,24 @@ impl Robot {
         lengths_m
     }
 
-    /// Speed of each cable (m/s) for `rates` = (u̇1, v̇1, …), 2n components (rad/s), in the order of
-    /// [`Self::cable_lengths`]; positive pays out. 3n are used, the rest are 0.
-    pub fn cable_speeds(&self, rates: &[f64]) -> [f64; CABLES_MAX] {
-        self.cable_shortening(rates)
+    /// Speed of each cable (m/s) in the order of [`Self::cable_lengths`]; positive pays out. 3n are used, the rest are 0.
+    pub fn cable_speeds(&self, rates: &BendRates) -> [f64; CABLES_MAX] {
+        self.cable_shortening(rates.pairs())
             .map(|speed_m_s| 0.0 - speed_m_s)
     }
 
-    /// How much longer than at the straight robot each cable is (m) for `bend_rad` = (u1, v1, …), 2n components (rad), in the
-    /// order of [`Self::cable_lengths`]; positive is paid out. 3n are used, the rest are 0.
-    pub fn cable_strokes(&self, bend_rad: &[f64]) -> [f64; CABLES_MAX] {
-        self.cable_shortening(bend_rad)
+    /// How much longer than at the straight robot each cable is (m) in the order of [`Self::cable_lengths`]; positive is paid
+    /// out. 3n are used, the rest are 0. Linear in the bends.
+    pub fn cable_strokes(&self, configuration: &Configuration) -> [f64; CABLES_MAX] {
+        self.cable_shortening(configuration.pairs())
             .map(|stroke_m| 0.0 - stroke_m)
     }
 
-    /// The shape whose cables have these lengths (m), 3n of them in the order of [`Self::cable_lengths`].
+    /// The shape whose cables have these lengths (m), in the order of [`Self::cable_lengths`].
     ///
     /// Two unknowns from three cables: the least-squares solution, which ignores an error common to the three. The share of the
-    /// proximal sections is removed first. It is not limited to what the robot can bend. Further lengths are ignored.
-    pub fn bend_from_cable_lengths(&self, lengths_m: &[f64]) -> Configuration {
-        debug_assert!(
-            lengths_m.len() >= self.cable_count(),
-            "three lengths per section of this robot"
-        );
+    /// proximal sections is removed first. It is not limited to what the robot can bend. Lengths after the first 3n are ignored.
+    pub fn bend_from_cable_lengths(&self, lengths_m: &[f64; CABLES_MAX]) -> Configuration {
         let mut configuration = Configuration::straight(self.section_count());
         let (bends, _) = configuration.as_mut_slice().as_chunks_mut::<2>();
         let (cables, _) = lengths_m.as_chunks::<3>();
@@ -78,9 +73,8 @@ impl Robot {
     }
 
     /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part that lengths and speeds share.
-    fn cable_shortening(&self, bend: &[f64]) -> [f64; CABLES_MAX] {
-        self.debug_assert_coordinates(bend);
-        self.cable_shortening_wide(|i| Wide([bend[i]]))
+    fn cable_shortening(&self, bends: &[[f64; 2]]) -> [f64; CABLES_MAX] {
+        self.cable_shortening_wide(|i| Wide([bends[i / 2][i % 2]]))
             .map(|shortening| shortening.0[0])
     }
 
@@ -116,7 +110,7 @@ mod tests {
     use crate::robot::{RobotParameters, SECTIONS_MAX};
 
     /// Robots whose sections differ in everything that cables depend on, with a shape.
-    fn robots_and_shapes() -> impl Strategy<Value = (Robot, Vec<f64>)> {
+    fn robots_and_shapes() -> impl Strategy<Value = (Robot, Configuration)> {
         let section = (
             0.05..0.5_f64,
             0.005..0.04_f64,
@@ -134,23 +128,26 @@ mod tests {
                 target.cable_offset_rad = offset_rad;
                 bend_rad.extend(bend);
             }
-            (Robot::new(&parameters).unwrap(), bend_rad)
+            (
+                Robot::new(&parameters).unwrap(),
+                Configuration::from_slice(&bend_rad).unwrap(),
+            )
         })
     }
 
     proptest! {
         #[test]
-        fn lengths_give_the_shape_back((robot, bend_rad) in robots_and_shapes()) {
-            let back = robot.bend_from_cable_lengths(&robot.cable_lengths(&bend_rad));
-            for (found, expected) in back.as_slice().iter().zip(&bend_rad) {
+        fn lengths_give_the_shape_back((robot, shape) in robots_and_shapes()) {
+            let back = robot.bend_from_cable_lengths(&robot.cable_lengths(&shape));
+            for (found, expected) in back.as_slice().iter().zip(shape.as_slice()) {
                 // Rounding of a 3 m length over the smallest radius, 5 mm.
                 prop_assert!((found - expected).abs() < 3e-13, "{found} for {expected}");
             }
         }
 
         #[test]
-        fn the_three_cables_of_a_section_sum_to_three_backbones((robot, bend_rad) in robots_and_shapes()) {
-            let lengths_m = robot.cable_lengths(&bend_rad);
+        fn the_three_cables_of_a_section_sum_to_three_backbones((robot, shape) in robots_and_shapes()) {
+            let lengths_m = robot.cable_lengths(&shape);
             let mut backbone_m = 0.0;
             for (cables, section) in lengths_m.chunks(3).zip(robot.sections()) {
                 backbone_m += section.length_m;
@@ -162,42 +159,45 @@ mod tests {
         }
 
         #[test]
-        fn speeds_are_the_slope_of_the_lengths((robot, bend_rad) in robots_and_shapes(), rate in -2.0..2.0_f64) {
-            let rates: Vec<f64> = (0..bend_rad.len()).map(|i| rate * (1.0 + i as f64).sin()).collect();
-            let moved: Vec<f64> = bend_rad.iter().zip(&rates).map(|(bend, rate)| bend + rate).collect();
-            let (before, after) = (robot.cable_lengths(&bend_rad), robot.cable_lengths(&moved));
+        fn speeds_are_the_slope_of_the_lengths((robot, shape) in robots_and_shapes(), rate in -2.0..2.0_f64) {
+            let mut rates = BendRates::zero(shape.section_count());
+            for (i, component) in rates.as_mut_slice().iter_mut().enumerate() {
+                *component = rate * (1.0 + i as f64).sin();
+            }
+            let moved = shape.advanced(&rates, 1.0);
+            let (before, after) = (robot.cable_lengths(&shape), robot.cable_lengths(&moved));
             for (i, speed_m_s) in robot.cable_speeds(&rates).iter().enumerate() {
                 prop_assert!((after[i] - before[i] - speed_m_s).abs() < 1e-14);
             }
         }
 
         #[test]
-        fn strokes_are_what_the_lengths_differ_by_from_the_straight_robots((robot, bend_rad) in robots_and_shapes()) {
-            let straight = robot.cable_lengths(&vec![0.0; bend_rad.len()]);
-            let bent = robot.cable_lengths(&bend_rad);
-            for (i, stroke_m) in robot.cable_strokes(&bend_rad).iter().enumerate() {
+        fn strokes_are_what_the_lengths_differ_by_from_the_straight_robots((robot, shape) in robots_and_shapes()) {
+            let straight = robot.cable_lengths(&Configuration::straight(shape.section_count()));
+            let bent = robot.cable_lengths(&shape);
+            for (i, stroke_m) in robot.cable_strokes(&shape).iter().enumerate() {
                 prop_assert!((bent[i] - straight[i] - stroke_m).abs() < 1e-15);
             }
         }
 
         #[test]
-        fn an_error_common_to_a_sections_cables_changes_nothing((robot, bend_rad) in robots_and_shapes(), error_m in -0.01..0.01_f64) {
-            let stretched = robot.cable_lengths(&bend_rad).map(|length_m| length_m + error_m);
-            for (found, expected) in robot.bend_from_cable_lengths(&stretched).as_slice().iter().zip(&bend_rad) {
+        fn an_error_common_to_a_sections_cables_changes_nothing((robot, shape) in robots_and_shapes(), error_m in -0.01..0.01_f64) {
+            let stretched = robot.cable_lengths(&shape).map(|length_m| length_m + error_m);
+            for (found, expected) in robot.bend_from_cable_lengths(&stretched).as_slice().iter().zip(shape.as_slice()) {
                 prop_assert!((found - expected).abs() < 3e-13);
             }
         }
 
         #[test]
-        fn the_shape_found_is_the_least_squares_one((robot, bend_rad) in robots_and_shapes(), noise_m in -0.002..0.002_f64) {
+        fn the_shape_found_is_the_least_squares_one((robot, shape) in robots_and_shapes(), noise_m in -0.002..0.002_f64) {
             // One section: the residual must be orthogonal to the columns of the linear map.
             let parameters = RobotParameters { sections: vec![robot.sections()[0]], cable_speed_max_m_s: 0.5, cable_stroke_max_m: 0.25 };
             let robot = Robot::new(&parameters).unwrap();
-            let mut measured = robot.cable_lengths(&bend_rad[..2]);
+            let mut measured = robot.cable_lengths(&shape);
             measured[1] += noise_m;
-            let fitted = robot.cable_lengths(robot.bend_from_cable_lengths(&measured).as_slice());
+            let fitted = robot.cable_lengths(&robot.bend_from_cable_lengths(&measured));
             for unit in [[1.0, 0.0], [0.0, 1.0]] {
-                let column = robot.cable_speeds(&unit);
+                let column = robot.cable_speeds(&BendRates::from_slice(&unit).unwrap());
                 let along: f64 = (0..3).map(|i| (measured[i] - fitted[i]) * column[i]).sum();
                 prop_assert!(along.abs() < 1e-16, "{along:e}");
             }
@@ -207,7 +207,8 @@ mod tests {
     #[test]
     fn bending_towards_a_cable_shortens_it_by_radius_times_bend() {
         let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
-        let lengths_m = robot.cable_lengths(&[0.8, 0.0, 0.0, 0.0]);
+        let lengths_m =
+            robot.cable_lengths(&Configuration::from_bend_angles(&[[0.8, 0.0], [0.0; 2]]));
         assert!((lengths_m[0] - (0.3 - 0.0125 * 0.8)).abs() < 1e-16);
         // The second section's first cable passes the bent one at 40°.
         assert!((lengths_m[3] - (0.6 - 0.0125 * 0.8 * 40.0_f64.to_radians().cos())).abs() < 2e-16);

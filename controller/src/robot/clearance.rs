@@ -207,24 +207,26 @@ fn away(tube: &Tube<1>, foot: &Foot, span_m: &Vector3<f64>) -> Vector3<f64> {
 }
 
 impl Robot {
-    /// The body bent by `bend_rad` = (u1, v1, …), 2n components (rad).
-    pub fn body(&self, bend_rad: &[f64]) -> Body {
+    /// The body in this shape.
+    pub fn body(&self, configuration: &Configuration) -> Body {
         let mut frames = [Pose::identity(); SECTIONS_MAX + 1];
         let mut pose = Pose::identity();
-        for (frame, arc) in frames[1..].iter_mut().zip(self.arcs(bend_rad)) {
+        for (frame, arc) in frames[1..].iter_mut().zip(self.arcs(configuration)) {
             pose = pose.then(&arc);
             *frame = pose;
         }
-        self.body_from_frames(bend_rad, &frames)
+        self.body_from_frames(configuration, &frames)
     }
 
-    /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for these `bend_rad`.
-    pub fn body_from_frames(&self, bend_rad: &[f64], frames: &[Pose; SECTIONS_MAX + 1]) -> Body {
-        self.debug_assert_coordinates(bend_rad);
-        let (bends, _) = bend_rad.as_chunks::<2>();
+    /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for this shape.
+    pub fn body_from_frames(
+        &self,
+        configuration: &Configuration,
+        frames: &[Pose; SECTIONS_MAX + 1],
+    ) -> Body {
         let last = self.section_count() - 1;
         let tube = |j: usize| {
-            let [u, v] = bends.get(j).copied().unwrap_or_default();
+            let [u, v] = configuration.section(j);
             let (start, end) = (Frame::from(&frames[j]), Frame::from(&frames[j + 1]));
             Tube::new(&start, &end, &self.sections()[j], [Wide([u]), Wide([v])])
         };
@@ -238,25 +240,24 @@ impl Robot {
         }
     }
 
-    /// [`Body::nearest`] for a single obstacle. `configuration` has this robot's section count.
+    /// [`Body::nearest`] for a single obstacle.
     pub fn nearest(&self, configuration: &Configuration, obstacle: &Obstacle) -> Nearest {
-        self.body(configuration.as_slice()).nearest(obstacle)
+        self.body(configuration).nearest(obstacle)
     }
 
-    /// [`Body::clearance_m`] (m) for a single obstacle. `configuration` has this robot's section count.
+    /// [`Body::clearance_m`] (m) for a single obstacle.
     pub fn clearance_m(&self, configuration: &Configuration, obstacle: &Obstacle) -> f64 {
-        self.body(configuration.as_slice()).clearance_m(obstacle)
+        self.body(configuration).clearance_m(obstacle)
     }
 
-    /// [`Body::reaches`] for a single obstacle. `configuration` has this robot's section count.
+    /// [`Body::reaches`] for a single obstacle.
     pub fn reaches(
         &self,
         configuration: &Configuration,
         obstacle: &Obstacle,
         travel_m: f64,
     ) -> bool {
-        self.body(configuration.as_slice())
-            .reaches(obstacle, travel_m)
+        self.body(configuration).reaches(obstacle, travel_m)
     }
 
     /// How far any point of each section can move (m) when the bend vector of section k changes by at most
@@ -281,12 +282,12 @@ impl Robot {
     /// of each coordinate (u1, v1, …), 2n columns and zeros after them, and returns the point (m), that of
     /// [`Self::body_point`].
     ///
-    /// `bend_rad` has 2n components (rad). `s` is held within [0, 1]; a section beyond the last gives the tip. The arc up to s is
+    /// `s` is held within [0, 1]; a section beyond the last gives the tip. The arc up to s is
     /// an arc with bend s b and length s l, hence ∂p(s)/∂b = s ∂p/∂b of that arc (§1 of docs/model.md). Sections after the
     /// point do not move it.
     pub fn body_point_jacobian(
         &self,
-        bend_rad: &[f64],
+        configuration: &Configuration,
         section: usize,
         s: f64,
         jacobian: &mut [[f64; 3]; COORDINATES_MAX],
@@ -297,12 +298,13 @@ impl Robot {
         } else {
             (section, s.clamp(0.0, 1.0))
         };
-        let (bends, _) = bend_rad.as_chunks::<2>();
+        let bends = self.sections()[..=section]
+            .iter()
+            .zip(configuration.pairs());
         let mut own = [[(Vector3::zeros(), Vector3::zeros()); 2]; SECTIONS_MAX];
         let mut ends = [Vector3::zeros(); SECTIONS_MAX];
         let mut pose = Pose::identity();
-        for (j, (parameters, &[u, v])) in self.sections()[..=section].iter().zip(bends).enumerate()
-        {
+        for (j, (parameters, &[u, v])) in bends.enumerate() {
             let share = if j == section { s } else { 1.0 };
             let arc = Arc::new(share * parameters.length_m, [share * u, share * v]);
             let (p, w) = (arc.position_derivatives_m_rad(), arc.rotation_derivatives());

@@ -1,6 +1,7 @@
 //! How a robot is bent, and how fast that changes: two types, so that an angle is never taken for a rate.
 //!
-//! Invariant: components beyond the section count are zero, so equality and copies need no care.
+//! Invariant: components beyond the section count are zero, so equality and copies need no care, and a robot with more
+//! sections than that takes the others as straight.
 
 use super::{COORDINATES_MAX, SECTIONS_MAX};
 
@@ -42,6 +43,11 @@ macro_rules! bend_vector {
                 &mut self.components[..2 * self.section_count]
             }
 
+            /// The components of all sections that a robot can have: those that are not there do not bend.
+            pub(crate) fn pairs(&self) -> &[[f64; 2]] {
+                self.components.as_chunks::<2>().0
+            }
+
             /// Number of sections n, 1 to 6.
             pub fn section_count(&self) -> usize {
                 self.section_count
@@ -49,8 +55,7 @@ macro_rules! bend_vector {
 
             #[doc = concat!("(u, v) of section `j` ", $unit, ", 0 at the base. Zero for a section that is not there.")]
             pub fn section(&self, j: usize) -> [f64; 2] {
-                let (sections, _) = self.components.as_chunks::<2>();
-                sections.get(j).copied().unwrap_or_default()
+                self.pairs().get(j).copied().unwrap_or_default()
             }
 
             /// Whether no component is NaN or infinite.
@@ -77,6 +82,14 @@ impl Configuration {
     /// The straight robot. `section_count` from 1 to 6; a number outside is taken as the nearest of them.
     pub fn straight(section_count: usize) -> Self {
         Self::zeros(section_count)
+    }
+
+    /// The first of `components` (rad), for `section_count` sections, held within 1 to 6.
+    pub(crate) fn of_first(components: &[f64; COORDINATES_MAX], section_count: usize) -> Self {
+        let mut configuration = Self::zeros(section_count);
+        let bends = configuration.as_mut_slice();
+        bends.copy_from_slice(&components[..bends.len()]);
+        configuration
     }
 
     /// From the paper's coordinates: (θ, φ) (rad) of each section, base first, 1 to 6 of them (further ones are ignored; none

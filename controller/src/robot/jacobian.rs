@@ -5,7 +5,7 @@
 
 use nalgebra::Vector3;
 
-use super::{COORDINATES_MAX, Pose, Robot, SECTIONS_MAX};
+use super::{COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
 
 /// Jacobian of the tip: 6 rows [v; ω], one column per coordinate, 2n columns, in the frame of the base.
 ///
@@ -78,13 +78,12 @@ impl Jacobian {
 }
 
 impl Robot {
-    /// Fills the tip's Jacobian at `bend_rad` = (u1, v1, …), 2n components (rad), and returns the tip's pose, which it needs
-    /// anyway.
-    pub fn tip_jacobian(&self, bend_rad: &[f64], jacobian: &mut Jacobian) -> Pose {
+    /// Fills the tip's Jacobian, and returns the tip's pose, which it needs anyway.
+    pub fn tip_jacobian(&self, configuration: &Configuration, jacobian: &mut Jacobian) -> Pose {
         let mut own = [[(Vector3::zeros(), Vector3::zeros()); 2]; SECTIONS_MAX];
         let mut ends = [Vector3::zeros(); SECTIONS_MAX];
         let mut pose = Pose::identity();
-        for ((arc, own), end) in self.arcs(bend_rad).zip(&mut own).zip(&mut ends) {
+        for ((arc, own), end) in self.arcs(configuration).zip(&mut own).zip(&mut ends) {
             let [p_u, p_v] = arc.position_derivatives_m_rad();
             let [w_u, w_v] = arc.rotation_derivatives();
             *own = [

@@ -38,22 +38,21 @@ impl Pose {
 }
 
 impl Robot {
-    /// Pose of the tip in the base frame. `configuration` has this robot's section count.
+    /// Pose of the tip in the base frame.
     pub fn tip_pose(&self, configuration: &Configuration) -> Pose {
-        self.arcs(configuration.as_slice())
+        self.arcs(configuration)
             .fold(Pose::identity(), |pose, arc| pose.then(&arc))
     }
 
-    /// Position of the tip in the base frame (m), for `bend_rad` = (u1, v1, …), 2n components.
+    /// Position of the tip in the base frame (m).
     ///
     /// The hot path of every rollout: from the tip back to the base x ← Rⱼ x + pⱼ, which needs vectors only. With t = l - (u x +
     /// v y), each section costs its two coefficients and a dozen multiplications.
     #[inline]
-    pub fn tip_position(&self, bend_rad: &[f64]) -> Vector3<f64> {
-        self.debug_assert_coordinates(bend_rad);
-        let (bends, _) = bend_rad.as_chunks::<2>();
+    pub fn tip_position(&self, configuration: &Configuration) -> Vector3<f64> {
         let (mut x, mut y, mut z) = (0.0, 0.0, 0.0);
-        for (section, &[u, v]) in self.sections().iter().zip(bends).rev() {
+        let bends = self.sections().iter().zip(configuration.pairs());
+        for (section, &[u, v]) in bends.rev() {
             let w = u * u + v * v;
             let (f, g) = position_coefficients(w);
             let t = section.length_m - (u * x + v * y);
@@ -66,10 +65,10 @@ impl Robot {
     }
 
     /// The base, then the end of each section in the base frame: entry 0 is the base, entry n the tip; entries beyond repeat
-    /// the tip. `configuration` has this robot's section count.
+    /// the tip.
     pub fn section_frames(&self, configuration: &Configuration) -> [Pose; SECTIONS_MAX + 1] {
         let mut frames = [Pose::identity(); SECTIONS_MAX + 1];
-        let mut arcs = self.arcs(configuration.as_slice());
+        let mut arcs = self.arcs(configuration);
         let mut pose = Pose::identity();
         for frame in &mut frames[1..] {
             if let Some(arc) = arcs.next() {
@@ -89,7 +88,7 @@ impl Robot {
         s: f64,
     ) -> Vector3<f64> {
         let start = self
-            .arcs(configuration.as_slice())
+            .arcs(configuration)
             .take(section)
             .fold(Pose::identity(), |pose, arc| pose.then(&arc));
         let Some(parameters) = self.sections().get(section) else {
@@ -105,12 +104,13 @@ impl Robot {
 
     /// The arcs from base to tip.
     #[inline]
-    pub(super) fn arcs<'a>(&'a self, bend_rad: &'a [f64]) -> impl Iterator<Item = Arc> + 'a {
-        self.debug_assert_coordinates(bend_rad);
-        let (bends, _) = bend_rad.as_chunks::<2>();
+    pub(super) fn arcs<'a>(
+        &'a self,
+        configuration: &'a Configuration,
+    ) -> impl Iterator<Item = Arc> + 'a {
         self.sections()
             .iter()
-            .zip(bends)
+            .zip(configuration.pairs())
             .map(|(section, &bend)| Arc::new(section.length_m, bend))
     }
 }
@@ -121,7 +121,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::robot::RobotParameters;
+    use crate::robot::{Jacobian, RobotParameters};
 
     fn robot(n: usize) -> Robot {
         Robot::new(&RobotParameters::paper(n)).unwrap()
@@ -138,7 +138,7 @@ mod tests {
         #[test]
         fn the_tip_from_the_base_outwards_and_from_the_tip_back_agree(shape in shapes()) {
             let robot = robot(shape.section_count());
-            let difference = robot.tip_pose(&shape).position_m - robot.tip_position(shape.as_slice());
+            let difference = robot.tip_pose(&shape).position_m - robot.tip_position(&shape);
             prop_assert!(difference.norm() < 3e-15 * robot.reach_m(), "{:e} m", difference.norm());
         }
 
@@ -179,6 +179,26 @@ mod tests {
                 let start = robot.body_point(&shape, j, 1e-6) - frames[j].position_m;
                 prop_assert!((start.normalize() - frames[j].rotation.column(2)).norm() < 1e-5);
             }
+        }
+    }
+
+    #[test]
+    fn a_shape_of_another_section_count_is_that_of_this_robot() {
+        let longer = Configuration::from_bend_angles(&[[0.6, -2.0], [1.1, 0.7], [0.4, 0.1]]);
+        let shorter = Configuration::from_bend_angles(&[[0.6, -2.0]]);
+        let same = Configuration::from_bend_angles(&[[0.6, -2.0], [1.1, 0.7]]);
+        let straightened = Configuration::from_bend_angles(&[[0.6, -2.0], [0.0, 0.0]]);
+        let robot = robot(2);
+        for (other, own) in [(&longer, &same), (&shorter, &straightened)] {
+            assert_eq!(robot.tip_position(other), robot.tip_position(own));
+            assert_eq!(robot.tip_pose(other), robot.tip_pose(own));
+            assert_eq!(robot.cable_lengths(other), robot.cable_lengths(own));
+            assert_eq!(robot.body(other), robot.body(own));
+            let mut columns = [Jacobian::new(), Jacobian::new()];
+            let [first, second] = &mut columns;
+            robot.tip_jacobian(other, first);
+            robot.tip_jacobian(own, second);
+            assert_eq!(first, second);
         }
     }
 

@@ -22,6 +22,9 @@
 //! | `lanes` | vectors and frames of many configurations, side by side |
 //! | `body_wide` | how far are many bodies from an obstacle, side by side |
 //!
+//! A configuration or rates belong to a robot by their section count. Of another count, sections that they do not have are
+//! straight, and rest; those that the robot does not have are ignored.
+//!
 //! Invariant: nothing here knows a reference, a cost, a time or another process. Once a [`Robot`] exists, nothing here
 //! allocates, fails or panics on finite input, except where an index is documented to.
 

@@ -313,15 +313,6 @@ impl Robot {
     pub(super) fn cable_directions(&self) -> &[[[f64; 2]; 3]] {
         &self.cable_directions[..self.section_count]
     }
-
-    /// Debug builds check that a slice has this robot's 2n components.
-    pub(super) fn debug_assert_coordinates(&self, components: &[f64]) {
-        debug_assert_eq!(
-            components.len(),
-            self.coordinate_count(),
-            "one (u, v) per section of this robot"
-        );
-    }
 }
 
 /// Directions of three cables 120° apart, β = 2πi/3 + offset (§2 of docs/model.md).

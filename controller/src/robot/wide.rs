@@ -74,7 +74,7 @@ mod tests {
             for lane in 0..8 {
                 let bends: Vec<_> = (0..2 * sections).map(|i| bend(i, lane)).collect();
                 let narrow = robot.tip_position_wide(|i| Wide([bends[i]]));
-                let scalar = robot.tip_position(&bends);
+                let scalar = robot.tip_position(&Configuration::from_slice(&bends).unwrap());
                 for axis in 0..3 {
                     assert_eq!(wide[axis].0[lane].to_bits(), narrow[axis].0[0].to_bits());
                     assert!((wide[axis].0[lane] - scalar[axis]).abs() < 1e-12);

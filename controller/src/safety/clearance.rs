@@ -106,7 +106,7 @@ impl Guard<'_> {
         if self.obstacles.is_empty() {
             return unchanged(f64::INFINITY);
         }
-        let body = self.robot.body(self.at.as_slice());
+        let body = self.robot.body(self.at);
         let clearance_m = least_clearance_m(&body, self.obstacles);
         let allowed = match Near::find(self, &body, rates) {
             Some(near) if near.holds(self, rates) => return unchanged(clearance_m),

@@ -168,7 +168,7 @@ mod tests {
                 prop_assert!(next.bend_rad(section) <= most + 1e-12);
             }
             // The rule of the guard, as its own documentation has it.
-            let after = |rates: &BendRates| robot.body(at.advanced(rates, PERIOD_S).as_slice());
+            let after = |rates: &BendRates| robot.body(&at.advanced(rates, PERIOD_S));
             let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(0.01);
             prop_assert!(after(&safe.rates).clearance_m(&obstacle) >= floor_m);
             let rest = Situation { comes_to_rest: true, previous: &BendRates::zero(2), ..situation };

@@ -1,6 +1,6 @@
 //! Whether the robot goes where it is commanded to.
 
-use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
+use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot, SECTIONS_MAX};
 
 /// Commanded configurations that are remembered over the lag.
 const PAST_MAX: usize = 32;
@@ -113,20 +113,16 @@ impl FollowingWatch {
         }
         self.unmeasured_s = 0.0;
         let (least, most) = self.commanded_range();
-        let mut off_rad = [0.0; COORDINATES_MAX];
+        let mut off = *measured;
         let range = least.as_slice().iter().zip(most.as_slice());
-        for ((off, measured), (least, most)) in
-            off_rad.iter_mut().zip(measured.as_slice()).zip(range)
-        {
-            *off = (measured - most).max(0.0) + (measured - least).min(0.0);
+        for (off, (least, most)) in off.as_mut_slice().iter_mut().zip(range) {
+            *off = (*off - most).max(0.0) + (*off - least).min(0.0);
         }
-        let off_rad = &off_rad[..2 * robot.section_count()];
-        self.error = FollowingError::default();
-        for (error, pair) in self.error.bend_rad.iter_mut().zip(off_rad.chunks_exact(2)) {
-            *error = pair[0].hypot(pair[1]);
-        }
-        // Linear: a difference of bends instead of rates gives one of lengths instead of speeds.
-        self.error.cable_m = robot.cable_speeds(off_rad);
+        // Strokes are linear: a difference of bends gives one of lengths.
+        self.error = FollowingError {
+            bend_rad: core::array::from_fn(|j| off.bend_rad(j)),
+            cable_m: robot.cable_strokes(&off),
+        };
         &self.error
     }
 
@@ -273,8 +269,8 @@ mod tests {
         let robot = robot();
         let mut watch = FollowingWatch::new(RULES, true, bends(0.0, 0.0));
         let measured = bends(0.2, -0.1);
-        let lengths = robot.cable_lengths(measured.as_slice());
-        let straight = robot.cable_lengths(&[0.0, 0.0]);
+        let lengths = robot.cable_lengths(&measured);
+        let straight = robot.cable_lengths(&Configuration::straight(1));
         let error = *watch.measured(&robot, &measured);
         for cable in 0..3 {
             let longer_m = lengths[cable] - straight[cable];

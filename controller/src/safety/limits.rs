@@ -130,6 +130,24 @@ impl<'a> Limits<'a> {
         Limited { rates, hit }
     }
 
+    /// `rates`, scaled down together to what largest rates, acceleration and cable speed allow: their direction stays.
+    pub(super) fn straight(&self, rates: &BendRates) -> BendRates {
+        let mut share = self.speed_share(rates);
+        for (i, rate) in rates.as_slice().iter().enumerate() {
+            let most = if *rate < 0.0 {
+                -self.lower_rad_s(i)
+            } else {
+                self.upper_rad_s(i)
+            };
+            if rate.abs() > most {
+                share = share.min(most / rate.abs());
+            }
+        }
+        let mut rates = *rates;
+        scale(rates.as_mut_slice(), share);
+        rates
+    }
+
     /// Which limits these rates break.
     fn broken(&self, rates: &BendRates) -> LimitsHit {
         let is_finite = |at: &&Configuration| at.is_finite();
@@ -206,7 +224,7 @@ impl<'a> Limits<'a> {
 
     /// The share of the rates that the speed of every cable allows.
     fn speed_share(&self, rates: &BendRates) -> f64 {
-        let speeds_m_s = self.robot.cable_speeds(rates.as_slice());
+        let speeds_m_s = self.robot.cable_speeds(rates);
         let fastest_m_s = speeds_m_s
             .iter()
             .fold(0.0_f64, |most, speed| most.max(speed.abs()));
@@ -216,8 +234,8 @@ impl<'a> Limits<'a> {
     /// The share of the rates that the stroke of every cable allows: strokes are linear in the bends.
     fn stroke_share(&self, at: &Configuration, rates: &BendRates) -> f64 {
         let max_m = self.robot.cable_stroke_max_m();
-        let strokes_m = self.robot.cable_strokes(at.as_slice());
-        let speeds_m_s = self.robot.cable_speeds(rates.as_slice());
+        let strokes_m = self.robot.cable_strokes(at);
+        let speeds_m_s = self.robot.cable_speeds(rates);
         let mut share = 1.0_f64;
         for (stroke_m, speed_m_s) in strokes_m.iter().zip(speeds_m_s) {
             let change_m = self.way_s * speed_m_s;
@@ -244,7 +262,7 @@ impl<'a> Limits<'a> {
             .enumerate()
         {
             unit.as_mut_slice()[i] = 1.0;
-            *column = self.robot.cable_speeds(unit.as_slice());
+            *column = self.robot.cable_speeds(&unit);
             unit.as_mut_slice()[i] = 0.0;
         }
         let speed_max_m_s = self.robot.cable_speed_max_m_s() * (1.0 - SPEED_INSIDE);
@@ -252,7 +270,7 @@ impl<'a> Limits<'a> {
             let pays_out = columns.map(|column| column[cable]);
             let (mut least_m_s, mut most_m_s) = (-speed_max_m_s, speed_max_m_s);
             for at in self.places() {
-                let stroke_m = self.robot.cable_strokes(at.as_slice())[cable];
+                let stroke_m = self.robot.cable_strokes(at)[cable];
                 let max_m = self.robot.cable_stroke_max_m();
                 let room_m = |to_m: f64| (to_m.max(0.0) - INSIDE) / self.way_s;
                 most_m_s = most_m_s.min(room_m(max_m - stroke_m));

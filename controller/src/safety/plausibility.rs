@@ -1,5 +1,5 @@
 use crate::estimator::Measurement;
-use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Robot};
+use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
 
 /// What a robot cannot do, so that its measurement must be wrong.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -197,10 +197,10 @@ fn channel_ways_rad(
     measurement: &Measurement,
     commanded_rad: &[f64; COORDINATES_MAX],
 ) -> [f64; CABLES_MAX] {
-    let commanded_rad = &commanded_rad[..2 * robot.section_count()];
+    let commanded = Configuration::of_first(commanded_rad, robot.section_count());
     if let Measurement::CableLengths(_) = measurement {
-        // Linear: a way instead of a rate gives a way instead of a speed.
-        let mut ways = robot.cable_speeds(commanded_rad);
+        // Linear: a way of the bends gives a way of the cables.
+        let mut ways = robot.cable_strokes(&commanded);
         let (cables, _) = ways.as_chunks_mut::<3>();
         for (cables, section) in cables.iter_mut().zip(robot.sections()) {
             *cables = cables.map(|way_m| way_m / section.cable_radius_m);
@@ -208,7 +208,7 @@ fn channel_ways_rad(
         return ways;
     }
     let mut ways_rad = [0.0; CABLES_MAX];
-    for (way_rad, commanded_rad) in ways_rad.iter_mut().zip(commanded_rad) {
+    for (way_rad, commanded_rad) in ways_rad.iter_mut().zip(commanded.as_slice()) {
         *way_rad = *commanded_rad;
     }
     ways_rad

@@ -1,6 +1,8 @@
 //! Rates of a robot that goes to rest, or home.
 
-use crate::robot::{BendRates, Configuration};
+use crate::robot::{BendRates, Configuration, Robot};
+
+use super::Limits;
 
 /// The next rates on the way to rest: every component shrinks by the same factor, so the direction is
 /// kept, and the fastest one loses at most `deceleration_rad_s2 · period_s`.
@@ -23,26 +25,32 @@ pub fn ramp_to_zero(previous: &BendRates, deceleration_rad_s2: f64, period_s: f6
     rates
 }
 
-/// Rates on the straight line to the straight robot, the fastest component at `rate_rad_s`; zero on
-/// arrival.
-pub fn homing_rates(at: &Configuration, rate_rad_s: f64, period_s: f64) -> BendRates {
+/// Rates on the straight line to the straight robot, the fastest component at `rate_rad_s`; zero on arrival. Where a
+/// section's rate, a cable's speed or the acceleration (`change_rad_s` from the `previous` command) does not allow that,
+/// all of them are slower, so that the limits do not bend the line.
+pub fn homing_rates(
+    robot: &Robot,
+    at: &Configuration,
+    previous: &BendRates,
+    rate_rad_s: f64,
+    change_rad_s: f64,
+    period_s: f64,
+) -> BendRates {
     let mut rates = BendRates::zero(at.section_count());
-    let farthest = at
-        .as_slice()
-        .iter()
-        .fold(0.0_f64, |farthest, bend| farthest.max(bend.abs()));
-    if farthest > 0.0 {
-        let duration_s = (farthest / rate_rad_s).max(period_s);
-        for (rate, bend) in rates.as_mut_slice().iter_mut().zip(at.as_slice()) {
-            *rate = -bend / duration_s;
-        }
+    let bends = at.as_slice().iter();
+    let farthest_rad = bends.fold(0.0_f64, |farthest, bend| farthest.max(bend.abs()));
+    let duration_s = (farthest_rad / rate_rad_s).max(period_s);
+    for (rate, bend) in rates.as_mut_slice().iter_mut().zip(at.as_slice()) {
+        *rate = -bend / duration_s;
     }
-    rates
+    let limits = Limits::new(robot, at, period_s).with_acceleration(previous, change_rad_s);
+    limits.straight(&rates)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot::RobotParameters;
 
     const PERIOD_S: f64 = 0.005;
 
@@ -67,14 +75,48 @@ mod tests {
         assert_eq!(cycles, 5);
     }
 
+    fn robot() -> Robot {
+        Robot::new(&RobotParameters::paper(2)).expect("the paper's robot")
+    }
+
     #[test]
     fn homing_arrives_exactly_once_near() {
+        let (robot, rest, free) = (robot(), BendRates::zero(2), f64::INFINITY);
         let mut bend = at([1.0, -0.5, 0.0, 0.25]);
         for _ in 0..1001 {
-            bend = bend.advanced(&homing_rates(&bend, 0.5, PERIOD_S), PERIOD_S);
+            let rates = homing_rates(&robot, &bend, &rest, 0.5, free, PERIOD_S);
+            bend = bend.advanced(&rates, PERIOD_S);
         }
         assert!(bend.as_slice().iter().all(|b| b.abs() < 1e-12), "{bend:?}");
-        let end = homing_rates(&at([0.0; 4]), 0.5, PERIOD_S);
-        assert_eq!(end, BendRates::zero(2));
+        let end = homing_rates(&robot, &at([0.0; 4]), &rest, 0.5, free, PERIOD_S);
+        assert_eq!(end, rest);
+    }
+
+    #[test]
+    fn no_limit_bends_the_straight_line_home() {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.sections[1].rate_max_rad_s = 0.3;
+        let slow_section = Robot::new(&parameters).expect("a slow section");
+        parameters.cable_speed_max_m_s = 0.004;
+        let slow_cables = Robot::new(&parameters).expect("slow cables");
+        let begin = at([1.0, -0.5, 0.8, 0.25]);
+        for (robot, acceleration_rad_s2) in
+            [(&slow_section, 1e9), (&slow_cables, 1e9), (&robot(), 3.0)]
+        {
+            let change = acceleration_rad_s2 * PERIOD_S;
+            let (mut bend, mut rates) = (begin, BendRates::zero(2));
+            for _ in 0..2000 {
+                let wish = homing_rates(robot, &bend, &rates, 2.0, change, PERIOD_S);
+                let limits = Limits::new(robot, &bend, PERIOD_S).with_acceleration(&rates, change);
+                rates = limits.nearest(&wish).rates;
+                bend = bend.advanced(&rates, PERIOD_S);
+                let left = bend.as_slice()[0];
+                for (bend, begin) in bend.as_slice().iter().zip(begin.as_slice()) {
+                    let beside_rad = (bend - begin * left).abs();
+                    assert!(beside_rad < 1e-12, "{beside_rad} rad beside the line");
+                }
+            }
+            assert!(bend.as_slice().iter().all(|b| b.abs() < 1e-12), "{bend:?}");
+        }
     }
 }

@@ -6,7 +6,9 @@
 
 use std::fmt::Debug;
 
-use cdcr_controller::robot::{Configuration, Jacobian, Robot, RobotParameters, ZyxAngles};
+use cdcr_controller::robot::{
+    CABLES_MAX, Configuration, Jacobian, Robot, RobotParameters, ZyxAngles,
+};
 use serde_json::Value;
 
 /// Positions and cable lengths (mm); one unit of the last place of 900 mm is 1.1e-13 mm.
@@ -41,8 +43,7 @@ impl Case {
 
     fn jacobian(&self) -> Jacobian {
         let mut jacobian = Jacobian::new();
-        self.robot
-            .tip_jacobian(self.shape.as_slice(), &mut jacobian);
+        self.robot.tip_jacobian(&self.shape, &mut jacobian);
         jacobian
     }
 }
@@ -99,7 +100,7 @@ fn assert_jacobian(jacobian: &Jacobian, golden_rows: &[Vec<f64>], what: &dyn Deb
 fn tip_position_and_rotation() {
     for case in cases() {
         let pose = case.robot.tip_pose(&case.shape);
-        let hot = case.robot.tip_position(case.shape.as_slice());
+        let hot = case.robot.tip_position(&case.shape);
         let expected_mm = case.numbers("p");
         let rotation = case.rows("R");
         for axis in 0..3 {
@@ -172,7 +173,7 @@ fn jacobian_by_bend_angles() {
 #[test]
 fn cable_lengths() {
     for case in cases() {
-        let lengths_m = case.robot.cable_lengths(case.shape.as_slice());
+        let lengths_m = case.robot.cable_lengths(&case.shape);
         let expected_mm: Vec<f64> = case.rows("cables").concat();
         assert_eq!(expected_mm.len(), case.robot.cable_count());
         for (i, (found, expected)) in lengths_m.iter().zip(&expected_mm).enumerate() {
@@ -183,7 +184,10 @@ fn cable_lengths() {
                 &(&case.bend_angles_rad, i),
             );
         }
-        let lengths_from_file: Vec<f64> = expected_mm.iter().map(|length| 1e-3 * length).collect();
+        let mut lengths_from_file = [0.0; CABLES_MAX];
+        for (length_m, length_mm) in lengths_from_file.iter_mut().zip(&expected_mm) {
+            *length_m = 1e-3 * length_mm;
+        }
         let back = case.robot.bend_from_cable_lengths(&lengths_from_file);
         for (found, expected) in back.as_slice().iter().zip(case.shape.as_slice()) {
             // Half a unit of the last place of 0.9 m, over a radius of 12.5 mm.

@@ -46,7 +46,7 @@ fn norm(rates: &BendRates) -> f64 {
 }
 
 fn largest_stroke_m(robot: &Robot, at: &Configuration) -> f64 {
-    let strokes_m = robot.cable_strokes(at.as_slice());
+    let strokes_m = robot.cable_strokes(at);
     strokes_m
         .iter()
         .fold(0.0, |most, stroke_m| stroke_m.abs().max(most))
@@ -79,7 +79,7 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     let mut rates = BendRates::zero(3);
     let (mut frozen, mut last_mm) = (0, Vec::new());
     for goal in 0..10 {
-        let goal_m = robot.tip_position(inside_strokes(&robot, &mut random, 0.95).as_slice());
+        let goal_m = robot.tip_position(&inside_strokes(&robot, &mut random, 0.95));
         for cycle in 0..200 {
             let sample = ReferenceSample {
                 state: ReferenceState::Inside,
@@ -100,7 +100,7 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
             at = at.advanced(&rates, PERIOD_S);
             assert!(largest_stroke_m(&robot, &at) <= 0.015 + 1e-15);
         }
-        last_mm.push(1e3 * (robot.tip_position(at.as_slice()) - goal_m).norm());
+        last_mm.push(1e3 * (robot.tip_position(&at) - goal_m).norm());
     }
     let mean_mm = last_mm.iter().sum::<f64>() / last_mm.len() as f64;
     println!("frozen in {frozen} of 2000 cycles, {mean_mm:.1} mm from the goals: {last_mm:.1?}");
@@ -152,7 +152,7 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
         blocked += 1;
         let (mut at, mut rates) = (begin, BendRates::zero(sections));
         for _ in 0..3000 {
-            let desired = homing_rates(&at, 0.5, PERIOD_S);
+            let desired = homing_rates(&robot, &at, &rates, 0.5, 40.0 * PERIOD_S, PERIOD_S);
             rates = command(&robot, &at, &rates, &obstacles, &desired);
             at = at.advanced(&rates, PERIOD_S);
             assert!(clear(&at) >= SAFE_M.min(clear(&begin)));

@@ -63,7 +63,7 @@ fn track(
             };
             rates = nmpc.solve(&input, &mut Budget::unlimited()).0;
             at = at.advanced(&rates, PERIOD_S);
-            (robot.tip_position(at.as_slice()) - target(cycle + 1)).norm()
+            (robot.tip_position(&at) - target(cycle + 1)).norm()
         })
         .collect()
 }
@@ -74,7 +74,7 @@ fn a_reachable_reference_is_met_exactly_by_every_solver() {
         let robot = paper(sections);
         let mut bends = Configuration::straight(sections);
         bends.as_mut_slice()[2 * sections - 2] = 0.6;
-        let tip = robot.tip_position(bends.as_slice());
+        let tip = robot.tip_position(&bends);
         for (kind, bound_m) in SOLVERS.into_iter().zip([1e-6, 1e-12, 1e-12]) {
             let mut nmpc = solver(&robot, kind, 2);
             let errors = track(&mut nmpc, bends, 200, |cycle| {
@@ -149,6 +149,37 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
                 .cost
                 .is_finite()
         );
+    }
+}
+
+#[test]
+fn a_state_of_another_robot_gives_zero_rates() {
+    let robot = paper(2);
+    let goal =
+        inside(robot.tip_position(&Configuration::from_bend_angles(&[[0.3, 0.1], [-0.2, 0.4]])));
+    for kind in SOLVERS {
+        for counts in [[1, 2], [3, 2], [2, 1], [2, 6]] {
+            let mut nmpc = solver(&robot, kind, 2);
+            let input = SolveInput {
+                configuration: &Configuration::straight(counts[0]),
+                previous_rates: &BendRates::zero(counts[1]),
+                reference: &[goal],
+                obstacles: &[],
+                elapsed_periods: 1,
+                seed: 1,
+            };
+            let (rates, report) = nmpc.solve(&input, &mut Budget::unlimited());
+            assert_eq!(rates, BendRates::zero(2), "{counts:?}");
+            assert_eq!(report.status, SolveStatus::Idle);
+        }
+    }
+}
+
+#[test]
+fn a_period_that_is_none_is_refused() {
+    for period_s in [f64::NAN, 0.0, -1.0, f64::INFINITY] {
+        let error = Nmpc::new(paper(1), period_s, NmpcSettings::default());
+        assert_eq!(error.map(drop).expect_err("no period").key, "period_s");
     }
 }
 

@@ -68,7 +68,7 @@ impl Loop {
     }
 
     fn error_m(&self, target: &ReferenceSample) -> f64 {
-        let tip = self.nmpc.robot().tip_position(self.at.as_slice());
+        let tip = self.nmpc.robot().tip_position(&self.at);
         (tip - target.position_m).norm()
     }
 }
@@ -132,7 +132,7 @@ fn bend_angles_leave_straight_in_any_direction() {
     // A straight section has no direction φ, and no rate of φ gives it one: it bends towards its goal.
     let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
     let there = Configuration::from_bend_angles(&[[0.4, 1.9]]);
-    let goal = sample(robot.tip_position(there.as_slice()), Orientation::Free);
+    let goal = sample(robot.tip_position(&there), Orientation::Free);
     for solver in [
         SolverKind::GaussNewton,
         SolverKind::Kpso,
@@ -238,7 +238,7 @@ fn a_moving_obstacle_is_seen_coming() {
     // It crosses the resting robot's tip at 0.1 m/s: the robot gives way before, and comes back.
     let robot = line_robot();
     let rest = on_the_circle(0.0);
-    let goal = sample(robot.tip_position(rest.as_slice()), Orientation::Free);
+    let goal = sample(robot.tip_position(&rest), Orientation::Free);
     let velocity_m_s = Vector3::new(0.0, 0.1, 0.0);
     let path = |t: f64| {
         let centre_m = goal.position_m + Vector3::new(0.002, 0.0, 0.0) + velocity_m_s * (t - 1.0);
@@ -266,7 +266,7 @@ fn a_constraint_that_no_plan_keeps_is_named_with_its_amount() {
     let at = on_the_circle(0.0);
     let centre_m = robot.body_point(&at, 0, 0.5);
     let inside = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
-    let goal = sample(robot.tip_position(at.as_slice()), Orientation::Free);
+    let goal = sample(robot.tip_position(&at), Orientation::Free);
     let mut control = Loop::new(&robot, at, NmpcSettings::default());
     let report = control.step(|_| goal, |_| vec![inside]);
     let SolveStatus::ConstraintViolated { constraint, amount } = report.status else {
@@ -299,9 +299,9 @@ fn limits_on_bend_stroke_and_cable_speed_shape_the_plan() {
             let before = control.error_m(&goal);
             for _ in 0..300 {
                 control.step(|_| goal, |_| vec![]);
-                let lengths_m = robot.cable_lengths(control.at.as_slice());
-                let straight_m = robot.cable_lengths(&[0.0; 4]);
-                let speeds = robot.cable_speeds(control.rates.as_slice());
+                let lengths_m = robot.cable_lengths(&control.at);
+                let straight_m = robot.cable_lengths(&Configuration::straight(2));
+                let speeds = robot.cable_speeds(&control.rates);
                 for cable in 0..6 {
                     let stroke_m = (lengths_m[cable] - straight_m[cable]).abs();
                     assert!(stroke_m <= robot.cable_stroke_max_m() + 1e-5, "{index}");
@@ -346,7 +346,7 @@ fn culling_leaves_the_cost_as_it_is() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let at = Configuration::from_slice(&[0.5, 0.1, -0.4, 0.3, 0.2, 0.6]).unwrap();
     let obstacles = crowd(&robot, &at);
-    let goal = sample(robot.tip_position(at.as_slice()), Orientation::Free);
+    let goal = sample(robot.tip_position(&at), Orientation::Free);
     let settings = NmpcSettings {
         solver: SolverKind::Kpso,
         horizon_steps: 12,
@@ -376,7 +376,7 @@ fn culling_leaves_the_cost_as_it_is() {
         let (mut bends, mut cost) = (at, 0.0);
         for step in 1..=12 {
             bends = bends.advanced(&rates, PERIOD_S);
-            let tip_m = robot.tip_position(bends.as_slice());
+            let tip_m = robot.tip_position(&bends);
             cost += (tip_m - goal.position_m).norm_squared();
             for obstacle in &obstacles {
                 let now = obstacle.moved(f64::from(step) * PERIOD_S);

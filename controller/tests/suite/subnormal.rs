@@ -21,7 +21,8 @@ impl Scene {
     fn new(bend_rad: f64, error_m: f64) -> Self {
         let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
         let shape = [1.0, -0.5, 0.3, 1.0, 0.2, 0.7].map(|part| part * bend_rad);
-        let tip_m = robot.tip_position(&shape);
+        let configuration = Configuration::from_slice(&shape).unwrap();
+        let tip_m = robot.tip_position(&configuration);
         let sample = |step: f64| ReferenceSample {
             state: ReferenceState::Inside,
             position_m: tip_m + Vector3::new(step, -0.5 * step, -0.1) * error_m,
@@ -29,7 +30,7 @@ impl Scene {
         };
         Self {
             nmpc: Nmpc::new(robot, 0.005, NmpcSettings::default()).unwrap(),
-            configuration: Configuration::from_slice(&shape).unwrap(),
+            configuration,
             rates: BendRates::from_slice(&shape.map(|bend| 0.1 * bend)).unwrap(),
             reference: [sample(1.0), sample(2.0)],
         }

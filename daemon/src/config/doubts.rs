@@ -18,7 +18,9 @@ pub fn doubts(config: &Config) -> Vec<String> {
     let left_ms = left_ns as f64 / 1e6;
     let period_ms = cycle.period_ms;
     let rates = config.robot.sections.iter().map(|s| s.rate_max_rad_s);
-    let ramp_s = rates.fold(0.0, f64::max) / motion.deceleration_rad_s2;
+    let fastest_rad_s = rates.fold(0.0, f64::max);
+    let ramp_s = fastest_rad_s / motion.deceleration_rad_s2;
+    let unmeasured_rad = fastest_rad_s * link.measurement_timeout_ms * 1e-3;
     let doubts = [
         (left_ms <= 0.0).then(|| {
             format!(
@@ -58,6 +60,13 @@ pub fn doubts(config: &Config) -> Vec<String> {
                 "link.measurement_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a driver \
                  that measures once a period is lost at once",
                 link.measurement_timeout_ms
+            )
+        }),
+        (link.kind == LinkKind::Driver && safety.measurement_frozen_rad < unmeasured_rad).then(|| {
+            format!(
+                "safety.measurement_frozen_rad = {}: a bend can be commanded {unmeasured_rad} rad within \
+                 link.measurement_timeout_ms = {}, and what is measured late, but not lost, counts as frozen",
+                safety.measurement_frozen_rad, link.measurement_timeout_ms
             )
         }),
         (obstacles.source_timeout_ms > 0.0 && obstacles.source_timeout_ms < period_ms).then(|| {
@@ -132,6 +141,10 @@ mod tests {
             (
                 "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2.0\n",
                 "link.measurement_timeout_ms",
+            ),
+            (
+                "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 101\n",
+                "safety.measurement_frozen_rad = 0.2",
             ),
             (
                 "[cycle]\nperiod_ms = 50\n[reference]\nlease_ms = 20\n",

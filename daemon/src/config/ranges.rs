@@ -124,7 +124,8 @@ pub(super) const RANGES: [Range; 55] = [
     ),
     given("controller.rate_weight", &nmpc::ranges::WEIGHT),
     given("controller.rate_change_weight", &nmpc::ranges::WEIGHT),
-    given("controller.terminal_weight", &nmpc::ranges::WEIGHT),
+    given("controller.terminal_weight", &nmpc::ranges::WEIGHT)
+        .also("above 0 where controller.horizon_steps is 1"),
     given("controller.safe_distance_m", &nmpc::ranges::SAFE_DISTANCE_M),
     given("controller.obstacle_step_penalty", &nmpc::ranges::WEIGHT).also(NOT_FLAT),
     given("controller.obstacle_slope_penalty", &nmpc::ranges::WEIGHT).also(NOT_FLAT),

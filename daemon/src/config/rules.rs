@@ -10,7 +10,7 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
     config.controller.validate().map_err(|error| {
         let key = format!("controller.{}", error.key);
         let others: &[&str] = match error.key {
-            "control_blocks" => &["controller.horizon_steps"],
+            "control_blocks" | "terminal_weight" => &["controller.horizon_steps"],
             "obstacle_slope_penalty" => &[
                 "controller.obstacle_step_penalty",
                 "controller.obstacle_square_penalty",

@@ -172,9 +172,7 @@ impl<L: RobotLink> Cycle<L> {
 
     /// A solve near a reference that is out of reach, beside an obstacle.
     fn solve_once(&mut self, seed: u64, is_over: impl FnMut() -> bool) {
-        let tip_m = self
-            .robot
-            .tip_position(self.state.configuration().as_slice());
+        let tip_m = self.robot.tip_position(self.state.configuration());
         let sample = ReferenceSample {
             state: cdcr_controller::reference::ReferenceState::Inside,
             position_m: tip_m * 0.99,
@@ -444,8 +442,11 @@ impl<L: RobotLink> Cycle<L> {
         let rates = match self.modes.mode() {
             Mode::Tracking { .. } => return self.track(release, inputs, elapsed_ns, costs, clock),
             Mode::Homing => homing_rates(
+                &self.robot,
                 self.state.configuration(),
+                &self.rates,
                 self.policy.home_rate_rad_s,
+                self.policy.acceleration_rad_s2 * period_s,
                 period_s,
             ),
             Mode::Starting | Mode::Holding { .. } | Mode::Stopped { .. } | Mode::Faulted { .. } => {

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
-use cdcr_controller::robot::CABLES_MAX;
+use cdcr_controller::robot::{CABLES_MAX, Configuration};
 use cdcr_controller::safety::{LeaseState, Request};
 
 use super::*;
@@ -82,10 +82,10 @@ impl Trial {
         Self {
             cycle: Cycle::new(&validated, DriverLink).unwrap(),
             bend_rad: vec![0.0; validated.robot.coordinate_count()],
+            trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
             robot: validated.robot,
             flaws,
             inputs,
-            trajectory: Trajectory::with_capacity(4096),
             clock: Watch::default(),
             next: 0,
             asked: None,
@@ -99,9 +99,13 @@ impl Trial {
         self.turn()
     }
 
+    fn shape(&self) -> Configuration {
+        Configuration::from_slice(&self.bend_rad).unwrap()
+    }
+
     /// What the sensors say: cable lengths with the offsets.
     fn measure(&mut self, release_ns: u64) {
-        let mut lengths = self.robot.cable_lengths(&self.bend_rad);
+        let mut lengths = self.robot.cable_lengths(&self.shape());
         for (cable, length_m) in lengths
             .iter_mut()
             .enumerate()
@@ -286,7 +290,7 @@ fn tracking_with_lagging_position_motors_does_not_oscillate() {
             "{:?}",
             record.mode
         );
-        let tip_m = trial.robot.tip_position(&trial.bend_rad);
+        let tip_m = trial.robot.tip_position(&trial.shape());
         largest_m = largest_m.max((tip_m - record.reference.position_m).norm());
         let pairs = record.rates.as_slice().iter().zip(before.as_slice());
         reversals += pairs.filter(|(now, before)| **now * **before < 0.0).count();

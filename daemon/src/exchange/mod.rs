@@ -159,7 +159,7 @@ impl Exchange {
             period_ns,
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
             interface: config.link.interface,
-            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, validated.robot.reach_m()),
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,
             measurement_timeout_ns,

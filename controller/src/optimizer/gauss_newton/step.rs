@@ -6,7 +6,8 @@ use crate::optimizer::{Bounds, Budget, cholesky};
 
 /// Rounds of fixing unknowns at their bounds and solving again for the others.
 const ACTIVE_SET_ROUNDS: usize = 12;
-/// Unknowns that meet the border nearly as early as the first are fixed with it.
+/// Unknowns that meet the border nearly as early as the first are fixed with it. All that stand at it and press on it
+/// meet it at once.
 const FIRST_SHARE: f64 = 0.9;
 /// Rounds of finding a step and meeting the constraints that it breaks.
 const CONSTRAINT_ROUNDS: usize = 3;
@@ -83,7 +84,7 @@ impl GaussNewton {
         let excess = |i: usize, step: f64| {
             let room = border(i, step).abs();
             if step.abs() > room {
-                step.abs() / room.max(f64::MIN_POSITIVE)
+                step.abs() / room
             } else {
                 0.0
             }
@@ -294,5 +295,27 @@ impl GaussNewton {
             }
         }
         solved
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn all_that_press_on_the_border_where_they_stand_are_fixed_together() {
+        let mut gauss_newton = GaussNewton::with_capacity(20, 1, 0);
+        let mut bounds = Bounds::with_capacity(20);
+        bounds.set_symmetric(&std::iter::repeat_n(1.0, 20), 1);
+        // Sixteen stand at the border and are to go beyond it, each by another amount; four have room.
+        let mut z = [1.0; 20];
+        z[16..].fill(0.0);
+        gauss_newton.free.extend(0..20);
+        for (i, step) in gauss_newton.step.iter_mut().enumerate() {
+            *step = if i < 16 { 1.0 + i as f64 } else { 5.0 };
+        }
+        assert!(gauss_newton.fix_leavers(&bounds, &z));
+        assert_eq!(gauss_newton.free, [16, 17, 18, 19]);
+        assert_eq!(gauss_newton.step[..16], [0.0; 16]);
     }
 }

@@ -125,17 +125,16 @@ impl Near {
         for way_s in ends_s(guard) {
             let place = self.place(guard, rates, way_s, u64::MAX);
             let next = guard.at.advanced(rates, place.way_s);
-            let body = guard.robot.body(next.as_slice());
+            let body = guard.robot.body(&next);
             for (watched, spare_m) in self.watched().zip(&place.spare_m) {
                 for (section, spare_m) in spare_m.iter().enumerate() {
                     if *spare_m < 0.0 {
                         let obstacle = watched.at(guard, place.way_s);
                         let nearest = body.nearest_of(section, &obstacle);
                         let mut columns = [[0.0; 3]; COORDINATES_MAX];
-                        let bends = next.as_slice();
                         guard
                             .robot
-                            .body_point_jacobian(bends, section, nearest.s, &mut columns);
+                            .body_point_jacobian(&next, section, nearest.s, &mut columns);
                         let d = &nearest.direction;
                         let slope =
                             columns.map(|[x, y, z]| place.way_s * (d.x * x + d.y * y + d.z * z));
@@ -156,7 +155,7 @@ impl Near {
 
     /// The place at s = `way_s`, with the spare of the watched obstacles whose bits are in `which`.
     fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64, which: u64) -> Place {
-        let body = guard.robot.body(guard.at.advanced(rates, way_s).as_slice());
+        let body = guard.robot.body(&guard.at.advanced(rates, way_s));
         let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
         for (index, watched) in self.watched().enumerate() {
             if which & (1 << index) != 0 {

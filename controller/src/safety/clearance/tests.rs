@@ -47,10 +47,7 @@ impl Moment {
     /// What is left of the clearances beyond what must be, at a place of the way \[m\].
     fn spare_m(&self, rates: &BendRates, way_s: f64) -> f64 {
         let next = self.at.advanced(rates, way_s);
-        let (body, still) = (
-            self.robot.body(next.as_slice()),
-            self.robot.body(self.at.as_slice()),
-        );
+        let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
         let mut least_m = f64::INFINITY;
         for obstacle in &self.obstacles {
             let moved = obstacle.moved(STOPPING.time_s(way_s));
@@ -247,7 +244,7 @@ fn at_an_angle_the_body_slides_along() {
 fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
     let robot = trunk(2);
     let mut at = Configuration::from_slice(&[0.5, 0.0, 0.2, 0.0]).unwrap();
-    let tip_m = robot.tip_position(at.as_slice());
+    let tip_m = robot.tip_position(&at);
     let obstacle = ball(tip_m + Vector3::new(0.038, 0.0, 0.0), 0.02);
     let mut before_m = robot.clearance_m(&at, &obstacle);
     assert!(before_m < 0.01 && before_m > 0.0);

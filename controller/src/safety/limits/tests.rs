@@ -151,7 +151,7 @@ fn cables_keep_their_speed_limit() {
         &rates([2.0, 0.0, 2.0, 0.0]),
         PERIOD_S,
     );
-    let speeds = robot.cable_speeds(limited.rates.as_slice());
+    let speeds = robot.cable_speeds(&limited.rates);
     assert!(limited.hit.cable_speed);
     assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));
 }
@@ -162,7 +162,7 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
     parameters.cable_stroke_max_m = 0.02;
     let robot = Robot::new(&parameters).expect("legal");
     let farthest_m = |bend: &Configuration| {
-        let strokes_m = robot.cable_strokes(bend.as_slice());
+        let strokes_m = robot.cable_strokes(bend);
         strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
     };
     let (mut bend, mut hits) = (at([0.0; 4]), 0);

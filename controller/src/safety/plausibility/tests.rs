@@ -184,7 +184,7 @@ fn a_step_is_noticed_at_once_in_every_component() {
 }
 
 fn cables(robot: &Robot, bends: &Configuration) -> [f64; CABLES_MAX] {
-    robot.cable_lengths(bends.as_slice())
+    robot.cable_lengths(&bends)
 }
 
 #[test]
@@ -197,7 +197,7 @@ fn cables_are_compared_with_bends_and_the_tip_with_itself() {
         watch.judge(&robot, &cables(0.5), 2 * MS),
         Plausibility::Jump
     );
-    let tip = |u| Measurement::TipPosition(robot.tip_position(bends(u).as_slice()));
+    let tip = |u| Measurement::TipPosition(robot.tip_position(&bends(u)));
     assert_eq!(watch.judge(&robot, &tip(0.05), 3 * MS), Plausibility::Good);
     assert_eq!(watch.judge(&robot, &tip(0.06), 4 * MS), Plausibility::Good);
     let far = Measurement::TipPosition(Vector3::new(0.5, 0.0, 0.0));
@@ -209,7 +209,7 @@ fn a_tip_may_step_by_what_one_jump_at_the_base_makes_and_no_farther() {
     let robot = robot();
     let step = |step_m: f64| {
         let mut watch = usual();
-        let tip_m = robot.tip_position(bends(0.0).as_slice());
+        let tip_m = robot.tip_position(&bends(0.0));
         watch.judge(&robot, &Measurement::TipPosition(tip_m), 0);
         let stepped = Measurement::TipPosition(tip_m + Vector3::new(0.0, step_m, 0.0));
         watch.judge(&robot, &stepped, 1)
@@ -224,7 +224,8 @@ fn a_tip_of_a_robot_at_its_largest_rates_is_good() {
     let (robot, mut watch) = (robot(), usual());
     for ms in 0..2000 {
         let bend = 2.0 * (ms as f64 * 1e-3) - 2.0;
-        let tip_m = robot.tip_position(&[bend, -bend, bend, bend]);
+        let tip_m =
+            robot.tip_position(&Configuration::from_slice(&[bend, -bend, bend, bend]).unwrap());
         let verdict = watch.judge(&robot, &Measurement::TipPosition(tip_m), ms * MS);
         assert_eq!(verdict, Plausibility::Good, "{ms}");
     }
@@ -307,7 +308,7 @@ fn a_single_cable_that_stands_still_is_noticed_once_its_length_should_have_chang
 #[test]
 fn a_tip_that_stands_still_is_noticed_as_a_whole() {
     let robot = robot();
-    let at = |bends: Configuration| robot.tip_position(bends.as_slice());
+    let at = |bends: Configuration| robot.tip_position(&bends);
     let first = at(bends(0.2));
     let noticed = frozen_after_ms(&robot, |_| Measurement::TipPosition(first));
     assert!(matches!(noticed, Some(50..=51)), "{noticed:?}");

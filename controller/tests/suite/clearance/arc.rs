@@ -24,10 +24,10 @@ fn the_papers_circle_has_the_routes_of_the_model() {
     let robot = line_robot();
     // The reference at t = π/2: the tip of θ = 75°, φ = π/2.
     let reference = bent(75_f64.to_radians(), FRAC_PI_2);
-    let obstacle = sphere(robot.tip_position(reference.as_slice()), 0.0);
+    let obstacle = sphere(robot.tip_position(&reference), 0.0);
     let clearance_m = |deg: f64| robot.clearance_m(&bent(deg.to_radians(), FRAC_PI_2), &obstacle);
     let tip_m = |deg: f64| {
-        let tip = robot.tip_position(bent(deg.to_radians(), FRAC_PI_2).as_slice());
+        let tip = robot.tip_position(&bent(deg.to_radians(), FRAC_PI_2));
         axis_distance_m(obstacle.shape(), tip)
     };
     // Where `distance_m` passes D between an angle with less and one with more.

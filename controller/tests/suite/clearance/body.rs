@@ -15,7 +15,7 @@ proptest! {
     #[test]
     fn frames_computed_before_give_the_same((robot, shape) in robots_and_shapes(), place in places()) {
         let [start_m, end_m] = segment(&robot, &shape, place);
-        let body = robot.body_from_frames(shape.as_slice(), &robot.section_frames(&shape));
+        let body = robot.body_from_frames(&shape, &robot.section_frames(&shape));
         for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.02)] {
             prop_assert_eq!(body.nearest(&obstacle), robot.nearest(&shape, &obstacle));
             prop_assert_eq!(body.clearance_m(&obstacle), robot.clearance_m(&shape, &obstacle));

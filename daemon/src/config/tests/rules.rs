@@ -125,6 +125,10 @@ fn a_default_that_another_key_forbids_is_reported_where_that_key_stands() {
             "robot.toml, line 2: controller.obstacle_step_penalty: obstacle_slope_penalty = 10000 is out",
         ),
         (
+            "[controller]\nterminal_weight = 0.0\nhorizon_steps = 1\n",
+            "robot.toml, line 2: controller.terminal_weight: terminal_weight = 0 is out",
+        ),
+        (
             "[cycle]\ngather_lead_ms = 0.3\nperiod_ms = 0.5\n",
             "robot.toml, line 2: cycle.gather_lead_ms: gather_lead_ms = 0.3 is out",
         ),

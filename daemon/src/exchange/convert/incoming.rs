@@ -43,13 +43,11 @@ const CLOCK_TOLERANCE_NS: u64 = 1_000_000;
 
 /// References lie at most a day ahead \[ns\].
 const AHEAD_MAX_NS: u64 = 86_400_000_000_000;
-/// Points of a chunk are at least this far apart \[ns\].
-const APART_MIN_NS: u64 = 1_000;
 /// No bend \[rad\], length or position \[m\] of a robot is larger; what is, is no measurement.
 const MEASURED_MAX: f64 = 1e3;
 
 /// The points of a chunk, all checked: finite, ahead of `now_ns` by at most a day, inside the
-/// reachable ball, with unit orientations and at least a microsecond between them.
+/// reachable ball, with unit orientations. The trajectory checks that their times increase.
 ///
 /// # Errors
 /// The first point that is wrong, and what is wrong with it.
@@ -70,10 +68,6 @@ pub fn reference_points<'a>(
     for (index, point) in points.iter().enumerate() {
         reference_point(point, interpolation, robot.reach_m(), now_ns)
             .map_err(|outcome| Refused::at(outcome, index))?;
-        let before = index.checked_sub(1).map(|before| points[before].time_ns);
-        if before.is_some_and(|before| point.time_ns < before.saturating_add(APART_MIN_NS)) {
-            return Err(Refused::at(Outcome::TimeNotIncreasing, index));
-        }
     }
     let reach_m = robot.reach_m();
     Ok(points

@@ -80,15 +80,6 @@ mod tests {
             refusal_of(&chunk(&[good, point(3000, [0.0, 0.2, 0.3])])),
             (Outcome::OutOfReach, 1)
         );
-        assert_eq!(
-            refusal_of(&chunk(&[good, good])),
-            (Outcome::TimeNotIncreasing, 1)
-        );
-        let tight = point(1_199, [0.0, 0.0, 0.3]);
-        assert_eq!(
-            refusal_of(&chunk(&[good, tight])),
-            (Outcome::TimeNotIncreasing, 1)
-        );
         let far = point(86_400_000_000_101, [0.0, 0.0, 0.3]);
         assert_eq!(refusal_of(&chunk(&[far])), (Outcome::OutOfRange, 0));
         assert_eq!(refusal_of(&chunk(&[])), (Outcome::CountOutOfRange, 0));
@@ -300,7 +291,7 @@ mod tests {
     #[test]
     fn measurements_round_trip() {
         let configuration = Configuration::from_slice(&[0.1, -0.2]).unwrap();
-        let lengths = trunk().cable_lengths(configuration.as_slice());
+        let lengths = trunk().cable_lengths(&configuration);
         for measurement_in in [
             Measurement::Configuration(configuration),
             Measurement::CableLengths(lengths),

@@ -108,8 +108,8 @@ pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Com
         interface: interface(record.policy.interface).code(),
         mode: mode(record.mode).code(),
         sections: robot.section_count() as u32,
-        cable_length_m: robot.cable_lengths(target.as_slice()),
-        cable_speed_m_s: robot.cable_speeds(record.rates.as_slice()),
+        cable_length_m: robot.cable_lengths(&target),
+        cable_speed_m_s: robot.cable_speeds(&record.rates),
         ..wire::Command::default()
     };
     copy(record.rates.as_slice(), &mut command.bend_rate_rad_s);

@@ -49,8 +49,8 @@ fn check_at(
 ) -> Verdict {
     let standing = configuration_of(record);
     let commanded = standing.advanced(rates, way_s);
-    let standing = robot.body(standing.as_slice());
-    let commanded = robot.body(commanded.as_slice());
+    let standing = robot.body(&standing);
+    let commanded = robot.body(&commanded);
     for (index, obstacle) in obstacles_of(record).iter().enumerate() {
         let later = obstacle.moved(time_s);
         let [standing_m, commanded_m] = [&standing, &commanded]

@@ -1,6 +1,6 @@
 //! Invariant: no command leaves the limits of the robot, and every number of it is finite.
 
-use cdcr_controller::robot::Robot;
+use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::{Command, Telemetry};
 
@@ -46,7 +46,7 @@ fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> Verdict {
             format!("section {j} is commanded from {before} to {bend} rad")
         })?;
     }
-    let (strokes, before) = (robot.cable_strokes(target), robot.cable_strokes(from));
+    let [strokes, before] = [target, from].map(|bends| robot.cable_strokes(&bent(bends)));
     for (stroke, before) in strokes.iter().zip(before) {
         let most = robot.cable_stroke_max_m().max(before.abs()) + TOLERANCE;
         ensure(stroke.abs() <= most, || {
@@ -56,11 +56,19 @@ fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> Verdict {
     Ok(())
 }
 
+fn bent(bend_rad: &[f64]) -> Configuration {
+    Configuration::from_slice(bend_rad).unwrap()
+}
+
+fn turning(rad_s: &[f64]) -> BendRates {
+    BendRates::from_slice(rad_s).unwrap()
+}
+
 /// Cables say the same as bends.
 fn check_cables(robot: &Robot, command: &Command) -> Verdict {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
-    let lengths = robot.cable_lengths(&command.bend_target_rad[..width]);
-    let speeds = robot.cable_speeds(&command.bend_rate_rad_s[..width]);
+    let lengths = robot.cable_lengths(&bent(&command.bend_target_rad[..width]));
+    let speeds = robot.cable_speeds(&turning(&command.bend_rate_rad_s[..width]));
     ensure(
         lengths[..cables] == command.cable_length_m[..cables]
             && speeds[..cables] == command.cable_speed_m_s[..cables],
@@ -136,8 +144,8 @@ mod tests {
             command.bend_rate_rad_s[i] = rates[i];
             command.bend_target_rad[i] = from[i] + 0.005 * rates[i];
         }
-        command.cable_length_m = robot.cable_lengths(&command.bend_target_rad[..6]);
-        command.cable_speed_m_s = robot.cable_speeds(&command.bend_rate_rad_s[..6]);
+        command.cable_length_m = robot.cable_lengths(&bent(&command.bend_target_rad[..6]));
+        command.cable_speed_m_s = robot.cable_speeds(&turning(&command.bend_rate_rad_s[..6]));
         command
     }
 

@@ -1,7 +1,7 @@
 //! Obstacles of every kind, made where the robot is.
 
 use cdcr_client::monotonic_ns;
-use cdcr_controller::robot::{Robot, RobotParameters};
+use cdcr_controller::robot::{BendRates, Robot, RobotParameters};
 use cdcr_daemon::exchange::convert;
 use cdcr_shared_types::codes::ObstacleShape;
 use cdcr_shared_types::{Obstacle, Telemetry};
@@ -18,7 +18,7 @@ const DRAWS: u32 = 10;
 /// A ball or a bar about `gap_m` from the surface of the robot.
 fn beside(dice: &mut Dice, record: &Telemetry, gap_m: f64) -> Obstacle {
     let (robot, bends) = (robot_of(&record.robot), configuration_of(record));
-    let body = robot.body(bends.as_slice());
+    let body = robot.body(&bends);
     let mut obstacle = draw(dice, record, &robot, gap_m);
     for _ in 1..DRAWS {
         let known = convert::obstacle(&obstacle, monotonic_ns());
@@ -38,7 +38,7 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
         cable_speed_max_m_s: robot.cable_speed_max_m_s(),
         cable_stroke_max_m: robot.cable_stroke_max_m(),
     });
-    let point = part.unwrap().tip_position(&record.bend_rad[..2 * sections]);
+    let point = part.unwrap().tip_position(&configuration_of(record));
     let radius_m = dice.between(0.005, 0.05);
     let away_m = robot.sections()[0].body_radius_m + gap_m + radius_m;
     let way = way_of_tip(record, robot).filter(|_| sections as u32 == record.robot.sections);
@@ -61,12 +61,9 @@ fn draw(dice: &mut Dice, record: &Telemetry, robot: &Robot, gap_m: f64) -> Obsta
 
 /// Where the tip is going; none when it stands still.
 fn way_of_tip(record: &Telemetry, robot: &Robot) -> Option<[f64; 3]> {
-    let width = robot.coordinate_count();
-    let pairs = record.bend_rad[..width]
-        .iter()
-        .zip(&record.command.bend_rate_rad_s);
-    let next: Vec<f64> = pairs.map(|(bend, rate)| bend + 0.005 * rate).collect();
-    let next = robot.tip_position(&next);
+    let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
+    let rates = BendRates::from_slice(rates).unwrap();
+    let next = robot.tip_position(&configuration_of(record).advanced(&rates, 0.005));
     let way: [f64; 3] = core::array::from_fn(|i| next[i] - record.tip_position_m[i]);
     let norm = way.iter().map(|x| x * x).sum::<f64>().sqrt();
     (norm > 1e-6).then(|| way.map(|x| x / norm))

@@ -235,7 +235,7 @@ const PERIOD_NS: u64 = 5_000_000;
 
 /// Inputs that no message can bring: what they come from has passed no check.
 fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
-    let mut trajectory = Trajectory::with_capacity(10);
+    let mut trajectory = Trajectory::with_capacity(10, f64::INFINITY);
     let points = (0..10).map(|k| ReferencePoint {
         time_ns: k * 10 * PERIOD_NS,
         position_m: nalgebra::Vector3::new(position_m, 0.0, 0.89),

@@ -95,7 +95,7 @@ impl<L: RobotLink> Rig<L> {
             cycle: Cycle::new(validated, link).unwrap(),
             real: KinematicPlant::new(&validated.robot, validated.initial),
             clock: Watch::default(),
-            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX),
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, validated.robot.reach_m()),
             inputs,
             requests: VecDeque::new(),
             next_cycle: 0,
@@ -284,7 +284,7 @@ impl<L: RobotLink> Rig<L> {
             );
         }
         let most_m_s = self.robot.cable_speed_max_m_s() * (1.0 + 1e-12);
-        for speed_m_s in self.robot.cable_speeds(rates.as_slice()) {
+        for speed_m_s in self.robot.cable_speeds(rates) {
             assert!(speed_m_s.abs() <= most_m_s, "a cable at {speed_m_s} m/s");
         }
         let command = convert::command(record, &self.robot, self.period_ns);

@@ -2,7 +2,7 @@
 
 use cdcr_controller::estimator::Estimator;
 use cdcr_controller::reference::{
-    Orientation, ReferencePoint, ReferenceState, ReferenceWindow, Trajectory,
+    APART_MIN_NS, Orientation, ReferencePoint, ReferenceState, ReferenceWindow, Trajectory,
 };
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, Shape};
 use cdcr_daemon::exchange::convert::{
@@ -55,8 +55,13 @@ fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
         };
         assert!((length - 1.0).abs() < 1e-12, "{:?}", point.orientation);
     }
-    let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX);
-    trajectory.replace(points.iter().copied()).unwrap();
+    let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m());
+    let apart = |pair: &[ReferencePoint]| pair[1].time_ns >= pair[0].time_ns + APART_MIN_NS;
+    let taken = trajectory.replace(points.iter().copied()).is_ok();
+    assert_eq!(taken, points.windows(2).all(apart));
+    if !taken {
+        return false;
+    }
     let mut window = ReferenceWindow::default();
     for near in points.iter().take(4) {
         let cycle = near.time_ns.saturating_sub(BEGIN_NS) / PERIOD_NS;
@@ -65,10 +70,11 @@ fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
             window.fill(&trajectory, cycle, release_ns, PERIOD_NS, 50);
             for sample in window.ahead(cycle, 50) {
                 assert!(sample.state != ReferenceState::None);
-                assert!(
-                    sample.position_m.iter().all(|x| x.is_finite()),
-                    "{sample:?}"
-                );
+                let within_m = robot.reach_m() + 2e-6;
+                assert!(sample.position_m.norm() <= within_m, "{sample:?}");
+                if let Orientation::Axis(axis) = sample.orientation {
+                    assert!((axis.norm() - 1.0).abs() < 1e-12, "{sample:?}");
+                }
             }
         }
     }

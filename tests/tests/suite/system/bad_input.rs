@@ -69,9 +69,18 @@ fn bad_points_are_refused_with_the_reason_and_counted() {
         client.verdict(replace, &[point(far, good)]),
         Outcome::Accepted
     );
+    let next = point(2 * far, good);
     assert_eq!(
-        client.verdict(ChunkMode::Append, &[point(2 * far, good)]),
+        client.verdict(ChunkMode::Append, &[next]),
         Outcome::Accepted
+    );
+    let tight = ReferencePoint {
+        time_ns: next.time_ns + 999,
+        ..next
+    };
+    assert_eq!(
+        client.verdict(ChunkMode::Append, &[tight]),
+        Outcome::TimeNotIncreasing
     );
 
     let status = wait_status(&connection, |status| {

@@ -200,7 +200,7 @@ impl Recording {
         let robot = robot_of(&self.records[0].robot);
         assert_eq!(self.records[0].robot.fingerprint, robot.fingerprint());
         let mut to_come = events_by_gather(&self.records);
-        let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX);
+        let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m());
         let (mut solved, mut guarded) = (0, 0);
         for record in &self.records {
             while let Some(entry) = to_come.first_entry()

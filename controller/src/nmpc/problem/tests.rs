@@ -1,0 +1,149 @@
+//! The linear model of a problem, held against the problem's own cost and against differences.
+
+use nalgebra::{Unit, UnitQuaternion, Vector3};
+use proptest::prelude::*;
+
+use super::*;
+use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
+use crate::robot::{BendRates, RobotParameters};
+
+const PERIOD_S: f64 = 0.05;
+/// Moves a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near 1e-11.
+const STEP_RAD_S: f64 = 1e-4;
+
+#[derive(Debug)]
+struct Case {
+    settings: NmpcSettings,
+    at: Configuration,
+    held: BendRates,
+    goal: ReferenceSample,
+    plan: Vec<f64>,
+}
+
+fn orientations() -> impl Strategy<Value = Orientation> {
+    let vector = || prop::array::uniform3(-1.0..1.0_f64).prop_map(Vector3::from);
+    prop_oneof![
+        Just(Orientation::Free),
+        vector()
+            .prop_filter("a direction", |axis| axis.norm() > 0.1)
+            .prop_map(|axis| Orientation::Axis(Unit::new_normalize(axis))),
+        vector().prop_map(|turn| Orientation::Full(UnitQuaternion::from_scaled_axis(turn * 3.0))),
+    ]
+}
+
+fn cases() -> impl Strategy<Value = Case> {
+    let settings = (
+        prop_oneof![Just(Coordinates::BendVector), Just(Coordinates::BendAngles)],
+        prop_oneof![Just(0.0), 1e-3..0.2_f64],
+        1..=5_u32,
+        0..=5_u32,
+        prop_oneof![Just([0.0, 0.0]), Just([1e-3, 2e-3])],
+    );
+    (
+        1..=3_usize,
+        settings,
+        orientations(),
+        prop::array::uniform3(-0.3..0.3_f64),
+    )
+        .prop_flat_map(|(sections, settings, orientation, position)| {
+            let (coordinates, orientation_tolerance_rad, horizon_steps, blocks, weights) = settings;
+            let settings = NmpcSettings {
+                coordinates,
+                orientation_tolerance_rad,
+                horizon_steps,
+                control_blocks: blocks.min(horizon_steps),
+                rate_weight: weights[0],
+                rate_change_weight: weights[1],
+                terminal_weight: 3.0,
+                ..NmpcSettings::default()
+            };
+            let goal = ReferenceSample {
+                state: ReferenceState::Inside,
+                position_m: Vector3::from(position),
+                orientation,
+            };
+            let width = 2 * sections;
+            let numbers = |count: usize| prop::collection::vec(-1.2..1.2_f64, count);
+            let plan = numbers(width * Horizon::new(&settings).blocks());
+            (numbers(width), numbers(width), plan).prop_map(move |(bends, held, plan)| Case {
+                settings,
+                at: Configuration::from_slice(&bends).expect("one to three sections"),
+                held: BendRates::from_slice(&held).expect("one to three sections"),
+                goal,
+                plan,
+            })
+        })
+}
+
+/// Lets `run` see the problem of a case.
+fn with_problem<T>(case: &Case, run: impl FnOnce(&TrackingProblem) -> T) -> T {
+    let robot = Robot::new(&RobotParameters::paper(case.at.section_count())).expect("the paper's");
+    let horizon = Horizon::new(&case.settings);
+    let motion = Motion::new(
+        &robot,
+        PERIOD_S,
+        case.settings.coordinates,
+        &horizon,
+        &case.at,
+        &case.held,
+        None,
+    );
+    let mut bounds = Bounds::with_capacity(case.plan.len());
+    motion.set_bounds(&robot, &mut bounds);
+    let limits = Limits::new(&robot, &motion, 1.0, &motion.fastest_rad_s(&bounds));
+    let obstacles = Obstacles::with_capacity();
+    let input = SolveInput {
+        configuration: &case.at,
+        previous_rates: &case.held,
+        reference: &[case.goal],
+        obstacles: &[],
+        elapsed_periods: 1,
+        seed: 1,
+    };
+    run(&TrackingProblem::new(
+        &robot,
+        &case.settings,
+        &motion,
+        &limits,
+        &obstacles,
+        &bounds,
+        &input,
+    ))
+}
+
+fn linearised(problem: &TrackingProblem, plan: &[f64]) -> LinearModel {
+    let rows = 12 * HORIZON_STEPS_MAX + 2 * plan.len();
+    let mut model = LinearModel::with_capacity(rows, OBSTACLES_MAX, plan.len());
+    model.clear(plan.len());
+    assert!(problem.linearise(plan, &mut model, &mut Budget::unlimited()));
+    model
+}
+
+proptest! {
+    #[test]
+    fn residuals_sum_to_the_cost_and_every_derivative_is_the_difference(case in cases()) {
+        with_problem(&case, |problem| {
+            let model = linearised(problem, &case.plan);
+            let residuals = (0..model.rows()).map(|row| model.residual(row));
+            let sum: f64 = residuals.map(|residual| residual * residual).sum();
+            let judged = problem.judge_at(&case.plan, &mut Budget::unlimited());
+            let cost = judged.expect("an unlimited budget").cost.0[0];
+            prop_assert!((sum - cost).abs() <= 1e-12 * cost, "{sum} {cost}");
+            for i in 0..case.plan.len() {
+                let [behind, ahead] = [-STEP_RAD_S, STEP_RAD_S].map(|step| {
+                    let mut plan = case.plan.clone();
+                    plan[i] += step;
+                    linearised(problem, &plan)
+                });
+                // An orientation that passes the tolerance here has no derivative.
+                prop_assume!([behind.rows(), ahead.rows()] == [model.rows(); 2]);
+                for row in 0..model.rows() {
+                    let difference = (ahead.residual(row) - behind.residual(row)) / (2.0 * STEP_RAD_S);
+                    let derivative = model.row(row)[i];
+                    prop_assert!((derivative - difference).abs() < 1e-8, "row {row}, control {i}: {derivative} {difference}");
+                }
+            }
+            Ok(())
+        })?;
+    }
+}
