@@ -73,7 +73,7 @@ impl Guard<'_> {
     ///
     /// ```text
     /// cⱼ(s) ≥ min(D, c⁰ⱼ(s))            at the end of the period, and at the end of the stopping way: exactly
-    /// cⱼ(s) ≥ min(D, c⁰ⱼ(s)) - 1 mm     everywhere between, with moving obstacles where they are once a period
+    /// cⱼ(s) ≥ min(D, c⁰ⱼ(s)) - 1 mm     everywhere between; less by what a moving obstacle moves in a period
     /// ```
     ///
     /// So a section outside D never enters it by its own motion, one inside never comes nearer, and none jumps through an

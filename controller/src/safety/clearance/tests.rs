@@ -44,8 +44,8 @@ impl Moment {
         self.watch().scale_down(&self.wish)
     }
 
-    /// What is left of the clearances beyond what must be, at a place of the way \[m\].
-    fn spare_m(&self, rates: &BendRates, way_s: f64) -> f64 {
+    /// What is left of the clearances beyond what must be, at a place of the way \[m\]: and of what may be missing `between`.
+    fn spare_m(&self, rates: &BendRates, way_s: f64, between: bool) -> f64 {
         let next = self.at.advanced(rates, way_s);
         let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
         let mut least_m = f64::INFINITY;
@@ -53,9 +53,15 @@ impl Moment {
             let moved = obstacle.moved(STOPPING.time_s(way_s));
             let [now, standing] =
                 [&body, &still].map(|body| body.clearances_in_reach(&moved, &[f64::INFINITY; 6]));
+            let may_lack_m = if between {
+                1e-3 + PERIOD_S * obstacle.velocity_m_s().norm()
+            } else {
+                0.0
+            };
             for (now_m, standing_m) in now.into_iter().zip(standing) {
                 if standing_m.is_finite() {
-                    least_m = least_m.min(now_m - standing_m.min(self.safe_distance_m));
+                    let floor_m = standing_m.min(self.safe_distance_m) - may_lack_m;
+                    least_m = least_m.min(now_m - floor_m);
                 }
             }
         }
@@ -64,13 +70,13 @@ impl Moment {
 
     /// The rule of [`Guard::keep_clear`], looked at in many places.
     fn keeps(&self, rates: &BendRates) -> bool {
-        let is_exact = |way_s| self.spare_m(rates, way_s) >= 0.0;
+        let is_exact = |way_s| self.spare_m(rates, way_s, false) >= 0.0;
         let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
         is_exact(PERIOD_S)
             && is_exact(STOPPING.way_s)
             && places
                 .into_iter()
-                .all(|way_s| self.spare_m(rates, way_s) >= -1e-3)
+                .all(|way_s| self.spare_m(rates, way_s, true) >= 0.0)
     }
 }
 
