@@ -77,8 +77,8 @@ impl Guard<'_> {
     /// ```
     ///
     /// So a section outside D never enters it by its own motion, one inside never comes nearer, and none jumps through an
-    /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and their norm is at most
-    /// that of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
+    /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
+    /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
     /// exactly, what was found is scaled down, and then `rates` themselves. Standing still always holds.
     ///
@@ -131,7 +131,7 @@ impl Guard<'_> {
             let Some(nearest) = limits.nearest_in(&mut region, wish) else {
                 break;
             };
-            rates = no_faster(nearest, wish);
+            rates = shortened_to(nearest, fastest(wish));
             if near.holds(self, &rates) {
                 return rates;
             }
@@ -186,21 +186,20 @@ fn times(rates: &BendRates, factor: f64) -> BendRates {
     scaled
 }
 
-/// The rates, with a norm that is at most that of `wish`.
-fn no_faster(rates: BendRates, wish: &BendRates) -> BendRates {
-    let (square_of_rates, square_of_wish) = (square(&rates), square(wish));
-    if square_of_rates <= square_of_wish {
+/// The rates, with a fastest component of `fastest_rad_s` at most.
+pub(super) fn shortened_to(rates: BendRates, fastest_rad_s: f64) -> BendRates {
+    let present_rad_s = fastest(&rates);
+    if present_rad_s <= fastest_rad_s {
         return rates;
     }
-    // A little shorter than the root says, so that rounding does not make it longer.
-    times(
-        &rates,
-        (square_of_wish / square_of_rates).sqrt() * (1.0 - 1e-15),
-    )
+    // A little shorter, so that rounding does not make it longer.
+    times(&rates, fastest_rad_s / present_rad_s * (1.0 - 1e-15))
 }
 
-pub(super) fn square(rates: &BendRates) -> f64 {
-    rates.as_slice().iter().map(|rate| rate * rate).sum()
+/// The fastest component \[rad/s\].
+pub(super) fn fastest(rates: &BendRates) -> f64 {
+    let components = rates.as_slice().iter();
+    components.fold(0.0, |most, rate| rate.abs().max(most))
 }
 
 #[cfg(test)]

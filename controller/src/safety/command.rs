@@ -1,7 +1,7 @@
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::clearance::{Guard, StoppingWay};
-use super::{Limits, LimitsHit};
+use super::clearance::{Guard, StoppingWay, fastest, shortened_to};
+use super::{Limited, Limits, LimitsHit};
 
 /// What a command is checked against.
 #[derive(Debug, Clone, Copy)]
@@ -30,25 +30,55 @@ pub struct Situation<'a> {
     pub comes_to_rest: bool,
 }
 
-impl Situation<'_> {
-    /// How far no command inside the limits that is not faster than `desired` leads, in time at its rates.
-    fn stopping(&self, desired: &BendRates) -> StoppingWay {
-        let size_rad_s = desired
-            .as_slice()
-            .iter()
-            .map(|rate| rate * rate)
-            .sum::<f64>()
-            .sqrt();
-        let limits_rad_s = self
-            .robot
-            .sections()
-            .iter()
-            .map(|section| section.rate_max_rad_s);
-        let fastest_rad_s = size_rad_s.min(limits_rad_s.fold(0.0, f64::max));
+impl<'a> Situation<'a> {
+    /// How the robot comes to rest from rates of which no component is faster than this, inside the limits.
+    fn stopping(&self, fastest_rad_s: f64) -> StoppingWay {
+        let sections = self.robot.sections().iter();
+        let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
         let moving_s = self.moving_s.max(self.period_s);
         StoppingWay {
             moving_s,
-            way_s: moving_s + 0.5 * fastest_rad_s / self.deceleration_rad_s2,
+            way_s: moving_s + 0.5 * fastest_rad_s.min(limit_rad_s) / self.deceleration_rad_s2,
+        }
+    }
+
+    /// The limits of such rates.
+    fn limits(&self, fastest_rad_s: f64) -> Limits<'a> {
+        let way_s = self.stopping(fastest_rad_s).way_s;
+        Limits::new(self.robot, self.at, way_s).with_commanded(self.commanded)
+    }
+
+    /// The same of a robot that moves.
+    fn limits_moving(&self, fastest_rad_s: f64) -> Limits<'a> {
+        let change_rad_s = self.acceleration_rad_s2 * self.period_s;
+        self.limits(fastest_rad_s)
+            .with_acceleration(self.previous, change_rad_s)
+    }
+
+    /// The nearest rates inside the limits. Slower ones stop sooner, so where the way of the desired rates was too long, rates
+    /// between them and those found are looked at, too: on one line, those with a fastest component of √(desired · found) are
+    /// the fastest that stop in time.
+    fn limited(&self, desired: &BendRates) -> Limited {
+        let first = self.limits_moving(fastest(desired)).nearest(desired);
+        let between_rad_s = (fastest(desired) * fastest(&first.rates)).sqrt();
+        if !(first.hit.bend || first.hit.cable_stroke) || between_rad_s == 0.0 {
+            return first;
+        }
+        let second = self.limits_moving(between_rad_s).nearest(desired);
+        Limited {
+            rates: shortened_to(second.rates, between_rad_s),
+            hit: first.hit,
+        }
+    }
+
+    fn guard(&self, fastest_rad_s: f64) -> Guard<'a> {
+        Guard {
+            robot: self.robot,
+            at: self.at,
+            obstacles: self.obstacles,
+            safe_distance_m: self.safe_distance_m,
+            period_s: self.period_s,
+            stopping: self.stopping(fastest_rad_s),
         }
     }
 }
@@ -70,24 +100,18 @@ pub struct SafeCommand {
 /// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
 /// hold at the end of the period and, when no other command follows, until the robot rests.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
-    let stopping = situation.stopping(desired);
-    let limits = Limits::new(situation.robot, situation.at, stopping.way_s)
-        .with_commanded(situation.commanded);
-    let guard = Guard {
-        robot: situation.robot,
-        at: situation.at,
-        obstacles: situation.obstacles,
-        safe_distance_m: situation.safe_distance_m,
-        period_s: situation.period_s,
-        stopping,
-    };
     let (limited, guarded) = if situation.comes_to_rest {
-        let limited = limits.shorten(desired);
+        let limited = situation.limits(fastest(desired)).shorten(desired);
+        let guard = situation.guard(fastest(&limited.rates));
         (limited, guard.scale_down(&limited.rates))
     } else {
-        let change_rad_s = situation.acceleration_rad_s2 * situation.period_s;
-        let limits = limits.with_acceleration(situation.previous, change_rad_s);
-        let limited = limits.nearest(desired);
+        let limited = situation.limited(desired);
+        // What the guard makes of them is not faster.
+        let fastest_rad_s = fastest(&limited.rates);
+        let (guard, limits) = (
+            situation.guard(fastest_rad_s),
+            situation.limits_moving(fastest_rad_s),
+        );
         (limited, guard.keep_clear(&limits, &limited.rates))
     };
     SafeCommand {

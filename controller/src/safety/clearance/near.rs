@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, Body, COORDINATES_MAX, Obstacle, SECTIONS_MAX};
 use crate::safety::projection::Region;
 
-use super::{Guard, square};
+use super::{Guard, fastest};
 
 /// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
 pub(super) const NEAR_MAX: usize = 64;
@@ -272,12 +272,10 @@ fn travel_m_s(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
 /// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are
 /// not faster.
 fn farthest_m(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
-    let size = square(rates).sqrt();
     let mut change_rad = [0.0; SECTIONS_MAX];
-    for (j, section) in guard.robot.sections().iter().enumerate() {
-        let [u, v] = rates.section(j);
-        let largest = (core::f64::consts::SQRT_2 * section.rate_max_rad_s).max(u.hypot(v));
-        change_rad[j] = guard.stopping.way_s * size.min(largest);
+    for (change_rad, section) in change_rad.iter_mut().zip(guard.robot.sections()) {
+        let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);
+        *change_rad = guard.stopping.way_s * core::f64::consts::SQRT_2 * largest_rad_s;
     }
     guard.robot.travel_m(&change_rad)
 }

@@ -181,7 +181,7 @@ proptest! {
         for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
             prop_assert!((rate - limited).abs() < 1e-9);
         }
-        prop_assert!(square(&guarded.rates) <= square(&moment.wish));
+        prop_assert!(fastest(&guarded.rates) <= fastest(&moment.wish));
         let least_m = moment.obstacles.iter().map(|o| moment.robot.clearance_m(&moment.at, o));
         prop_assert_eq!(guarded.clearance_m, least_m.fold(f64::INFINITY, f64::min));
     }
