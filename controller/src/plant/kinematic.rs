@@ -128,7 +128,7 @@ mod tests {
                 let (theta, radius_m) = (2.0 * t / 15.0, 0.3 / (2.0 * t / 15.0));
                 let across_m = radius_m * 2.0 * (theta / 2.0).sin().powi(2);
                 let along_m = 0.3 * (n as f64 - 1.0) + radius_m * theta.sin();
-                let tip = robot.tip_position(&plant.configuration());
+                let tip = robot.tip_position(plant.configuration());
                 let reference = [across_m * t.cos(), across_m * t.sin(), along_m];
                 for axis in 0..3 {
                     assert!(

@@ -462,7 +462,7 @@ mod tests {
         parameters.cable_stroke_max_m = 0.02;
         let robot = Robot::new(&parameters).expect("legal");
         let farthest_m = |bend: &Configuration| {
-            let strokes_m = robot.cable_strokes(&bend);
+            let strokes_m = robot.cable_strokes(bend);
             strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
         };
         let (mut bend, mut hits) = (at([0.0; 4]), 0);

@@ -62,7 +62,7 @@ fn skew(w: Vector3<f64>) -> Matrix3<f64> {
 /// The claim itself, for every column.
 fn check(robot: &Robot, shape: &Configuration) -> Result<(), TestCaseError> {
     let mut jacobian = Jacobian::new();
-    let pose = robot.tip_jacobian(&shape, &mut jacobian);
+    let pose = robot.tip_jacobian(shape, &mut jacobian);
     prop_assert_eq!(pose, robot.tip_pose(shape));
     prop_assert_eq!(jacobian.column_count(), robot.coordinate_count());
     for i in 0..robot.coordinate_count() {

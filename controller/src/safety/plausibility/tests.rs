@@ -184,7 +184,7 @@ fn a_step_is_noticed_at_once_in_every_component() {
 }
 
 fn cables(robot: &Robot, bends: &Configuration) -> [f64; CABLES_MAX] {
-    robot.cable_lengths(&bends)
+    robot.cable_lengths(bends)
 }
 
 #[test]
