@@ -4,28 +4,21 @@ use std::time::Instant;
 
 use anyhow::{Context, Result};
 use cdcr_client::Orientation as Wanted;
+use cdcr_controller::closed_loop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
-use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose};
-use cdcr_controller::safety::{Situation, safe_command};
+use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use hdrhistogram::Histogram;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::scene::Scene;
 
-/// The ideal kinematic robot and the last word on its commands, around whatever solves. The solver sees
-/// the exact curve at each step of its horizon; the command is what a daemon would send.
+/// The ideal robot before a scene, and the last word on its commands, around whatever solves. The solver sees the exact
+/// curve at each step of its horizon; the command is what a daemon would send.
 pub struct ClosedLoop<'a> {
     scene: &'a Scene,
-    settings: NmpcSettings,
-    cycle: u64,
-    configuration: Configuration,
-    rates: BendRates,
-    /// Where they are at this release.
-    obstacles: Vec<Obstacle>,
-    guarded: bool,
-    reference: Vec<ReferenceSample>,
+    inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,
 }
 
 /// What one cycle led to.
@@ -62,105 +55,59 @@ impl Sample {
 impl<'a> ClosedLoop<'a> {
     /// The scene at its start.
     pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Self {
-        let mut begin = Self {
-            scene,
-            settings,
-            cycle: 0,
-            configuration: scene.start,
-            rates: BendRates::zero(scene.robot.section_count()),
-            obstacles: scene.obstacles.clone(),
-            guarded: false,
-            reference: Vec::new(),
+        let reference_at = |time_s| ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: Vector3::from(scene.curve.position_m(time_s)),
+            orientation: orientation(scene, time_s),
         };
-        begin.look_ahead();
-        begin
+        let inner = closed_loop::ClosedLoop::new(
+            &scene.robot,
+            scene.period_s,
+            settings,
+            scene.start,
+            &scene.obstacles,
+            Box::new(reference_at) as Box<dyn Fn(f64) -> ReferenceSample + 'a>,
+        );
+        Self { scene, inner }
     }
 
     /// Whether all cycles are done.
     pub fn is_over(&self) -> bool {
-        self.cycle >= self.scene.cycles
+        self.inner.cycle() >= self.scene.cycles
     }
 
     /// What a solve of this cycle starts from.
     pub fn input(&self) -> SolveInput<'_> {
-        SolveInput {
-            configuration: &self.configuration,
-            previous_rates: &self.rates,
-            reference: &self.reference,
-            obstacles: &self.obstacles,
-            elapsed_periods: 1,
-            seed: cycle_seed(self.settings.seed, self.cycle),
-        }
+        self.inner.input()
     }
 
-    /// Limits and guards the wish, moves the robot by it and the obstacles by their velocity, and goes on to
-    /// the next cycle.
+    /// Makes the wish safe, moves the robot by it, and goes on to the next cycle.
     pub fn advance(&mut self, wish: &BendRates) {
-        let Scene {
-            robot, period_s, ..
-        } = self.scene;
-        let situation = Situation {
-            robot,
-            at: &self.configuration,
-            commanded: None,
-            previous: &self.rates,
-            obstacles: &self.obstacles,
-            safe_distance_m: self.settings.safe_distance_m,
-            // The paper's robot has none.
-            acceleration_rad_s2: f64::INFINITY,
-            period_s: *period_s,
-            // It gets every command.
-            moving_s: *period_s,
-            deceleration_rad_s2: f64::INFINITY,
-            comes_to_rest: false,
-        };
-        let safe = safe_command(&situation, wish);
-        (self.rates, self.guarded) = (safe.rates, safe.clearance_hit);
-        self.configuration = self.configuration.advanced(&self.rates, *period_s);
-        self.cycle += 1;
-        let time_s = self.scene.time_s(self.cycle);
-        let from_the_start = self.scene.obstacles.iter();
-        self.obstacles.clear();
-        self.obstacles
-            .extend(from_the_start.map(|obstacle| obstacle.moved(time_s)));
-        self.look_ahead();
+        self.inner.advance(wish);
     }
 
     /// Whether the guard changed the last wish, because it led too near to an obstacle.
     pub fn was_guarded(&self) -> bool {
-        self.guarded
+        self.inner.command().clearance_hit
     }
 
     /// What the cycle before this one led to.
     pub fn sample(&self, solve_ns: u64) -> Sample {
-        let body = self.scene.robot.body(&self.configuration);
-        let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
+        let configuration = *self.inner.configuration();
         Sample {
-            time_s: self.scene.time_s(self.cycle),
-            reference_m: self.scene.point_m(self.cycle),
-            tip: self.scene.robot.tip_pose(&self.configuration),
-            configuration: self.configuration,
-            rates: self.rates,
-            clearance_m: clearances_m.fold(f64::INFINITY, f64::min),
+            time_s: self.inner.time_s(),
+            reference_m: self.scene.point_m(self.inner.cycle()),
+            tip: self.scene.robot.tip_pose(&configuration),
+            configuration,
+            rates: self.inner.command().rates,
+            clearance_m: self.inner.clearance_m(),
             solve_ns,
         }
     }
-
-    /// The exact curve at the steps of the horizon.
-    fn look_ahead(&mut self) {
-        let first = self.cycle + 1;
-        let cycles = first..first + u64::from(self.settings.horizon_steps);
-        self.reference.clear();
-        self.reference.extend(cycles.map(|cycle| ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: self.scene.point_m(cycle),
-            orientation: orientation(self.scene, cycle),
-        }));
-    }
 }
 
-fn orientation(scene: &Scene, cycle: u64) -> Orientation {
-    match scene.curve.orientation(scene.time_s(cycle)) {
+fn orientation(scene: &Scene, time_s: f64) -> Orientation {
+    match scene.curve.orientation(time_s) {
         Wanted::Free => Orientation::Free,
         Wanted::Axis(axis) => Orientation::Axis(Unit::new_normalize(axis.into())),
         Wanted::Full([x, y, z, w]) => {

@@ -21,6 +21,7 @@
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine, limits, clearance guard: the last word before the cables | optimisation |
 //! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
+//! | [`closed_loop`] | solver, last word and ideal robot, period by period: for simulations | clocks |
 //!
 //! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
 //! periods and as the closure of a [`Budget`](optimizer::Budget).
@@ -66,46 +67,34 @@
 //!
 //! # Example: a closed loop
 //!
-//! A robot with two sections draws a circle; the error stays far below a micrometre.
+//! A robot with two sections draws a circle; the error stays far below a micrometre. There are more in `examples/`.
 //!
 //! ```
-//! use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
-//! use cdcr_controller::optimizer::{Budget, cycle_seed};
-//! use cdcr_controller::plant::KinematicPlant;
+//! use cdcr_controller::closed_loop::ClosedLoop;
+//! use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 //! use cdcr_controller::reference::{ReferenceSample, ReferenceState};
-//! use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+//! use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 //! use nalgebra::Vector3;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! const PERIOD_S: f64 = 0.005;
 //! let robot = Robot::new(&RobotParameters::paper(2))?;
-//! let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, NmpcSettings::default())?;
+//! let settings = NmpcSettings::default();
+//! let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings)?;
 //! let start = Configuration::from_bend_angles(&[[0.0, 0.0], [0.5, 0.0]]);
-//! let mut plant = KinematicPlant::new(&robot, start);
-//! let tip = robot.tip_position(&start);
-//! let circle = |cycle: u64| {
-//!     let (sin, cos) = (cycle as f64 * PERIOD_S).sin_cos();
+//! let tip_m = robot.tip_position(&start);
+//! let circle = |time_s: f64| {
+//!     let (sin, cos) = time_s.sin_cos();
 //!     ReferenceSample {
 //!         state: ReferenceState::Inside,
-//!         position_m: Vector3::new(tip.x * cos, tip.x * sin, tip.z),
+//!         position_m: Vector3::new(tip_m.x * cos, tip_m.x * sin, tip_m.z),
 //!         ..ReferenceSample::default()
 //!     }
 //! };
-//! let mut rates = BendRates::zero(2);
-//! for cycle in 0..400 {
-//!     let input = SolveInput {
-//!         configuration: plant.configuration(),
-//!         previous_rates: &rates,
-//!         reference: &[circle(cycle + 1), circle(cycle + 2)],
-//!         obstacles: &[],
-//!         elapsed_periods: 1,
-//!         seed: cycle_seed(1, cycle),
-//!     };
-//!     (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
-//!     plant.command(&rates);
-//!     plant.advance(PERIOD_S);
-//!     let reached = robot.tip_position(&plant.configuration());
-//!     assert!((reached - circle(cycle + 1).position_m).norm() < 1e-9);
+//! let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], circle);
+//! while closed.time_s() < 2.0 {
+//!     closed.step(&mut nmpc);
+//!     assert!(closed.error_m() < 1e-9);
 //! }
 //! # Ok(())
 //! # }
@@ -113,6 +102,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod closed_loop;
 pub mod estimator;
 pub mod nmpc;
 pub mod optimizer;

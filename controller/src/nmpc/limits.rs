@@ -57,7 +57,7 @@ impl<'a> Limits<'a> {
             .any(|((section, [u, v]), rate)| u.hypot(*v) + rate * horizon_s > section.bend_max_rad);
         // No cable is faster than all sections together; the last section's cables pass all of them.
         let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
-        let strokes_m = robot.cable_strokes(start);
+        let strokes_m = robot.cable_strokes(&start);
         let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
         let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m();
         let speed = fastest_m_s > robot.cable_speed_max_m_s();

@@ -23,7 +23,7 @@ pub(super) struct Motion<'a> {
     horizon: &'a Horizon,
     width: usize,
     period_s: f64,
-    start: Configuration,
+    start_rad: [f64; COORDINATES_MAX],
     /// (θ, cos φ, sin φ) of each section.
     polar: [[f64; 3]; SECTIONS_MAX],
 }
@@ -61,6 +61,10 @@ impl<'a> Motion<'a> {
         previous_rates: &BendRates,
         goal_m: Option<Vector3<f64>>,
     ) -> Self {
+        let mut start_rad = [0.0; COORDINATES_MAX];
+        for (start, bend) in start_rad.iter_mut().zip(at.as_slice()) {
+            *start = *bend;
+        }
         let mut polar = [[0.0, 1.0, 0.0]; SECTIONS_MAX];
         if coordinates == Coordinates::BendAngles {
             let towards = directions_to(robot, at, goal_m);
@@ -74,19 +78,19 @@ impl<'a> Motion<'a> {
             horizon,
             width: robot.coordinate_count(),
             period_s,
-            start: *at,
+            start_rad,
             polar,
         }
     }
 
     /// The shape at the start.
-    pub(super) fn start_shape(&self) -> &Configuration {
-        &self.start
+    pub(super) fn start_shape(&self) -> Configuration {
+        Configuration::padded(self.start_rad, self.width / 2)
     }
 
     /// The shape on the way.
     pub(super) fn shape(&self, bends: &Bent) -> Configuration {
-        Configuration::of_first(&bends.scalar(), self.width / 2)
+        Configuration::padded(bends.scalar(), self.width / 2)
     }
 
     pub(super) fn coordinates(&self) -> Coordinates {
@@ -114,8 +118,8 @@ impl<'a> Motion<'a> {
             bend_rad: [zero; COORDINATES_MAX],
             polar: [[zero; 3]; P],
         };
-        for (bend, start) in bends.bend_rad.iter_mut().zip(self.start.as_slice()) {
-            *bend = Wide::splat(*start);
+        for i in 0..self.width {
+            bends.bend_rad[i] = Wide::splat(self.start_rad[i]);
         }
         for section in 0..P.min(self.width / 2) {
             for i in 0..3 {
@@ -235,7 +239,7 @@ impl<'a> Motion<'a> {
         }
         let mut bends: Bent = self.start();
         self.advance_one(&mut bends, plan, 0);
-        let mut rates = BendRates::from_slice(self.start.as_slice())?;
+        let mut rates = BendRates::from_slice(&self.start_rad[..self.width])?;
         for (rate, bend) in rates.as_mut_slice().iter_mut().zip(bends.scalar()) {
             *rate = (bend - *rate) / self.period_s;
         }
@@ -262,7 +266,10 @@ impl<'a> Motion<'a> {
         }
         let elapsed_s = elapsed_periods as f64 * self.period_s;
         for section in 0..self.width / 2 {
-            let ([u, v], rates) = (self.start.section(section), previous_rates.section(section));
+            let ([u, v], rates) = (
+                [self.start_rad[2 * section], self.start_rad[2 * section + 1]],
+                previous_rates.section(section),
+            );
             let before = [u - elapsed_s * rates[0], v - elapsed_s * rates[1]];
             let [_, cos, sin] = self.polar[section];
             let [_, cos_before, sin_before] = polar_of(before, rates, [cos, sin]);

@@ -88,7 +88,7 @@ impl Obstacles {
             return;
         }
         let steps = motion.horizon().steps();
-        let body = robot.body(motion.start_shape());
+        let body = robot.body(&motion.start_shape());
         // What body and obstacle can do in one period; over k periods at most k times as much.
         let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {

@@ -84,12 +84,18 @@ impl Configuration {
         Self::zeros(section_count)
     }
 
-    /// The first of `components` (rad), for `section_count` sections, held within 1 to 6.
-    pub(crate) fn of_first(components: &[f64; COORDINATES_MAX], section_count: usize) -> Self {
-        let mut configuration = Self::zeros(section_count);
-        let bends = configuration.as_mut_slice();
-        bends.copy_from_slice(&components[..bends.len()]);
-        configuration
+    /// From components (rad) that are zero beyond `section_count`, 1 to 6.
+    pub(crate) fn padded(components: [f64; COORDINATES_MAX], section_count: usize) -> Self {
+        debug_assert!((1..=SECTIONS_MAX).contains(&section_count));
+        debug_assert!(
+            components[2 * section_count..]
+                .iter()
+                .all(|bend| *bend == 0.0)
+        );
+        Self {
+            components,
+            section_count,
+        }
     }
 
     /// From the paper's coordinates: (θ, φ) (rad) of each section, base first, 1 to 6 of them (further ones are ignored; none

@@ -197,7 +197,7 @@ fn channel_ways_rad(
     measurement: &Measurement,
     commanded_rad: &[f64; COORDINATES_MAX],
 ) -> [f64; CABLES_MAX] {
-    let commanded = Configuration::of_first(commanded_rad, robot.section_count());
+    let commanded = Configuration::padded(*commanded_rad, robot.section_count());
     if let Measurement::CableLengths(_) = measurement {
         // Linear: a way of the bends gives a way of the cables.
         let mut ways = robot.cable_strokes(&commanded);

@@ -6,6 +6,7 @@
 )]
 
 mod clearance;
+mod examples;
 mod jacobian;
 mod kinematics_golden;
 mod last_word;

@@ -1,0 +1,170 @@
+//! A simulation of what a daemon does: plan, last word, move, once a period.
+//!
+//! The ideal robot is exactly where its commands bring it, and nothing is late. Estimator, modes and faults are left out:
+//! they have nothing to do there.
+
+use crate::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport};
+use crate::optimizer::{Budget, cycle_seed};
+use crate::reference::ReferenceSample;
+use crate::robot::{BendRates, Configuration, Obstacle, Robot};
+use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
+
+/// The ideal robot, the obstacles and the reference around it, and the last word on its commands.
+///
+/// One period is [`Self::step`]; who solves otherwise takes [`Self::input`] and hands the rates to [`Self::advance`].
+#[derive(Debug, Clone)]
+pub struct ClosedLoop<R> {
+    robot: Robot,
+    period_s: f64,
+    settings: NmpcSettings,
+    acceleration_rad_s2: f64,
+    reference_at: R,
+    /// Where they are at time 0.
+    obstacles_at_start: Vec<Obstacle>,
+    cycle: u64,
+    configuration: Configuration,
+    /// Where they are now.
+    obstacles: Vec<Obstacle>,
+    /// The reference at the steps of the horizon.
+    reference: Vec<ReferenceSample>,
+    command: SafeCommand,
+}
+
+impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
+    /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are where they are then, and
+    /// move on at their velocity. `reference_at` is asked for times (s) of releases.
+    pub fn new(
+        robot: &Robot,
+        period_s: f64,
+        settings: NmpcSettings,
+        start: Configuration,
+        obstacles: &[Obstacle],
+        reference_at: R,
+    ) -> Self {
+        let mut begin = Self {
+            robot: robot.clone(),
+            period_s,
+            settings,
+            acceleration_rad_s2: f64::INFINITY,
+            reference_at,
+            obstacles: Vec::with_capacity(obstacles.len()),
+            obstacles_at_start: obstacles.to_vec(),
+            cycle: 0,
+            configuration: start,
+            reference: Vec::new(),
+            command: SafeCommand {
+                rates: BendRates::zero(robot.section_count()),
+                limits_hit: LimitsHit::default(),
+                clearance_hit: false,
+                clearance_m: f64::INFINITY,
+            },
+        };
+        begin.look_around();
+        begin
+    }
+
+    /// The same with a largest acceleration of each bend component (rad/s²), as a robot behind a driver has one.
+    #[must_use]
+    pub fn with_acceleration(self, acceleration_rad_s2: f64) -> Self {
+        Self {
+            acceleration_rad_s2,
+            ..self
+        }
+    }
+
+    /// One period: solves without a limit on time, makes the result safe, and moves on.
+    pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
+        let (wish, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
+        self.advance(&wish);
+        report
+    }
+
+    /// What a solve of this period starts from.
+    pub fn input(&self) -> SolveInput<'_> {
+        SolveInput {
+            configuration: &self.configuration,
+            previous_rates: &self.command.rates,
+            reference: &self.reference,
+            obstacles: &self.obstacles,
+            elapsed_periods: 1,
+            seed: cycle_seed(self.settings.seed, self.cycle),
+        }
+    }
+
+    /// Makes `wish` safe as a daemon does (acceleration, limits, clearance guard), moves the robot by what is left of it and
+    /// the obstacles by their velocity, and goes on to the next period.
+    pub fn advance(&mut self, wish: &BendRates) {
+        let situation = Situation {
+            robot: &self.robot,
+            at: &self.configuration,
+            commanded: None,
+            previous: &self.command.rates,
+            obstacles: &self.obstacles,
+            safe_distance_m: self.settings.safe_distance_m,
+            acceleration_rad_s2: self.acceleration_rad_s2,
+            period_s: self.period_s,
+            // The ideal robot gets every command, and stops at once.
+            moving_s: self.period_s,
+            deceleration_rad_s2: f64::INFINITY,
+            comes_to_rest: false,
+        };
+        self.command = safe_command(&situation, wish);
+        self.configuration = self
+            .configuration
+            .advanced(&self.command.rates, self.period_s);
+        self.cycle += 1;
+        self.look_around();
+    }
+
+    /// Time since the start (s).
+    pub fn time_s(&self) -> f64 {
+        self.cycle as f64 * self.period_s
+    }
+
+    /// Periods that have passed.
+    pub fn cycle(&self) -> u64 {
+        self.cycle
+    }
+
+    /// The robot.
+    pub fn robot(&self) -> &Robot {
+        &self.robot
+    }
+
+    /// How it is bent now.
+    pub fn configuration(&self) -> &Configuration {
+        &self.configuration
+    }
+
+    /// The last command, and what limits and guard changed of it.
+    pub fn command(&self) -> &SafeCommand {
+        &self.command
+    }
+
+    /// From where the reference is now to where the tip is (m).
+    pub fn error_m(&self) -> f64 {
+        let goal_m = (self.reference_at)(self.time_s()).position_m;
+        (self.robot.tip_position(&self.configuration) - goal_m).norm()
+    }
+
+    /// Clearance of the whole body now (m); infinite without obstacles.
+    pub fn clearance_m(&self) -> f64 {
+        let body = self.robot.body(&self.configuration);
+        let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
+        clearances_m.fold(f64::INFINITY, f64::min)
+    }
+
+    /// Obstacles now, and the reference over the horizon.
+    fn look_around(&mut self) {
+        let time_s = self.time_s();
+        self.obstacles.clear();
+        let from_the_start = self.obstacles_at_start.iter();
+        self.obstacles
+            .extend(from_the_start.map(|obstacle| obstacle.moved(time_s)));
+        let first = self.cycle + 1;
+        let cycles = first..first + u64::from(self.settings.horizon_steps);
+        let times_s = cycles.map(|cycle| cycle as f64 * self.period_s);
+        self.reference.clear();
+        self.reference.extend(times_s.map(&self.reference_at));
+    }
+}
