@@ -113,9 +113,9 @@ step "the daemon as the service runs it: its user, folder, limits, no capabiliti
 unit() { sed -n "s/^$1=//p" /usr/lib/systemd/system/cdcrd.service; }
 [ "$(unit User):$(unit RuntimeDirectory):$(unit Environment)" = cdcr:cdcr:CDCR_ROOT=/run/cdcr ] || fail "the unit changed"
 [ ! -e /run/cdcr ] || fail "/run/cdcr exists already"
-install -d -o cdcr -g cdcr -m 0750 /run/cdcr
+install -d -o cdcr -g cdcr -m 0700 /run/cdcr
 # systemd has it in memory; a container may not.
-[ "$(stat -f -c %T /run/cdcr)" = tmpfs ] || mount -t tmpfs -o uid=cdcr,gid=cdcr,mode=0750 tmpfs /run/cdcr
+[ "$(stat -f -c %T /run/cdcr)" = tmpfs ] || mount -t tmpfs -o uid=cdcr,gid=cdcr,mode=0700 tmpfs /run/cdcr
 scratch=$(mktemp -d)
 chmod 755 "$scratch"
 configuration=/etc/cdcr/cdcr.toml

@@ -8,7 +8,7 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Pose};
-use cdcr_controller::safety::{guard, limit};
+use cdcr_controller::safety::{Situation, safe_command};
 use hdrhistogram::Histogram;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
@@ -99,10 +99,23 @@ impl<'a> ClosedLoop<'a> {
         let Scene {
             robot, period_s, ..
         } = self.scene;
-        let (at, apart_m) = (&self.configuration, self.settings.safe_distance_m);
-        let limited = limit(robot, at, wish, *period_s).rates;
-        let guarded = guard(robot, at, &limited, &self.obstacles, apart_m, *period_s);
-        (self.rates, self.guarded) = (guarded.rates, guarded.hit);
+        let situation = Situation {
+            robot,
+            at: &self.configuration,
+            commanded: None,
+            previous: &self.rates,
+            obstacles: &self.obstacles,
+            safe_distance_m: self.settings.safe_distance_m,
+            // The paper's robot has none.
+            acceleration_rad_s2: f64::INFINITY,
+            period_s: *period_s,
+            // It gets every command.
+            moving_s: *period_s,
+            deceleration_rad_s2: f64::INFINITY,
+            comes_to_rest: false,
+        };
+        let safe = safe_command(&situation, wish);
+        (self.rates, self.guarded) = (safe.rates, safe.clearance_hit);
         self.configuration = self.configuration.advanced(&self.rates, *period_s);
         self.cycle += 1;
         let time_s = self.scene.time_s(self.cycle);

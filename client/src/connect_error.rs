@@ -1,6 +1,6 @@
 use std::path::PathBuf;
 
-use cdcr_shared_types::{Location, LocationError, ServiceNameError};
+use cdcr_shared_types::{Location, LocationError, ServiceNameError, ipc};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::builder::request_response::RequestResponseOpenError;
 
@@ -32,8 +32,9 @@ impl core::fmt::Display for Place {
 pub enum ConnectError {
     /// Nobody answers there.
     #[error(
-        "no daemon is running for {place}: {found}\n\
+        "no daemon is running for {place}: {found}\n{}\
          start one with: cdcrd run --robot {robot} --prefix {prefix} --root {root}",
+        running_text(running),
         robot = place.robot, prefix = place.prefix, root = place.root.display()
     )]
     DaemonNotRunning {
@@ -41,6 +42,8 @@ pub enum ConnectError {
         place: Place,
         /// What was found instead.
         found: &'static str,
+        /// Robots whose daemons run at that place.
+        running: Vec<String>,
     },
     /// A daemon runs, and shows no sign of life.
     #[error(
@@ -71,7 +74,7 @@ pub enum ConnectError {
     /// The files belong to another user.
     #[error(
         "{} belongs to user {owner_id}, this program runs as user {user_id}: only the daemon's own \
-         user can reach it. Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
+         user can reach it, and the group to which that opened it (transport.group). Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
          a daemon of your own with another --root",
         place.root.display()
     )]
@@ -110,6 +113,16 @@ pub enum ConnectError {
 }
 
 impl ConnectError {
+    /// Nobody answers at `place`.
+    pub(crate) fn not_running(place: &Place, found: &'static str) -> Self {
+        let location = Location::new(&place.prefix, &place.root);
+        Self::DaemonNotRunning {
+            place: place.clone(),
+            found,
+            running: location.map_or_else(|_| Vec::new(), |location| location.robots()),
+        }
+    }
+
     /// Whether a daemon that is just starting may make this error go away.
     pub(crate) fn may_pass(&self) -> bool {
         matches!(
@@ -127,20 +140,28 @@ pub(crate) fn not_reached(
     found: &'static str,
     found_of_dead: &'static str,
 ) -> ConnectError {
-    let place = place.clone();
     match location.presence(&place.robot) {
         Some(presence) => ConnectError::Silent {
             process: presence.process_id.map_or_else(
                 || "process unknown".to_owned(),
                 |id| format!("process {id}"),
             ),
-            place,
+            place: place.clone(),
             found,
         },
-        None => ConnectError::DaemonNotRunning {
-            place,
-            found: found_of_dead,
-        },
+        None => ConnectError::not_running(place, found_of_dead),
+    }
+}
+
+/// A line about the robots that could have been meant.
+fn running_text(running: &[String]) -> String {
+    match running {
+        [] => String::new(),
+        [one] => format!("the robot that runs there: {one} (--robot {one})\n"),
+        some => format!(
+            "the robots that run there: {} (--robot NAME)\n",
+            some.join(", ")
+        ),
     }
 }
 
@@ -166,7 +187,7 @@ impl From<PublishSubscribeOpenError> for OpenTrouble {
             | E::IncompatibleAttributes
             | E::VersionMismatch => Self::Mismatch,
             E::ExceedsMaxNumberOfNodes => Self::Full,
-            other => Self::Other(format!("{other:?}")),
+            other => Self::Other(ipc::words(&other)),
         }
     }
 }
@@ -184,7 +205,7 @@ impl From<RequestResponseOpenError> for OpenTrouble {
             | E::IncompatibleAttributes
             | E::VersionMismatch => Self::Mismatch,
             E::ExceedsMaxNumberOfNodes => Self::Full,
-            other => Self::Other(format!("{other:?}")),
+            other => Self::Other(ipc::words(&other)),
         }
     }
 }

@@ -61,7 +61,7 @@ impl Connection {
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_owner(&place)?;
+        check_owner(location, &place)?;
         let services = Services::open(location, &place)?;
         let memory = |cause: String| ConnectError::Memory {
             place: place.clone(),

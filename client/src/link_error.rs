@@ -1,8 +1,8 @@
 use core::fmt::{Debug, Display};
 use std::time::Duration;
 
-use cdcr_shared_types::Service;
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX};
+use cdcr_shared_types::{Service, ipc};
 
 /// Why a port of an open connection could not be made, or did not carry a message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -82,19 +82,19 @@ pub enum LinkError {
 }
 
 impl LinkError {
-    pub(crate) fn port(service: Service, cause: impl Display) -> Self {
+    pub(crate) fn port(service: Service, cause: impl Debug) -> Self {
         let queues = service.queues();
         Self::Port {
             service: service.key(),
-            cause: cause.to_string(),
+            cause: ipc::words(&cause),
             writers: queues.publishers,
             readers: queues.watchers(),
         }
     }
 
-    pub(crate) fn askers(cause: impl Display) -> Self {
+    pub(crate) fn askers(cause: impl Debug) -> Self {
         Self::Askers {
-            cause: cause.to_string(),
+            cause: ipc::words(&cause),
         }
     }
 
@@ -108,14 +108,14 @@ impl LinkError {
     pub(crate) fn send(service: Service, cause: impl Debug) -> Self {
         Self::Send {
             service: service.key(),
-            cause: format!("{cause:?}"),
+            cause: ipc::words(&cause),
         }
     }
 
     pub(crate) fn receive(service: Service, cause: impl Debug) -> Self {
         Self::Receive {
             service: service.key(),
-            cause: format!("{cause:?}"),
+            cause: ipc::words(&cause),
         }
     }
 

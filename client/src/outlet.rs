@@ -26,7 +26,7 @@ impl<T: Message> Outlet<T> {
             .publisher_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(|cause| LinkError::port(T::SERVICE, cause))?;
+            .map_err(|cause| LinkError::port(T::SERVICE, ipc::words(&cause)))?;
         Ok(Self { publisher, sender })
     }
 

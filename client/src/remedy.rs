@@ -13,7 +13,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         }
         Outcome::TimeNotIncreasing => "Give every point a later time than the one before it.",
         Outcome::NoLease => {
-            "Start a reference first (cdcrctl ref …), or acquire the reference lease."
+            "A library's client acquires the lease before it sends; cdcrctl ref does both."
         }
         Outcome::SequenceGap => "Begin again with a chunk in mode replace.",
         Outcome::BufferFull => {
@@ -35,6 +35,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::CauseStands => {
             "Mend the cause first (cdcrctl status names it), then cdcrctl reset again."
         }
+        Outcome::Waits => {
+            "Start the program that sends the obstacles again, or forget them all: cdcrctl obstacle clear."
+        }
         Outcome::Busy => "Wait a moment and try again.",
         Outcome::Stale => "Use one connection for each sender, and count its messages up.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
@@ -49,8 +52,19 @@ pub fn remedy(outcome: Outcome) -> &'static str {
     }
 }
 
+/// Why a request was refused, in the words that fit it.
+pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
+    match (kind, outcome) {
+        (RequestKind::Track, Outcome::NoLease) => "nobody feeds a reference",
+        _ => outcome.text(),
+    }
+}
+
 /// As [`remedy`], for a request that a daemon in `mode` refused.
 pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) -> &'static str {
+    if kind == RequestKind::Track && outcome == Outcome::NoLease {
+        return "Feed one first, for example with: cdcrctl ref spiral --track.";
+    }
     if outcome != Outcome::WrongMode {
         return remedy(outcome);
     }

@@ -9,7 +9,7 @@ use iceoryx2::prelude::BackpressureStrategy;
 use iceoryx2::service::port_factory::PortFactory;
 
 use crate::LinkError;
-use crate::remedy::request_remedy;
+use crate::remedy::{refusal, request_remedy};
 use crate::room::PORT_BYTES;
 use crate::sender::Sender;
 use crate::services::ControlChannel;
@@ -21,7 +21,7 @@ pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum RequestError {
     /// The daemon refused it.
-    #[error("cannot {kind}: {outcome} (the daemon is {mode}). {}", request_remedy(*kind, *outcome, *mode))]
+    #[error("cannot {kind}: {} (the daemon is {mode}). {}", refusal(*kind, *outcome), request_remedy(*kind, *outcome, *mode))]
     Refused {
         /// What was asked for.
         kind: RequestKind,
@@ -116,7 +116,7 @@ impl Control {
             .client_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(LinkError::askers)?;
+            .map_err(|cause| LinkError::askers(ipc::words(&cause)))?;
         Ok(self.port.get_or_init(|| port))
     }
 
@@ -166,13 +166,13 @@ impl Control {
         let port = self.port().map_err(|cause| link(cause.to_string()))?;
         let pending = port
             .send_copy(request)
-            .map_err(|cause| link(format!("{cause:?}")))?;
+            .map_err(|cause| link(ipc::words(&cause)))?;
         loop {
             // Before the look for the answer: a daemon answers first and then lets the request go.
             let is_open = pending.is_connected();
             let answer = pending
                 .receive()
-                .map_err(|cause| link(format!("{cause:?}")))?;
+                .map_err(|cause| link(ipc::words(&cause)))?;
             match answer {
                 Some(answer) if answer.payload().request_sequence == request.header.sequence => {
                     return Ok(Some(*answer.payload()));
@@ -225,7 +225,7 @@ mod tests {
             .to_string();
         assert!(text.contains("acquire the lease"), "{text}");
         assert!(
-            text.contains("another client holds the reference lease"),
+            text.contains("another client feeds the reference"),
             "{text}"
         );
         assert!(text.contains("tracking"), "{text}");

@@ -12,6 +12,8 @@ use crate::{ConnectError, LinkError, RequestError};
 
 /// How long a request tries to find a place, and then waits for its answer.
 const PATIENCE: Duration = Duration::from_secs(1);
+/// How long a stop tries to be answered before it goes as a signal, too. With the start of a program that is within 0.3 s.
+const SIGNAL_AFTER: Duration = Duration::from_millis(200);
 
 /// Asks a daemon for one thing after the other, and does nothing else.
 ///
@@ -51,18 +53,28 @@ impl Requester {
     /// # Errors
     /// As [`Connection::open`](crate::Connection::open), but for the status, which it does not need.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
+        Self::open_until(location, robot, Instant::now() + PATIENCE)
+    }
+
+    fn open_until(
+        location: &Location,
+        robot: &str,
+        deadline: Instant,
+    ) -> Result<Self, ConnectError> {
         let place = Place {
             prefix: location.prefix().to_owned(),
             root: location.root().to_owned(),
             robot: robot.to_owned(),
         };
         Service::Control.name(robot)?;
-        check_owner(&place)?;
+        check_owner(location, &place)?;
         if location.presence(robot).is_none() {
-            let found = "no process holds its lock";
-            return Err(ConnectError::DaemonNotRunning { place, found });
+            return Err(ConnectError::not_running(
+                &place,
+                "no process holds its lock",
+            ));
         }
-        let channel = find_place(location, &place)?;
+        let channel = find_place(location, &place, deadline)?;
         Ok(Self {
             control: Control::new(channel, Sender::new()),
             location: location.clone(),
@@ -78,33 +90,37 @@ impl Requester {
     }
 
     /// Stops the robot, by whatever way there is: a place of its own among those who ask, and where shared memory
-    /// cannot be used or nobody answers, the signal `SIGUSR1`.
+    /// cannot be used or nobody answers within 0.2 s, the signal `SIGUSR1`, too. After that it asks for up to 1 s more,
+    /// for an answer that confirms it.
     ///
     /// # Errors
     /// No daemon runs, or nothing confirmed the stop: then [`StopError`] says what was done.
     pub fn stop(location: &Location, robot: &str) -> Result<Response, StopError> {
-        let failed: StopError = match Self::open(location, robot) {
-            Ok(requester) => match requester.ask_for_stop() {
-                Ok(response) => return Ok(response),
-                // The daemon has answered: there is nothing that a signal could add.
-                Err(error @ RequestError::Refused { .. }) => return Err(error.into()),
-                Err(error) => error.into(),
-            },
-            Err(error) => error.into(),
-        };
-        match location.stop_by_signal(robot) {
-            Ok(process_id) => Err(StopError::Unconfirmed {
+        let first = Self::ask_for_stop(location, robot, SIGNAL_AFTER);
+        if is_answered(&first) {
+            return first;
+        }
+        let signalled = location.stop_by_signal(robot);
+        // A robot that is stopped twice is stopped.
+        let second = Self::ask_for_stop(location, robot, PATIENCE);
+        match (second, signalled) {
+            (second, _) if is_answered(&second) => second,
+            (Err(failed), Ok(process_id)) => Err(StopError::Unconfirmed {
                 process_id,
                 cause: failed.to_string(),
             }),
-            Err(_) => Err(failed),
+            (second, _) => second,
         }
     }
 
-    fn ask_for_stop(self) -> Result<Response, RequestError> {
-        let Self { control, location } = self;
+    fn ask_for_stop(
+        location: &Location,
+        robot: &str,
+        patience: Duration,
+    ) -> Result<Response, StopError> {
+        let deadline = Instant::now() + patience;
+        let Self { control, location } = Self::open_until(location, robot, deadline)?;
         let control = control.with_kept_places();
-        let deadline = Instant::now() + PATIENCE;
         // Who has a kept place leaves it soon: it only stops, too.
         while let Err(LinkError::Askers { .. }) = control.port() {
             if Instant::now() >= deadline {
@@ -113,13 +129,25 @@ impl Requester {
             location.clear_dead_nodes(DEAD_NODES);
             thread::sleep(LOOK_AGAIN);
         }
-        control.ask(RequestKind::Stop, SolverSettings::default(), PATIENCE)
+        let left = deadline.saturating_duration_since(Instant::now());
+        Ok(control.ask(RequestKind::Stop, SolverSettings::default(), left)?)
     }
 }
 
+/// Whether the daemon has said what came of it, so that a signal could add nothing.
+fn is_answered(stop: &Result<Response, StopError>) -> bool {
+    matches!(
+        stop,
+        Ok(_) | Err(StopError::Request(RequestError::Refused { .. }))
+    )
+}
+
 /// Opens the service. Where others have all places, it waits for one: they are for those who stay for a moment.
-fn find_place(location: &Location, place: &Place) -> Result<ControlChannel, ConnectError> {
-    let deadline = Instant::now() + PATIENCE;
+fn find_place(
+    location: &Location,
+    place: &Place,
+    deadline: Instant,
+) -> Result<ControlChannel, ConnectError> {
     loop {
         match open_control(location, place) {
             Err(ConnectError::Full { .. }) if Instant::now() < deadline => {

@@ -102,7 +102,7 @@ impl<'a> Opener<'a> {
     fn new(location: &Location, place: &'a Place) -> Result<Self, ConnectError> {
         let node = location.client_node_builder()?.create::<ipc::Service>();
         Ok(Self {
-            node: node.map_err(|cause| memory_error(place, &format!("{cause:?}")))?,
+            node: node.map_err(|cause| memory_error(place, &ipc::words(&cause)))?,
             place,
         })
     }
@@ -138,10 +138,9 @@ impl<'a> Opener<'a> {
         let place = self.place.clone();
         let service = service.key();
         match trouble {
-            OpenTrouble::Missing => ConnectError::DaemonNotRunning {
-                place,
-                found: "there are no services of that name",
-            },
+            OpenTrouble::Missing => {
+                ConnectError::not_running(&place, "there are no services of that name")
+            }
             OpenTrouble::Mismatch => ConnectError::VersionMismatch {
                 place,
                 service,
@@ -153,29 +152,32 @@ impl<'a> Opener<'a> {
     }
 }
 
-/// Checks the owner of the root path before iceoryx2 uses it. A node would create a root path that is missing, and would
+/// Checks whether this user may use the root path before iceoryx2 does. A node would create a root path that is missing, and would
 /// leave a file of ours in the way of a daemon that runs as another user.
-pub(crate) fn check_owner(place: &Place) -> Result<(), ConnectError> {
-    let missing = |cause: io::Error| ConnectError::DaemonNotRunning {
-        place: place.clone(),
-        found: if cause.kind() == io::ErrorKind::PermissionDenied {
+pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), ConnectError> {
+    let missing = |cause: io::Error| {
+        let found = if cause.kind() == io::ErrorKind::PermissionDenied {
             "this user cannot look into the root path (permission denied)"
         } else {
             "the root path does not exist"
-        },
+        };
+        ConnectError::not_running(place, found)
     };
-    let root = std::fs::metadata(&place.root).map_err(missing)?;
-    // The files are private to their owner (0600). The superuser could open those of a daemon, but the daemon not
-    // those of the superuser: neither would hear the other.
-    let user_id = rustix::process::geteuid().as_raw();
-    if root.uid() != user_id {
-        return Err(ConnectError::OtherUser {
-            place: place.clone(),
-            owner_id: root.uid(),
-            user_id,
-        });
+    if location.is_open_to_us().map_err(missing)? {
+        return Ok(());
     }
-    Ok(())
+    let owner_id = std::fs::metadata(&place.root).map_err(missing)?.uid();
+    let user_id = rustix::process::geteuid().as_raw();
+    Err(if owner_id == user_id {
+        let found = "anybody may write to the root path, and no daemon uses such a one";
+        ConnectError::not_running(place, found)
+    } else {
+        ConnectError::OtherUser {
+            place: place.clone(),
+            owner_id,
+            user_id,
+        }
+    })
 }
 
 fn memory_error(place: &Place, cause: &str) -> ConnectError {

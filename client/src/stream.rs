@@ -50,7 +50,7 @@ impl<T: Message> Stream<T> {
         let subscriber = service
             .subscriber_builder()
             .create()
-            .map_err(|cause| LinkError::port(T::SERVICE, cause))?;
+            .map_err(|cause| LinkError::port(T::SERVICE, ipc::words(&cause)))?;
         Ok(Self {
             subscriber,
             gaps: GapCounter::default(),

@@ -182,7 +182,7 @@ fn a_daemon_that_fails_is_quoted_and_nothing_is_left() {
     let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", &temporary));
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("the core is on fire"), "{text}");
+    assert!(text.starts_with("error: the core is on fire\n"), "{text}");
     let left = fs::read_dir(&temporary).expect("there").count();
     assert_eq!(left, 0, "the demo's folder is gone");
 }

@@ -61,7 +61,8 @@ pub fn run_until(
     let validated = &with_core(validated);
     // Before anybody can find this process by its lock: these signals would end it.
     let signals = Signals::catch()?;
-    let instance = Instance::claim(&validated.location, &validated.config.robot.name)?;
+    let (location, robot) = (&validated.location, &validated.config.robot.name);
+    let instance = Instance::claim(location, robot, validated.group_id)?;
     match validated.config.link.kind {
         LinkKind::Simulated => {
             let period_ns = ns(validated.config.cycle.period_ms);

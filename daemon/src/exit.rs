@@ -90,6 +90,8 @@ impl ExitCause {
                     | InstanceError::ForeignLink { .. }
                     | InstanceError::OpenRoot { .. }
                     | InstanceError::RootOnDisk { .. }
+                    | InstanceError::GroupOfRoot { .. }
+                    | InstanceError::GroupRoot { .. }
                     | InstanceError::File { .. },
                 ) => return Some(Self::Root),
                 None => {}

@@ -1,18 +1,21 @@
 //! One daemon per robot and location, and a location that no other user can disturb.
 
+mod acl;
 mod name;
 mod place;
 mod root;
 
-use std::fs::{File, OpenOptions, TryLockError};
+use std::fs::{File, OpenOptions, Permissions, TryLockError};
 use std::io::{Read, Seek, Write};
-use std::os::unix::fs::{MetadataExt, OpenOptionsExt};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::Location;
+use rustix::fs::OFlags;
+use rustix::io::Errno;
 
 use crate::exchange::remains;
 pub(crate) use place::{Found, PlaceWatch};
@@ -78,7 +81,7 @@ pub enum InstanceError {
     /// Other users may write to the root folder.
     #[error(
         "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
-         daemon\nlook what is in it, close it with `chmod go-w {root}`, or choose another with --root"
+         daemon\nlook what is in it, close it with `chmod go-rwx {root}`, or choose another with --root"
     )]
     OpenRoot {
         /// Root folder.
@@ -95,6 +98,24 @@ pub enum InstanceError {
         /// Root folder.
         root: String,
     },
+    /// The members of a group could lead this daemon to change files elsewhere, and it may change all.
+    #[error(
+        "a daemon that runs as root shares {root} with no group: by links in it the members could change files that are root's\n\
+         run it as a user of its own, or leave transport.group empty"
+    )]
+    GroupOfRoot {
+        /// Root folder.
+        root: String,
+    },
+    /// Another user could put a folder in the place of one that a group trusts.
+    #[error(
+        "a group can share only a root folder that lies in one that belongs to root and is closed to others, like /run; \
+         {root} does not\nroot makes one: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group empty"
+    )]
+    GroupRoot {
+        /// Root folder.
+        root: String,
+    },
     /// The lock file cannot be used.
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
     File {
@@ -106,12 +127,16 @@ pub enum InstanceError {
 }
 
 impl Instance {
-    /// Becomes the daemon of `robot` at `location`.
+    /// Becomes the daemon of `robot` at `location`, for its user and a group.
     ///
     /// # Errors
     /// [`InstanceError`] when another daemon is, or the folder cannot be used.
-    pub fn claim(location: &Location, robot: &str) -> Result<Self, InstanceError> {
-        root::prepare(location.root())?;
+    pub fn claim(
+        location: &Location,
+        robot: &str,
+        group_id: Option<u32>,
+    ) -> Result<Self, InstanceError> {
+        root::prepare(location, group_id)?;
         let name = name::take(location, robot)?.map(Arc::new);
         let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
@@ -159,8 +184,9 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
             .create(true)
             .truncate(false)
             .mode(0o600)
+            .custom_flags(OFlags::NOFOLLOW.bits().cast_signed())
             .open(path)
-            .map_err(|cause| file_error(path, cause))?;
+            .map_err(|cause| file_error(path, without_link(cause)))?;
         match file.try_lock() {
             Ok(()) if is_file_at(&file, path) => return Ok(file),
             Ok(()) => {}
@@ -173,6 +199,14 @@ fn lock(path: &Path, location: &Location, robot: &str) -> Result<File, InstanceE
             }
             Err(TryLockError::Error(cause)) => return Err(file_error(path, cause)),
         }
+    }
+}
+
+/// Why a file was not opened, in words where it was for a link in its place.
+fn without_link(cause: std::io::Error) -> std::io::Error {
+    match Errno::from_io_error(&cause) {
+        Some(Errno::LOOP) => std::io::Error::other("it is a symbolic link"),
+        _ => cause,
     }
 }
 
@@ -208,6 +242,8 @@ fn owner_of(file: &mut File) -> String {
 }
 
 fn write_process_id(file: &mut File) -> std::io::Result<()> {
+    // As for all files here, the root folder decides who may look whether a daemon has it.
+    file.set_permissions(Permissions::from_mode(0o666))?;
     file.set_len(0)?;
     file.rewind()?;
     writeln!(file, "{}", std::process::id())
@@ -218,5 +254,36 @@ fn remove_if_there(path: &Path) {
         && error.kind() != std::io::ErrorKind::NotFound
     {
         tracing::warn!(path = %path.display(), %error, "cannot be removed");
+    }
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_in_the_place_of_the_lock_file_is_not_followed() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let location = Location::new("cdcrtest_lock_", &folder.path().join("root")).unwrap();
+        root::prepare(&location, None).unwrap();
+        let elsewhere = folder.path().join("elsewhere");
+        std::fs::write(&elsewhere, "theirs").unwrap();
+        std::os::unix::fs::symlink(&elsewhere, location.lock_file("a")).unwrap();
+        let refused = Instance::claim(&location, "a", None)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            refused.contains("a.lock: it is a symbolic link"),
+            "{refused}"
+        );
+        assert_eq!(std::fs::read_to_string(&elsewhere).unwrap(), "theirs");
+        // Nor by those who ask whether a daemon runs, however the file that it leads to is locked.
+        let locked = File::open(&elsewhere).unwrap();
+        locked.try_lock().unwrap();
+        assert_eq!(location.presence("a"), None);
     }
 }

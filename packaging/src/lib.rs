@@ -10,11 +10,12 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use clap::Command;
+use clap_complete::env::Shells;
 use clap_complete::{Generator, Shell};
 use clap_mangen::Man;
 use clap_mangen::roff::{Roff, roman};
@@ -26,12 +27,13 @@ const GENERATED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/generated");
 pub type Files = BTreeMap<PathBuf, Vec<u8>>;
 
 /// Compares what is committed for a program with what its command line says, or writes it when
-/// `CDCR_GENERATE` is set. `section` is that of the manual: 1 for what users call, 8 for daemons.
+/// `CDCR_GENERATE` is set. `section` is that of the manual: 1 for what users call, 8 for daemons. A program that answers
+/// shells itself, when an environment variable is set, says which: its completions ask it.
 ///
 /// # Errors
 /// When a file is missing, differs, or belongs to a command that is gone.
-pub fn check(command: &Command, section: &str) -> Result<()> {
-    let files = generate(command, section)?;
+pub fn check(command: &Command, section: &str, variable: Option<&str>) -> Result<()> {
+    let files = generate(command, section, variable)?;
     let folder = Path::new(GENERATED);
     if std::env::var_os("CDCR_GENERATE").is_some() {
         return write(folder, command.get_name(), &files);
@@ -43,7 +45,7 @@ pub fn check(command: &Command, section: &str) -> Result<()> {
 ///
 /// # Errors
 /// When a page cannot be rendered.
-pub fn generate(command: &Command, section: &str) -> Result<Files> {
+pub fn generate(command: &Command, section: &str, variable: Option<&str>) -> Result<Files> {
     let name = command.get_name().to_owned();
     // `help` would be a page of its own for each command.
     let mut command = command.clone().disable_help_subcommand(true);
@@ -52,7 +54,18 @@ pub fn generate(command: &Command, section: &str) -> Result<Files> {
     add_pages(&mut files, &command, section)?;
     for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
         let mut text = Vec::new();
-        clap_complete::generate(shell, &mut command, &name, &mut text);
+        match variable {
+            None => clap_complete::generate(shell, &mut command, &name, &mut text),
+            Some(variable) => Shells::builtins()
+                .completer(&shell.to_string())
+                .context("a shell that clap does not know")?
+                .write_registration(variable, &name, &name, &name, &mut text)?,
+        }
+        if variable.is_some() && shell == Shell::Zsh {
+            // Zsh reads the file when the program is completed for the first time.
+            let call = format!("_clap_dynamic_completer_{}", name.replace('-', "_"));
+            writeln!(text, "[[ $funcstack[1] = _{name} ]] && {call}")?;
+        }
         files.insert(Path::new("completions").join(shell.file_name(&name)), text);
     }
     Ok(files)
@@ -174,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_page_for_each_command_and_a_completion_for_each_shell() {
-        let files = generate(&program("fast"), "8").unwrap();
+        let files = generate(&program("fast"), "8", None).unwrap();
         let names: Vec<_> = files.keys().map(|path| path.to_str().unwrap()).collect();
         assert_eq!(
             names,
@@ -195,12 +208,12 @@ mod tests {
     fn what_is_stale_missing_or_left_over_is_found() {
         let folder = tempfile::tempdir().unwrap();
         let folder = folder.path();
-        let files = generate(&program("fast"), "1").unwrap();
+        let files = generate(&program("fast"), "1", None).unwrap();
         let text = |result: Result<()>| format!("{:#}", result.unwrap_err());
         assert!(text(compare(folder, "prog", &files)).contains("CDCR_GENERATE"));
         write(folder, "prog", &files).unwrap();
         compare(folder, "prog", &files).unwrap();
-        let slow = generate(&program("slow"), "1").unwrap();
+        let slow = generate(&program("slow"), "1", None).unwrap();
         assert!(text(compare(folder, "prog", &slow)).contains("not what"));
         fs::write(folder.join("man/prog-gone.1"), "old").unwrap();
         fs::write(folder.join("man/progress.1"), "of another program").unwrap();

@@ -252,7 +252,7 @@ wire_enum! {
         /// Times do not increase strictly.
         TimeNotIncreasing = 4: "times do not increase",
         /// The sender does not hold the reference lease.
-        NoLease = 5: "the sender does not hold the reference lease",
+        NoLease = 5: "the sender has no right to feed a reference (it holds no lease)",
         /// A chunk before this one was lost or refused.
         SequenceGap = 6: "an earlier chunk is missing",
         /// There is no room for it.
@@ -266,7 +266,7 @@ wire_enum! {
         /// The daemon has no such function.
         Unsupported = 11: "this daemon does not support it",
         /// Another client holds the lease.
-        LeaseHeld = 12: "another client holds the reference lease",
+        LeaseHeld = 12: "another client feeds the reference (it holds the lease)",
         /// No reference is buffered that is still ahead.
         NoReference = 13: "there is no reference ahead",
         /// The mode does not allow it.
@@ -289,6 +289,8 @@ wire_enum! {
         WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
         /// The robot has a driver, and the message came from another one.
         OtherDriver = 23: "another driver has the robot",
+        /// The robot waits, though nothing is broken; it may be asked again.
+        Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
     }
 }
 
@@ -532,7 +534,7 @@ mod tests {
         }
         assert_eq!(
             Outcome::try_from(Outcome::COUNT as u32),
-            Err(UnknownCode { code: 24 })
+            Err(UnknownCode { code: 25 })
         );
         assert_eq!(Mode::text_of(77), "unknown code");
     }

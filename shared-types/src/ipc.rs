@@ -15,6 +15,9 @@ use iceoryx2_cal::{
 /// iceoryx2's `ipc::Service`, but all memory is in files below the root folder of the
 /// [`Location`](crate::Location), which belongs to one user, and none in `/dev/shm`, where every user may create files.
 ///
+/// The files and folders in it are open to all (iceoryx2's feature `dev_permissions`). Who may use them is decided by the
+/// root folder alone, which the daemon keeps closed to all but its user and, if it is told so, a group.
+///
 /// Invariant: the root folder lies on a tmpfs, because the system writes
 /// mapped files of a disk back to it, and holds up whoever touches one meanwhile. The daemon checks that at its start.
 #[derive(Debug, Clone)]
@@ -48,3 +51,45 @@ impl service::Service for Service {
 }
 
 impl service::internal::ServiceInternal<Service> for Service {}
+
+/// What iceoryx2 says of a failure, in words: `ExceedsMaxSupportedPublishers` → "exceeds max supported publishers".
+pub fn words(cause: &dyn Debug) -> String {
+    let mut words = String::new();
+    for character in format!("{cause:?}").chars() {
+        match character {
+            ')' => {}
+            '(' => words.push_str(": "),
+            letter if letter.is_ascii_uppercase() => {
+                if words.ends_with(|before: char| before.is_ascii_alphanumeric()) {
+                    words.push(' ');
+                }
+                words.push(letter.to_ascii_lowercase());
+            }
+            other => words.push(other),
+        }
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use iceoryx2::port::ReceiveError;
+    use iceoryx2::port::update_connections::ConnectionFailure;
+    use iceoryx2_cal::zero_copy_connection::ZeroCopyCreationError;
+
+    use super::words;
+
+    #[test]
+    fn failures_are_told_in_words() {
+        assert_eq!(
+            words(&ReceiveError::ExceedsMaxBorrows),
+            "exceeds max borrows"
+        );
+        let cause = ZeroCopyCreationError::InternalError;
+        let failed = ConnectionFailure::FailedToEstablishConnection(cause);
+        assert_eq!(
+            words(&ReceiveError::ConnectionFailure(failed)),
+            "connection failure: failed to establish connection: internal error"
+        );
+    }
+}

@@ -19,7 +19,7 @@
 //! # Rules that every type here keeps
 //!
 //! * `#[repr(C)]`, fixed size, no padding that a reader could mistake for data: gaps are spelt out
-//!   as `reserved` fields. Sizes and offsets are pinned by `tests/layout.rs`.
+//!   as `reserved` fields, which are zero: the daemon refuses a message in which one is not (but a stop). Sizes and offsets are pinned by `tests/layout.rs`.
 //! * An explicit iceoryx2 type name `cdcr.<Type>.v<n>`. iceoryx2 compares name, size and alignment
 //!   only, so **a change of meaning or layout changes the version in the name** and an old peer is
 //!   refused when it opens the service, never misread.
@@ -32,6 +32,7 @@
 //! Invariant: no logic lives here. Nothing validates, computes or decides; the daemon's
 //! `exchange/convert/` does that at the edge.
 
+mod access;
 pub mod codes;
 mod command;
 mod control;

@@ -27,9 +27,9 @@ pub struct Obstacle {
     /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
     pub measured_ns: u64,
     /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
-    /// is over when it arrives is refused as in the past. Where the daemon watches those who send obstacles
-    /// (`obstacles.source_timeout_ms`), one does not expire before its sender is heard after that; in a telemetry record
-    /// this is then 0.
+    /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches those who send obstacles
+    /// (`obstacles.source_timeout_ms`), one does not expire before its sender has sent something after that
+    /// (`header.sent_ns`); in a telemetry record this is then 0.
     pub lifetime_ns: u64,
 }
 

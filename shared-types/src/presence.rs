@@ -6,7 +6,9 @@
 
 use std::fs::{File, TryLockError};
 use std::io::{ErrorKind, Read};
+use std::os::unix::fs::MetadataExt;
 
+use rustix::fs::{Mode, OFlags, open};
 use rustix::io::Errno;
 use rustix::net::sockopt::socket_peercred;
 use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, connect, socket_with};
@@ -31,7 +33,7 @@ pub struct Presence {
 pub enum NameHolder {
     /// Nobody who answers.
     Nobody,
-    /// A process of this user.
+    /// A process of the user to whom the root folder belongs.
     Ours {
         /// Its id; none when it is not visible here.
         process_id: Option<u32>,
@@ -57,10 +59,15 @@ impl Location {
         format!("cdcrd-{hash:016x}-{robot}")
     }
 
+    /// The user to whom the root folder belongs; without one, the user of this process.
+    fn owner_id(&self) -> u32 {
+        std::fs::metadata(self.root()).map_or_else(|_| geteuid().as_raw(), |root| root.uid())
+    }
+
     /// Who holds [`daemon_name`](Self::daemon_name). Never waits.
     pub fn name_holder(&self, robot: &str) -> NameHolder {
         match peer_of(&self.daemon_name(robot)) {
-            Ok((user_id, process_id)) if user_id == geteuid().as_raw() => {
+            Ok((user_id, process_id)) if user_id == self.owner_id() => {
                 NameHolder::Ours { process_id }
             }
             // Its holder has ended.
@@ -82,9 +89,27 @@ impl Location {
         by_lock.or(by_name).map(|_| Presence { process_id })
     }
 
+    /// The robots whose daemons run here, in the order of their names, as far as this user can tell.
+    pub fn robots(&self) -> Vec<String> {
+        let entries = std::fs::read_dir(self.root()).into_iter().flatten();
+        let names = entries.flatten().filter_map(|entry| {
+            let name = entry.file_name().into_string().ok()?;
+            let robot = name.strip_prefix(self.prefix())?.strip_suffix(".lock")?;
+            // Of another prefix, which begins with this one, the daemon has another name.
+            let is_ours = matches!(self.name_holder(robot), NameHolder::Ours { .. });
+            is_ours.then(|| robot.to_owned())
+        });
+        let mut names: Vec<_> = names.collect();
+        names.sort();
+        names
+    }
+
     /// Who has locked the file in the root folder. The daemon tries for longer to lock it than this look takes.
     fn lock_holder(&self, robot: &str) -> Option<Presence> {
-        let mut file = File::open(self.lock_file(robot)).ok()?;
+        // Neither a link nor a pipe in its place leads anywhere.
+        let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
+        let opened = open(self.lock_file(robot), flags, Mode::empty()).ok()?;
+        let mut file = File::from(opened);
         let Err(TryLockError::WouldBlock) = file.try_lock_shared() else {
             return None;
         };
@@ -177,6 +202,31 @@ mod tests {
         assert!(location.stop_by_signal("a").is_err());
         drop(listener);
         assert_eq!(location.presence("a"), None);
+    }
+
+    #[test]
+    fn the_robots_of_a_place_are_those_whose_daemons_live() {
+        let root = std::env::temp_dir().join(format!("cdcrtest_robots_{}", std::process::id()));
+        std::fs::create_dir(&root).unwrap();
+        let location = Location::new("a_", &root).unwrap();
+        let longer = Location::new("a_b_", &root).unwrap();
+        for (of, robot) in [
+            (&location, "y"),
+            (&location, "x"),
+            (&location, "dead"),
+            (&longer, "x"),
+        ] {
+            File::create(of.lock_file(robot)).unwrap();
+        }
+        let _alive = [
+            listen(&location, "y"),
+            listen(&location, "x"),
+            listen(&longer, "x"),
+        ];
+        assert_eq!(location.robots(), ["x", "y"]);
+        assert_eq!(longer.robots(), ["x"]);
+        std::fs::remove_dir_all(&root).unwrap();
+        assert_eq!(location.robots(), Vec::<String>::new());
     }
 
     #[test]

@@ -1,4 +1,6 @@
-use std::path::{Path, PathBuf};
+use std::fs::DirBuilder;
+use std::os::unix::fs::DirBuilderExt;
+use std::path::{Component, Path, PathBuf};
 use std::time::Duration;
 
 use iceoryx2::config::Config;
@@ -55,7 +57,7 @@ pub struct QueueLengths {
 
 impl QueueLengths {
     /// Messages that a reader may hold, and that a writer may have in the making: iceoryx2's defaults.
-    const HELD: usize = 2;
+    pub const HELD: usize = 2;
 
     /// Readers that only watch, at one time.
     pub const fn watchers(self) -> usize {
@@ -177,7 +179,16 @@ pub struct Location {
     root: PathBuf,
 }
 
-/// A prefix or root path that iceoryx2 cannot use.
+/// How many folders deep an absolute path leads, links aside.
+fn depth(path: &Path) -> usize {
+    path.components().fold(0, |depth: usize, part| match part {
+        Component::Normal(_) => depth + 1,
+        Component::ParentDir => depth.saturating_sub(1),
+        _ => depth,
+    })
+}
+
+/// A prefix or root path that cannot be used.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum LocationError {
     /// The prefix is not a legal start of a file name.
@@ -195,7 +206,7 @@ impl core::fmt::Display for LocationError {
             ),
             Self::Root(root) => write!(
                 f,
-                "{} is no root path: use an absolute path of at most 100 characters",
+                "{} is no root path: use an absolute path of at most 100 characters, not / itself",
                 root.display()
             ),
         }
@@ -213,7 +224,7 @@ impl Location {
         if !Self::is_legal_name(prefix) {
             return Err(LocationError::Prefix(prefix.to_owned()));
         }
-        if !root.is_absolute() || root.as_os_str().len() > 100 {
+        if !root.is_absolute() || root.as_os_str().len() > 100 || depth(root) == 0 {
             return Err(LocationError::Root(root.to_owned()));
         }
         let location = Self {
@@ -228,7 +239,7 @@ impl Location {
     /// another user.
     pub const MEMORY: &str = "/dev/shm";
 
-    /// Root path unless a user chooses another: one for each Unix user, because the files are private to their owner.
+    /// Root path unless a user chooses another: one for each Unix user, because the folder is private to its owner.
     ///
     /// It depends on no environment variable: a `stop` has to find the daemon from any shell, service or `sudo`.
     pub fn default_root() -> PathBuf {
@@ -284,11 +295,15 @@ impl Location {
         Ok(config)
     }
 
-    /// A node builder for this location that leaves signals to the process.
+    /// A node builder for this location that leaves signals to the process. Makes the root folder if it is missing, closed to
+    /// others: iceoryx2 would make one that is open to all.
     ///
     /// # Errors
     /// As [`Location::new`].
     pub fn node_builder(&self) -> Result<NodeBuilder, LocationError> {
+        let mut folder = DirBuilder::new();
+        // Where that fails, the node fails, too, and says so.
+        let _ = folder.recursive(true).mode(0o700).create(&self.root);
         Ok(NodeBuilder::new()
             .config(&self.iceoryx2_config()?)
             .signal_handling_mode(SignalHandlingMode::Disabled))

@@ -105,7 +105,7 @@ pub struct Statistics {
 /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
 #[repr(C)]
 #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.Status.v3")]
+#[type_name("cdcr.Status.v4")]
 pub struct Status {
     /// The daemon, sequence, time.
     pub header: Header,
@@ -195,6 +195,11 @@ pub struct Status {
     pub interface: u32,
     /// Zero.
     pub reserved: u32,
+
+    /// Smallest `safe_distance_m` that a client may ask for \[m\]: that of the configuration.
+    pub safe_distance_min_m: f64,
+    /// A sender of obstacles with a lifetime that is not heard for this long is silent \[ns\]; 0: nobody is watched.
+    pub obstacle_source_timeout_ns: u64,
 }
 
 impl Default for Status {
@@ -240,6 +245,8 @@ impl Default for Status {
             following_warnings: 0,
             interface: 0,
             reserved: 0,
+            safe_distance_min_m: 0.0,
+            obstacle_source_timeout_ns: 0,
         }
     }
 }

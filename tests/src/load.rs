@@ -140,6 +140,21 @@ pub fn flood_obstacles(place: &Place, ending: &AtomicBool, done: &Done) {
     });
 }
 
+/// Obstacle updates at 10 kHz, each refused at its last obstacle.
+pub fn flood_bad_obstacles(place: &Place, ending: &AtomicBool) {
+    let connection = connect(place);
+    let sender = connection.obstacle_sender().unwrap();
+    let mut obstacles: [Obstacle; 64] = core::array::from_fn(|index| Obstacle {
+        id: index as u32,
+        start_m: [1.0, 0.0, 0.3],
+        ..Obstacle::default()
+    });
+    obstacles[63].radius_m = -1.0;
+    every(Duration::from_micros(100), ending, || {
+        sender.upsert(&obstacles).unwrap();
+    });
+}
+
 /// A driver that measures now the bends, now the cables, and at times falls silent for long enough to be a
 /// fault.
 pub fn drive(place: &Place, ending: &AtomicBool) {

@@ -92,6 +92,6 @@ mod tests {
 
     #[test]
     fn the_manual_is_what_the_command_line_says() {
-        cdcr_packaging::check(&Cli::command(), "1").expect("up to date");
+        cdcr_packaging::check(&Cli::command(), "1", None).expect("up to date");
     }
 }

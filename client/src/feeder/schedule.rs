@@ -135,7 +135,7 @@ fn ns(duration: Duration) -> u64 {
     duration.as_nanos() as u64
 }
 
-#[cfg(test)]
+#[cfg(all(test, feature = "csv"))]
 mod tests {
     use super::*;
     use crate::{FileTrajectory, Spiral};

@@ -1,4 +1,9 @@
-use std::path::{Path, PathBuf};
+mod error;
+
+pub use error::TrajectoryFileError;
+
+use std::io::Read;
+use std::path::Path;
 
 use super::{Orientation, Trajectory};
 
@@ -21,106 +26,6 @@ pub struct FileTrajectory {
     times_s: Vec<f64>,
     positions_m: Vec<[f64; 3]>,
     quaternions: Option<Vec<[f64; 4]>>,
-}
-
-/// What is wrong with a reference file, and where.
-#[derive(Debug, thiserror::Error)]
-pub enum TrajectoryFileError {
-    /// It cannot be read.
-    #[error(
-        "cannot read {}: {cause}; it must be a CSV file with the columns t_s,x_m,y_m,z_m or \
-         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
-        path.display()
-    )]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        cause: std::io::Error,
-    },
-    /// It is not CSV.
-    #[error("{}:{line}: {cause}", path.display())]
-    Csv {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// Why.
-        cause: String,
-    },
-    /// The header lacks a column.
-    #[error(
-        "{}:1: column {column} is missing; the header is t_s,x_m,y_m,z_m or \
-         t_s,x_m,y_m,z_m,qx,qy,qz,qw",
-        path.display()
-    )]
-    MissingColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: &'static str,
-    },
-    /// The header names a column twice.
-    #[error("{}:1: column {column} is there more than once", path.display())]
-    DuplicateColumn {
-        /// The file.
-        path: PathBuf,
-        /// The column.
-        column: String,
-    },
-    /// A cell is not a finite number, or too large.
-    #[error(
-        "{}:{line}: {column} is {text:?}; it must be a finite number, at most {MAGNITUDE_MAX:e} either way",
-        path.display()
-    )]
-    NotANumber {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// The column.
-        column: &'static str,
-        /// What stands there.
-        text: String,
-    },
-    /// Time does not go forward.
-    #[error(
-        "{}:{line}: t_s = {time_s} does not come after {previous_s} of the row before; \
-         times must increase by at least 1 µs",
-        path.display()
-    )]
-    TimeNotIncreasing {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// Time in that row \[s\].
-        time_s: f64,
-        /// Time in the row before \[s\].
-        previous_s: f64,
-    },
-    /// A quaternion is not of length 1.
-    #[error("{}:{line}: the quaternion has length {norm:.4}; it must be 1", path.display())]
-    NotUnit {
-        /// The file.
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: u64,
-        /// Its length.
-        norm: f64,
-    },
-    /// There is nothing to follow.
-    #[error(
-        "{} has {rows} rows of data; a reference needs at least 2 below the header \
-         t_s,x_m,y_m,z_m",
-        path.display()
-    )]
-    TooShort {
-        /// The file.
-        path: PathBuf,
-        /// Rows found.
-        rows: usize,
-    },
 }
 
 /// One row of the file, checked by itself.
@@ -151,11 +56,11 @@ impl FileTrajectory {
         let mut reader = csv::ReaderBuilder::new()
             .trim(csv::Trim::All)
             .comment(Some(b'#'))
-            .from_reader(text.as_bytes());
-        let columns = Columns::find(
-            path,
-            reader.headers().map_err(|e| csv_error(path, text, &e))?,
-        )?;
+            // The reader takes a comment that the file ends with for a row.
+            .from_reader(text.as_bytes().chain(&b"\n"[..]));
+        let header = reader.headers().map_err(|e| csv_error(path, text, &e))?;
+        let columns = Columns::find(path, header)?;
+        check_end(path, text, header)?;
         let mut trajectory = Self {
             name: path.display().to_string(),
             times_s: Vec::new(),
@@ -252,6 +157,7 @@ struct Columns {
 
 impl Columns {
     fn find(path: &Path, header: &csv::StringRecord) -> Result<Self, TrajectoryFileError> {
+        check_header(path, header)?;
         // A spreadsheet may put a byte-order mark before the first name.
         let names: Vec<&str> = header
             .iter()
@@ -324,6 +230,44 @@ impl Columns {
             quaternion,
         })
     }
+}
+
+/// Whether the first line is a header at all, of columns that commas separate.
+fn check_header(path: &Path, header: &csv::StringRecord) -> Result<(), TrajectoryFileError> {
+    let path = path.to_owned();
+    if !header.is_empty() && header.iter().all(|name| name.parse::<f64>().is_ok()) {
+        return Err(TrajectoryFileError::NoHeader { path });
+    }
+    let text = header.get(0).unwrap_or("");
+    match text
+        .chars()
+        .find(|letter| [';', '\t', '|', ' '].contains(letter))
+    {
+        Some(found) => Err(TrajectoryFileError::Separator { path, found }),
+        None => Ok(()),
+    }
+}
+
+/// A file that was cut in the middle of a number still has a number there.
+fn check_end(
+    path: &Path,
+    text: &str,
+    header: &csv::StringRecord,
+) -> Result<(), TrajectoryFileError> {
+    let last = text.rsplit(['\n', '\r']).next().unwrap_or("").trim();
+    if last.is_empty() || last.starts_with('#') {
+        return Ok(());
+    }
+    let cells: Vec<_> = last.split(',').collect();
+    let name = header.get(cells.len() - 1).map(str::to_owned);
+    Err(TrajectoryFileError::Cut {
+        path: path.to_owned(),
+        line: text.lines().count(),
+        column: name.unwrap_or_else(|| cells.len().to_string()),
+        text: cells
+            .last()
+            .map_or(String::new(), |cell| cell.trim().to_owned()),
+    })
 }
 
 /// The quaternion with rounding removed, when its length is 1 but for rounding.
@@ -426,6 +370,41 @@ mod tests {
             let text = message(&windows);
             assert!(text.starts_with("ref.csv:3: y_m is"), "{text}");
         }
+    }
+
+    #[test]
+    fn a_file_that_is_cut_is_refused_with_line_and_column() {
+        let whole = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n# remark\n0.1,0,0,0.295\n0.2,0.001,-0.0125,0.29\n";
+        assert!(parse(whole).is_ok());
+        assert!(parse(&format!("{whole}# remark")).is_ok());
+        let last = whole.rfind("0.2,").expect("there");
+        let column = |text: &str| ["t_s", "x_m", "y_m", "z_m"][text.matches(',').count()];
+        for end in last + 1..whole.len() {
+            let said = message(&whole[..end]);
+            let column = column(&whole[last..end]);
+            assert!(
+                said.starts_with(&format!(
+                    "ref.csv:5: the file ends in this line, in column {column}"
+                )),
+                "{end}: {said}"
+            );
+        }
+        let said = message("t_s,x_m,y_m,z_m");
+        assert!(said.contains("column z_m, at \"z_m\""), "{said}");
+    }
+
+    #[test]
+    fn other_separators_and_a_missing_header_are_named() {
+        for (found, said) in [(';', "';'"), ('\t', "'\\t'"), (' ', "' '")] {
+            let text = "t_s,x_m,y_m,z_m\n0,0,0,0.3\n".replace(',', &found.to_string());
+            let start = format!("ref.csv:1: {said} stands between the columns");
+            assert!(message(&text).starts_with(&start), "{}", message(&text));
+        }
+        let said = message("0,0,0,0.3\n1,0,0,0.3\n");
+        assert!(
+            said.starts_with("ref.csv:1: the header is missing"),
+            "{said}"
+        );
     }
 
     #[test]

@@ -3,11 +3,13 @@
 //! Invariant: nothing here knows a clock or a daemon. Time counts from the start of the curve.
 
 mod circle;
+#[cfg(feature = "csv")]
 mod file;
 mod line;
 mod spiral;
 
 pub use circle::Circle;
+#[cfg(feature = "csv")]
 pub use file::{FileTrajectory, TrajectoryFileError};
 pub use line::Line;
 pub use spiral::Spiral;

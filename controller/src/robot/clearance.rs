@@ -64,7 +64,16 @@ impl Body {
     /// is guaranteed for a capsule is 1e-12 m beside rounding. Bounded work: for each section a few square roots, for a
     /// capsule at most 80 Newton steps more (3.4 on average); sections that are further than what is found are skipped.
     pub fn nearest(&self, obstacle: &Obstacle) -> Nearest {
-        let closest = self.closest(obstacle);
+        self.place(&self.closest(obstacle), obstacle)
+    }
+
+    /// The same for one section of this robot, from 0.
+    pub fn nearest_of(&self, section: usize, obstacle: &Obstacle) -> Nearest {
+        let closest = self.closest_of(section, obstacle, &obstacle.shape().axis());
+        self.place(&closest, obstacle)
+    }
+
+    fn place(&self, closest: &Closest, obstacle: &Obstacle) -> Nearest {
         let tube = &self.tubes[closest.section];
         let foot = tube.foot(&closest.axis_m);
         let apart = foot.point_m - closest.axis_m;

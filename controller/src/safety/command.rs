@@ -1,6 +1,7 @@
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::{LimitsHit, accelerate, guard, guard_ramp, limit, shorten, shorten_to_acceleration};
+use super::clearance::{Guard, StoppingWay};
+use super::{Limits, LimitsHit};
 
 /// What a command is checked against.
 #[derive(Debug, Clone, Copy)]
@@ -21,8 +22,35 @@ pub struct Situation<'a> {
     pub acceleration_rad_s2: f64,
     /// Period \[s\].
     pub period_s: f64,
+    /// How long the robot moves by a command when no other follows \[s\], at least a period.
+    pub moving_s: f64,
+    /// How fast the fastest component shrinks after that \[rad/s²\]; infinite: it stops at once.
+    pub deceleration_rad_s2: f64,
     /// Whether the robot comes to rest: then rates are only shortened.
     pub comes_to_rest: bool,
+}
+
+impl Situation<'_> {
+    /// How far no command inside the limits that is not faster than `desired` leads, in time at its rates.
+    fn stopping(&self, desired: &BendRates) -> StoppingWay {
+        let size_rad_s = desired
+            .as_slice()
+            .iter()
+            .map(|rate| rate * rate)
+            .sum::<f64>()
+            .sqrt();
+        let limits_rad_s = self
+            .robot
+            .sections()
+            .iter()
+            .map(|section| section.rate_max_rad_s);
+        let fastest_rad_s = size_rad_s.min(limits_rad_s.fold(0.0, f64::max));
+        let moving_s = self.moving_s.max(self.period_s);
+        StoppingWay {
+            moving_s,
+            way_s: moving_s + 0.5 * fastest_rad_s / self.deceleration_rad_s2,
+        }
+    }
 }
 
 /// A command inside every limit that keeps clear.
@@ -34,59 +62,38 @@ pub struct SafeCommand {
     pub limits_hit: LimitsHit,
     /// Whether the clearance guard changed them.
     pub clearance_hit: bool,
-    /// Smallest clearance of the body now \[m\], as in [`Guarded`](super::Guarded).
+    /// Smallest clearance of the body to any obstacle now \[m\]: negative inside an obstacle, infinite without obstacles, NaN
+    /// when the state is not finite.
     pub clearance_m: f64,
 }
 
-/// What a mode desires, made safe: acceleration, limits, clearance guard, in this order. What the guard made is shortened
-/// to the acceleration and to the limits of the commanded position; if that changes it, it is scaled down once more, to
-/// where it keeps clear. Scaling down keeps all that was made sure of before.
+/// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
+/// hold at the end of the period and, when no other command follows, until the robot rests.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
-    let Situation {
-        robot,
-        at,
-        previous,
-        period_s,
-        ..
-    } = *situation;
-    let change_rad_s = situation.acceleration_rad_s2 * period_s;
-    let (rates, is_cut) = accelerate(previous, desired, change_rad_s);
-    let (limit, guard) = if situation.comes_to_rest {
-        (
-            shorten as fn(&_, &_, &_, _) -> _,
-            guard_ramp as fn(&_, &_, &_, &_, _, _) -> _,
-        )
+    let stopping = situation.stopping(desired);
+    let limits = Limits::new(situation.robot, situation.at, stopping.way_s)
+        .with_commanded(situation.commanded);
+    let guard = Guard {
+        robot: situation.robot,
+        at: situation.at,
+        obstacles: situation.obstacles,
+        safe_distance_m: situation.safe_distance_m,
+        period_s: situation.period_s,
+        stopping,
+    };
+    let (limited, guarded) = if situation.comes_to_rest {
+        let limited = limits.shorten(desired);
+        (limited, guard.scale_down(&limited.rates))
     } else {
-        (
-            limit as fn(&_, &_, &_, _) -> _,
-            guard as fn(&_, &_, &_, &_, _, _) -> _,
-        )
+        let change_rad_s = situation.acceleration_rad_s2 * situation.period_s;
+        let limits = limits.with_acceleration(situation.previous, change_rad_s);
+        let limited = limits.nearest(desired);
+        (limited, guard.keep_clear(&limits, &limited.rates))
     };
-    let limited: super::Limited = limit(robot, at, &rates, period_s);
-    let (obstacles, safe_m) = (situation.obstacles, situation.safe_distance_m);
-    let guarded: super::Guarded = guard(robot, at, &limited.rates, obstacles, safe_m, period_s);
-    let (mut rates, is_shortened) = shorten_to_acceleration(previous, &guarded.rates, change_rad_s);
-    let mut limits_hit = LimitsHit {
-        acceleration: is_cut | is_shortened,
-        ..limited.hit
-    };
-    // Where both are the same, the limits hold already.
-    if let Some(commanded) = situation.commanded.filter(|commanded| *commanded != at) {
-        let shortened = shorten(robot, commanded, &rates, period_s);
-        rates = shortened.rates;
-        limits_hit = limits_hit.or(shortened.hit);
-    }
-    // Half of a way round an obstacle may lead nearer to it than the whole.
-    let mut clearance_hit = guarded.hit;
-    if rates != guarded.rates {
-        let kept = guard_ramp(robot, at, &rates, obstacles, safe_m, period_s);
-        rates = kept.rates;
-        clearance_hit |= kept.hit;
-    }
     SafeCommand {
-        rates,
-        limits_hit,
-        clearance_hit,
+        rates: guarded.rates,
+        limits_hit: limited.hit,
+        clearance_hit: guarded.hit,
         clearance_m: guarded.clearance_m,
     }
 }
@@ -136,6 +143,8 @@ mod tests {
                 safe_distance_m: 0.01,
                 acceleration_rad_s2: 40.0,
                 period_s: PERIOD_S,
+                moving_s: 3.0 * PERIOD_S,
+                deceleration_rad_s2: 40.0,
                 comes_to_rest,
             };
             let desired = if comes_to_rest {

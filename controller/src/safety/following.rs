@@ -112,16 +112,13 @@ impl FollowingWatch {
             self.draw_to(measured, gain);
         }
         self.unmeasured_s = 0.0;
-        let since_s = self.now_s - self.rules.lag_s;
+        let (least, most) = self.commanded_range();
         let mut off_rad = [0.0; COORDINATES_MAX];
-        for (i, measured) in measured.as_slice().iter().enumerate() {
-            let (mut least, mut most) =
-                (self.commanded.as_slice()[i], self.commanded.as_slice()[i]);
-            for past in self.past.iter().filter(|past| past.until_s >= since_s) {
-                least = least.min(past.commanded.as_slice()[i]);
-                most = most.max(past.commanded.as_slice()[i]);
-            }
-            off_rad[i] = (measured - most).max(0.0) + (measured - least).min(0.0);
+        let range = least.as_slice().iter().zip(most.as_slice());
+        for ((off, measured), (least, most)) in
+            off_rad.iter_mut().zip(measured.as_slice()).zip(range)
+        {
+            *off = (measured - most).max(0.0) + (measured - least).min(0.0);
         }
         let off_rad = &off_rad[..2 * robot.section_count()];
         self.error = FollowingError::default();
@@ -141,6 +138,20 @@ impl FollowingWatch {
     /// Whether the robot does not follow.
     pub fn is_broken(&self) -> bool {
         self.error.largest_rad() > self.rules.fault_rad
+    }
+
+    /// The least and the largest of each component that was commanded within the lag.
+    fn commanded_range(&self) -> (Configuration, Configuration) {
+        let since_s = self.now_s - self.rules.lag_s;
+        let (mut least, mut most) = (self.commanded, self.commanded);
+        for past in self.past.iter().filter(|past| past.until_s >= since_s) {
+            let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
+            for ((least, most), &past) in range.zip(past.commanded.as_slice()) {
+                *least = least.min(past);
+                *most = most.max(past);
+            }
+        }
+        (least, most)
     }
 
     fn draw_to(&mut self, measured: &Configuration, gain: f64) {

@@ -140,6 +140,9 @@ pub enum Refusal {
     /// The cause of the fault still stands.
     #[error("the cause of the fault still stands")]
     CauseStands,
+    /// The robot has to wait, though nothing is broken: [`Observation::wait`].
+    #[error("the robot has to wait")]
+    Waits,
     /// A stop came in the same cycle.
     #[error("a stop came in the same cycle")]
     Overruled,
@@ -252,7 +255,7 @@ impl ModeMachine {
                 Ok(())
             }
             (Request::Track | Request::Home, Mode::Holding { .. }) if seen.wait.is_some() => {
-                Err(Refusal::CauseStands)
+                Err(Refusal::Waits)
             }
             (Request::Track, Mode::Holding { .. }) => self.track(seen),
             (Request::Home, Mode::Holding { .. } | Mode::Homing) => {

@@ -8,6 +8,7 @@
 mod clearance;
 mod jacobian;
 mod kinematics_golden;
+mod last_word;
 mod nmpc;
 mod scenes;
 mod subnormal;

@@ -8,7 +8,7 @@ use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 
 use crate::config::{
-    ConfigError, DEFAULT_TEXT, Layers, Origin, Settings, Validated, doubts, explain, schema,
+    ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, doubts, explain,
 };
 
 #[allow(
@@ -160,7 +160,7 @@ fn text_of(value: OsString, key: &str, origin: &Origin) -> Result<String, Config
 pub(super) fn execute(command: ConfigCommand) -> Result<()> {
     match command {
         ConfigCommand::Default => say(DEFAULT_TEXT),
-        ConfigCommand::Schema => say(&format!("{:#}\n", schema())),
+        ConfigCommand::Schema => say(SCHEMA_TEXT),
         ConfigCommand::Explain { key, source } => say(&explain(&key, &source.settings()?)?),
     }
 }

@@ -1,22 +1,23 @@
-use std::path::PathBuf;
+use std::borrow::Cow;
+use std::io::ErrorKind;
+use std::ops::Range;
+use std::path::{Path, PathBuf};
 
 use super::Origin;
+use super::origin::line_at;
 
 /// What is wrong with a configuration, and where.
 #[derive(Debug, thiserror::Error)]
 pub enum ConfigError {
     /// The file cannot be read.
-    #[error(
-        "cannot read the configuration {}: {cause}\n\
-         `cdcrd config default > {}` writes one to start from", file.display(), file.display()
-    )]
+    #[error("cannot read the configuration {}: {cause}{}", short(&file.display().to_string()), start(file, cause))]
     Unreadable {
         /// The file.
         file: PathBuf,
         /// Why.
         cause: std::io::Error,
     },
-    /// The text is no TOML, or has wrong types.
+    /// The text is no TOML.
     #[error("{}: {cause}", file.display())]
     Syntax {
         /// The file.
@@ -25,7 +26,7 @@ pub enum ConfigError {
         cause: String,
     },
     /// A key that nobody knows.
-    #[error("{}unknown key {key}: {}", place(origin), remedy(*nearest))]
+    #[error("{}unknown key {key}: {}", place(origin), remedy(*nearest), key = short(key))]
     Unknown {
         /// Where it was set.
         origin: Origin,
@@ -35,7 +36,7 @@ pub enum ConfigError {
         nearest: Option<&'static str>,
     },
     /// A value is not allowed.
-    #[error("{}{key}: {message}", place(origin))]
+    #[error("{}{key}: {message}", place(origin), key = short(key), message = short(message))]
     Value {
         /// Where it was set.
         origin: Origin,
@@ -44,6 +45,34 @@ pub enum ConfigError {
         /// What is wrong, and what is allowed.
         message: String,
     },
+}
+
+/// Characters of a text that an error quotes: about a line of a terminal.
+const QUOTED_MAX: usize = 200;
+/// Of them, how many are from its end, where the words about a long value are.
+const QUOTED_END: usize = 120;
+
+/// A text, or its beginning and its end when it is longer than anybody reads.
+pub(super) fn short(text: &str) -> Cow<'_, str> {
+    let count = text.chars().count();
+    if count <= QUOTED_MAX {
+        return text.into();
+    }
+    let start: String = text.chars().take(QUOTED_MAX - QUOTED_END).collect();
+    let end: String = text.chars().skip(count - QUOTED_END).collect();
+    format!("{start} … {end}").into()
+}
+
+/// The way to a first configuration, where there is no file.
+fn start(file: &Path, cause: &std::io::Error) -> String {
+    if cause.kind() != ErrorKind::NotFound {
+        return String::new();
+    }
+    let file = file.display().to_string();
+    format!(
+        "\n`cdcrd config default > {}` writes one to start from",
+        short(&file)
+    )
 }
 
 fn place(origin: &Origin) -> String {
@@ -58,6 +87,16 @@ fn remedy(nearest: Option<&str>) -> String {
         Some(key) => format!("did you mean {key}?"),
         None => "`cdcrd config default` shows every key".to_owned(),
     }
+}
+
+/// Where a text is no TOML, as the parser shows it: with the line itself, unless nobody could read that.
+pub(super) fn syntax(text: &str, span: Option<Range<usize>>, shown: &str, message: &str) -> String {
+    let shown = for_people(shown);
+    if shown.lines().all(|line| line.chars().count() <= QUOTED_MAX) {
+        return shown;
+    }
+    let line = line_at(text, span.map_or(0, |span| span.start));
+    format!("line {line}: {}", short(&for_people(message)))
 }
 
 /// What the parser says, without the names that types have in Rust.

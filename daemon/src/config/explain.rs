@@ -36,7 +36,7 @@ pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
 
 /// What there is to say about one key or the head of a table.
 fn about(key: &str, settings: &Settings) -> String {
-    let schema = schema();
+    let schema = schema::committed();
     let node = schema::node(&schema, key).unwrap_or(&Value::Null);
     let mut lines = vec![key.to_owned()];
     let comment = manual::comment(key).unwrap_or_default();

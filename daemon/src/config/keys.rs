@@ -80,8 +80,14 @@ pub(super) fn without_indices(key: &str) -> String {
     parts.collect::<Vec<_>>().join(".")
 }
 
+/// Longest name that may be a misspelling \[bytes\]: the likeness of long ones takes long to tell.
+const MISSPELT_MAX: usize = 100;
+
 /// The known key that `unknown` most likely means.
 pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
+    if unknown.len() > MISSPELT_MAX {
+        return None;
+    }
     let unknown = without_indices(&unknown.to_lowercase());
     let scored = all().iter().map(|known| (likeness(&unknown, known), known));
     let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(a.1)));
@@ -112,6 +118,9 @@ fn split(key: &str) -> (&str, &str) {
 
 /// The variable of a known key that a variable of another name most likely means.
 pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
+    if unknown.len() > MISSPELT_MAX {
+        return None;
+    }
     let name = |variable: &str| variable.trim_start_matches("CDCR_").to_owned();
     let known = settable().keys().map(|key| variable(key));
     let scored = known.map(|known| {

@@ -1,13 +1,18 @@
 use std::ffi::OsString;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 use std::str::FromStr;
 
 use toml::{Table, Value};
 use toml_edit::{Document, DocumentMut, Item};
 
-use super::error::for_people;
-use super::origin::line_at;
+use super::error::{for_people, syntax};
+use super::origin::{key_at, line_at};
 use super::{Config, ConfigError, Origin, Origins, Settings, keys};
+
+/// Largest configuration \[bytes\]: a hundred times one with every key.
+const FILE_BYTES_MAX: u64 = 1 << 20;
 
 /// What was set, layer upon layer: what comes later wins, key by key. Begin with the file.
 #[derive(Debug, Clone, Default)]
@@ -22,7 +27,7 @@ impl Layers {
     /// # Errors
     /// [`ConfigError`] when it cannot be read, is no TOML, has unknown keys or wrong types.
     pub fn file(self, path: &Path) -> Result<Self, ConfigError> {
-        let text = std::fs::read_to_string(path).map_err(|cause| ConfigError::Unreadable {
+        let text = read(path).map_err(|cause| ConfigError::Unreadable {
             file: path.to_owned(),
             cause,
         })?;
@@ -34,19 +39,22 @@ impl Layers {
     /// # Errors
     /// As [`Layers::file`].
     pub fn text(mut self, text: &str, file: &Path) -> Result<Self, ConfigError> {
-        let syntax = |cause: String| ConfigError::Syntax {
+        let document = Document::parse(text.to_owned()).map_err(|error| ConfigError::Syntax {
             file: file.to_owned(),
-            cause: for_people(&cause),
-        };
-        let document =
-            Document::parse(text.to_owned()).map_err(|error| syntax(error.to_string()))?;
+            cause: syntax(text, error.span(), &error.to_string(), error.message()),
+        })?;
         if let Some((key, offset)) = keys::first_unknown(document.as_table()) {
             let line = offset.map(|offset| line_at(text, offset));
             let file = file.to_owned();
             return Err(unknown(&key, Origin::File { file, line }));
         }
-        toml::from_str::<Config>(text).map_err(|error| syntax(error.to_string()))?;
-        let values: Table = toml::from_str(text).map_err(|error| syntax(error.to_string()))?;
+        let mistyped = |cause: &toml::de::Error| {
+            let line = cause.span().map(|span| line_at(text, span.start));
+            let file = file.to_owned();
+            mistyped(text, "the file", &Origin::File { file, line }, cause)
+        };
+        toml::from_str::<Config>(text).map_err(|cause| mistyped(&cause))?;
+        let values: Table = toml::from_str(text).map_err(|cause| mistyped(&cause))?;
         self.take_over(values);
         self.origins.set_file(file.to_owned(), document);
         Ok(self)
@@ -113,8 +121,9 @@ impl Layers {
             return Err(unknown(&inner, origin));
         }
         let text = document.to_string();
-        toml::from_str::<Config>(&text)
-            .map_err(|cause| error(key, &origin, &for_people(cause.message())))?;
+        if let Err(cause) = toml::from_str::<Config>(&text) {
+            return Err(mistyped(&text, key, &origin, &cause));
+        }
         let values =
             Table::from_str(&text).map_err(|cause| error(key, &origin, cause.message()))?;
         self.take_over(values);
@@ -146,6 +155,32 @@ impl Layers {
             }
         }
     }
+}
+
+/// The text of a file. What is no file is not opened: a pipe may never end, and a device may do something.
+fn read(path: &Path) -> io::Result<String> {
+    let refused = |words: &str| Err(io::Error::other(words));
+    let metadata = std::fs::metadata(path)?;
+    if !metadata.is_file() {
+        return refused("it is no file");
+    }
+    let mut text = String::new();
+    let file = File::open(path)?;
+    file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text)?;
+    if text.len() as u64 > FILE_BYTES_MAX {
+        return refused("it is larger than 1 MiB");
+    }
+    Ok(text)
+}
+
+/// The error of a value in `text` that has not the type of its key, at the innermost key that holds it.
+fn mistyped(text: &str, key: &str, origin: &Origin, cause: &toml::de::Error) -> ConfigError {
+    let inner = cause.span().and_then(|span| {
+        let document = Document::parse(text).ok()?;
+        key_at(document.as_item(), span.start)
+    });
+    let key = inner.as_deref().unwrap_or(key);
+    error(key, origin, &for_people(cause.message()))
 }
 
 /// The text of a variable.

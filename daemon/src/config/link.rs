@@ -1,11 +1,11 @@
 use cdcr_controller::robot::{Configuration, Robot};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins, ns};
 
 /// Which robot is controlled.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkKind {
     /// The ideal kinematic robot inside the daemon.
@@ -16,7 +16,8 @@ pub enum LinkKind {
 }
 
 /// What of a command the robot's driver obeys.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Interface {
     /// The speeds.
@@ -27,7 +28,8 @@ pub enum Interface {
 }
 
 /// Where measurements come from and commands go to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct LinkConfig {
     /// Which robot.
@@ -87,7 +89,7 @@ impl LinkConfig {
                     index + 1,
                     section.bend_max_rad
                 );
-                return Err(origins.error(&[key], &message));
+                return Err(origins.error(&[&format!("{key}[{index}]")], &message));
             }
         }
         let flat: Vec<f64> = given.iter().flatten().copied().collect();

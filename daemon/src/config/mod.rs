@@ -39,7 +39,6 @@ use std::path::Path;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use cycle::CycleConfig;
@@ -55,7 +54,7 @@ pub use realtime::{RealtimeConfig, RealtimeMode};
 pub use reference::ReferenceConfig;
 pub use robot::RobotConfig;
 pub use safety::SafetyConfig;
-pub use schema::schema;
+pub use schema::SCHEMA_TEXT;
 pub use settings::Settings;
 pub use transport::TransportConfig;
 
@@ -63,7 +62,8 @@ pub use transport::TransportConfig;
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
 /// Everything a user can set.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct Config {
     /// What the robot is.
@@ -99,6 +99,8 @@ pub struct Validated {
     pub initial: Configuration,
     /// Where daemon and clients meet.
     pub location: Location,
+    /// The group that may take part, beside the daemon's user.
+    pub group_id: Option<u32>,
 }
 
 /// Nanoseconds of a duration in milliseconds that was validated.

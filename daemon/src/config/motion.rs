@@ -1,11 +1,11 @@
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Time that a robot has to come to rest when the process ends \[s\]. The unit gives the process a little more.
 pub const REST_MAX_S: f64 = 10.0;
 
 /// Motions that the daemon makes by itself.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct MotionConfig {
     /// How fast rates shrink when holding or stopping \[rad/s²\].

@@ -97,6 +97,24 @@ pub(super) fn line_at(text: &str, offset: usize) -> usize {
     1 + before.filter(|byte| **byte == b'\n').count()
 }
 
+/// The key whose value stands at a byte of the text, written like `robot.sections[1].length_m`.
+pub(super) fn key_at(root: &Item, offset: usize) -> Option<String> {
+    fn below(item: &Item, key: &str, offset: usize) -> Option<String> {
+        let dot = if key.is_empty() { "" } else { "." };
+        let named = item.as_table_like().and_then(|table| {
+            let mut keys = table.iter();
+            keys.find_map(|(name, item)| below(item, &format!("{key}{dot}{name}"), offset))
+        });
+        let mut numbered = (0..).map_while(|index| Some((index, item.get(index)?)));
+        named
+            .or_else(|| {
+                numbered.find_map(|(at, item)| below(item, &format!("{key}[{at}]"), offset))
+            })
+            .or_else(|| item.span()?.contains(&offset).then(|| key.to_owned()))
+    }
+    below(root, "", offset).filter(|key| !key.is_empty())
+}
+
 /// The value of a key, and which bytes of the text the key is, where that is known.
 fn found<'a>(root: &'a Item, key: &str) -> Option<(&'a Item, Option<Range<usize>>)> {
     let mut item = root;

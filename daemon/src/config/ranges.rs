@@ -3,7 +3,7 @@
 use std::ops::RangeInclusive;
 
 use cdcr_controller::{nmpc, robot};
-use serde_json::Value;
+use toml::Value;
 
 use super::{Config, ConfigError, Origins};
 
@@ -142,7 +142,9 @@ pub(super) fn of(key: &str) -> Option<&'static Range> {
 
 /// Refuses the first number outside its range, NaN included.
 pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
-    let values = serde_json::to_value(config).unwrap_or_default();
+    // Not by way of JSON, which has neither NaN nor infinity.
+    let values = Value::try_from(config)
+        .map_err(|error| origins.error(&["the configuration"], &error.to_string()))?;
     for range in &RANGES {
         for (key, value) in found(&values, range.key) {
             if !(range.low..=range.high).contains(&value) {
@@ -155,7 +157,7 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
     Ok(())
 }
 
-/// The numbers of a key, one for each table of a list. (JSON has no NaN and no infinity; both are NaN here.)
+/// The numbers of a key, one for each table of a list.
 fn found(values: &Value, key: &str) -> Vec<(String, f64)> {
     let mut at = vec![(String::new(), values)];
     for part in key.split('.') {
@@ -166,7 +168,10 @@ fn found(values: &Value, key: &str) -> Vec<(String, f64)> {
         at = below.flat_map(each).collect();
     }
     at.into_iter()
-        .map(|(key, value)| (key, value.as_f64().unwrap_or(f64::NAN)))
+        .map(|(key, value)| {
+            let whole = value.as_integer().map(|value| value as f64);
+            (key, value.as_float().or(whole).unwrap_or(f64::NAN))
+        })
         .collect()
 }
 

@@ -1,12 +1,12 @@
 use cdcr_controller::robot::{Robot, RobotError, RobotParameters, SectionParameters};
 use cdcr_shared_types::Service;
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
 /// What the robot is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct RobotConfig {
     /// Name of the robot in the service names.

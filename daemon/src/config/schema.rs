@@ -1,23 +1,13 @@
-use cdcr_controller::robot::ranges::SECTION_COUNT;
-use schemars::generate::SchemaSettings;
-use serde_json::{Map, Value, json};
+use serde_json::Value;
 
-use super::{Config, keys, manual, ranges};
+/// A JSON schema of the configuration (draft 2020-12): types and defaults of the structs, ranges that are checked,
+/// descriptions from the comments of `configs/default.toml`. It is committed, so that the program needs nothing to make
+/// it; a test makes it, and writes it when `CDCR_GENERATE` is set.
+pub const SCHEMA_TEXT: &str = include_str!("../../../configs/schema.json");
 
-/// A JSON schema of the configuration (draft 2020-12): types and defaults of the structs, ranges that are
-/// checked, descriptions from the comments of `configs/default.toml`.
-pub fn schema() -> Value {
-    let mut settings = SchemaSettings::draft2020_12().for_deserialize();
-    settings.inline_subschemas = true;
-    let generator = settings.into_generator();
-    let mut schema = generator.into_root_schema_for::<Config>().to_value();
-    schema["title"] = json!("Configuration of cdcrd");
-    for key in keys::all() {
-        if let Some(node) = node_mut(&mut schema, key) {
-            complete(node, key);
-        }
-    }
-    schema
+/// What [`SCHEMA_TEXT`] says.
+pub(super) fn committed() -> Value {
+    serde_json::from_str(SCHEMA_TEXT).expect("a test compares it with what it is made from")
 }
 
 /// The schema of one key or table.
@@ -28,55 +18,91 @@ pub(super) fn node<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
     })
 }
 
-fn node_mut<'a>(schema: &'a mut Value, key: &str) -> Option<&'a mut Map<String, Value>> {
-    let mut node = schema;
-    for part in key.split('.') {
-        if node.get("items").is_some() {
-            node = node.get_mut("items")?;
-        }
-        node = node.get_mut("properties")?.get_mut(part)?;
-    }
-    node.as_object_mut()
-}
-
-/// Adds what only the comments and the table of ranges know.
-fn complete(node: &mut Map<String, Value>, key: &str) {
-    if let Some(comment) = manual::comment(key) {
-        node.insert("description".to_owned(), json!(comment.replace('\n', " ")));
-    }
-    if let Some(range) = ranges::of(key) {
-        let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
-        let limit = |limit: f64| {
-            if is_whole {
-                json!(limit as i64)
-            } else {
-                json!(limit)
-            }
-        };
-        node.insert("minimum".to_owned(), limit(range.low));
-        node.insert("maximum".to_owned(), limit(range.high));
-    }
-    if key == "robot.sections" {
-        node.insert("minItems".to_owned(), json!(SECTION_COUNT.start()));
-        node.insert("maxItems".to_owned(), json!(SECTION_COUNT.end()));
-    }
-    if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
-        // What Rust calls one table of a list is nothing to people.
-        items.remove("description");
-    }
-    if node.contains_key("properties") {
-        // The defaults are with the keys.
-        node.remove("default");
-    }
-}
-
 #[cfg(test)]
 #[allow(
     clippy::unwrap_used,
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 mod tests {
+    use std::path::Path;
+
+    use cdcr_controller::robot::ranges::SECTION_COUNT;
+    use schemars::generate::SchemaSettings;
+    use serde_json::{Map, json};
+
     use super::*;
+    use crate::config::{Config, keys, manual, ranges};
+
+    /// The schema as it has to be.
+    fn made() -> Value {
+        let mut settings = SchemaSettings::draft2020_12().for_deserialize();
+        settings.inline_subschemas = true;
+        let generator = settings.into_generator();
+        let mut schema = generator.into_root_schema_for::<Config>().to_value();
+        schema["title"] = json!("Configuration of cdcrd");
+        for key in keys::all() {
+            if let Some(node) = node_mut(&mut schema, key) {
+                complete(node, key);
+            }
+        }
+        schema
+    }
+
+    fn node_mut<'a>(schema: &'a mut Value, key: &str) -> Option<&'a mut Map<String, Value>> {
+        let mut node = schema;
+        for part in key.split('.') {
+            if node.get("items").is_some() {
+                node = node.get_mut("items")?;
+            }
+            node = node.get_mut("properties")?.get_mut(part)?;
+        }
+        node.as_object_mut()
+    }
+
+    /// Adds what only the comments and the table of ranges know.
+    fn complete(node: &mut Map<String, Value>, key: &str) {
+        if let Some(comment) = manual::comment(key) {
+            node.insert("description".to_owned(), json!(comment.replace('\n', " ")));
+        }
+        if let Some(range) = ranges::of(key) {
+            let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
+            let limit = |limit: f64| {
+                if is_whole {
+                    json!(limit as i64)
+                } else {
+                    json!(limit)
+                }
+            };
+            node.insert("minimum".to_owned(), limit(range.low));
+            node.insert("maximum".to_owned(), limit(range.high));
+        }
+        if key == "robot.sections" {
+            node.insert("minItems".to_owned(), json!(SECTION_COUNT.start()));
+            node.insert("maxItems".to_owned(), json!(SECTION_COUNT.end()));
+        }
+        if let Some(items) = node.get_mut("items").and_then(Value::as_object_mut) {
+            // What Rust calls one table of a list is nothing to people.
+            items.remove("description");
+        }
+        if node.contains_key("properties") {
+            // The defaults are with the keys.
+            node.remove("default");
+        }
+    }
+
+    #[test]
+    fn the_committed_schema_is_what_it_is_made_from() {
+        let made = made();
+        if std::env::var_os("CDCR_GENERATE").is_some() {
+            let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/schema.json");
+            std::fs::write(file, format!("{made:#}\n")).unwrap();
+        } else {
+            assert!(
+                committed() == made,
+                "run `CDCR_GENERATE=1 cargo test -p cdcr-daemon --lib schema` and commit what it writes"
+            );
+        }
+    }
 
     fn leaves(node: &Value, path: &str, found: &mut Vec<String>) {
         let node = node.get("items").unwrap_or(node);
@@ -93,7 +119,7 @@ mod tests {
 
     #[test]
     fn the_schema_has_every_key_and_no_other() {
-        let schema = schema();
+        let schema = committed();
         assert_eq!(
             schema["$schema"],
             "https://json-schema.org/draft/2020-12/schema"
@@ -113,7 +139,7 @@ mod tests {
 
     #[test]
     fn every_key_is_described_as_in_the_default_file_and_has_its_default() {
-        let schema = schema();
+        let schema = committed();
         for key in keys::all() {
             let node = node(&schema, key).unwrap();
             let description = node["description"].as_str().unwrap();
@@ -132,7 +158,7 @@ mod tests {
 
     #[test]
     fn numbers_have_limits_of_their_type() {
-        let schema = schema();
+        let schema = committed();
         for range in &ranges::RANGES {
             let node = node(&schema, range.key).unwrap();
             assert_eq!(node["minimum"].as_f64(), Some(range.low), "{}", range.key);

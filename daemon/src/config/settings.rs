@@ -34,11 +34,13 @@ impl Settings {
         let initial = config.link.initial(&robot, &origins)?;
         config.realtime.mode = config.realtime.mode.of(config.link.kind);
         let location = config.transport.location(&origins)?;
+        let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {
             config,
             robot,
             initial,
             location,
+            group_id,
         })
     }
 

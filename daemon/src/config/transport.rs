@@ -1,31 +1,55 @@
 use std::path::PathBuf;
 
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, LocationError};
-use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
 /// Where in shared memory daemon and clients meet.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
 pub struct TransportConfig {
     /// Prefix of the shared-memory files.
     pub prefix: String,
     /// Root folder, in memory; empty: `/dev/shm/cdcr-<user id>`.
     pub root: String,
+    /// Group that may take part, by its name in `/etc/group` or its number; empty: none.
+    pub group: String,
 }
+
+/// Where the system keeps its groups.
+const GROUPS: &str = "/etc/group";
 
 impl Default for TransportConfig {
     fn default() -> Self {
         Self {
             prefix: DEFAULT_PREFIX.to_owned(),
             root: String::new(),
+            group: String::new(),
         }
     }
 }
 
 impl TransportConfig {
+    /// Number of the group that may take part.
+    pub(super) fn group_id(&self, origins: &Origins) -> Result<Option<u32>, ConfigError> {
+        if self.group.is_empty() {
+            return Ok(None);
+        }
+        let groups = std::fs::read_to_string(GROUPS).unwrap_or_default();
+        let named = || number_of(&self.group, &groups);
+        let number = self.group.parse().ok().or_else(named);
+        number.map(Some).ok_or_else(|| {
+            let group = &self.group;
+            let message = format!(
+                "{GROUPS} has no group {group:?}: make it (groupadd), or give the number of one that is kept \
+                 elsewhere (getent group)"
+            );
+            origins.error(&["transport.group"], &message)
+        })
+    }
+
     /// The place that prefix and root describe.
     pub(super) fn location(&self, origins: &Origins) -> Result<Location, ConfigError> {
         let root = if self.root.is_empty() {
@@ -40,5 +64,28 @@ impl TransportConfig {
             };
             origins.error(&[key], &error.to_string())
         })
+    }
+}
+
+/// The number of a group in a text like `/etc/group`, see `group(5)`.
+fn number_of(group: &str, groups: &str) -> Option<u32> {
+    groups.lines().find_map(|line| {
+        let mut fields = line.split(':');
+        let number = (fields.next() == Some(group)).then(|| fields.nth(1))??;
+        number.parse().ok()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::number_of;
+
+    #[test]
+    fn a_group_is_found_by_its_whole_name() {
+        let groups = "root:x:0:\nrobots:x:7:a\n# robot\nrobot:x:1001:anna,ben\nbroken:x\n";
+        assert_eq!(number_of("robot", groups), Some(1001));
+        for missing in ["robo", "", "x", "broken", "anna"] {
+            assert_eq!(number_of(missing, groups), None, "{missing}");
+        }
     }
 }

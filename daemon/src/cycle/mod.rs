@@ -515,6 +515,8 @@ impl<L: RobotLink> Cycle<L> {
             safe_distance_m: self.nmpc.settings().safe_distance_m,
             acceleration_rad_s2: self.policy.acceleration_rad_s2,
             period_s: self.period_ns as f64 * 1e-9,
+            moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,
+            deceleration_rad_s2: self.policy.deceleration_rad_s2,
             comes_to_rest,
         };
         let safe = safe_command(&situation, wish);

@@ -461,7 +461,7 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
         }
     );
     let refused = trial.ask(Request::Track).answers[0].unwrap().outcome;
-    assert_eq!(refused, Err(Refusal::CauseStands));
+    assert_eq!(refused, Err(Refusal::Waits));
     trial.inputs.obstacle_source_silent = false;
     trial.turn();
     trial.begin_tracking();

@@ -36,6 +36,7 @@ impl Fake {
                     no_deep_sleep: true,
                     lock_file: root.join("cdcr_cdcr.lock"),
                     root,
+                    is_for_group: false,
                 },
                 probe: Probe {
                     fifo: Ok(()),

@@ -46,11 +46,16 @@ fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
     }
     let mode = folder.permissions().mode() & 0o7777;
     let value = format!("{shown}, owner {owner}, mode {mode:o}");
-    Ok(if mode & 0o022 == 0 {
+    let foreign = if scene.plan.is_for_group {
+        0o002
+    } else {
+        0o022
+    };
+    Ok(if mode & foreign == 0 {
         Judgement::ok(value)
     } else {
         let value = format!("{value}: others may write");
-        Judgement::warning(value, format!("chmod 750 '{shown}'"))
+        Judgement::warning(value, format!("chmod 700 '{shown}'"))
     })
 }
 
@@ -99,7 +104,7 @@ mod tests {
         set_permissions(&path, Permissions::from_mode(0o750)).unwrap();
         fake.expect("root_folder", Good, &["mode 750"]);
         set_permissions(&path, Permissions::from_mode(0o777)).unwrap();
-        fake.expect("root_folder", Warning, &["others may write", "chmod 750"]);
+        fake.expect("root_folder", Warning, &["others may write", "chmod 700"]);
         fake.scene.probe.user_id += 1;
         fake.expect("root_folder", Fault, &["belongs to", "--root"]);
     }

@@ -26,6 +26,8 @@ pub struct Plan {
     pub no_deep_sleep: bool,
     /// Root folder of the shared-memory services.
     pub root: PathBuf,
+    /// Whether the root folder is for a group, too.
+    pub is_for_group: bool,
     /// File that the daemon of this robot locks.
     pub lock_file: PathBuf,
 }
@@ -34,7 +36,10 @@ impl Plan {
     /// The plan of a configuration.
     pub fn new(validated: &Validated) -> Self {
         let Validated {
-            config, location, ..
+            config,
+            location,
+            group_id,
+            ..
         } = validated;
         let (cycle, realtime) = (&config.cycle, &config.realtime);
         Self {
@@ -46,6 +51,7 @@ impl Plan {
             core_budget: CoreBudget::new(config),
             no_deep_sleep: realtime.no_deep_sleep,
             root: location.root().to_owned(),
+            is_for_group: group_id.is_some(),
             lock_file: location.lock_file(&config.robot.name),
         }
     }

@@ -1,5 +1,6 @@
 /// The driver whose measurements count: the first that is heard, until it is lost. With two drivers on one robot the
-/// measurements would be those of two robots, in turn.
+/// measurements would be those of two robots, in turn. That it is lost is the cycle's to say; what is counted here only
+/// tells that fault from others.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct BoundDriver {
     /// A driver without an accepted measurement for longer than this is lost \[ns\].
@@ -22,10 +23,11 @@ impl BoundDriver {
         }
     }
 
-    /// Whether measurements of `sender` count at `now_ns`.
-    pub(super) fn is(&self, sender: u64, now_ns: u64) -> bool {
+    /// Whether measurements of `sender` count at `now_ns`, on a robot that is faulted or not.
+    pub(super) fn is(&self, sender: u64, now_ns: u64, is_faulted: bool) -> bool {
         self.heard.is_none_or(|heard| {
-            let is_lost = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
+            let is_silent = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
+            let is_lost = is_faulted && is_silent;
             heard.sender == sender || is_lost
         })
     }
@@ -51,14 +53,16 @@ mod tests {
     #[test]
     fn the_first_driver_stays_until_it_is_lost() {
         let mut driver = BoundDriver::new(100);
-        assert!(driver.is(1, 0) && driver.is(2, 0));
+        assert!(driver.is(1, 0, false) && driver.is(2, 0, false));
         driver.hear(1, 50);
-        assert!(driver.is(1, 60) && !driver.is(2, 60));
-        assert!(!driver.is(2, 150));
-        assert!(driver.is(2, 151) && driver.is(1, 151));
+        assert!(driver.is(1, 60, false) && !driver.is(2, 60, true));
+        assert!(!driver.is(2, 150, true));
+        // A cycle that has not noticed yet would take the other robot for the first.
+        assert!(!driver.is(2, 151, false));
+        assert!(driver.is(2, 151, true) && driver.is(1, 151, true));
         driver.extend(30);
-        assert!(!driver.is(2, 180) && driver.is(2, 181));
+        assert!(!driver.is(2, 180, true) && driver.is(2, 181, true));
         driver.hear(2, 200);
-        assert!(!driver.is(1, 300));
+        assert!(!driver.is(1, 300, true));
     }
 }

@@ -18,8 +18,8 @@ pub(super) struct Events {
 /// Events that wait for a record. Accepted messages are few per gather, so only a cycle thread that
 /// hangs for seconds fills it.
 const QUEUE_MAX: usize = 1024;
-/// Refusals that one gather reports one by one; all are counted. A flood of refused messages must not
-/// push out what was accepted.
+/// Refusals of measurements and requests that one gather reports one by one; all are counted. A flood of refused messages
+/// must not push out what was accepted. References and obstacles are few in a gather, and what became of each is told.
 pub(super) const REFUSALS_PER_GATHER: usize = 4;
 
 impl Events {
@@ -51,7 +51,8 @@ impl Events {
             Err(Refused { outcome, detail }) => (outcome, detail),
         };
         self.count(outcome);
-        if result.is_err() {
+        let may_be_many = matches!(kind, EventKind::Measurement | EventKind::Request);
+        if result.is_err() && may_be_many {
             if self.refusals_left == 0 {
                 return;
             }
@@ -117,7 +118,7 @@ mod tests {
             sequence,
             sent_ns: 0,
         };
-        events.note(gather, EventKind::Reference, &header, 5, result);
+        events.note(gather, EventKind::Measurement, &header, 5, result);
     }
 
     #[test]

@@ -1,21 +1,31 @@
 //! Shortly before each release: drain, check, hand over.
 
-use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, Outcome};
 use cdcr_shared_types::{Header, Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::convert::{self, Refused};
+use super::inlet::Received;
 use super::{Exchange, LastChunk, LastLook};
 use crate::ports::{Clock, TimedMeasurement};
 use crate::rt::handoff::Shared;
 use crate::rt::schedule::Schedule;
 
-/// Chunks that one gather accepts. A client streams one in half a second; more than this wait.
+/// Chunks that one gather takes or refuses. A client streams one in half a second; more than this wait.
 pub(super) const CHUNKS_PER_GATHER: usize = 4;
-/// Obstacle updates that one gather accepts: half of what one client's queue holds; more than this wait.
+/// Obstacle updates that one gather takes or refuses, where there is time for them: half of what one client's queue holds;
+/// more than this wait.
 pub(super) const UPDATES_PER_GATHER: usize = 8;
-/// Messages that one gather looks at on one service: all that its queues can hold.
-const fn drain_limit(service: Service) -> usize {
-    service.queues().publishers * service.queues().queue
+/// Time before a release that is there for one obstacle update \[ns\]. A full one takes a fifth of it.
+const UPDATE_NS: u64 = 25_000;
+/// Measurements that one gather looks at: all that the queues can hold.
+const MEASUREMENTS_PER_GATHER: usize = {
+    let queues = Service::Measurement.queues();
+    queues.publishers * queues.queue
+};
+
+/// Obstacle updates that a gather so long before its release takes or refuses.
+pub(super) fn updates_per_gather(gather_lead_ns: u64) -> usize {
+    ((gather_lead_ns / UPDATE_NS) as usize).clamp(1, UPDATES_PER_GATHER)
 }
 
 impl Exchange {
@@ -103,11 +113,11 @@ impl Exchange {
     }
 
     fn take_references(&mut self, now_ns: u64) {
-        let mut accepted = 0;
-        for _ in 0..drain_limit(Service::Reference) {
-            let Ok(Some(chunk)) = self.ports.reference.receive() else {
+        for _ in 0..CHUNKS_PER_GATHER {
+            let Some(received) = self.ports.reference.receive() else {
                 break;
             };
+            let chunk = received.message;
             let result = self.take_chunk(&chunk, now_ns);
             self.events.note(
                 self.gather,
@@ -116,10 +126,6 @@ impl Exchange {
                 now_ns,
                 result,
             );
-            accepted += usize::from(result.is_ok());
-            if accepted == CHUNKS_PER_GATHER {
-                break;
-            }
         }
     }
 
@@ -132,6 +138,9 @@ impl Exchange {
         } = chunk.header;
         if self.lease.holder(now_ns) != Some(client) {
             return Err(Refused::whole(Outcome::NoLease));
+        }
+        if chunk.reserved != 0 {
+            return Err(Refused::whole(Outcome::UnknownCode));
         }
         let mode =
             ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
@@ -162,14 +171,18 @@ impl Exchange {
         let sources = &self.obstacle_sources;
         self.obstacles
             .retain(|known| !sources.let_expire(known, now_ns));
-        let mut accepted = 0;
-        for _ in 0..drain_limit(Service::Obstacles) {
-            let Ok(Some(update)) = self.ports.obstacles.receive() else {
+        for _ in 0..updates_per_gather(self.gather_lead_ns) {
+            let Some(received) = self.ports.obstacles.receive() else {
                 break;
             };
+            let update = received.message;
             // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
             let now_ns = clock.now_ns();
-            let result = self.take_update(&update, now_ns);
+            let result = if received.is_newer {
+                self.take_update(&update, now_ns)
+            } else {
+                Err(Refused::whole(Outcome::Stale))
+            };
             self.obstacles_refused += u64::from(result.is_err());
             self.events.note(
                 self.gather,
@@ -178,10 +191,6 @@ impl Exchange {
                 now_ns,
                 result,
             );
-            accepted += usize::from(result.is_ok());
-            if accepted == UPDATES_PER_GATHER {
-                break;
-            }
         }
     }
 
@@ -196,7 +205,7 @@ impl Exchange {
         // Where there is no room, its own obstacles that are out of date may take it: they go when their source is heard.
         let is_full = |refused: &Refused| refused.outcome == full.outcome;
         if updated.as_ref().err().is_none_or(is_full) {
-            self.obstacle_sources.hear(update, now_ns);
+            self.obstacle_sources.hear(update, self.gather_began_ns);
         }
         self.obstacles = updated?;
         Ok(self.obstacles.count() as u32)
@@ -204,8 +213,8 @@ impl Exchange {
 
     /// Keeps the newest measurement. Good ones are many and not reported one by one.
     fn take_measurements(&mut self, clock: &impl Clock) {
-        for _ in 0..drain_limit(Service::Measurement) {
-            let Ok(Some(message)) = self.ports.measurement.receive() else {
+        for _ in 0..MEASUREMENTS_PER_GATHER {
+            let Some(Received { message, is_newer }) = self.ports.measurement.receive() else {
                 break;
             };
             // As for obstacles: it may be newer than the gather.
@@ -213,15 +222,17 @@ impl Exchange {
             let result = self.judge_measurement(&message, now_ns);
             match result {
                 Ok(timed)
-                    if self
-                        .measurement
-                        .is_some_and(|last| timed.measured_ns <= last.measured_ns) =>
+                    if !is_newer
+                        || self
+                            .measurement
+                            .is_some_and(|last| timed.measured_ns <= last.measured_ns) =>
                 {
                     self.events.count(Outcome::Stale);
                 }
                 Ok(timed) => {
                     self.measurement = Some(timed);
-                    self.driver.hear(message.header.sender_id, now_ns);
+                    let sender = message.header.sender_id;
+                    self.driver.hear(sender, self.gather_began_ns);
                     self.events.count(Outcome::Accepted);
                 }
                 Err(refused) => {
@@ -232,6 +243,7 @@ impl Exchange {
             }
         }
     }
+
     /// One that is old at its arrival does not tell where the robot is, though its driver may be well: it is never
     /// believed, and a first one least of all.
     fn judge_measurement(
@@ -242,7 +254,10 @@ impl Exchange {
         if !self.has_driver {
             return Err(Refused::whole(Outcome::Unsupported));
         }
-        if !self.driver.is(message.header.sender_id, now_ns) {
+        // The cycle sees first that the driver is lost, and the robot rests before another one has it.
+        let is_faulted = self.last_mode == Mode::Faulted;
+        let sender = message.header.sender_id;
+        if !self.driver.is(sender, self.gather_began_ns, is_faulted) {
             return Err(Refused::whole(Outcome::OtherDriver));
         }
         let interface = convert::interface(self.interface);

@@ -8,14 +8,15 @@
 //! ```
 //!
 //! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
-//! client does (connect, flood, stop reading) costs time here and not there. Everything that it drains
-//! has a limit per gather. Who only watches costs nothing here, readers of commands excepted: that is the
+//! client does (connect, flood, stop reading) costs time here and not there. Everything that it reads
+//! has a limit per gather, and writers are served in turn. Who only watches costs nothing here, readers of commands excepted: that is the
 //! [reporter](crate::reporter)'s.
 
 mod bound_driver;
 pub mod convert;
 mod events;
 mod gather;
+mod inlet;
 mod lease;
 mod obstacle_sources;
 mod publish;
@@ -126,8 +127,8 @@ impl LastLook {
     }
 }
 
-/// What one gather and its cycle can bring fits one record: accepted chunks and obstacle updates, refusals,
-/// requests that are answered at once, and requests that the cycle decides.
+/// What one gather and its cycle can bring fits one record: chunks and obstacle updates, other refusals, requests that are
+/// answered at once, and requests that the cycle decides.
 const _: () = assert!(
     gather::CHUNKS_PER_GATHER
         + gather::UPDATES_PER_GATHER
@@ -162,8 +163,7 @@ impl Exchange {
             lease: Lease::new(ns(config.reference.lease_ms)),
             last_chunk: None,
             measurement_timeout_ns,
-            // The cycle sees first that it is lost, and the robot rests before another driver has it.
-            driver: BoundDriver::new(measurement_timeout_ns + 2 * period_ns),
+            driver: BoundDriver::new(measurement_timeout_ns),
             measurement: None,
             obstacles: ObstacleSet::default(),
             obstacle_sources: ObstacleSources::new(&config.obstacles),

@@ -14,7 +14,7 @@ use crate::obstacles::KnownObstacle;
 /// Sources that are watched at one time: one for each obstacle that can be known.
 const SOURCES_MAX: usize = OBSTACLES_MAX;
 
-/// Every source since the obstacles were cleared, and when it was heard.
+/// Every source since the obstacles were cleared, and what was heard of it when.
 #[derive(Debug)]
 pub(super) struct ObstacleSources {
     /// A source that sends nothing for longer is silent \[ns\]; 0: nobody is watched.
@@ -26,7 +26,10 @@ pub(super) struct ObstacleSources {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Source {
     sender: u64,
-    heard_ns: u64,
+    /// When its newest message was sent: what it says of its obstacles holds then \[ns\].
+    sent_ns: u64,
+    /// Since when it is silent, without the time in which nobody listened \[ns\].
+    silent_since_ns: u64,
 }
 
 impl ObstacleSources {
@@ -45,43 +48,48 @@ impl ObstacleSources {
         is_known || !self.begins_source(update) || self.sources.len() < SOURCES_MAX
     }
 
-    /// An update came at `now_ns`. Whoever clears the list ends the watch over all sources; those that live begin it
+    /// An update came at `now_ns`; it may have waited since it was sent, and who sent it may have died meanwhile. Whoever clears the list ends the watch over all sources; those that live begin it
     /// again with their next update.
     pub(super) fn hear(&mut self, update: &ObstacleUpdate, now_ns: u64) {
-        let (sender, heard_ns) = (update.header.sender_id, now_ns);
+        let heard = Source {
+            sender: update.header.sender_id,
+            sent_ns: update.header.sent_ns.min(now_ns),
+            silent_since_ns: now_ns,
+        };
         if update.action == ObstacleAction::Clear.code() {
             self.sources.clear();
-        } else if let Some(known) = self.sources.iter_mut().find(|known| known.sender == sender) {
-            known.heard_ns = heard_ns;
+        } else if let Some(known) = self
+            .sources
+            .iter_mut()
+            .find(|known| known.sender == heard.sender)
+        {
+            *known = heard;
         } else if self.begins_source(update) && self.sources.len() < SOURCES_MAX {
-            self.sources.push(Source { sender, heard_ns });
+            self.sources.push(heard);
         }
     }
 
     /// Nobody listened for `unheard_ns` after `before_ns`: that is no silence of those who were not silent before.
     pub(super) fn extend(&mut self, before_ns: u64, unheard_ns: u64) {
         for source in &mut self.sources {
-            if before_ns.saturating_sub(source.heard_ns) <= self.timeout_ns {
-                source.heard_ns += unheard_ns;
+            if before_ns.saturating_sub(source.silent_since_ns) <= self.timeout_ns {
+                source.silent_since_ns += unheard_ns;
             }
         }
     }
 
     /// Whether the robot has to hold at `now_ns`, because a source is silent.
     pub(super) fn want_hold(&self, now_ns: u64) -> bool {
-        let is_silent = |source: &Source| now_ns.saturating_sub(source.heard_ns) > self.timeout_ns;
+        let is_silent =
+            |source: &Source| now_ns.saturating_sub(source.silent_since_ns) > self.timeout_ns;
         self.holds && self.sources.iter().any(is_silent)
     }
 
-    /// Whether `known` is out of date at `now_ns`: its lifetime is over, and if its source is watched, that was heard
-    /// since and has not renewed it.
+    /// Whether `known` is out of date at `now_ns`: its lifetime is over, and if its source is watched, that has sent
+    /// something since and has not renewed it.
     pub(super) fn let_expire(&self, known: &KnownObstacle, now_ns: u64) -> bool {
-        let heard_since = |source: &Source| {
-            known
-                .expires_ns
-                .is_some_and(|expires_ns| source.heard_ns >= expires_ns)
-        };
-        !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(heard_since)
+        let sent_since = |source: &Source| !known.is_known_at(source.sent_ns);
+        !known.is_known_at(now_ns) && self.watched(known.source).is_none_or(sent_since)
     }
 
     /// The obstacle as the cycles until the next gather see it: one of a watched source does not expire by itself.
@@ -137,6 +145,18 @@ mod tests {
         update
     }
 
+    fn hear(
+        sources: &mut ObstacleSources,
+        sender: u64,
+        action: ObstacleAction,
+        lifetimes_ms: &[u64],
+        at_ns: u64,
+    ) {
+        let mut update = update(sender, action, lifetimes_ms);
+        update.header.sent_ns = at_ns;
+        sources.hear(&update, at_ns);
+    }
+
     fn known(source: u64, lifetime_ms: u64) -> KnownObstacle {
         let message = Obstacle {
             lifetime_ns: lifetime_ms * MS,
@@ -149,26 +169,26 @@ mod tests {
     #[test]
     fn only_who_sends_obstacles_with_a_lifetime_is_watched() {
         let mut sources = sources(SourceSilent::Hold);
-        sources.hear(&update(1, ObstacleAction::Upsert, &[0, 0]), 0);
-        sources.hear(&update(2, ObstacleAction::Remove, &[5]), 0);
+        hear(&mut sources, 1, ObstacleAction::Upsert, &[0, 0], 0);
+        hear(&mut sources, 2, ObstacleAction::Remove, &[5], 0);
         assert!(!sources.want_hold(10_000 * MS));
-        sources.hear(&update(3, ObstacleAction::Upsert, &[0, 50]), 0);
+        hear(&mut sources, 3, ObstacleAction::Upsert, &[0, 50], 0);
         assert!(!sources.want_hold(100 * MS) && sources.want_hold(100 * MS + 1));
         // Whatever it sends, it is heard.
-        sources.hear(&update(3, ObstacleAction::Upsert, &[]), 500 * MS);
+        hear(&mut sources, 3, ObstacleAction::Upsert, &[], 500 * MS);
         assert!(!sources.want_hold(600 * MS) && sources.want_hold(601 * MS));
         // Another one that is heard does not help.
-        sources.hear(&update(4, ObstacleAction::Upsert, &[50]), 600 * MS);
+        hear(&mut sources, 4, ObstacleAction::Upsert, &[50], 600 * MS);
         assert!(sources.want_hold(601 * MS));
         // An operator knows better.
-        sources.hear(&update(9, ObstacleAction::Clear, &[]), 700 * MS);
+        hear(&mut sources, 9, ObstacleAction::Clear, &[], 700 * MS);
         assert!(!sources.want_hold(10_000 * MS));
     }
 
     #[test]
     fn without_a_timeout_nobody_is_watched() {
         let mut sources = ObstacleSources::new(&ObstaclesConfig::default());
-        sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
         assert!(!sources.want_hold(u64::MAX));
         assert!(sources.let_expire(&known(1, 50), 50 * MS));
         assert_eq!(sources.hand_over(&known(1, 50), 0), known(1, 50));
@@ -178,7 +198,7 @@ mod tests {
     fn an_obstacle_expires_when_its_source_lives_and_does_not_renew_it() {
         for rule in [SourceSilent::Hold, SourceSilent::Keep] {
             let mut sources = sources(rule);
-            sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+            hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
             let known = known(1, 50);
             // Whether its source has died is not known yet, and then it is.
             for now_ns in [49 * MS, 50 * MS, 90 * MS, 10_000 * MS] {
@@ -186,9 +206,9 @@ mod tests {
                 assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
             }
             assert_eq!(sources.want_hold(10_000 * MS), rule == SourceSilent::Hold);
-            sources.hear(&update(1, ObstacleAction::Upsert, &[]), 49 * MS);
+            hear(&mut sources, 1, ObstacleAction::Upsert, &[], 49 * MS);
             assert!(!sources.let_expire(&known, 90 * MS));
-            sources.hear(&update(1, ObstacleAction::Upsert, &[]), 60 * MS);
+            hear(&mut sources, 1, ObstacleAction::Upsert, &[], 60 * MS);
             assert!(sources.let_expire(&known, 60 * MS));
             assert_eq!(sources.hand_over(&known, 60 * MS), known);
         }
@@ -197,12 +217,37 @@ mod tests {
     #[test]
     fn time_in_which_nobody_listened_does_not_count() {
         let mut sources = sources(SourceSilent::Hold);
-        sources.hear(&update(1, ObstacleAction::Upsert, &[50]), 0);
+        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
         sources.extend(90 * MS, 400 * MS);
         assert!(!sources.want_hold(500 * MS) && sources.want_hold(501 * MS));
         // One that was silent before stays so.
         sources.extend(600 * MS, 900 * MS);
         assert!(sources.want_hold(601 * MS));
+    }
+
+    #[test]
+    fn what_a_source_did_not_live_to_see_does_not_expire() {
+        let mut sources = sources(SourceSilent::Hold);
+        let known = known(1, 50);
+        hear(&mut sources, 1, ObstacleAction::Upsert, &[50], 0);
+        // The daemon stands still for longer than the obstacle lives: that is no news of its source.
+        sources.extend(10 * MS, 400 * MS);
+        for now_ns in [51 * MS, 401 * MS, 10_000 * MS] {
+            assert!(!sources.let_expire(&known, now_ns), "{now_ns}");
+            assert_eq!(sources.hand_over(&known, now_ns).expires_ns, None);
+        }
+        // Nor is a message that waited meanwhile.
+        let mut waited = update(1, ObstacleAction::Upsert, &[]);
+        waited.header.sent_ns = 49 * MS;
+        sources.hear(&waited, 410 * MS);
+        assert!(!sources.let_expire(&known, 410 * MS));
+        assert!(!sources.want_hold(510 * MS) && sources.want_hold(511 * MS));
+        // Nobody speaks from the future.
+        waited.header.sent_ns = u64::MAX;
+        sources.hear(&waited, 45 * MS);
+        assert!(!sources.let_expire(&known, 10_000 * MS));
+        hear(&mut sources, 1, ObstacleAction::Upsert, &[], 50 * MS);
+        assert!(sources.let_expire(&known, 50 * MS));
     }
 
     #[test]

@@ -74,7 +74,8 @@ impl Exchange {
     }
 
     fn take_request(&mut self, asked: Asked, now_ns: u64, shared: &Shared) {
-        let Ok(kind) = RequestKind::try_from(asked.payload().kind) else {
+        let kind = RequestKind::try_from(asked.payload().kind);
+        let (Ok(kind), 0) = (kind, asked.payload().reserved) else {
             return self.answer_now(&asked, Outcome::UnknownCode, now_ns);
         };
         // Who asked this long ago has been told that there was no answer; only a stop is never late.

@@ -3,18 +3,18 @@
 use std::fmt::Debug;
 
 use cdcr_shared_types::{
-    Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
-    Service, Telemetry, ipc,
+    Command, Header, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
+    Request, Response, Service, Telemetry, ipc,
 };
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
-use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::prelude::{
     BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend,
 };
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
+use super::inlet::Inlet;
 use super::remains;
 use super::room::{self, MANAGEMENT_BYTES, NoRoom, Room};
 
@@ -99,18 +99,18 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         .signal_handling_mode(SignalHandlingMode::Disabled);
     builder
         .create::<ipc::Service>()
-        .map_err(|cause| error(format!("{cause:?}")))
+        .map_err(|cause| error(ipc::words(&cause)))
 }
 
 /// Every port of the exchange thread.
 #[derive(Debug)]
 pub struct Ports {
     /// Reference chunks.
-    pub reference: Subscriber<ipc::Service, ReferenceChunk, ()>,
+    pub reference: Inlet<ReferenceChunk>,
     /// Obstacle updates.
-    pub obstacles: Subscriber<ipc::Service, ObstacleUpdate, ()>,
+    pub obstacles: Inlet<ObstacleUpdate>,
     /// Measurements.
-    pub measurement: Subscriber<ipc::Service, Measurement, ()>,
+    pub measurement: Inlet<Measurement>,
     /// Commands.
     pub command: Publisher<ipc::Service, Command, ()>,
     /// Requests.
@@ -124,9 +124,24 @@ impl Ports {
     /// [`ServiceError::Service`] or [`ServiceError::Full`] with the name of the service.
     pub fn create(node: &Node<ipc::Service>, robot: &str) -> Result<Self, ServiceError> {
         Ok(Self {
-            reference: subscriber(node, Service::Reference, robot)?,
-            obstacles: subscriber(node, Service::Obstacles, robot)?,
-            measurement: subscriber(node, Service::Measurement, robot)?,
+            reference: inlet(
+                node,
+                Service::Reference,
+                robot,
+                |message: &ReferenceChunk| &message.header,
+            )?,
+            obstacles: inlet(
+                node,
+                Service::Obstacles,
+                robot,
+                |message: &ObstacleUpdate| &message.header,
+            )?,
+            measurement: inlet(
+                node,
+                Service::Measurement,
+                robot,
+                |message: &Measurement| &message.header,
+            )?,
             command: publisher(node, Service::Command, robot)?,
             control: control(node, robot)?,
         })
@@ -137,7 +152,7 @@ fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError 
     let service = format!("cdcr/{robot}/{}", service.key());
     move |cause| ServiceError::Service {
         service: service.clone(),
-        cause: format!("{cause:?}"),
+        cause: ipc::words(cause),
     }
 }
 
@@ -175,6 +190,7 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
             .max_subscribers(queues.subscribers)
             .subscriber_max_buffer_size(queues.queue)
             .history_size(queues.history)
+            .subscriber_max_borrowed_samples(QueueLengths::HELD)
             .max_nodes(Service::NODES)
             .enable_safe_overflow(true)
             .open_or_create()
@@ -234,17 +250,21 @@ pub fn incidents(
     publisher(node, Service::Incidents, robot)
 }
 
-fn subscriber<T: ZeroCopySend + Debug + 'static>(
+fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
     node: &Node<ipc::Service>,
     service: Service,
     robot: &str,
-) -> Result<Subscriber<ipc::Service, T, ()>, ServiceError> {
-    with_room(node, service, robot, 0, || {
+    header_of: fn(&T) -> &Header,
+) -> Result<Inlet<T>, ServiceError> {
+    let subscriber = with_room(node, service, robot, 0, || {
         topic::<T>(node, service, robot)?
             .subscriber_builder()
             .create()
             .map_err(|cause| failed(service, robot)(&cause))
-    })
+    })?;
+    let queues = service.queues();
+    let most = queues.publishers * QueueLengths::HELD;
+    Ok(Inlet::new(subscriber, most, header_of))
 }
 
 fn control(

@@ -1,20 +1,20 @@
 //! The exchange with real ports and a clock that stands still: who sends what when is up to the test.
 
+mod obstacles;
+mod references;
+
 use std::cell::Cell;
 
-use cdcr_controller::reference::ReferenceState;
-use cdcr_shared_types::codes::{
-    ChunkMode, Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind,
-};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind};
 use cdcr_shared_types::{
-    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk,
-    ReferencePoint, Request, Response, Service, ipc,
+    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, Request,
+    Response, Service, ipc,
 };
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::Node;
+use iceoryx2::prelude::{Node, ZeroCopySend};
 
 use super::*;
 use crate::config::Config;
@@ -59,12 +59,13 @@ struct Rig {
     schedule: Schedule,
     clock: Still,
     next_cycle: u64,
+    sequence: Cell<u64>,
     measurements: Publisher<ipc::Service, Measurement, ()>,
     obstacles: Publisher<ipc::Service, ObstacleUpdate, ()>,
     references: Publisher<ipc::Service, ReferenceChunk, ()>,
     commands: Subscriber<ipc::Service, Command, ()>,
     control: Client<ipc::Service, Request, (), Response, ()>,
-    _node: Node<ipc::Service>,
+    node: Node<ipc::Service>,
     _root: tempfile::TempDir,
 }
 
@@ -109,7 +110,8 @@ impl Rig {
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),
             next_cycle: 1,
-            _node: node,
+            sequence: Cell::default(),
+            node,
             _root: folder,
         }
     }
@@ -184,10 +186,7 @@ impl Rig {
     fn measure(&self, sender_id: u64, bend_rad: f64, age_ms: u64) {
         let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
         let mut message = Measurement {
-            header: Header {
-                sender_id,
-                ..Header::default()
-            },
+            header: self.header(sender_id),
             measured_ns: at_ns - age_ms * MS,
             kind: MeasurementKind::Configuration.code(),
             sections: 3,
@@ -196,6 +195,15 @@ impl Rig {
         };
         message.bend_rad[0] = bend_rad;
         self.measurements.send_copy(message).unwrap();
+    }
+
+    fn header(&self, sender_id: u64) -> Header {
+        self.sequence.set(self.sequence.get() + 1);
+        Header {
+            sender_id,
+            sequence: self.sequence.get(),
+            sent_ns: self.now_ns(),
+        }
     }
 
     fn counted(&self, outcome: Outcome) -> u64 {
@@ -208,11 +216,7 @@ impl Rig {
         kind: RequestKind,
     ) -> PendingResponse<ipc::Service, Request, (), Response, ()> {
         let request = Request {
-            header: Header {
-                sender_id,
-                sequence: 1,
-                sent_ns: self.now_ns(),
-            },
+            header: self.header(sender_id),
             kind: kind.code(),
             ..Request::default()
         };
@@ -221,11 +225,21 @@ impl Rig {
 
     /// An obstacle far from the robot that moves away, seen at the next gather, or a clear.
     fn tell(&self, sender_id: u64, action: ObstacleAction, lifetimes_ms: &[u64]) {
+        let update = self.update(sender_id, action, lifetimes_ms);
+        self.obstacles.send_copy(update).unwrap();
+    }
+
+    fn update(
+        &self,
+        sender_id: u64,
+        action: ObstacleAction,
+        lifetimes_ms: &[u64],
+    ) -> ObstacleUpdate {
         let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
         let mut update = ObstacleUpdate {
             header: Header {
-                sender_id,
-                ..Header::default()
+                sent_ns: at_ns,
+                ..self.header(sender_id)
             },
             action: action.code(),
             count: lifetimes_ms.len() as u32,
@@ -242,7 +256,31 @@ impl Rig {
                 ..Obstacle::default()
             };
         }
-        self.obstacles.send_copy(update).unwrap();
+        update
+    }
+
+    /// As many writers of a service as are allowed beside the first, which is the rig's.
+    fn crowd<T: ZeroCopySend + std::fmt::Debug + 'static>(
+        &self,
+        service: Service,
+    ) -> Vec<Publisher<ipc::Service, T, ()>> {
+        let name = &Config::default().robot.name;
+        let others = (1..service.queues().publishers)
+            .map(|_| services::publisher(&self.node, service, name).unwrap());
+        others.collect()
+    }
+}
+
+/// Each of `crowd` sends as much as its queue holds, before each gather.
+fn flood<T: ZeroCopySend + Copy + std::fmt::Debug + 'static>(
+    crowd: &[Publisher<ipc::Service, T, ()>],
+    service: Service,
+    mut message: impl FnMut() -> T,
+) {
+    for other in crowd {
+        for _ in 0..service.queues().queue {
+            other.send_copy(message()).unwrap();
+        }
     }
 }
 
@@ -356,12 +394,19 @@ fn a_robot_has_one_driver_until_that_is_lost() {
         );
     }
     assert_eq!(rig.counted(Outcome::OtherDriver), 10);
+    let turn = |rig: &mut Rig| {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+        rig.run(rig.next_cycle - 1, None);
+        rig.publish();
+    };
+    rig.measure(1, 0.5, 0);
+    turn(&mut rig);
     // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
     let (mut silent_ns, last_ns) = (0, rig.now_ns());
     while rig.exchange.measurement.unwrap().measured_ns <= last_ns {
         silent_ns = rig.now_ns() - last_ns;
-        rig.measure(2, 1.0, 0);
-        rig.gather();
+        turn(&mut rig);
     }
     assert!(silent_ns > TIMEOUT_MS * MS, "{silent_ns}");
     assert!(silent_ns <= TIMEOUT_MS * MS + 3 * PERIOD_NS, "{silent_ns}");
@@ -374,119 +419,29 @@ fn a_robot_has_one_driver_until_that_is_lost() {
 }
 
 #[test]
+fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
+    let mut rig = Rig::new("");
+    rig.measure(1, 0.5, 0);
+    rig.gather();
+    // No cycle runs, and inputs replace each other unseen.
+    for _ in 0..3 * TIMEOUT_MS * MS / PERIOD_NS {
+        rig.measure(2, 1.0, 0);
+        rig.gather();
+    }
+    let last = rig.exchange.measurement.unwrap().measurement;
+    let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
+    assert_eq!(
+        last,
+        cdcr_controller::estimator::Measurement::Configuration(first)
+    );
+}
+
+#[test]
 fn a_machine_that_slept_is_told_to_the_cycle_once() {
     let mut rig = Rig::new("");
     rig.clock.slept_ns.set(3_600_000 * MS);
     assert_eq!((rig.gather().suspends, rig.gather().suspends), (0, 0));
     rig.clock.slept_ns.set(3_600_500 * MS);
     assert_eq!((rig.gather().suspends, rig.gather().suspends), (1, 1));
-}
-
-#[test]
-fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
-    // Taken by a gather, and by the last look of a lease that expires after the gather.
-    for by_last_look in [false, true] {
-        let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
-        rig.gather();
-        let first = rig.ask(1, RequestKind::AcquireLease);
-        rig.gather();
-        let mut chunk = ReferenceChunk {
-            header: Header {
-                sender_id: 1,
-                sequence: 1,
-                sent_ns: rig.now_ns(),
-            },
-            mode: ChunkMode::Replace.code(),
-            count: 2,
-            ..ReferenceChunk::default()
-        };
-        for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
-            *point = ReferencePoint {
-                time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
-                position_m: [0.0, 0.0, 0.89],
-                ..ReferencePoint::default()
-            };
-        }
-        rig.references.send_copy(chunk).unwrap();
-        let ahead = |inputs: &CycleInputs, cycle| inputs.window.at(cycle).state;
-        let cycle = rig.next_cycle;
-        assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-        let (inputs, second, cycle) = if by_last_look {
-            let renewed = rig.ask(1, RequestKind::AcquireLease);
-            rig.look_again();
-            rig.gather_for(15);
-            // The lease ends 20 ms after that look: after this gather, and with the look that follows it.
-            let cycle = rig.next_cycle;
-            assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-            let second = rig.ask(2, RequestKind::AcquireLease);
-            drop(renewed);
-            (rig.look_again(), second, cycle)
-        } else {
-            // 20 ms after the gather that took the chunk.
-            rig.gather_for(15);
-            let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
-            (rig.gather(), second, cycle)
-        };
-        assert_eq!(ahead(inputs, cycle), ReferenceState::None, "{by_last_look}");
-        let answer = second.receive().unwrap().unwrap();
-        assert_eq!(answer.outcome, Outcome::Accepted.code());
-        assert_eq!(answer.lease_holder, 2);
-        drop(first);
-    }
-}
-
-#[test]
-fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
-    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
-    let lifetime_ms = 50;
-    for _ in 0..5 {
-        rig.tell(4, ObstacleAction::Upsert, &[lifetime_ms]);
-        assert!(!rig.gather().obstacle_source_silent);
-    }
-    let begin_ns = rig.now_ns();
-    let mut silent_ns = None;
-    for _ in 0..100 {
-        let inputs = rig.gather();
-        let (count, is_silent) = (inputs.obstacles.count(), inputs.obstacle_source_silent);
-        let placed = inputs.obstacles.at(inputs.gather_ns + PERIOD_NS);
-        assert_eq!((count, placed.count()), (1, 1));
-        if is_silent {
-            silent_ns.get_or_insert(rig.now_ns() - begin_ns);
-        }
-    }
-    let silent_ns = silent_ns.unwrap();
-    assert!(
-        (100 * MS..=100 * MS + 2 * PERIOD_NS).contains(&silent_ns),
-        "{silent_ns}"
-    );
-    // It is heard again, and says nothing of the obstacle.
-    rig.tell(4, ObstacleAction::Upsert, &[]);
-    rig.gather();
-    let inputs = rig.gather();
-    assert!(!inputs.obstacle_source_silent);
-    assert_eq!(inputs.obstacles.count(), 0);
-    // It dies again, now with no obstacle known; an operator clears.
-    rig.gather_for(200);
-    assert!(rig.gather().obstacle_source_silent);
-    rig.tell(5, ObstacleAction::Clear, &[]);
-    assert!(!rig.gather().obstacle_source_silent);
-    rig.gather_for(200);
-    assert!(!rig.gather().obstacle_source_silent);
-}
-
-#[test]
-fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
-    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
-    rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
-    rig.gather();
-    rig.gather_for(300);
-    let inputs = rig.gather();
-    assert_eq!(inputs.obstacles.count(), 64);
-    assert!(
-        !inputs.obstacle_source_silent,
-        "they are kept, and the robot goes on"
-    );
-    rig.tell(4, ObstacleAction::Upsert, &[]);
-    rig.gather();
-    assert_eq!(rig.gather().obstacles.count(), 0);
 }

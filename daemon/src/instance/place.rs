@@ -1,7 +1,7 @@
 //! Whether clients still find this daemon: what they look for lies in files, which anybody with the right to can delete.
 
-use std::fs::File;
-use std::os::unix::fs::MetadataExt;
+use std::fs::{File, Metadata, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -19,6 +19,8 @@ pub(crate) struct PlaceWatch {
     location: Location,
     robot: String,
     root: File,
+    /// Who may use it.
+    mode: u32,
     lock: Arc<Mutex<File>>,
     name: Option<Arc<UnixListener>>,
     services: Vec<(PathBuf, Option<u64>)>,
@@ -49,10 +51,12 @@ impl PlaceWatch {
         name: Option<Arc<UnixListener>>,
     ) -> Result<Self, InstanceError> {
         let failed = |cause| file_error(location.root(), cause);
+        let root = File::open(location.root()).map_err(failed)?;
         Ok(Self {
+            mode: root.metadata().map_err(failed)?.mode(),
+            root,
             location: location.clone(),
             robot: robot.to_owned(),
-            root: File::open(location.root()).map_err(failed)?,
             lock,
             name,
             services: service_files(location, robot)
@@ -72,6 +76,7 @@ impl PlaceWatch {
             let path = self.location.root().to_owned();
             return Found::Lost { path };
         }
+        self.look_at_mode();
         let missing = self
             .services
             .iter()
@@ -81,6 +86,20 @@ impl PlaceWatch {
             return Found::Lost { path };
         }
         self.look_at_lock()
+    }
+
+    /// Closes the folder again where somebody opened it: nothing else keeps others from the files in it.
+    fn look_at_mode(&self) {
+        let is_changed = |root: Metadata| root.mode() != self.mode;
+        if self.root.metadata().is_ok_and(is_changed) {
+            let mended = self
+                .root
+                .set_permissions(Permissions::from_mode(self.mode & 0o7777));
+            tracing::warn!(
+                ?mended,
+                "the permissions of the root folder were changed: set back"
+            );
+        }
     }
 
     fn look_at_lock(&self) -> Found {

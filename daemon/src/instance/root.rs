@@ -1,10 +1,11 @@
-use std::fs::{DirBuilder, Metadata};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::fs::{DirBuilder, Metadata, Permissions};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
 use std::path::Path;
 
+use cdcr_shared_types::Location;
 use rustix::fs::statfs;
 
-use super::{InstanceError, file_error};
+use super::{InstanceError, acl, file_error};
 
 /// Write permission of group and others.
 const OPEN_TO_WRITE: u32 = 0o022;
@@ -12,12 +13,14 @@ const OPEN_TO_WRITE: u32 = 0o022;
 /// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
 const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
 
-/// Makes the root folder if it is missing, and sees that it is in memory, and ours alone to write to: who may write
-/// there can put files in our way, or take them away from our clients.
-pub(super) fn prepare(root: &Path) -> Result<(), InstanceError> {
+/// Makes the root folder if it is missing, and sees that it is in memory, and was ours alone to write to, or the group's: who
+/// may write there can put files in our way, or take them away from our clients. Then closes it to all others: it alone
+/// keeps them from the files in it.
+pub(super) fn prepare(location: &Location, group_id: Option<u32>) -> Result<(), InstanceError> {
+    let root = location.root();
     DirBuilder::new()
         .recursive(true)
-        .mode(0o750)
+        .mode(0o700)
         .create(root)
         .map_err(|cause| file_error(root, cause))?;
     let user = rustix::process::geteuid().as_raw();
@@ -38,7 +41,8 @@ pub(super) fn prepare(root: &Path) -> Result<(), InstanceError> {
             user,
         });
     }
-    if folder.mode() & OPEN_TO_WRITE != 0 {
+    let is_for_group = group_id.is_some_and(|group_id| acl::is_for_group(root, group_id));
+    if folder.mode() & OPEN_TO_WRITE != 0 && !is_for_group {
         return Err(InstanceError::OpenRoot {
             root: root.display().to_string(),
             mode: folder.mode() & 0o7777,
@@ -48,6 +52,38 @@ pub(super) fn prepare(root: &Path) -> Result<(), InstanceError> {
         return Err(InstanceError::RootOnDisk {
             root: root.display().to_string(),
         });
+    }
+    if group_id.is_some() {
+        may_share(location)?;
+    }
+    let done = match group_id {
+        Some(_) if is_for_group => Ok(()),
+        Some(group_id) => open_folders(root).and_then(|()| acl::open_to_group(root, group_id)),
+        None => acl::close(root),
+    };
+    done.map_err(|cause| file_error(root, cause))
+}
+
+/// Whether a group may be let into the root.
+fn may_share(location: &Location) -> Result<(), InstanceError> {
+    let root = location.root().display().to_string();
+    if rustix::process::geteuid().is_root() {
+        return Err(InstanceError::GroupOfRoot { root });
+    }
+    if location.is_sheltered() {
+        Ok(())
+    } else {
+        Err(InstanceError::GroupRoot { root })
+    }
+}
+
+/// Opens the folders in the root: an older version, whose files were private, may have left them.
+fn open_folders(root: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(root)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            std::fs::set_permissions(entry.path(), Permissions::from_mode(0o777))?;
+        }
     }
     Ok(())
 }
@@ -69,9 +105,12 @@ pub fn is_in_memory(folder: &Path) -> std::io::Result<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use cdcr_shared_types::Location;
-    use std::fs::{Permissions, set_permissions};
-    use std::os::unix::fs::PermissionsExt;
+    use std::fs::set_permissions;
+
+    fn prepare(root: &Path) -> Result<(), InstanceError> {
+        let location = Location::new("cdcrtest_root_", root).expect("a legal place");
+        super::prepare(&location, None)
+    }
 
     #[test]
     fn a_new_root_is_open_to_nobody_else() {
@@ -79,7 +118,7 @@ mod tests {
         let root = folder.path().join("a/root");
         prepare(&root).expect("it is made");
         let mode = std::fs::metadata(&root).expect("it is there").mode();
-        assert_eq!(mode & 0o027, 0, "{mode:o}");
+        assert_eq!(mode & 0o777, 0o700, "{mode:o}");
     }
 
     #[test]
@@ -90,7 +129,7 @@ mod tests {
             set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
             let error = prepare(root).expect_err("it is open");
             let text = error.to_string();
-            for part in [&format!("mode {mode:04o}"), "chmod go-w", "--root"] {
+            for part in [&format!("mode {mode:04o}"), "chmod go-rwx", "--root"] {
                 assert!(text.contains(part), "{part}: {text}");
             }
             let after = std::fs::metadata(root).expect("it is there").mode();
@@ -99,6 +138,8 @@ mod tests {
         for mode in [0o755, 0o750, 0o700] {
             set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
             prepare(root).expect("only we may write to it");
+            let after = std::fs::metadata(root).expect("it is there").mode();
+            assert_eq!(after & 0o777, 0o700, "others may not look into it");
         }
     }
 

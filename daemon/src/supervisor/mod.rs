@@ -488,6 +488,8 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         robot: convert::robot(&validated.robot),
         settings: convert::settings_to_wire(&Settings::new(config)),
         clearance_m: f64::INFINITY,
+        safe_distance_min_m: config.controller.safe_distance_m,
+        obstacle_source_timeout_ns: ns(config.obstacles.source_timeout_ms),
         ..wire::Status::default()
     }
 }

@@ -5,5 +5,5 @@ use clap::CommandFactory;
 
 #[test]
 fn the_manual_is_what_the_command_line_says() {
-    cdcr_packaging::check(&Cli::command(), "8").expect("up to date");
+    cdcr_packaging::check(&Cli::command(), "8", None).expect("up to date");
 }

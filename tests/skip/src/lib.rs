@@ -31,6 +31,8 @@ pub enum Need {
     Kernel,
     /// To set the clock of the machine.
     Clock,
+    /// Nine of ten releases of a real-time loop on time.
+    OnTime,
     /// `unshare`, `setpriv`.
     UtilLinux,
     /// `cyclictest`.
@@ -41,7 +43,7 @@ pub enum Need {
 
 impl Need {
     /// Each of them.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Root,
         Self::Realtime,
         Self::Cores,
@@ -49,6 +51,7 @@ impl Need {
         Self::Mount,
         Self::Kernel,
         Self::Clock,
+        Self::OnTime,
         Self::UtilLinux,
         Self::Cyclictest,
         Self::StressNg,
@@ -64,6 +67,7 @@ impl Need {
             Self::Mount => "mount",
             Self::Kernel => "kernel",
             Self::Clock => "clock",
+            Self::OnTime => "on-time",
             Self::UtilLinux => "util-linux",
             Self::Cyclictest => "cyclictest",
             Self::StressNg => "stress-ng",
@@ -88,6 +92,9 @@ impl Need {
             Self::Kernel => "run the tests on a kernel with what the reason names",
             Self::Clock => {
                 "run the tests as root with CDCR_TEST_SET_CLOCK=1, on a machine where the clock may jump"
+            }
+            Self::OnTime => {
+                "run the tests on a machine that stalls for less than a tenth of the time"
             }
             Self::UtilLinux => "install util-linux",
             Self::Cyclictest => "install cyclictest (Debian: apt install rt-tests)",

@@ -64,8 +64,8 @@ fn configuration(link: &str) -> String {
     )
 }
 
-/// Ends the driver also when the test fails.
-struct EndWhenDropped<'a>(&'a AtomicBool);
+/// Ends drivers and floods also when the test fails.
+pub(crate) struct EndWhenDropped<'a>(pub(crate) &'a AtomicBool);
 
 impl Drop for EndWhenDropped<'_> {
     fn drop(&mut self) {

@@ -1,3 +1,7 @@
+mod obstacle;
+mod reference;
+mod settings;
+
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -5,9 +9,16 @@ use anyhow::Context;
 use cdcr_client::Connection;
 use cdcr_shared_types::{DEFAULT_PREFIX, Location};
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap_complete::ArgValueCandidates;
 
-use crate::settings::Change;
-use crate::value::{self, Vector};
+use crate::complete;
+use crate::value;
+pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
+pub(crate) use reference::{
+    Between, CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions,
+    SpiralOptions,
+};
+pub(crate) use settings::{SettingsAction, SettingsOptions};
 
 /// Feeds references to cdcrd, the controller of cable-driven continuum robots, asks it for things and
 /// shows what it does.
@@ -50,6 +61,7 @@ pub(crate) struct Target {
         global = true,
         env = "CDCR_ROBOT",
         default_value = "cdcr",
+        add = ArgValueCandidates::new(complete::robots),
         help_heading = "Which daemon"
     )]
     robot: String,
@@ -101,21 +113,25 @@ pub(crate) enum Task {
     /// Feed a reference to the daemon, ahead of time
     #[command(after_help = "Example:\n  cdcrctl ref spiral --track")]
     Ref(RefOptions),
-    /// Ask the daemon to follow the reference that a client feeds
+    /// Ask the daemon to follow the reference that a client feeds; waits for one at most 2 s
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,
     /// Stop following and keep the position
-    #[command(after_help = "Example:\n  cdcrctl hold")]
-    Hold,
+    #[command(
+        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until the robot rests"
+    )]
+    Hold(WaitOptions),
     /// Move to the straight configuration
-    #[command(after_help = "Example:\n  cdcrctl home")]
-    Home,
+    #[command(
+        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        until the robot is there"
+    )]
+    Home(WaitOptions),
     /// Stop the robot and latch; only a reset lets it move again
     #[command(after_help = "Example:\n  cdcrctl stop && cdcrctl reset")]
     Stop,
     /// Leave stopped or faulted
-    #[command(after_help = "Example:\n  cdcrctl reset")]
-    Reset,
+    #[command(after_help = "Example:\n  cdcrctl reset --wait")]
+    Reset(WaitOptions),
     /// Show the newest snapshot: mode, counters, latencies, robot, settings
     #[command(
         after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                once a second\n  \
@@ -161,6 +177,16 @@ pub(crate) enum Format {
     Json,
 }
 
+/// Options of what takes the robot some time.
+#[derive(Debug, Args)]
+pub(crate) struct WaitOptions {
+    /// Wait until it is done and the robot rests, 60s at most or TIME; fail when it takes longer, or something
+    /// else comes between
+    #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
+        value_parser = value::curve_duration)]
+    pub(crate) wait: Option<Duration>,
+}
+
 /// Options of the demo.
 #[derive(Debug, Args)]
 pub(crate) struct DemoOptions {
@@ -176,128 +202,6 @@ pub(crate) struct DemoOptions {
     /// Write telemetry.csv, path.svg, shape.svg, error.svg and timing.svg into this folder
     #[arg(long, value_name = "DIR")]
     pub(crate) out: Option<PathBuf>,
-}
-
-/// Options of `ref`.
-#[derive(Debug, Args)]
-pub(crate) struct RefOptions {
-    #[command(subcommand)]
-    pub(crate) curve: Curve,
-}
-
-/// Which reference.
-#[derive(Debug, Subcommand)]
-pub(crate) enum Curve {
-    /// The paper's spiral, Eq. 8
-    #[command(after_help = "Example:\n  cdcrctl ref spiral --duration 10s --track")]
-    Spiral(SpiralOptions),
-    /// The paper's line, Eq. 9
-    #[command(after_help = "Example:\n  cdcrctl ref line --axis 0,0,1 --track")]
-    Line(LineOptions),
-    /// The paper's circle, §4.3
-    #[command(after_help = "Example:\n  cdcrctl ref circle --radius 0.1 --rate 2 --track")]
-    Circle(CircleOptions),
-    /// A CSV file with the columns `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`
-    ///
-    /// With the orientation qx,qy,qz,qw, a unit quaternion, the tip turns, too, as much as the
-    /// orientation weight of the daemon asks for.
-    #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
-    File(FileOptions),
-}
-
-/// How any reference is fed.
-#[derive(Debug, Args)]
-pub(crate) struct FeedArguments {
-    /// Ask for tracking as soon as the first chunk is in
-    #[arg(long)]
-    pub(crate) track: bool,
-    /// How the daemon interpolates between the points
-    #[arg(long, value_enum, default_value = "cubic")]
-    pub(crate) interpolation: Between,
-    /// How long after now the reference begins
-    #[arg(long, value_name = "TIME", default_value = "300ms", value_parser = value::duration)]
-    pub(crate) lead: Duration,
-    /// Time between two points of a curve
-    #[arg(long, value_name = "TIME", default_value = "5ms", value_parser = value::duration)]
-    pub(crate) step: Duration,
-}
-
-/// Which robot a curve is made for.
-#[derive(Debug, Args)]
-pub(crate) struct CurveArguments {
-    /// Sections that the curve is made for [default: those of the daemon's robot]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6))]
-    pub(crate) sections: Option<u32>,
-    /// How long it lasts [default: as in the paper]
-    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
-    pub(crate) duration: Option<Duration>,
-}
-
-/// Interpolation between points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Between {
-    /// Straight lines
-    Linear,
-    /// A smooth cubic curve
-    Cubic,
-}
-
-/// Options of the spiral.
-#[derive(Debug, Args)]
-pub(crate) struct SpiralOptions {
-    /// First value of the parameter t, in degrees [default: 5]
-    #[arg(long, value_name = "DEG", value_parser = value::not_negative)]
-    pub(crate) start: Option<f64>,
-    #[command(flatten)]
-    pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
-}
-
-/// Options of the line.
-#[derive(Debug, Args)]
-pub(crate) struct LineOptions {
-    /// Where it begins, in m [default: tip of the straight robot]
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
-    pub(crate) start: Option<Vector>,
-    /// How fast it goes, in m/s
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0.03,0,-0.01", allow_hyphen_values = true)]
-    pub(crate) velocity: Vector,
-    /// Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]. It is sent,
-    /// but this daemon follows the position only
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::direction, allow_hyphen_values = true)]
-    pub(crate) axis: Option<Vector>,
-    #[command(flatten)]
-    pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
-}
-
-/// Options of the circle.
-#[derive(Debug, Args)]
-pub(crate) struct CircleOptions {
-    /// Radius in m [default: 0.16986 for a last section of 0.3 m]
-    #[arg(long, value_name = "M", value_parser = value::positive)]
-    pub(crate) radius: Option<f64>,
-    /// Height in m [default: 0.22137 above a last section of 0.3 m]
-    #[arg(long, value_name = "M", value_parser = value::number, allow_hyphen_values = true)]
-    pub(crate) height: Option<f64>,
-    /// How fast it goes round, in rad/s; negative: clockwise
-    #[arg(long, value_name = "RAD/S", value_parser = value::number, default_value = "1", allow_hyphen_values = true)]
-    pub(crate) rate: f64,
-    #[command(flatten)]
-    pub(crate) curve: CurveArguments,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
-}
-
-/// Options of a file.
-#[derive(Debug, Args)]
-pub(crate) struct FileOptions {
-    /// The CSV file; its rows are sent as they are, time counts from the first row
-    pub(crate) path: PathBuf,
-    #[command(flatten)]
-    pub(crate) feed: FeedArguments,
 }
 
 /// Options of `status`.
@@ -326,44 +230,6 @@ pub(crate) struct IncidentsOptions {
     /// Go on with each new one, until interrupted
     #[arg(long)]
     pub(crate) follow: bool,
-}
-
-/// Options of `settings`.
-#[derive(Debug, Args)]
-#[command(args_conflicts_with_subcommands = true)]
-pub(crate) struct SettingsOptions {
-    #[command(subcommand)]
-    pub(crate) action: Option<SettingsAction>,
-    #[command(flatten)]
-    pub(crate) show: SettingsShow,
-}
-
-/// What to do with the settings.
-#[derive(Debug, Subcommand)]
-pub(crate) enum SettingsAction {
-    /// Show them with their ranges, as the newest cycle used them
-    #[command(after_help = "Example:\n  cdcrctl settings show --format json")]
-    Show(SettingsShow),
-    /// Change some of them, all at once or not at all, until the daemon ends
-    #[command(
-        after_help = "Examples:\n  cdcrctl settings set position_weight=2 rate_weight=1e-6\n  \
-        cdcrctl settings set budget_ms=2      a solve may take 2 ms; 0: all the time that is left\n\n\
-        The keys are those of the table [controller] of the configuration, where they stay as they are, and \
-        budget_ms."
-    )]
-    Set {
-        /// What to change
-        #[arg(required = true, value_name = "KEY=VALUE", value_parser = Change::parse)]
-        changes: Vec<Change>,
-    },
-}
-
-/// How to show the settings.
-#[derive(Debug, Args)]
-pub(crate) struct SettingsShow {
-    /// How to print
-    #[arg(long, value_enum, default_value = "text")]
-    pub(crate) format: Format,
 }
 
 /// Options of `echo`.
@@ -400,60 +266,6 @@ pub(crate) enum Topic {
     Obstacles,
 }
 
-/// Options of `obstacle`.
-#[derive(Debug, Args)]
-pub(crate) struct ObstacleOptions {
-    #[command(subcommand)]
-    pub(crate) action: ObstacleAction,
-}
-
-/// What to do with obstacles.
-#[derive(Debug, Subcommand)]
-pub(crate) enum ObstacleAction {
-    /// Add a sphere, or with --to a capsule; a known id is replaced
-    #[command(
-        after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
-        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
-        cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\
-        The body keeps controller.safe_distance_m away from it in every mode: no command brings it \
-        nearer. An obstacle that moves into the standing robot is not evaded."
-    )]
-    Add(ObstacleAdd),
-    /// Remove obstacles by their ids; one that is not known changes nothing
-    #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
-    Remove {
-        /// Their ids
-        #[arg(required = true, value_name = "ID", num_args = 1..=64)]
-        ids: Vec<u32>,
-    },
-    /// Remove all obstacles
-    #[command(after_help = "Example:\n  cdcrctl obstacle clear")]
-    Clear,
-}
-
-/// A new obstacle.
-#[derive(Debug, Args)]
-pub(crate) struct ObstacleAdd {
-    /// Its id, chosen by you, unique among all clients
-    #[arg(long)]
-    pub(crate) id: u32,
-    /// Centre of the sphere, or first end of the capsule, in m
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
-    pub(crate) at: Vector,
-    /// Second end of the capsule's axis, in m
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
-    pub(crate) to: Option<Vector>,
-    /// Radius in m
-    #[arg(long, value_name = "M", value_parser = value::not_negative)]
-    pub(crate) radius: f64,
-    /// Velocity in m/s: the daemon moves it on from now
-    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
-    pub(crate) velocity: Vector,
-    /// How long it stays known [default: until removed]
-    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
-    pub(crate) lifetime: Option<Duration>,
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -466,7 +278,8 @@ mod tests {
 
     #[test]
     fn the_manual_is_what_the_command_line_says() {
-        cdcr_packaging::check(&Arguments::command(), "1").expect("up to date");
+        cdcr_packaging::check(&Arguments::command(), "1", Some(complete::VARIABLE))
+            .expect("up to date");
     }
 
     #[test]

@@ -33,6 +33,13 @@ impl Bar {
         Self { bar }
     }
 
+    /// A part of the whole, 0 to 1.
+    pub(crate) fn show_share(&self, share: f64) {
+        self.bar.set_length(100);
+        self.bar
+            .set_position((100.0 * share.clamp(0.0, 1.0)) as u64);
+    }
+
     pub(crate) fn show(&self, progress: &FeedProgress) {
         self.bar.set_length(ms(progress.duration_s));
         self.bar.set_position(ms(progress.played_s));

@@ -2,7 +2,7 @@ use std::io::Write;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
     PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
@@ -16,17 +16,26 @@ use crate::args::{
 };
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
+use crate::tip_error::TipError;
+
+/// A reference so many times as far from the base as the robot is long is asked about.
+const FAR: f64 = 10.0;
 
 /// `cdcrctl ref …`
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
+    check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new(trajectory.name());
+    let mut error = TipError::default();
     let report = connection
         .feed(&*trajectory, feed_options(arguments))?
         .run(|event| {
-            if let FeedEvent::Progress(progress) = event {
-                bar.show(&progress);
+            match event {
+                FeedEvent::Scheduled { start_ns } => error.start_ns = start_ns,
+                FeedEvent::Record(record) => error.take(record),
+                FeedEvent::Progress(progress) => bar.show(&progress),
+                _ => {}
             }
             if interrupt.is_raised() {
                 ControlFlow::Break(())
@@ -35,7 +44,29 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
             }
         })?;
     drop(bar);
-    finish(&connection, trajectory.name(), &report)
+    let done = finish(&connection, trajectory.name(), &report)?;
+    if done == Done::Good {
+        error.tell(arguments.max_error)?;
+    }
+    Ok(done)
+}
+
+/// Refuses a reference in millimetres. The daemon would refuse it, too, without a guess at the reason.
+fn check_unit(trajectory: &dyn Trajectory, reach_m: f64) -> anyhow::Result<()> {
+    let ends_s = [0.0, trajectory.duration_s()];
+    let times_s = trajectory.knots_s().unwrap_or(&ends_s);
+    let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let distances_m = times_s
+        .iter()
+        .map(|&time_s| norm(trajectory.position_m(time_s)));
+    let farthest_m = distances_m.fold(0.0, f64::max);
+    if farthest_m > FAR * reach_m {
+        bail!(
+            "the reference goes {farthest_m:.1} m away from the base, and the robot is {reach_m:.2} m long: are these \
+             millimetres?\npositions are in m: 150 mm are 0.15"
+        );
+    }
+    Ok(())
 }
 
 /// Checks everything that needs no daemon first, so that a bad file is told even without one.

@@ -6,6 +6,7 @@
 
 mod args;
 mod bar;
+mod complete;
 mod demo;
 mod echo;
 mod feed;
@@ -15,7 +16,9 @@ mod obstacle;
 mod request;
 mod settings;
 mod show_status;
+mod tip_error;
 mod value;
+mod wait;
 
 use std::io;
 use std::process::ExitCode;
@@ -37,9 +40,10 @@ enum Done {
 }
 
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
     // Errors are told in our own words; iceoryx2's log would say them twice.
     set_log_level(LogLevel::Fatal);
+    complete::answer();
+    let arguments = Arguments::parse();
     match run(&arguments) {
         Ok(Done::Good) => ExitCode::SUCCESS,
         Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
@@ -57,11 +61,11 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
     match &arguments.task {
         Task::Demo(options) => demo::run(options),
         Task::Ref(options) => feed::run(target, options),
-        Task::Track => request::run(target, RequestKind::Track),
-        Task::Hold => request::run(target, RequestKind::Hold),
-        Task::Home => request::run(target, RequestKind::Home),
-        Task::Stop => request::run(target, RequestKind::Stop),
-        Task::Reset => request::run(target, RequestKind::Reset),
+        Task::Track => request::run(target, RequestKind::Track, None),
+        Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
+        Task::Home(options) => request::run(target, RequestKind::Home, options.wait),
+        Task::Stop => request::run(target, RequestKind::Stop, None),
+        Task::Reset(options) => request::run(target, RequestKind::Reset, options.wait),
         Task::Status(options) => show_status::run(target, options),
         Task::Incidents(options) => incidents::run(target, options),
         Task::Settings(options) => settings::run(target, options),

@@ -1,28 +1,39 @@
-use std::io::Write;
+use std::fmt::Write as _;
+use std::io::Write as _;
 use std::time::Duration;
 
 use anyhow::bail;
-use cdcr_client::{monotonic_ns, remedy};
-use cdcr_shared_types::Obstacle;
+use cdcr_client::{Connection, LinkError, monotonic_ns, obstacles, remedy, section_lengths_m};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
+use cdcr_shared_types::{Obstacle, Service, Status};
 
 use crate::Done;
-use crate::args::{ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
+use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
+use crate::echo::json;
 
-/// How long the daemon may take to judge the message.
-const VERDICT_TIMEOUT: Duration = Duration::from_secs(1);
+/// An obstacle so many times the length of the robot away is asked about. (The nearest that millimetres can be mistaken
+/// for is about a thousand times as far as meant.)
+const FAR: f64 = 10.0;
+/// How long the daemon may take to judge the message, or to run a cycle.
+const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// `cdcrctl obstacle …`
 pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
+    if let ObstacleAction::List(options) = &options.action {
+        return list(&connection, options.format);
+    }
     let mut telemetry = connection.telemetry()?;
     let sender = connection.obstacle_sender()?;
     let header = match &options.action {
-        ObstacleAction::Add(add) => sender.upsert(&[obstacle(add, monotonic_ns())])?,
+        ObstacleAction::Add(add) => {
+            check(add, &connection.status(TIMEOUT)?)?;
+            sender.upsert(&[obstacle(add, monotonic_ns())])?
+        }
         ObstacleAction::Remove { ids } => sender.remove(ids)?,
-        ObstacleAction::Clear => sender.clear()?,
+        ObstacleAction::Clear | ObstacleAction::List(_) => sender.clear()?,
     };
-    let event = telemetry.event_on(EventKind::Obstacles, &header, VERDICT_TIMEOUT)?;
+    let event = telemetry.event_on(EventKind::Obstacles, &header, TIMEOUT)?;
     match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
         Outcome::Accepted => {
             let known = event.detail;
@@ -34,6 +45,90 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
         }
         outcome => bail!("the daemon refused it: {outcome}. {}", advice(outcome)),
     }
+}
+
+/// The obstacles that the next cycle knows.
+pub(crate) fn known(connection: &Connection) -> Result<Vec<Obstacle>, LinkError> {
+    let record = connection.telemetry()?.next_within(TIMEOUT)?;
+    let record = record.ok_or(LinkError::Silent {
+        service: Service::Telemetry.key(),
+        waited: TIMEOUT,
+    })?;
+    Ok(obstacles(&record).to_vec())
+}
+
+fn list(connection: &Connection, format: Format) -> anyhow::Result<Done> {
+    let known = known(connection)?;
+    let shown = match format {
+        Format::Text => table(&known)?,
+        Format::Json => {
+            let known: Vec<_> = known.iter().map(json::obstacle).collect();
+            serde_json::to_string_pretty(&known)? + "\n"
+        }
+    };
+    std::io::stdout().write_all(shown.as_bytes())?;
+    Ok(Done::Good)
+}
+
+fn table(known: &[Obstacle]) -> Result<String, std::fmt::Error> {
+    let mut out = String::new();
+    if known.is_empty() {
+        return Ok("no obstacles are known\n".to_owned());
+    }
+    writeln!(
+        out,
+        "{:>10}  {:<8}{:<24}{:<24}{:>8}  {:<24}{:>8}",
+        "id", "shape", "at m", "to m", "radius m", "velocity m/s", "left s"
+    )?;
+    for obstacle in known {
+        let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
+        let to = if is_capsule {
+            vector_text(obstacle.end_m)
+        } else {
+            "-".to_owned()
+        };
+        let left = match obstacle.lifetime_ns {
+            0 => "-".to_owned(),
+            ns => format!("{:.1}", ns as f64 * 1e-9),
+        };
+        writeln!(
+            out,
+            "{:>10}  {:<8}{:<24}{to:<24}{:>8.3}  {:<24}{left:>8}",
+            obstacle.id,
+            ObstacleShape::text_of(obstacle.shape),
+            vector_text(obstacle.start_m),
+            obstacle.radius_m,
+            vector_text(obstacle.velocity_m_s),
+        )?;
+    }
+    Ok(out)
+}
+
+fn vector_text([x, y, z]: [f64; 3]) -> String {
+    format!("{x:.3},{y:.3},{z:.3}")
+}
+
+/// Refuses what the daemon would take, and the user hardly means.
+fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
+    let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
+    if add.lifetime.is_some() && timeout_ms > 0.0 {
+        bail!(
+            "this daemon watches those who send obstacles with lifetimes (obstacles.source_timeout_ms = {timeout_ms}): \
+             this command ends at once, would count as a source that has died, and the robot would hold\nleave \
+             --lifetime out, and remove the obstacle with: cdcrctl obstacle remove {}",
+            add.id
+        );
+    }
+    let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let nearest_m = norm(add.at).min(norm(add.to.unwrap_or(add.at))) - add.radius;
+    let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
+    if !add.far && nearest_m > FAR * reach_m {
+        bail!(
+            "the obstacle is {nearest_m:.1} m away, and the robot {reach_m:.2} m long: are these millimetres?\n--at, --to and \
+             --radius are in m: 150 mm are 0.15. If it is really so far away: --far"
+        );
+    }
+    Ok(())
 }
 
 /// What to do, in the words of this command where it has its own.
@@ -64,5 +159,123 @@ fn obstacle(add: &ObstacleAdd, now_ns: u64) -> Obstacle {
         velocity_m_s: add.velocity,
         measured_ns: now_ns,
         lifetime_ns: add.lifetime.map_or(0, |d| d.as_nanos() as u64),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn add(at: [f64; 3], radius: f64) -> ObstacleAdd {
+        ObstacleAdd {
+            id: 7,
+            at,
+            to: None,
+            radius,
+            velocity: [0.0; 3],
+            lifetime: None,
+            far: false,
+        }
+    }
+
+    fn status() -> Status {
+        let mut status = Status::default();
+        status.robot.sections = 3;
+        for section in &mut status.robot.section[..3] {
+            section.length_m = 0.3;
+        }
+        status
+    }
+
+    #[test]
+    fn metres_that_look_like_millimetres_are_asked_about() {
+        for (at, radius, is_legal) in [
+            ([0.0, 0.17, 0.22], 0.02, true),
+            ([0.0, 170.0, 220.0], 20.0, false),
+            ([70.0, 0.0, 0.0], 20.0, false),
+            // A wall, and a machine across the hall.
+            ([0.0, 0.0, -1000.0], 999.9, true),
+            ([8.0, 0.0, 0.0], 1.0, true),
+        ] {
+            let said = check(&add(at, radius), &status());
+            assert_eq!(said.is_ok(), is_legal, "{at:?}: {said:?}");
+        }
+        let far = ObstacleAdd {
+            far: true,
+            ..add([50.0, 0.0, 0.0], 0.1)
+        };
+        assert!(check(&far, &status()).is_ok());
+        let capsule = ObstacleAdd {
+            to: Some([0.3, 0.0, 0.0]),
+            ..add([50.0, 0.0, 0.0], 0.1)
+        };
+        assert!(check(&capsule, &status()).is_ok(), "one end is near");
+    }
+
+    #[test]
+    fn a_lifetime_is_refused_where_it_would_make_the_robot_hold() {
+        let fleeting = ObstacleAdd {
+            lifetime: Some(TIMEOUT),
+            ..add([0.5, 0.0, 0.0], 0.1)
+        };
+        assert!(check(&fleeting, &status()).is_ok());
+        let watching = Status {
+            obstacle_source_timeout_ns: 500_000_000,
+            ..status()
+        };
+        let error = check(&fleeting, &watching)
+            .expect_err("refused")
+            .to_string();
+        assert!(error.contains("source_timeout_ms = 500"), "{error}");
+        assert!(error.contains("cdcrctl obstacle remove 7"), "{error}");
+        let lasting = ObstacleAdd {
+            lifetime: None,
+            ..fleeting
+        };
+        assert!(check(&lasting, &watching).is_ok());
+    }
+
+    #[test]
+    fn the_list_has_every_obstacle_with_its_units() {
+        assert_eq!(table(&[]).expect("formatted"), "no obstacles are known\n");
+        let sphere = Obstacle {
+            id: 1,
+            start_m: [0.0, 0.17, -0.22],
+            radius_m: 0.02,
+            lifetime_ns: 2_500_000_000,
+            ..Obstacle::default()
+        };
+        let capsule = Obstacle {
+            id: 4_000_000_000,
+            shape: ObstacleShape::Capsule.code(),
+            end_m: [0.5, 0.3, 0.6],
+            ..Obstacle::default()
+        };
+        let table = table(&[sphere, capsule]).expect("formatted");
+        let rows: Vec<Vec<_>> = table
+            .lines()
+            .map(|row| row.split_whitespace().collect())
+            .collect();
+        assert_eq!(
+            rows[1],
+            [
+                "1",
+                "sphere",
+                "0.000,0.170,-0.220",
+                "-",
+                "0.020",
+                "0.000,0.000,0.000",
+                "2.5"
+            ]
+        );
+        assert_eq!(
+            rows[2][..4],
+            [
+                "4000000000",
+                "capsule",
+                "0.000,0.000,0.000",
+                "0.500,0.300,0.600"
+            ]
+        );
     }
 }

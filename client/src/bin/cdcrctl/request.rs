@@ -1,23 +1,57 @@
 use std::io::Write;
+use std::thread;
+use std::time::{Duration, Instant};
 
-use cdcr_client::Requester;
-use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_client::{RequestError, Requester};
+use cdcr_shared_types::Response;
+use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 
 use crate::Done;
 use crate::args::Target;
+use crate::wait;
+
+/// How long `track` waits for a reference, which another program may just begin to feed, and how often it asks.
+const REFERENCE_TIMEOUT: Duration = Duration::from_secs(2);
+const ASK_AGAIN: Duration = Duration::from_millis(50);
 
 /// `cdcrctl track`, `hold`, `home`, `stop`, `reset`
-pub(crate) fn run(target: &Target, kind: RequestKind) -> anyhow::Result<Done> {
+pub(crate) fn run(
+    target: &Target,
+    kind: RequestKind,
+    wait: Option<Duration>,
+) -> anyhow::Result<Done> {
+    if let Some(limit) = wait {
+        return wait::run(target, kind, limit);
+    }
     let (location, robot) = target.location()?;
     let response = match kind {
         RequestKind::Stop => Requester::stop(&location, robot)?,
+        RequestKind::Track => track(&Requester::open(&location, robot)?)?,
         _ => Requester::open(&location, robot)?.request(kind)?,
     };
+    tell(kind, &response)?;
+    Ok(Done::Good)
+}
+
+/// Says what came of a request.
+pub(crate) fn tell(kind: RequestKind, response: &Response) -> std::io::Result<()> {
     writeln!(
         std::io::stdout(),
         "{kind}: accepted in cycle {}, the daemon is {}",
         response.cycle,
         Mode::text_of(response.mode)
-    )?;
-    Ok(Done::Good)
+    )
+}
+
+fn track(requester: &Requester) -> Result<Response, RequestError> {
+    let deadline = Instant::now() + REFERENCE_TIMEOUT;
+    loop {
+        match requester.request(RequestKind::Track) {
+            Err(RequestError::Refused {
+                outcome: Outcome::NoLease | Outcome::NoReference,
+                ..
+            }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
+            answer => return answer,
+        }
+    }
 }

@@ -1,43 +1,49 @@
 //! The settings of the solver by their keys, as in the table `[controller]` of the configuration.
 
 mod keys;
+mod save;
 
 use std::fmt::Write as _;
 use std::io::Write;
+use std::time::Duration;
 
 use anyhow::bail;
 use cdcr_client::{Connection, RequestError};
-use cdcr_shared_types::SolverSettings;
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::Value;
 
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
-pub(crate) use keys::Change;
-use keys::SETTINGS;
+pub(crate) use keys::{Change, SETTINGS, Setting};
+
+/// How long a status may take.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// `cdcrctl settings …`
 pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let format = match &options.action {
         Some(SettingsAction::Set { changes }) => return set(&connection, changes),
+        Some(SettingsAction::Save { file }) => return save::run(&connection, file.as_deref()),
         Some(SettingsAction::Show(show)) => show.format,
         None => options.show.format,
     };
     let settings = connection.settings()?;
     let shown = match format {
-        Format::Text => table(settings)?,
+        Format::Text => table(settings, &connection.status(STATUS_TIMEOUT)?)?,
         Format::Json => serde_json::to_string_pretty(&object(settings))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
     Ok(Done::Good)
 }
 
-fn table(settings: SolverSettings) -> Result<String, std::fmt::Error> {
+fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
     writeln!(out, "{:<26}{:<15}allowed", "setting", "value")?;
     for setting in SETTINGS {
-        let (value, allowed) = (setting.text(settings), setting.allowed());
+        let (value, allowed) = (setting.text(settings), setting.allowed_by(status));
         writeln!(out, "{:<26}{value:<15}{allowed}", setting.key)?;
     }
     Ok(out)
@@ -60,10 +66,13 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     let response = match connection.change_settings(after) {
         Err(
             error @ RequestError::Refused {
-                outcome: Outcome::OutOfRange | Outcome::UnknownCode | Outcome::Unsupported,
+                outcome: Outcome::OutOfRange,
                 ..
             },
-        ) => bail!("{error}\nallowed:\n{}", allowed(changes)),
+        ) => match broken_bound(&after, &connection.status(STATUS_TIMEOUT)?) {
+            Some(bound) => bail!("cannot change settings: {bound}"),
+            None => return Err(error.into()),
+        },
         answer => answer?,
     };
     let mut out = std::io::stdout().lock();
@@ -85,17 +94,30 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
 fn changed(
     before: SolverSettings,
     after: SolverSettings,
-) -> impl Iterator<Item = &'static keys::Setting> {
-    let is_changed = move |setting: &&keys::Setting| setting.text(before) != setting.text(after);
+) -> impl Iterator<Item = &'static Setting> {
+    let is_changed = move |setting: &&Setting| setting.text(before) != setting.text(after);
     SETTINGS.iter().filter(is_changed)
 }
 
-/// What the daemon allows for the settings that were to change.
-fn allowed(changes: &[Change]) -> String {
-    let lines = changes
-        .iter()
-        .map(|change| format!("  {} {}", change.setting().key, change.setting().allowed()));
-    lines.collect::<Vec<_>>().join("\n")
+/// The bound that the daemon has beyond the range of each setting: by its configuration, or by another setting.
+fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
+    let least_m = status.safe_distance_min_m;
+    if wanted.safe_distance_m < least_m {
+        let wanted_m = wanted.safe_distance_m;
+        return Some(format!(
+            "safe_distance_m = {wanted_m} is less than the configuration of the daemon allows: at least {least_m}"
+        ));
+    }
+    let rules = NmpcSettings {
+        horizon_steps: wanted.horizon_steps,
+        control_blocks: wanted.control_blocks,
+        obstacle_step_penalty: wanted.obstacle_step_penalty,
+        obstacle_slope_penalty: wanted.obstacle_slope_penalty,
+        obstacle_square_penalty: wanted.obstacle_square_penalty,
+        ..NmpcSettings::default()
+    };
+    let broken = rules.validate().err();
+    broken.map(|bound| format!("with the other settings as they are, {bound}"))
 }
 
 #[cfg(test)]
@@ -122,13 +144,51 @@ mod tests {
         }
         assert_eq!(object(settings), shown);
         assert_eq!((settings.seed, settings.budget_ns), (u64::MAX, 2_500_000));
-        let table = table(settings).expect("formatted");
+        let status = Status {
+            safe_distance_min_m: 0.02,
+            ..Status::default()
+        };
+        let table = table(settings, &status).expect("formatted");
         for line in [
             "solver                    gauss-newton   kpso, gauss-newton or kpso-refined\n",
             "damping                   1e-14          1e-20 to 1\n",
             "budget_ms                 2.5            0 to 100; 0: all that is left of the period\n",
+            "safe_distance_m           0              0.02 to 10; no less than in the configuration\n",
         ] {
             assert!(table.contains(line), "{line} in\n{table}");
+        }
+    }
+
+    #[test]
+    fn a_refusal_names_the_bound_that_was_broken() {
+        let status = Status {
+            safe_distance_min_m: 0.01,
+            ..Status::default()
+        };
+        let legal = SolverSettings {
+            horizon_steps: 2,
+            safe_distance_m: 0.01,
+            obstacle_slope_penalty: 1e4,
+            ..SolverSettings::default()
+        };
+        assert_eq!(broken_bound(&legal, &status), None);
+        for (change, bound) in [
+            ("safe_distance_m=0.005", "at least 0.01"),
+            (
+                "control_blocks=3",
+                "control_blocks = 3 is out of range: allowed is 0 to 2",
+            ),
+            (
+                "obstacle_step_penalty=1e12",
+                "obstacle_slope_penalty = 10000 is out of range",
+            ),
+        ] {
+            let mut wanted = legal;
+            Change::parse(change)
+                .expect("in its range")
+                .apply(&mut wanted);
+            let said = broken_bound(&wanted, &status).expect(change);
+            assert!(said.contains(bound), "{change}: {said}");
         }
     }
 

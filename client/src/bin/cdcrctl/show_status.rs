@@ -170,9 +170,16 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     let heading = format!("{:>11}{:>11}{:>11}", "p50", "p99", "max");
     writeln!(out, "{:<20}{heading}   {heading}", "time in µs")?;
     for (name, of) in LATENCIES {
-        let [left, right] = both.map(|statistics| latency_cells(of(statistics)));
-        writeln!(out, "{name:<20}{left}   {right}")?;
+        latency_row(out, name, both.map(of))?;
     }
+    // Not every cycle solves, so its percentiles are of other cycles than those above.
+    let [left, right] = both.map(|statistics| format!("{} of the cycles", statistics.solve.count));
+    writeln!(
+        out,
+        "\n{:<20}{left:>33}   {right:>33}",
+        "cycles that solved"
+    )?;
+    latency_row(out, "solve", both.map(|statistics| &statistics.solve))?;
     writeln!(out)?;
     for (name, of) in COUNTERS {
         count_row(out, name, both.map(of))?;
@@ -189,13 +196,13 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
 type LatencyOf = fn(&Statistics) -> &LatencySummary;
 type CountOf = fn(&Statistics) -> u64;
 
-const LATENCIES: [(&str, LatencyOf); 6] = [
-    ("wake-up", |s| &s.wake),
-    ("gather", |s| &s.gather),
-    ("compute", |s| &s.compute),
-    ("solve", |s| &s.solve),
+/// Of every cycle. What is indented is a part of the line above it.
+const LATENCIES: [(&str, LatencyOf); 5] = [
     ("response", |s| &s.response),
-    ("publish", |s| &s.publish),
+    ("  wake-up", |s| &s.wake),
+    ("  compute", |s| &s.compute),
+    ("gather before it", |s| &s.gather),
+    ("publish after it", |s| &s.publish),
 ];
 
 /// Those of the causes follow the last of them.
@@ -211,13 +218,13 @@ const COUNTERS: [(&str, CountOf); 9] = [
     ("late starts", |s| s.late_starts),
 ];
 
-fn latency_cells(latency: &LatencySummary) -> String {
-    format!(
-        "{:>11}{:>11}{:>11}",
-        latency_text(latency, |l| l.p50_ns),
-        latency_text(latency, |l| l.p99_ns),
-        latency_text(latency, |l| l.max_ns)
-    )
+fn latency_row(out: &mut String, name: &str, both: [&LatencySummary; 2]) -> std::fmt::Result {
+    let of: [fn(&LatencySummary) -> u64; 3] = [|l| l.p50_ns, |l| l.p99_ns, |l| l.max_ns];
+    let [left, right] = both.map(|latency| {
+        let [p50, p99, max] = of.map(|of| latency_text(latency, of));
+        format!("{p50:>11}{p99:>11}{max:>11}")
+    });
+    writeln!(out, "{name:<20}{left}   {right}")
 }
 
 fn count_row(out: &mut String, name: &str, [left, right]: [u64; 2]) -> std::fmt::Result {
@@ -323,6 +330,8 @@ mod tests {
         status.outcomes[Outcome::NoLease.code() as usize] = 3;
         status.since_reset.wake.count = 1;
         status.since_reset.wake.p99_ns = 42_500;
+        status.since_reset.solve.count = 7;
+        status.since_reset.solve.p50_ns = 4_000_000;
         status.last_minute.deadline_misses = 12;
         status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
         let table = table(&status, 124_900_000_000).expect("formatted");
@@ -333,14 +342,16 @@ mod tests {
             "following   position interface, error 0.0200 rad, 0.00 mm of cable (8 cycles above the warning)\n",
             "SCHED_FIFO is missing: run as the service",
             "the last 2m 3s",
-            "wake-up                     0.0       42.5        0.0             -          -          -\n",
-            "solve                         -          -          -             -          -          -\n",
+            "  wake-up                   0.0       42.5        0.0             -          -          -\n",
+            "  compute                     -          -          -             -          -          -\n",
+            "cycles that solved                    7 of the cycles                     0 of the cycles\n",
+            "solve                    4000.0        0.0        0.0             -          -          -\n",
             &format!("deadline misses{:>38}{:>36}\n", 0, 12),
             &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
             "obstacles   2, smallest clearance 10.50 mm",
             "the guard changed 17 commands",
-            "3  the sender does not hold the reference lease",
+            "3  the sender has no right to feed a reference (it holds no lease)",
             "budget all that is left of the period\n",
         ] {
             assert!(table.contains(expected), "{expected} in\n{table}");

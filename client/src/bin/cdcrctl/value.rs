@@ -49,6 +49,17 @@ pub(crate) fn not_negative(text: &str) -> Result<f64, String> {
     }
 }
 
+/// A length above zero with its unit: `2mm`, `0.002m`.
+pub(crate) fn length_m(text: &str) -> Result<f64, String> {
+    let text = text.trim();
+    let (digits, unit_m) = match (text.strip_suffix("mm"), text.strip_suffix('m')) {
+        (Some(digits), _) => (digits, 1e-3),
+        (None, Some(digits)) => (digits, 1.0),
+        (None, None) => return Err("it needs a unit, for example 2mm or 0.002m".to_owned()),
+    };
+    Ok(unit_m * positive(digits)?)
+}
+
 /// How long a demo may take.
 pub(crate) fn demo_duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.1..=20.0)
@@ -97,6 +108,15 @@ mod tests {
         assert!(parse_duration("-1s").is_err());
         assert!(parse_duration("5").is_err());
         assert!(parse_duration("nans").is_err());
+    }
+
+    #[test]
+    fn lengths_have_units() {
+        assert_eq!(length_m("2mm"), Ok(0.002));
+        assert_eq!(length_m("0.25 m"), Ok(0.25));
+        for wrong in ["2", "2cm", "0mm", "-1m", "mm", "nanm"] {
+            assert!(length_m(wrong).is_err(), "{wrong}");
+        }
     }
 
     #[test]

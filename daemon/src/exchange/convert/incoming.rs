@@ -87,6 +87,9 @@ fn reference_point(
     reach_m: f64,
     now_ns: u64,
 ) -> Result<ReferencePoint, Outcome> {
+    if point.reserved != 0 {
+        return Err(Outcome::UnknownCode);
+    }
     let position_m = Vector3::from(point.position_m);
     if !position_m
         .iter()
@@ -153,6 +156,9 @@ pub fn measurement(
     interface: codes::Interface,
     now_ns: u64,
 ) -> Result<TimedMeasurement, Refused> {
+    if message.reserved != 0 {
+        return Err(Refused::whole(Outcome::UnknownCode));
+    }
     if message.sections as usize != robot.section_count() {
         return Err(Refused::whole(Outcome::WrongRobot));
     }
@@ -264,8 +270,12 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
         measured_ns: message.measured_ns,
         expires_ns: (message.lifetime_ns > 0).then_some(expires_ns),
     };
-    let still_known = known.is_known_at(now_ns).then_some(known);
-    still_known.ok_or(Outcome::InThePast)
+    if !known.is_known_at(now_ns) {
+        return Err(Outcome::InThePast);
+    }
+    // Its speed may have taken it out of all ranges since it was measured.
+    let is_near = known.at(now_ns).is_some();
+    is_near.then_some(known).ok_or(Outcome::OutOfRange)
 }
 
 /// The request of a client that concerns the mode; none for those about lease, settings and

@@ -135,6 +135,7 @@ mod tests {
             change(&mut message);
             settings_from_wire(&message)
         };
+        assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
         assert_eq!(
             with(|m| m.budget_ns = 100_000_001),
             Err(Outcome::OutOfRange)
@@ -219,6 +220,8 @@ mod tests {
         );
         assert_eq!(bad(|o| o.measured_ns = u64::MAX), (Outcome::OutOfRange, 1));
         assert_eq!(bad(|o| o.lifetime_ns = 1_000), (Outcome::InThePast, 1));
+        let gone = |o: &mut wire::Obstacle| (o.start_m[0], o.velocity_m_s[0]) = (1e6 - 0.5, 1e6);
+        assert_eq!(bad(gone), (Outcome::OutOfRange, 1));
         assert_eq!(bad(|o| o.shape = 2), (Outcome::UnknownCode, 1));
         let many = wire::ObstacleUpdate {
             count: 65,
@@ -275,6 +278,11 @@ mod tests {
             ..good
         };
         assert_eq!(outcome(future), Err(Outcome::OutOfRange));
+        let odd = wire::Measurement {
+            reserved: 1,
+            ..good
+        };
+        assert_eq!(outcome(odd), Err(Outcome::UnknownCode));
         let speeds = wire::Measurement {
             interface: codes::Interface::Velocity.code(),
             ..good

@@ -23,6 +23,7 @@ pub fn refusal(refusal: Refusal) -> Outcome {
         Refusal::NoLease => Outcome::NoLease,
         Refusal::NoReference => Outcome::NoReference,
         Refusal::CauseStands => Outcome::CauseStands,
+        Refusal::Waits => Outcome::Waits,
         Refusal::Overruled => Outcome::Overruled,
         Refusal::Ending => Outcome::Ending,
     }

@@ -65,6 +65,9 @@ pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
 /// # Errors
 /// `UnknownCode` or `OutOfRange`.
 pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<Settings, Outcome> {
+    if message.reserved != 0 {
+        return Err(Outcome::UnknownCode);
+    }
     if message.budget_ns > BUDGET_MAX_NS {
         return Err(Outcome::OutOfRange);
     }

@@ -1,7 +1,8 @@
 //! Invariant: no command of ours brings the body nearer to an obstacle than is allowed.
 
-use cdcr_controller::robot::{BendRates, Robot};
+use cdcr_controller::robot::{BendRates, Robot, SECTIONS_MAX};
 use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::Interface;
 use cdcr_tests::record::{configuration_of, obstacles_of};
 
 use crate::chaos::{Verdict, ensure};
@@ -9,25 +10,61 @@ use crate::chaos::{Verdict, ensure};
 /// What rounding may take from a clearance \[m\].
 const TOLERANCE_M: f64 = 1e-9;
 
-/// Checks c(command) ≥ min(D, c(standing still)) for each obstacle where it will be one period later, both with
-/// the exact clearance of the whole body.
+/// What is not looked for between the end of the period and that of the stopping way \[m\].
+const DIP_M: f64 = 1e-3;
+
+/// Checks cⱼ(command) ≥ min(D, cⱼ(standing still)) for each obstacle where it will be, and each section of the body, with
+/// exact clearances: after the period, and, to a millimetre, when no other command has followed and the robot has come
+/// to rest.
 pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
+    check_at(robot, record, &rates, period_s, period_s, TOLERANCE_M)?;
+    let fastest = rates
+        .as_slice()
+        .iter()
+        .fold(0.0_f64, |most, rate| most.max(rate.abs()));
+    let ramp_s = fastest / record.deceleration_rad_s2;
+    let valid_s = if record.command.interface == Interface::Position.code() {
+        period_s
+    } else {
+        record
+            .command
+            .valid_until_ns
+            .saturating_sub(record.release_ns) as f64
+            * 1e-9
+    };
+    let way_s = valid_s + 0.5 * ramp_s;
+    check_at(robot, record, &rates, way_s, valid_s + ramp_s, DIP_M)
+}
+
+/// The same when the robot has gone for `way_s` at its rates, after `time_s`.
+fn check_at(
+    robot: &Robot,
+    record: &Telemetry,
+    rates: &BendRates,
+    way_s: f64,
+    time_s: f64,
+    tolerance_m: f64,
+) -> Verdict {
     let standing = configuration_of(record);
-    let commanded = standing.advanced(&rates, period_s);
+    let commanded = standing.advanced(rates, way_s);
     let standing = robot.body(standing.as_slice());
     let commanded = robot.body(commanded.as_slice());
     for (index, obstacle) in obstacles_of(record).iter().enumerate() {
-        let later = obstacle.moved(period_s);
-        let floor_m = standing
-            .clearance_m(&later)
-            .min(record.settings.safe_distance_m);
-        let clearance_m = commanded.clearance_m(&later);
-        // A NaN breaks it, too.
-        ensure(clearance_m >= floor_m - TOLERANCE_M, || {
-            format!("the command leaves {clearance_m} m to obstacle {index}, below {floor_m} m")
-        })?;
+        let later = obstacle.moved(time_s);
+        let [standing_m, commanded_m] = [&standing, &commanded]
+            .map(|body| body.clearances_in_reach(&later, &[f64::INFINITY; SECTIONS_MAX]));
+        for j in 0..robot.section_count() {
+            let floor_m = standing_m[j].min(record.settings.safe_distance_m);
+            let clearance_m = commanded_m[j];
+            // A NaN breaks it, too.
+            ensure(clearance_m >= floor_m - tolerance_m, || {
+                format!(
+                    "the command leaves {clearance_m} m between section {j} and obstacle {index} after {time_s} s, below {floor_m} m"
+                )
+            })?;
+        }
     }
     Ok(())
 }
@@ -46,6 +83,7 @@ mod tests {
         let mut record = Telemetry::default();
         record.robot.sections = 1;
         record.settings.safe_distance_m = 0.01;
+        record.deceleration_rad_s2 = 40.0;
         record.obstacle_count = 1;
         record.obstacles[0] = Obstacle {
             start_m: [body_m + 0.02 + 0.010_001, 0.0, 0.25],

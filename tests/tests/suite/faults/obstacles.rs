@@ -1,8 +1,11 @@
 //! Obstacles that come too near, and too many of them.
 
+use std::sync::atomic::AtomicBool;
+
 use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns};
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
+use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{Daemon, PATIENT, wait_status};
 
 use crate::faults::trail::{Trail, is, say};
@@ -153,6 +156,42 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     assert_eq!((status.obstacle_count, status.faults), (64, 0));
 }
 
+/// Of 400 cycles those whose inputs were gathered before the release before theirs.
+fn cycles_on_late_inputs(trail: &mut Trail) -> usize {
+    trail.catch_up();
+    let is_late = |record: Telemetry| record.gather_ns + record.period_ns < record.release_ns;
+    let mut next = || trail.until("the next record", |_| true).1;
+    (0..400).filter(|_| is_late(next())).count()
+}
+
+#[test]
+fn floods_of_obstacles_keep_nobody_out_and_make_no_inputs_late() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut trail = Trail::new(&connection);
+    let late_before = cycles_on_late_inputs(&mut trail);
+    let (ending, done) = (AtomicBool::new(false), Done::default());
+    std::thread::scope(|scope| {
+        let _ends = crate::stop::EndWhenDropped(&ending);
+        for _ in 0..3 {
+            scope.spawn(|| flood_obstacles(daemon.place(), &ending, &done));
+            scope.spawn(|| flood_bad_obstacles(daemon.place(), &ending));
+        }
+        wait_status(&connection, |status| {
+            status.obstacles_refused > 100 && status.outcomes[0] > 100
+        });
+        // The last to come, beside six that never pause.
+        let sender = connection.obstacle_sender().unwrap();
+        for _ in 0..20 {
+            let (_, told) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
+            assert_eq!(told.outcome, Outcome::Accepted.code());
+        }
+        let late = cycles_on_late_inputs(&mut trail);
+        println!("cycles on late inputs, of 400: {late_before} without floods, {late} beside them");
+        assert!(late <= late_before + 100, "{late_before}, then {late}");
+    });
+}
+
 /// A robot that goes slowly home beside a source that falls silent. What it does then is up to the configuration; the
 /// obstacles stay in any case.
 fn lose_source(rule: &str) {
@@ -192,10 +231,11 @@ fn lose_source(rule: &str) {
         let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(told.judged_ns);
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
-        assert!(
-            connection.request(RequestKind::Home).is_err(),
-            "it is still silent"
-        );
+        // It is still silent.
+        match connection.request(RequestKind::Home) {
+            Err(RequestError::Refused { outcome, .. }) => assert_eq!(outcome, Outcome::Waits),
+            other => panic!("{other:?}"),
+        }
     }
     // It lives, and sees the obstacle no more.
     sender.upsert(&[]).unwrap();

@@ -101,7 +101,7 @@ fn edited(turned: bool, edits: &[Edit]) -> String {
         }
     }
     let lines: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
-    lines.join(end)
+    lines.join(end) + end
 }
 
 fn set(row: &mut [String], column: usize, cell: &str) {

@@ -121,7 +121,7 @@ fn stop_one_daemon(modes: &[Mode], beside: Beside, floods: bool) {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
     if modes == [Mode::Faulted] {
-        // Before the floods: beside a flood of obstacles nobody else's update may get its turn.
+        // Before the floods, whose own obstacles may take all the room.
         let obstacles = connection.obstacle_sender().unwrap();
         obstacles.upsert(&[ball()]).unwrap();
         wait_status(&connection, |status| status.mode == Mode::Faulted.code());

@@ -1,11 +1,16 @@
 //! What signals do: SIGUSR1 stops the robot, SIGHUP does not end it.
 
-use cdcr_client::RequestError;
+use std::time::Duration;
+
+use cdcr_client::{RequestError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENCE, PATIENT, Program, text, until_undisturbed, wait_status, wait_until,
+};
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
+use crate::faults::threads::Hung;
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
 #[test]
@@ -36,6 +41,62 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         connection.request(RequestKind::Reset).unwrap();
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
     }
+}
+
+/// A client waits for 1 s after its signal for an answer. Half of it tells that from a signal at its end \[ns\].
+const LONG_BEFORE_NS: u64 = 500_000_000;
+
+#[test]
+fn a_stop_that_is_not_answered_goes_as_a_signal_long_before_it_gives_up() {
+    // The ring to the exchange holds the records of five seconds.
+    let daemon =
+        Daemon::start("[cycle]\nperiod_ms = 50.0\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n");
+    let connection = daemon.connect();
+    until_undisturbed("the exchange hangs while a stop is asked for", || {
+        let mut trail = Trail::new(&connection);
+        trail.until("holding", is(Mode::Holding));
+        let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
+            return Some(());
+        };
+        let output = daemon.place().cdcrctl(&["stop"]);
+        let ended_ns = monotonic_ns();
+        drop(hung);
+        let said = text(&output);
+        assert!(
+            !output.status.success() && said.contains("not confirmed"),
+            "{said}"
+        );
+        let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
+        connection
+            .request_within(RequestKind::Reset, PATIENCE)
+            .unwrap();
+        let is_first = before.cycle + 1 == stopped.cycle;
+        (is_first && stopped.release_ns + LONG_BEFORE_NS < ended_ns).then_some(())
+    });
+}
+
+#[test]
+fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
+    let daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n");
+    let connection = daemon.connect();
+    until_undisturbed("the exchange hangs for a part of the time", || {
+        let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
+            return Some(());
+        };
+        let mut stop = Program::start(daemon.place().command("cdcrctl").arg("stop"));
+        // By then it has sent the signal, and asks again.
+        std::thread::sleep(Duration::from_millis(600));
+        let is_asking = stop.runs();
+        drop(hung);
+        let output = stop.output();
+        connection
+            .request_within(RequestKind::Reset, PATIENCE)
+            .unwrap();
+        let said = text(&output);
+        let is_confirmed = output.status.success() && said.contains("the daemon is stopped");
+        assert!(is_confirmed || said.contains("not confirmed"), "{said}");
+        (is_asking && is_confirmed).then_some(())
+    });
 }
 
 #[test]

@@ -3,10 +3,12 @@
 mod access;
 mod bad_input;
 mod bare;
+mod commands;
 mod demo;
 mod driver;
 mod driver_example;
 mod ending;
+mod examples;
 mod feeding;
 mod lease;
 mod lifecycle;

@@ -113,6 +113,11 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
     let width = robot.coordinate_count();
     let commanded = Configuration::from_slice(&record.commanded_rad[..width]).unwrap();
     let obeys_positions = record.command.interface == Interface::Position.code();
+    let moving_ns = if obeys_positions {
+        record.period_ns
+    } else {
+        record.command.valid_until_ns - record.release_ns
+    };
     let situation = Situation {
         robot,
         at: &at,
@@ -122,6 +127,8 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
         safe_distance_m: record.settings.safe_distance_m,
         acceleration_rad_s2: record.acceleration_rad_s2,
         period_s: record.period_ns as f64 * 1e-9,
+        moving_s: moving_ns as f64 * 1e-9,
+        deceleration_rad_s2: record.deceleration_rad_s2,
         comes_to_rest: ![Mode::Tracking, Mode::Homing]
             .map(Mode::code)
             .contains(&record.mode),

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use serde::{Deserialize, Serialize};
 
-use super::daemon::{beside_ourselves, last_words};
+use super::daemon::{beside_ourselves, explained};
 use super::place::PrivatePlace;
 use super::report::Spread;
 use crate::interrupt::Interrupt;
@@ -135,22 +135,21 @@ impl<'a> BareLoop<'a> {
     /// Waits until it has ended. `false`: interrupted.
     fn wait(&mut self, interrupt: &Interrupt) -> anyhow::Result<bool> {
         let deadline = Instant::now() + TIMEOUT;
-        let words = |place: &PrivatePlace| last_words(&place.folder().join(LOG));
+        let log = self.place.folder().join(LOG);
         while Instant::now() < deadline {
             if interrupt.is_raised() {
                 return Ok(false);
             }
             match self.child.try_wait()? {
                 Some(code) if code.success() => return Ok(true),
-                Some(code) => bail!("cdcrd bare failed ({code}){}", words(self.place)),
+                Some(code) => {
+                    bail!(explained(&format!("cdcrd bare failed ({code})"), &log))
+                }
                 None => thread::sleep(Duration::from_millis(5)),
             }
         }
-        bail!(
-            "cdcrd bare did not end within {} s{}",
-            TIMEOUT.as_secs(),
-            words(self.place)
-        )
+        let what = format!("cdcrd bare did not end within {} s", TIMEOUT.as_secs());
+        bail!(explained(&what, &log))
     }
 }
 

@@ -5,7 +5,7 @@ use std::process::{Child, Command};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::{Context, bail};
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::Mode;
 use rustix::process::{Pid, Signal, kill_process};
@@ -61,10 +61,7 @@ impl DemoDaemon {
                 return Ok(None);
             }
             if let Some(code) = self.child.try_wait()? {
-                bail!(
-                    "the demo's daemon ended at once ({code}){}",
-                    self.last_words()
-                );
+                bail!(self.explained(&format!("the demo's daemon ended at once ({code})")));
             }
             match Connection::open(self.place.location(), ROBOT) {
                 Ok(connection) if is_running(&connection) => return Ok(Some(connection)),
@@ -73,16 +70,15 @@ impl DemoDaemon {
             }
             thread::sleep(Duration::from_millis(20));
         }
-        Err(anyhow!(
-            "the demo's daemon was not ready within {} s: {last}{}",
-            START_TIMEOUT.as_secs(),
-            self.last_words()
-        ))
+        let limit_s = START_TIMEOUT.as_secs();
+        bail!(self.explained(&format!(
+            "the demo's daemon was not ready within {limit_s} s: {last}"
+        )))
     }
 
-    /// What the daemon wrote into its log, for an error message.
-    pub(super) fn last_words(&self) -> String {
-        last_words(&self.place.folder().join(LOG))
+    /// What happened, with what the daemon wrote about it.
+    pub(super) fn explained(&self, what: &str) -> String {
+        explained(what, &self.place.folder().join(LOG))
     }
 
     /// Ends the daemon and waits for it.
@@ -101,11 +97,10 @@ impl DemoDaemon {
         }
         self.child.kill()?;
         self.child.wait()?;
-        bail!(
-            "the demo's daemon did not end within {} s of SIGTERM and was killed{}",
-            STOP_TIMEOUT.as_secs(),
-            self.last_words()
-        )
+        let limit_s = STOP_TIMEOUT.as_secs();
+        bail!(self.explained(&format!(
+            "the demo's daemon did not end within {limit_s} s of SIGTERM and was killed"
+        )))
     }
 }
 
@@ -117,11 +112,14 @@ impl Drop for DemoDaemon {
     }
 }
 
-/// What a program wrote into its log, for an error message; lines of a good run are left out.
-pub(super) fn last_words(log: &Path) -> String {
+/// The error that a program ended with, as far as it wrote one into its log; then what happened, and the warnings
+/// before it. Lines of a good run are left out.
+pub(super) fn explained(what: &str, log: &Path) -> String {
     let log = fs::read_to_string(log).unwrap_or_default();
     let lines = log.lines().filter(|line| !line.contains("Z  INFO "));
-    lines.fold(String::new(), |words, line| words + "\n" + line)
+    let (warnings, error): (Vec<_>, Vec<_>) =
+        lines.partition(|line| line.contains("Z  WARN ") || line.contains("Z ERROR "));
+    [error, vec![what], warnings].concat().join("\n")
 }
 
 fn is_running(connection: &Connection) -> bool {
@@ -149,17 +147,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn last_words_are_those_of_trouble() {
+    fn the_reason_comes_first() {
         let folder = tempfile::tempdir().expect("a folder");
         let log = folder.path().join("log");
         let text = "2026-01-01T00:00:00.000001Z  INFO running robot=\"demo\"\n\
                     2026-01-01T00:00:00.000002Z  WARN late: platform\n\
-                    cdcrd: shared memory is full\n";
+                    cdcrd: shared memory is full\nfree some\n";
         fs::write(&log, text).expect("written");
         assert_eq!(
-            last_words(&log),
-            "\n2026-01-01T00:00:00.000002Z  WARN late: platform\ncdcrd: shared memory is full"
+            explained("it ended", &log),
+            "cdcrd: shared memory is full\nfree some\nit ended\n\
+             2026-01-01T00:00:00.000002Z  WARN late: platform"
         );
-        assert_eq!(last_words(&folder.path().join("none")), "");
+        assert_eq!(
+            explained("it ended", &folder.path().join("none")),
+            "it ended"
+        );
     }
 }

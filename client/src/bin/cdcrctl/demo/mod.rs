@@ -100,7 +100,7 @@ fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::R
         return Ok(None);
     };
     let fed = feed(&connection, spiral, interrupt)
-        .map_err(|cause| anyhow!("{cause:#}{}", daemon.last_words()));
+        .map_err(|cause| anyhow!(daemon.explained(&format!("{cause:#}"))));
     // The client leaves before its daemon does, so that nothing of it stays behind.
     drop(connection);
     daemon.stop()?;

@@ -209,7 +209,7 @@ pub(crate) fn command(command: &Command) -> Value {
 pub(crate) fn status(status: &Status) -> Value {
     let missing = realtime_missing(status.realtime_missing);
     let sections = used_sections(status.robot.sections);
-    json!({
+    let counted = json!({
         "header": header(&status.header),
         "robot_name": text(&status.robot_name),
         "build": text(&status.build),
@@ -237,6 +237,8 @@ pub(crate) fn status(status: &Status) -> Value {
         "statistics_since_ns": status.statistics_since_ns,
         "since_reset": statistics(&status.since_reset),
         "last_minute": statistics(&status.last_minute),
+    });
+    let known = json!({
         "lease_holder": status.lease_holder,
         "reference_end_ns": status.reference_end_ns,
         "reference_points": status.reference_points,
@@ -248,9 +250,12 @@ pub(crate) fn status(status: &Status) -> Value {
         "following_error_rad": &status.following_error_rad[..sections],
         "following_error_m": &status.following_error_m[..3 * sections],
         "following_warnings": status.following_warnings,
+        "safe_distance_min_m": status.safe_distance_min_m,
+        "obstacle_source_timeout_ns": status.obstacle_source_timeout_ns,
         "robot": robot(&status.robot),
         "settings": settings(&status.settings),
-    })
+    });
+    joined([counted, known])
 }
 
 fn outcomes(status: &Status) -> Value {
@@ -385,7 +390,7 @@ pub(crate) fn obstacles(update: &ObstacleUpdate) -> Value {
     })
 }
 
-fn obstacle(obstacle: &Obstacle) -> Value {
+pub(crate) fn obstacle(obstacle: &Obstacle) -> Value {
     json!({
         "id": obstacle.id,
         "shape": ObstacleShape::text_of(obstacle.shape),

@@ -3,9 +3,9 @@
 //! The ranges are those of `configs/default.toml`. They are checked here so that a typing error is told
 //! at once; the daemon has the last word.
 
-use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Coordinates, SolverKind, VelocityRule};
 use cdcr_shared_types::limits::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, ITERATIONS_MAX, SWARM_MAX};
+use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Value, json};
 
 /// A setting that can be shown and changed.
@@ -179,6 +179,26 @@ impl Setting {
         }
     }
 
+    /// The words that it may be, if it is no number.
+    pub(crate) fn words(&self) -> Vec<String> {
+        match &self.field {
+            Field::Word(words, _) => words().into_iter().map(str::to_owned).collect(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// What it may be for this daemon, in words.
+    pub(crate) fn allowed_by(&self, status: &Status) -> String {
+        match self.field {
+            Field::Number(_, most, _) if self.key == "safe_distance_m" => format!(
+                "{} to {}; no less than in the configuration",
+                number_text(status.safe_distance_min_m),
+                number_text(most)
+            ),
+            _ => self.allowed(),
+        }
+    }
+
     /// What it may be, in words.
     pub(crate) fn allowed(&self) -> String {
         let range = match &self.field {
@@ -233,10 +253,6 @@ impl Change {
         let value = wanted(&setting.field, value)
             .ok_or_else(|| format!("{key} cannot be {value:?}; it may be {}", setting.allowed()))?;
         Ok(Self { setting, value })
-    }
-
-    pub(crate) fn setting(&self) -> &'static Setting {
-        self.setting
     }
 
     /// Writes it into `settings`.
@@ -317,7 +333,7 @@ mod tests {
         for line in lines {
             let (key, value) = line.split_once(" = ").expect("filtered");
             let change = Change::parse(&format!("{key}={}", value.trim_matches('"')));
-            assert_eq!(change.expect(line).setting().key, key);
+            assert_eq!(change.expect(line).setting.key, key);
             keys.push(key);
         }
         let mut known: Vec<_> = SETTINGS.iter().map(|setting| setting.key).collect();

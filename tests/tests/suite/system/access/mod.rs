@@ -3,6 +3,7 @@
 //! The other user is a real one, `nobody`. Only root can start programs as another user; elsewhere these tests
 //! say that they were skipped.
 
+mod group;
 mod planted;
 mod refused;
 mod stranger;

@@ -16,8 +16,8 @@ use cdcr_tests::{
 use rustix::process::Signal;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, assert_says, everything, files_below, folder_of_stranger, have_a_stranger,
-    in_view, start, stranger,
+    EXIT_ROOT, NOBODY, assert_says, attempts, everything, files_below, folder_of_stranger,
+    have_a_stranger, in_view, start, stranger,
 };
 
 /// Runs `cdcrd` to its end, which must come.
@@ -43,9 +43,11 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     assert_says(
         &ended(&place),
         EXIT_ROOT,
-        &["mode 0777", "chmod go-w", remedy],
+        &["mode 0777", "chmod go-rwx", remedy],
     );
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
+    let words = "anybody may write to the root path";
+    assert_says(&place.cdcrctl(&["status"]), 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of theirs to a folder of ours.
     let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
@@ -204,19 +206,11 @@ fn no_umask_opens_a_file_to_others() {
                 .iter()
                 .any(|path| path.extension().is_some_and(|end| end == "connection"))
     });
-    for path in everything(&place) {
-        // What a client has closed meanwhile is not open to anybody.
-        let Ok(file) = fs::symlink_metadata(&path) else {
-            continue;
-        };
-        let open = if file.is_dir() { 0o027 } else { 0o077 };
-        assert_eq!(
-            file.mode() & open,
-            0,
-            "{} {:o}",
-            path.display(),
-            file.mode()
-        );
+    // It is the way to every file.
+    let mode = fs::metadata(location.root()).unwrap().mode();
+    assert_eq!(mode & 0o7777, 0o700, "{mode:o}");
+    if have_a_stranger() {
+        assert_eq!(attempts(&everything(&place), NOBODY), Vec::<String>::new());
     }
 }
 

@@ -152,3 +152,35 @@ pub(super) fn folder_of_stranger(folder: &Path) {
     fs::create_dir(folder).unwrap();
     chown(folder, Some(NOBODY), Some(NOBODY)).unwrap();
 }
+
+/// What the other user tries with each file: to read it, to write to it, to put something into it, to open it to
+/// all, to take it away. `:` opens and writes nothing; `cat` reads everything.
+const ATTEMPTS: &str = r#"
+for file in "$@"; do
+    if ( cat "$file" > /dev/null ) 2> /dev/null; then echo "read $file"; fi
+    if ( : >> "$file" ) 2> /dev/null; then echo "wrote $file"; fi
+    if ( : <> "$file" ) 2> /dev/null; then echo "opened $file"; fi
+    if ls "$file/" > /dev/null 2>&1; then echo "listed $file"; fi
+    if ln -s /etc/passwd "$file/planted" 2> /dev/null; then echo "planted a link in $file"; fi
+    if chmod 0666 "$file" 2> /dev/null; then echo "opened to all $file"; fi
+    if mv "$file" "$file.taken" 2> /dev/null; then echo "moved $file"; fi
+    if rm -rf "$file" 2> /dev/null; then echo "removed $file"; fi
+done
+echo "tried $#"
+"#;
+
+/// What the other user could do with the files, one line for each success.
+pub(super) fn attempts(files: &BTreeSet<PathBuf>, group: u32) -> Vec<String> {
+    let output = stranger("/bin/sh")
+        .gid(group)
+        .args(["-c", ATTEMPTS, "attempts"])
+        .args(files)
+        .output()
+        .unwrap();
+    let said = text(&output);
+    assert!(said.contains(&format!("tried {}", files.len())), "{said}");
+    said.lines()
+        .filter(|line| !line.starts_with("tried "))
+        .map(str::to_owned)
+        .collect()
+}

@@ -1,0 +1,78 @@
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
+use clap_complete::ArgValueCandidates;
+
+use super::Format;
+use crate::complete;
+use crate::value::{self, Vector};
+
+/// Options of `obstacle`.
+#[derive(Debug, Args)]
+pub(crate) struct ObstacleOptions {
+    #[command(subcommand)]
+    pub(crate) action: ObstacleAction,
+}
+
+/// What to do with obstacles.
+#[derive(Debug, Subcommand)]
+pub(crate) enum ObstacleAction {
+    /// Add a sphere, or with --to a capsule; a known id is replaced
+    #[command(
+        after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
+        cdcrctl obstacle add --id 2 --at 0.2,0,0 --to 0.2,0,0.5 --radius 0.01 --lifetime 30s\n  \
+        cdcrctl obstacle add --id 3 --at 0.5,0,0.6 --radius 0.05 --velocity -0.02,0,0 --lifetime 10s\n\n\
+        The body keeps controller.safe_distance_m away from it in every mode: no command brings it \
+        nearer. An obstacle that moves into the standing robot is not evaded."
+    )]
+    Add(ObstacleAdd),
+    /// Show the obstacles that the newest cycle knew, where they were then
+    #[command(after_help = "Example:\n  cdcrctl obstacle list --format json")]
+    List(ObstacleList),
+    /// Remove obstacles by their ids; one that is not known changes nothing
+    #[command(after_help = "Example:\n  cdcrctl obstacle remove 1 2")]
+    Remove {
+        /// Their ids
+        #[arg(required = true, value_name = "ID", num_args = 1..=64,
+            add = ArgValueCandidates::new(complete::obstacle_ids))]
+        ids: Vec<u32>,
+    },
+    /// Remove all obstacles
+    #[command(after_help = "Example:\n  cdcrctl obstacle clear")]
+    Clear,
+}
+
+/// How to show the obstacles.
+#[derive(Debug, Args)]
+pub(crate) struct ObstacleList {
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    pub(crate) format: Format,
+}
+
+/// A new obstacle.
+#[derive(Debug, Args)]
+pub(crate) struct ObstacleAdd {
+    /// Its id, chosen by you, unique among all clients
+    #[arg(long)]
+    pub(crate) id: u32,
+    /// Centre of the sphere, or first end of the capsule, in m
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) at: Vector,
+    /// Second end of the capsule's axis, in m
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) to: Option<Vector>,
+    /// Radius in m
+    #[arg(long, value_name = "M", value_parser = value::not_negative)]
+    pub(crate) radius: f64,
+    /// Velocity in m/s: the daemon moves it on from now
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub(crate) velocity: Vector,
+    /// How long it stays known [default: until removed]. Refused where the daemon watches those who send
+    /// obstacles with lifetimes
+    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
+    pub(crate) lifetime: Option<Duration>,
+    /// The numbers are in m, however far away that is
+    #[arg(long)]
+    pub(crate) far: bool,
+}

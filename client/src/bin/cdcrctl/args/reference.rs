@@ -1,0 +1,132 @@
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, Subcommand, ValueEnum};
+
+use crate::value::{self, Vector};
+
+/// Options of `ref`.
+#[derive(Debug, Args)]
+pub(crate) struct RefOptions {
+    #[command(subcommand)]
+    pub(crate) curve: Curve,
+}
+
+/// Which reference.
+#[derive(Debug, Subcommand)]
+pub(crate) enum Curve {
+    /// The paper's spiral, Eq. 8
+    #[command(after_help = "Example:\n  cdcrctl ref spiral --duration 10s --track")]
+    Spiral(SpiralOptions),
+    /// The paper's line, Eq. 9
+    #[command(after_help = "Example:\n  cdcrctl ref line --axis 0,0,1 --track")]
+    Line(LineOptions),
+    /// The paper's circle, §4.3
+    #[command(after_help = "Example:\n  cdcrctl ref circle --radius 0.1 --rate 2 --track")]
+    Circle(CircleOptions),
+    /// A CSV file with the columns `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`
+    ///
+    /// With the orientation qx,qy,qz,qw, a unit quaternion, the tip turns, too, as much as the
+    /// orientation weight of the daemon asks for.
+    #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
+    File(FileOptions),
+}
+
+/// How any reference is fed.
+#[derive(Debug, Args)]
+pub(crate) struct FeedArguments {
+    /// Ask for tracking as soon as the first chunk is in
+    #[arg(long)]
+    pub(crate) track: bool,
+    /// How the daemon interpolates between the points
+    #[arg(long, value_enum, default_value = "cubic")]
+    pub(crate) interpolation: Between,
+    /// Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit,
+    /// 2mm or 0.002m
+    #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
+    pub(crate) max_error: Option<f64>,
+    /// How long after now the reference begins
+    #[arg(long, value_name = "TIME", default_value = "300ms", value_parser = value::duration)]
+    pub(crate) lead: Duration,
+    /// Time between two points of a curve
+    #[arg(long, value_name = "TIME", default_value = "5ms", value_parser = value::duration)]
+    pub(crate) step: Duration,
+}
+
+/// Which robot a curve is made for.
+#[derive(Debug, Args)]
+pub(crate) struct CurveArguments {
+    /// Sections that the curve is made for [default: those of the daemon's robot]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=6))]
+    pub(crate) sections: Option<u32>,
+    /// How long it lasts [default: as in the paper]
+    #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
+    pub(crate) duration: Option<Duration>,
+}
+
+/// Interpolation between points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(crate) enum Between {
+    /// Straight lines
+    Linear,
+    /// A smooth cubic curve
+    Cubic,
+}
+
+/// Options of the spiral.
+#[derive(Debug, Args)]
+pub(crate) struct SpiralOptions {
+    /// First value of the parameter t, in degrees [default: 5]
+    #[arg(long, value_name = "DEG", value_parser = value::not_negative)]
+    pub(crate) start: Option<f64>,
+    #[command(flatten)]
+    pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}
+
+/// Options of the line.
+#[derive(Debug, Args)]
+pub(crate) struct LineOptions {
+    /// Where it begins, in m [default: tip of the straight robot]
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) start: Option<Vector>,
+    /// How fast it goes, in m/s
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0.03,0,-0.01", allow_hyphen_values = true)]
+    pub(crate) velocity: Vector,
+    /// Direction that the tip axis keeps, for example 0,0,1 as in the paper [default: any]. The daemon turns the tip
+    /// that way, too, as much as its orientation weight asks for
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::direction, allow_hyphen_values = true)]
+    pub(crate) axis: Option<Vector>,
+    #[command(flatten)]
+    pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}
+
+/// Options of the circle.
+#[derive(Debug, Args)]
+pub(crate) struct CircleOptions {
+    /// Radius in m [default: 0.16986 for a last section of 0.3 m]
+    #[arg(long, value_name = "M", value_parser = value::positive)]
+    pub(crate) radius: Option<f64>,
+    /// Height in m [default: 0.22137 above a last section of 0.3 m]
+    #[arg(long, value_name = "M", value_parser = value::number, allow_hyphen_values = true)]
+    pub(crate) height: Option<f64>,
+    /// How fast it goes round, in rad/s; negative: clockwise
+    #[arg(long, value_name = "RAD/S", value_parser = value::number, default_value = "1", allow_hyphen_values = true)]
+    pub(crate) rate: f64,
+    #[command(flatten)]
+    pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}
+
+/// Options of a file.
+#[derive(Debug, Args)]
+pub(crate) struct FileOptions {
+    /// The CSV file; its rows are sent as they are, time counts from the first row
+    pub(crate) path: PathBuf,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}

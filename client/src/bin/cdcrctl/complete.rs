@@ -1,0 +1,153 @@
+//! What a shell offers for a word that is being typed: robots that run, obstacles that are known, settings.
+
+use std::ffi::{OsStr, OsString};
+
+use clap::{CommandFactory, FromArgMatches};
+use clap_complete::{CompleteEnv, CompletionCandidate};
+
+use crate::args::{Arguments, Target};
+use crate::obstacle;
+use crate::settings::{SETTINGS, Setting};
+
+/// Set by the scripts of the shells. A name of our own: a variable that is set for another program must not keep a stop
+/// from being sent.
+pub(crate) const VARIABLE: &str = "CDCRCTL_COMPLETE";
+
+/// Answers a shell and ends, if one asks.
+pub(crate) fn answer() {
+    CompleteEnv::with_factory(Arguments::command)
+        .var(VARIABLE)
+        .complete();
+}
+
+/// Robots whose daemons run.
+pub(crate) fn robots() -> Vec<CompletionCandidate> {
+    let location = target().and_then(|target| target.location().ok().map(|(location, _)| location));
+    let robots = location
+        .map(|location| location.robots())
+        .unwrap_or_default();
+    robots.into_iter().map(CompletionCandidate::new).collect()
+}
+
+/// Ids of the obstacles that the daemon knows.
+pub(crate) fn obstacle_ids() -> Vec<CompletionCandidate> {
+    let connection = target().and_then(|target| target.connect().ok());
+    let known = connection.and_then(|connection| obstacle::known(&connection).ok());
+    let ids = known.unwrap_or_default().into_iter();
+    ids.map(|obstacle| CompletionCandidate::new(obstacle.id.to_string()))
+        .collect()
+}
+
+/// `KEY=`, and `KEY=WORD` where a setting is one of some words.
+pub(crate) fn changes(current: &OsStr) -> Vec<CompletionCandidate> {
+    let current = current.to_string_lossy();
+    changes_after(&typed_before(), &current)
+        .into_iter()
+        .map(CompletionCandidate::new)
+        .collect()
+}
+
+fn changes_after(before: &[OsString], current: &str) -> Vec<String> {
+    // Bash takes a word apart at the equals sign.
+    let before = before
+        .strip_suffix(&[OsString::from("=")])
+        .unwrap_or(before);
+    let split = before
+        .last()
+        .and_then(|word| word.to_str())
+        .and_then(setting);
+    let offered: Vec<String> = match (split, current.split_once('=')) {
+        (Some(setting), _) => setting.words(),
+        (None, Some((key, _))) => {
+            let words = setting(key).map(Setting::words).unwrap_or_default();
+            words.iter().map(|word| format!("{key}={word}")).collect()
+        }
+        (None, None) => SETTINGS
+            .iter()
+            .map(|setting| format!("{}=", setting.key))
+            .collect(),
+    };
+    let offered = offered.into_iter();
+    offered.filter(|offer| offer.starts_with(current)).collect()
+}
+
+fn setting(key: &str) -> Option<&'static Setting> {
+    SETTINGS.iter().find(|setting| setting.key == key)
+}
+
+/// The daemon that the line means, as far as it is typed.
+fn target() -> Option<Target> {
+    target_of(typed_before())
+}
+
+fn target_of(mut words: Vec<OsString>) -> Option<Target> {
+    // An option whose value is being typed.
+    let is_option = |word: &mut OsString| word.as_encoded_bytes().starts_with(b"--");
+    words.pop_if(is_option);
+    let matches = Arguments::command()
+        .ignore_errors(true)
+        .try_get_matches_from(words)
+        .ok()?;
+    Target::from_arg_matches(&matches).ok()
+}
+
+/// The words of the line that a shell asks about, up to the one that is being typed.
+fn typed_before() -> Vec<OsString> {
+    let words = std::env::args_os().skip_while(|word| word != "--").skip(1);
+    let mut words: Vec<_> = words.collect();
+    let index = std::env::var("_CLAP_COMPLETE_INDEX").ok();
+    let last = words.len().saturating_sub(1);
+    words.truncate(index.and_then(|index| index.parse().ok()).unwrap_or(last));
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn words(line: &str) -> Vec<OsString> {
+        line.split_whitespace().map(OsString::from).collect()
+    }
+
+    #[test]
+    fn keys_and_words_of_settings_are_offered() {
+        let offered = |before: &str, current: &str| changes_after(&words(before), current);
+        assert_eq!(offered("cdcrctl settings set", "obstacle_s").len(), 3);
+        assert_eq!(offered("cdcrctl settings set", "hor"), ["horizon_steps="]);
+        assert_eq!(
+            offered("cdcrctl settings set", "solver=kpso"),
+            ["solver=kpso", "solver=kpso-refined"]
+        );
+        assert_eq!(
+            offered("cdcrctl settings set", "seed="),
+            Vec::<String>::new()
+        );
+        // As bash passes it on.
+        assert_eq!(
+            offered("cdcrctl settings set solver =", "g"),
+            ["gauss-newton"]
+        );
+        assert_eq!(offered("cdcrctl settings set solver", "").len(), 3);
+        assert_eq!(
+            offered("cdcrctl settings set seed = 1", "inert"),
+            ["inertia="]
+        );
+    }
+
+    #[test]
+    fn the_line_says_which_daemon_is_meant() {
+        for line in [
+            "cdcrctl --root /x/y --prefix p_ obstacle remove",
+            "cdcrctl obstacle remove 3 --root /x/y --prefix p_ --robot",
+            "cdcrctl settings set --prefix=p_ --root=/x/y hor",
+        ] {
+            let target = target_of(words(line)).expect(line);
+            let (location, _) = target.location().expect("legal");
+            assert_eq!(
+                (location.prefix(), location.root().to_str()),
+                ("p_", Some("/x/y")),
+                "{line}"
+            );
+        }
+    }
+}

@@ -1,0 +1,264 @@
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use cdcr_client::Connection;
+use cdcr_shared_types::SolverSettings;
+use serde_json::{Number, Value as Json};
+use toml_edit::{DocumentMut, Item, Table, Value};
+
+use super::STATUS_TIMEOUT;
+use super::keys::{SETTINGS, Setting};
+use crate::Done;
+
+/// What a daemon without a file uses.
+const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
+
+/// `cdcrctl settings save`
+pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Result<Done> {
+    let settings = connection.settings()?;
+    let period = Duration::from_nanos(connection.status(STATUS_TIMEOUT)?.period_ns);
+    let mut out = io::stdout().lock();
+    let Some(file) = file else {
+        let (text, _) = merged("", settings, period)?;
+        write!(out, "{text}")?;
+        return Ok(Done::Good);
+    };
+    let name = file.display();
+    let before = match fs::read_to_string(file) {
+        Err(cause) if cause.kind() == ErrorKind::NotFound => String::new(),
+        text => text.with_context(|| format!("cannot read {name}"))?,
+    };
+    let (text, changed) = merged(&before, settings, period).with_context(|| name.to_string())?;
+    if changed.is_empty() {
+        writeln!(out, "{name}: nothing to change, it says so already")?;
+        return Ok(Done::Good);
+    }
+    replace(file, &text).with_context(|| format!("cannot write {name}"))?;
+    for change in changed {
+        writeln!(out, "{name}: {change}")?;
+    }
+    Ok(Done::Good)
+}
+
+/// The configuration `text` with these settings, and what is new in it.
+fn merged(
+    text: &str,
+    settings: SolverSettings,
+    period: Duration,
+) -> anyhow::Result<(String, Vec<String>)> {
+    let defaults: DocumentMut = DEFAULTS.parse()?;
+    let mut document: DocumentMut = text.parse()?;
+    let mut changed = Vec::new();
+    for setting in SETTINGS {
+        let (table, key) = place(setting);
+        let value = value(setting, settings, period)?;
+        let holds = |document: &DocumentMut| {
+            let held = document.get(table).and_then(|table| table.get(key));
+            held.and_then(Item::as_value)
+                .map(|held| is_same(held, &value))
+        };
+        if !holds(&document).or(holds(&defaults)).unwrap_or(false) {
+            changed.push(format!("{table}.{key} = {value}"));
+            put(&mut document, table, key, value)?;
+        }
+    }
+    Ok((document.to_string(), changed))
+}
+
+/// Table and key of a setting in the configuration.
+fn place(setting: &Setting) -> (&'static str, &'static str) {
+    match setting.key {
+        "budget_ms" => ("cycle", "budget_ms"),
+        key => ("controller", key),
+    }
+}
+
+/// The setting as TOML. A budget beyond the period is as good as none, and a configuration must not have it.
+fn value(setting: &Setting, settings: SolverSettings, period: Duration) -> anyhow::Result<Value> {
+    let endless_ms = 1e3 * period.as_secs_f64();
+    let is_endless = |number: &Number| number.as_f64().is_some_and(|ms| ms > endless_ms);
+    Ok(match setting.json(settings) {
+        Json::String(word) => word.into(),
+        Json::Number(number) if setting.key == "budget_ms" && is_endless(&number) => 0.0.into(),
+        Json::Number(number) if number.is_f64() => float(&setting.text(settings))?,
+        Json::Number(number) => match number.as_i64() {
+            Some(whole) => whole.into(),
+            None => bail!(
+                "{} = {number} is larger than a configuration can have: at most {}",
+                setting.key,
+                i64::MAX
+            ),
+        },
+        other => bail!(
+            "{} has no value that a configuration knows: {other}",
+            setting.key
+        ),
+    })
+}
+
+/// A number as it is written, `1e-12` for instance.
+fn float(text: &str) -> anyhow::Result<Value> {
+    let is_whole = text.parse::<i64>().is_ok();
+    let text = if is_whole {
+        format!("{text}.0")
+    } else {
+        text.to_owned()
+    };
+    Ok(text.parse()?)
+}
+
+/// Whether two values mean the same: 1 and 1.0 do.
+fn is_same(one: &Value, other: &Value) -> bool {
+    let number = |value: &Value| {
+        value
+            .as_float()
+            .or(value.as_integer().map(|whole| whole as f64))
+    };
+    match (one.as_integer(), other.as_integer()) {
+        (Some(one), Some(other)) => one == other,
+        _ => match (number(one), number(other)) {
+            (Some(one), Some(other)) => one == other,
+            _ => one.as_str().is_some() && one.as_str() == other.as_str(),
+        },
+    }
+}
+
+/// Sets a key. What stands around an old value, a comment for instance, stays.
+fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> anyhow::Result<()> {
+    let table = document
+        .entry(table)
+        .or_insert_with(|| Item::Table(Table::new()))
+        .as_table_like_mut()
+        .with_context(|| format!("{table} is no table"))?;
+    match table.get_mut(key).and_then(Item::as_value_mut) {
+        Some(old) => {
+            *value.decor_mut() = old.decor().clone();
+            *old = value;
+        }
+        None => {
+            table.insert(key, Item::Value(value));
+        }
+    }
+    Ok(())
+}
+
+/// Replaces a file as a whole, or not at all. A link stays one, and the rights of the file, too.
+fn replace(file: &Path, text: &str) -> io::Result<()> {
+    let file = match file.canonicalize() {
+        Err(cause) if cause.kind() == ErrorKind::NotFound => file.to_owned(),
+        found => found?,
+    };
+    let mut name = file.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.new", std::process::id()));
+    let new = file.with_file_name(name);
+    let written = write_anew(&new, &file, text).and_then(|()| fs::rename(&new, &file));
+    if written.is_err() {
+        // It may never have been made.
+        let _ = fs::remove_file(&new);
+    }
+    written
+}
+
+fn write_anew(new: &Path, old: &Path, text: &str) -> io::Result<()> {
+    let mut written = File::create_new(new)?;
+    if let Ok(old) = fs::metadata(old) {
+        written.set_permissions(old.permissions())?;
+    }
+    written.write_all(text.as_bytes())?;
+    written.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::{PermissionsExt, symlink};
+
+    use super::super::keys::Change;
+    use super::*;
+
+    const PERIOD: Duration = Duration::from_millis(5);
+
+    /// The defaults, changed.
+    fn settings(changes: &[&str]) -> SolverSettings {
+        let defaults: DocumentMut = DEFAULTS.parse().expect("TOML");
+        let mut settings = SolverSettings::default();
+        let mut set = |text: &str| Change::parse(text).expect(text).apply(&mut settings);
+        for (key, value) in defaults["controller"].as_table().expect("a table") {
+            let value = value.as_value().expect("a value").clone().decorated("", "");
+            set(&format!("{key}={}", value.to_string().trim_matches('"')));
+        }
+        for change in changes {
+            set(change);
+        }
+        settings
+    }
+
+    fn text_of(text: &str, changes: &[&str]) -> String {
+        merged(text, settings(changes), PERIOD).expect("merged").0
+    }
+
+    #[test]
+    fn only_what_differs_is_written() {
+        assert_eq!(text_of("", &[]), "");
+        assert_eq!(text_of(DEFAULTS, &[]), DEFAULTS);
+        assert_eq!(
+            text_of(
+                "",
+                &[
+                    "horizon_steps=5",
+                    "solver=kpso",
+                    "damping=1e-12",
+                    "budget_ms=2"
+                ]
+            ),
+            "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\n\n[cycle]\nbudget_ms = 2.0\n"
+        );
+        // A daemon refuses one beyond its period.
+        assert_eq!(text_of("", &["budget_ms=50"]), "");
+        assert_eq!(
+            text_of("cycle.budget_ms = 3 # ms\n", &["budget_ms=50"]),
+            "cycle.budget_ms = 0.0 # ms\n"
+        );
+    }
+
+    #[test]
+    fn comments_order_and_all_other_keys_stay() {
+        let text = "# My robot.\n[controller] # mine\n# Far.\nhorizon_steps = 3   # more is slow\n\
+                    rate_weight = 1 # as it is\n\n[robot]\nname = \"arm\" # left\n";
+        assert_eq!(
+            text_of(text, &["horizon_steps=5", "rate_weight=1", "seed=7"]),
+            text.replace("= 3 ", "= 5 ")
+                .replace("# as it is\n", "# as it is\nseed = 7\n")
+        );
+    }
+
+    #[test]
+    fn what_a_configuration_cannot_have_is_told() {
+        let largest = format!("seed={}", u64::MAX);
+        let error = merged("", settings(&[&largest]), PERIOD).expect_err("too large");
+        assert!(
+            error.to_string().contains("at most 9223372036854775807"),
+            "{error}"
+        );
+        assert!(merged("controller = 3", settings(&["seed=7"]), PERIOD).is_err());
+        assert!(merged("[controller", settings(&[]), PERIOD).is_err());
+    }
+
+    #[test]
+    fn a_file_is_replaced_whole_with_its_rights_and_where_a_link_points() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (file, link) = (folder.path().join("a.toml"), folder.path().join("link"));
+        replace(&file, "one").expect("made");
+        fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).expect("ours");
+        symlink(&file, &link).expect("made");
+        replace(&link, "two").expect("replaced");
+        assert_eq!(fs::read_to_string(&file).expect("there"), "two");
+        let mode = fs::metadata(&file).expect("there").permissions().mode();
+        assert_eq!(mode & 0o777, 0o640);
+        assert!(fs::symlink_metadata(&link).expect("there").is_symlink());
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 2);
+        assert!(replace(&folder.path().join("none/a.toml"), "x").is_err());
+    }
+}

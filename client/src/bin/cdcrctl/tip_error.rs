@@ -1,0 +1,112 @@
+use std::io::Write;
+
+use anyhow::{Context, bail};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Mode, ReferenceState};
+
+/// How far the tip was from the reference while the robot tracked it.
+#[derive(Debug, Default)]
+pub(crate) struct TipError {
+    /// Records of before are about another reference \[ns\].
+    pub(crate) start_ns: u64,
+    cycles: u64,
+    sum_m: f64,
+    max_m: f64,
+    final_m: f64,
+}
+
+impl TipError {
+    /// Takes a record in, if its cycle tracked.
+    pub(crate) fn take(&mut self, record: &Telemetry) {
+        let is_tracking = record.mode == Mode::Tracking.code();
+        let is_inside = record.reference.state == ReferenceState::Inside.code();
+        if is_tracking && is_inside && record.release_ns >= self.start_ns {
+            self.cycles += 1;
+            self.sum_m += record.position_error_m;
+            self.max_m = self.max_m.max(record.position_error_m);
+            self.final_m = record.position_error_m;
+        }
+    }
+
+    /// Says what it was, and fails where it was larger than `limit_m`.
+    pub(crate) fn tell(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
+        if self.cycles > 0 {
+            let mean_m = self.sum_m / self.cycles as f64;
+            let [mean, max, last] = [mean_m, self.max_m, self.final_m].map(|m| 1e3 * m);
+            writeln!(
+                std::io::stdout(),
+                "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles",
+                self.cycles
+            )?;
+        }
+        limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
+    }
+
+    fn check(&self, limit_m: f64) -> anyhow::Result<()> {
+        let cycles = (self.cycles > 0).then_some(self.cycles);
+        cycles.context("no cycle tracked the reference, so no error can be compared with --max-error: use --track")?;
+        if self.max_m > limit_m {
+            let [max, limit] = [self.max_m, limit_m].map(|m| 1e3 * m);
+            bail!(
+                "the tip was up to {max:.3} mm from its reference, more than --max-error, {limit:.3} mm"
+            );
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(mode: Mode, state: ReferenceState, release_ns: u64, error_m: f64) -> Telemetry {
+        let mut record = Telemetry {
+            mode: mode.code(),
+            release_ns,
+            position_error_m: error_m,
+            ..Telemetry::default()
+        };
+        record.reference.state = state.code();
+        record
+    }
+
+    #[test]
+    fn only_cycles_that_track_the_reference_count() {
+        use ReferenceState::{Before, Ended, Inside};
+        let mut error = TipError {
+            start_ns: 100,
+            ..TipError::default()
+        };
+        for (mode, state, release_ns, error_m) in [
+            (Mode::Tracking, Inside, 99, 1.0),
+            (Mode::Tracking, Before, 100, 1.0),
+            (Mode::Tracking, Inside, 100, 0.003),
+            (Mode::Tracking, Inside, 105, 0.002),
+            (Mode::Holding, Inside, 110, 1.0),
+            (Mode::Tracking, Ended, 115, f64::NAN),
+            (Mode::Tracking, Inside, 120, 0.001),
+        ] {
+            error.take(&record(mode, state, release_ns, error_m));
+        }
+        assert_eq!(
+            (error.cycles, error.max_m, error.final_m),
+            (3, 0.003, 0.001)
+        );
+        assert!((error.sum_m - 0.006).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_limit_is_for_the_largest_error_and_for_something_that_was_tracked() {
+        let mut error = TipError::default();
+        assert!(error.tell(None).is_ok());
+        assert!(error.tell(Some(1.0)).is_err());
+        error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.003));
+        error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, 0.001));
+        assert!(error.tell(Some(0.003)).is_ok());
+        let text = error.tell(Some(0.0029)).expect_err("larger").to_string();
+        assert!(
+            text.contains("3.000 mm") && text.contains("2.900 mm"),
+            "{text}"
+        );
+    }
+}

@@ -1,0 +1,173 @@
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_shared_types::{Response, Telemetry};
+
+use crate::Done;
+use crate::args::Target;
+use crate::bar::Bar;
+use crate::interrupt::Interrupt;
+use crate::request;
+
+/// After this long without a record the daemon counts as silent.
+const QUIET: Duration = Duration::from_secs(1);
+/// How often an interrupt is looked for.
+const LOOK: Duration = Duration::from_millis(100);
+
+/// What a record says of the request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Progress {
+    Under,
+    Done,
+    /// Something else came between.
+    Lost,
+}
+
+/// `cdcrctl hold --wait`, `home --wait`, `reset --wait`
+pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    let mut telemetry = connection.telemetry()?;
+    let interrupt = Interrupt::catch()?;
+    let response = connection.request(kind)?;
+    request::tell(kind, &response)?;
+    let bar = Bar::new(kind.text());
+    bar.show_share(0.0);
+    let begun = Instant::now();
+    let (mut heard, mut first) = (begun, None);
+    while begun.elapsed() < limit {
+        if interrupt.is_raised() {
+            drop(bar);
+            eprintln!("interrupted: the robot goes on; cdcrctl hold or stop ends that");
+            return Ok(Done::Interrupted);
+        }
+        let Some(record) = telemetry.next_within(LOOK)? else {
+            if heard.elapsed() > QUIET {
+                connection.status(QUIET)?;
+                heard = Instant::now();
+            }
+            continue;
+        };
+        heard = Instant::now();
+        if !is_later(&record, &response) {
+            continue;
+        }
+        let left = left(kind, &record);
+        bar.show_share(1.0 - left / *first.get_or_insert(left.max(f64::MIN_POSITIVE)));
+        match progress(kind, &record) {
+            Progress::Under => {}
+            Progress::Done => return done(bar, kind, &record, &response),
+            Progress::Lost => bail!(
+                "{kind}: not done, the daemon is {} because {}; see cdcrctl status",
+                Mode::text_of(record.mode),
+                Reason::text_of(record.reason)
+            ),
+        }
+    }
+    bail!("{kind}: not done within {limit:?}; the robot goes on (cdcrctl hold or stop ends that)")
+}
+
+fn done(
+    bar: Bar,
+    kind: RequestKind,
+    record: &Telemetry,
+    response: &Response,
+) -> anyhow::Result<Done> {
+    drop(bar);
+    let took_s = (record.cycle - response.cycle) as f64 * record.period_ns as f64 * 1e-9;
+    writeln!(
+        std::io::stdout(),
+        "{kind}: done, the robot rests since cycle {}, {took_s:.2} s later",
+        record.cycle
+    )?;
+    Ok(Done::Good)
+}
+
+/// Whether a record is of a cycle that knew the request.
+fn is_later(record: &Telemetry, response: &Response) -> bool {
+    record.header.sender_id == response.header.sender_id && record.cycle >= response.cycle
+}
+
+fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
+    let is_done = match (kind, Mode::try_from(record.mode)) {
+        (RequestKind::Home, Ok(Mode::Homing)) => false,
+        (RequestKind::Home, Ok(Mode::Holding)) if record.reason != Reason::HomeReached.code() => {
+            return Progress::Lost;
+        }
+        (_, Ok(Mode::Holding)) => record.command.bend_rate_rad_s == [0.0; _],
+        _ => return Progress::Lost,
+    };
+    if is_done {
+        Progress::Done
+    } else {
+        Progress::Under
+    }
+}
+
+/// How much there is still to do: the largest bend on the way home \[rad\], or the largest rate \[rad/s\].
+fn left(kind: RequestKind, record: &Telemetry) -> f64 {
+    let values = match kind {
+        RequestKind::Home => record.bend_rad,
+        _ => record.command.bend_rate_rad_s,
+    };
+    values.iter().fold(0.0, |most, value| value.abs().max(most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(mode: Mode, reason: Reason, rate_rad_s: f64) -> Telemetry {
+        let mut record = Telemetry {
+            mode: mode.code(),
+            reason: reason.code(),
+            ..Telemetry::default()
+        };
+        record.command.bend_rate_rad_s[1] = rate_rad_s;
+        record
+    }
+
+    #[test]
+    fn it_is_done_when_the_robot_rests_where_it_was_asked_to() {
+        use Progress::{Done, Lost, Under};
+        use Reason::{HomeReached, MeasurementLost, Request};
+        for (kind, mode, reason, rate_rad_s, is) in [
+            (RequestKind::Home, Mode::Homing, Request, 0.5, Under),
+            (RequestKind::Home, Mode::Homing, Request, 0.0, Under),
+            (RequestKind::Home, Mode::Holding, HomeReached, -0.1, Under),
+            (RequestKind::Home, Mode::Holding, HomeReached, 0.0, Done),
+            (RequestKind::Home, Mode::Holding, Request, 0.0, Lost),
+            (RequestKind::Home, Mode::Stopped, Request, 0.0, Lost),
+            (RequestKind::Hold, Mode::Holding, Request, 0.5, Under),
+            (RequestKind::Hold, Mode::Holding, Request, 0.0, Done),
+            (RequestKind::Hold, Mode::Tracking, Request, 0.0, Lost),
+            (RequestKind::Reset, Mode::Holding, Request, 0.0, Done),
+            (
+                RequestKind::Reset,
+                Mode::Faulted,
+                MeasurementLost,
+                0.0,
+                Lost,
+            ),
+        ] {
+            let record = record(mode, reason, rate_rad_s);
+            assert_eq!(progress(kind, &record), is, "{kind} {mode} {reason}");
+        }
+    }
+
+    #[test]
+    fn records_of_before_and_of_another_daemon_say_nothing() {
+        let mut response = Response {
+            cycle: 7,
+            ..Response::default()
+        };
+        response.header.sender_id = 3;
+        let mut record = record(Mode::Holding, Reason::Request, 0.0);
+        for (sender_id, cycle, later) in [(3, 6, false), (3, 7, true), (4, 8, false)] {
+            record.header.sender_id = sender_id;
+            record.cycle = cycle;
+            assert_eq!(is_later(&record, &response), later);
+        }
+    }
+}

@@ -1,0 +1,300 @@
+use super::near::NEAR_MAX;
+use super::*;
+use crate::robot::{RobotParameters, Shape};
+use crate::safety::limit;
+use nalgebra::Vector3;
+use proptest::prelude::*;
+
+const PERIOD_S: f64 = 0.005;
+
+/// A moment: a robot, its state, what it wants, and what is around it.
+#[derive(Debug)]
+struct Moment {
+    robot: Robot,
+    at: Configuration,
+    wish: BendRates,
+    obstacles: Vec<Obstacle>,
+    safe_distance_m: f64,
+}
+
+/// Commands that are obeyed for three periods, and a ramp of 40 rad/s² from 2 rad/s.
+const STOPPING: StoppingWay = StoppingWay {
+    moving_s: 3.0 * PERIOD_S,
+    way_s: 3.0 * PERIOD_S + 0.025,
+};
+
+impl Moment {
+    fn watch(&self) -> Guard<'_> {
+        Guard {
+            robot: &self.robot,
+            at: &self.at,
+            obstacles: &self.obstacles,
+            safe_distance_m: self.safe_distance_m,
+            period_s: PERIOD_S,
+            stopping: STOPPING,
+        }
+    }
+
+    fn guard(&self) -> Guarded {
+        let limits = Limits::new(&self.robot, &self.at, STOPPING.way_s);
+        self.watch().keep_clear(&limits, &self.wish)
+    }
+
+    fn guard_ramp(&self) -> Guarded {
+        self.watch().scale_down(&self.wish)
+    }
+
+    /// What is left of the clearances beyond what must be, at a place of the way \[m\].
+    fn spare_m(&self, rates: &BendRates, way_s: f64) -> f64 {
+        let next = self.at.advanced(rates, way_s);
+        let (body, still) = (
+            self.robot.body(next.as_slice()),
+            self.robot.body(self.at.as_slice()),
+        );
+        let mut least_m = f64::INFINITY;
+        for obstacle in &self.obstacles {
+            let moved = obstacle.moved(STOPPING.time_s(way_s));
+            let [now, standing] =
+                [&body, &still].map(|body| body.clearances_in_reach(&moved, &[f64::INFINITY; 6]));
+            for (now_m, standing_m) in now.into_iter().zip(standing) {
+                if standing_m.is_finite() {
+                    least_m = least_m.min(now_m - standing_m.min(self.safe_distance_m));
+                }
+            }
+        }
+        least_m
+    }
+
+    /// The rule of [`Guard::keep_clear`], looked at in many places.
+    fn keeps(&self, rates: &BendRates) -> bool {
+        let is_exact = |way_s| self.spare_m(rates, way_s) >= 0.0;
+        let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
+        is_exact(PERIOD_S)
+            && is_exact(STOPPING.way_s)
+            && places
+                .into_iter()
+                .all(|way_s| self.spare_m(rates, way_s) >= -1e-3)
+    }
+}
+
+fn trunk(sections: usize) -> Robot {
+    Robot::new(&RobotParameters::paper(sections)).unwrap()
+}
+
+fn ball(centre_m: Vector3<f64>, radius_m: f64) -> Obstacle {
+    Obstacle::new(Shape::Sphere { centre_m }, radius_m, Vector3::zeros()).unwrap()
+}
+
+/// Obstacles beside a point of the body: in direction, at a distance from touching it deep to out of reach.
+fn obstacle() -> impl Strategy<Value = (usize, [f64; 9], bool)> {
+    (
+        0..3_usize,
+        prop::array::uniform9(-1.0..1.0_f64),
+        any::<bool>(),
+    )
+}
+
+fn placed(robot: &Robot, at: &Configuration, numbers: (usize, [f64; 9], bool)) -> Obstacle {
+    let (section, [s, x, y, z, apart, size, vx, vy, vz], is_capsule) = numbers;
+    let section = section % robot.section_count();
+    let radius_m = 0.02 + 0.02 * size;
+    let side = Vector3::new(x, y, z)
+        .try_normalize(1e-3)
+        .unwrap_or(Vector3::x());
+    let away_m = 0.015 + radius_m + 0.01 + 0.04 * apart;
+    let centre_m = robot.body_point(at, section, 0.5 + 0.5 * s) + side * away_m;
+    let velocity_m_s = Vector3::new(vx, vy, vz) * if x > 0.0 { 0.0 } else { 0.5 };
+    let span_m = side.cross(&Vector3::new(vy, vz, vx)) * 0.2;
+    let shape = if is_capsule {
+        Shape::Capsule {
+            start_m: centre_m - span_m,
+            end_m: centre_m + span_m,
+        }
+    } else {
+        Shape::Sphere { centre_m }
+    };
+    Obstacle::new(shape, radius_m, velocity_m_s).unwrap()
+}
+
+/// Robots of 1 to 6 sections with strokes from tight to free, among 1 to 64 obstacles that stand or move.
+fn moments() -> impl Strategy<Value = Moment> {
+    let obstacles = prop_oneof![
+        prop::collection::vec(obstacle(), 1..4),
+        prop::collection::vec(obstacle(), 4..16),
+        prop::collection::vec(obstacle(), 16..=64),
+    ];
+    (
+        1..=6_usize,
+        prop::collection::vec(-1.9..1.9_f64, 12),
+        prop::collection::vec(-2.5..2.5_f64, 12),
+        obstacles,
+        0.0..0.03_f64,
+        0.01..0.2_f64,
+    )
+        .prop_map(
+            |(sections, bends, rates, obstacles, safe_distance_m, stroke_m)| {
+                let mut parameters = RobotParameters::paper(sections);
+                parameters.cable_stroke_max_m = stroke_m;
+                let robot = Robot::new(&parameters).unwrap();
+                let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
+                let wish = BendRates::from_slice(&rates[..2 * sections]).unwrap();
+                let wish = limit(&robot, &at, &wish, STOPPING.way_s).rates;
+                let place = |numbers| placed(&robot, &at, numbers);
+                let obstacles = obstacles.into_iter().map(place).collect();
+                Moment {
+                    robot,
+                    at,
+                    wish,
+                    obstacles,
+                    safe_distance_m,
+                }
+            },
+        )
+}
+
+/// As many as `PROPTEST_CASES` asks for.
+fn cases() -> ProptestConfig {
+    if std::env::var_os("PROPTEST_CASES").is_some() {
+        ProptestConfig::default()
+    } else {
+        ProptestConfig::with_cases(1000)
+    }
+}
+
+proptest! {
+    #![proptest_config(cases())]
+
+    #[test]
+    fn what_leaves_keeps_clear_and_inside_the_limits(moment in moments()) {
+        let guarded = moment.guard();
+        prop_assert!(moment.keeps(&guarded.rates));
+        let ramp = moment.guard_ramp();
+        prop_assert!(moment.keeps(&ramp.rates));
+        for (rate, wish) in ramp.rates.as_slice().iter().zip(moment.wish.as_slice()) {
+            prop_assert!(rate.abs() <= wish.abs() && rate * wish >= 0.0);
+        }
+        prop_assert!(guarded.hit || moment.keeps(&moment.wish));
+        let again = limit(&moment.robot, &moment.at, &guarded.rates, STOPPING.way_s);
+        for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
+            prop_assert!((rate - limited).abs() < 1e-9);
+        }
+        prop_assert!(square(&guarded.rates) <= square(&moment.wish));
+        let least_m = moment.obstacles.iter().map(|o| moment.robot.clearance_m(&moment.at, o));
+        prop_assert_eq!(guarded.clearance_m, least_m.fold(f64::INFINITY, f64::min));
+    }
+
+    #[test]
+    fn the_same_moment_gives_the_same_bits(moment in moments()) {
+        let (once, again) = (moment.guard(), moment.guard());
+        let bits = |guarded: &Guarded| guarded.rates.as_slice().iter().map(|r| r.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(&once), bits(&again));
+    }
+
+    #[test]
+    fn far_from_everything_nothing_changes(mut moment in moments(), away in 1.2..1000.0_f64) {
+        moment.obstacles = vec![ball(Vector3::new(away, 0.0, 0.0), 0.05); 3];
+        let guarded = moment.guard();
+        prop_assert_eq!((guarded.rates, guarded.hit), (moment.wish, false));
+    }
+}
+
+/// A command that keeps D = 10 mm.
+fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obstacle]) -> Guarded {
+    let limits = Limits::new(robot, at, STOPPING.way_s);
+    let guard = Guard {
+        robot,
+        at,
+        obstacles,
+        safe_distance_m: 0.01,
+        period_s: PERIOD_S,
+        stopping: STOPPING,
+    };
+    guard.keep_clear(&limits, wish)
+}
+
+/// A robot that wants to bend towards a ball for a second.
+fn push(sections: usize, ball: &Obstacle, rates: &[f64]) -> (Vec<f64>, Configuration) {
+    let robot = trunk(sections);
+    let mut at = Configuration::straight(sections);
+    let mut clearances_m = Vec::new();
+    for _ in 0..200 {
+        let wish = BendRates::from_slice(rates).unwrap();
+        let guarded = guard(&robot, &at, &wish, &[ball.moved(0.0)]);
+        at = at.advanced(&guarded.rates, PERIOD_S);
+        clearances_m.push(robot.clearance_m(&at, ball));
+    }
+    (clearances_m, at)
+}
+
+#[test]
+fn head_on_the_body_comes_to_the_safe_distance_and_stays() {
+    let (clearances_m, _) = push(1, &ball(Vector3::new(0.12, 0.0, 0.28), 0.02), &[1.0, 0.0]);
+    let least_m = clearances_m.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(least_m >= 0.01, "{least_m}");
+    let last_m = clearances_m[clearances_m.len() - 1];
+    assert!(last_m < 0.0101, "it stops at the border: {last_m}");
+}
+
+#[test]
+fn at_an_angle_the_body_slides_along() {
+    let obstacle = ball(Vector3::new(0.12, 0.02, 0.28), 0.02);
+    let (clearances_m, at) = push(1, &obstacle, &[1.0, -0.3]);
+    assert!(clearances_m.iter().all(|clearance_m| *clearance_m >= 0.01));
+    assert!(at.as_slice()[1] < -0.25, "it goes on sideways: {at:?}");
+}
+
+#[test]
+fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
+    let robot = trunk(2);
+    let mut at = Configuration::from_slice(&[0.5, 0.0, 0.2, 0.0]).unwrap();
+    let tip_m = robot.tip_position(at.as_slice());
+    let obstacle = ball(tip_m + Vector3::new(0.038, 0.0, 0.0), 0.02);
+    let mut before_m = robot.clearance_m(&at, &obstacle);
+    assert!(before_m < 0.01 && before_m > 0.0);
+    for _ in 0..200 {
+        let wish = BendRates::from_slice(&[1.0, 0.2, 1.0, -0.1]).unwrap();
+        let guarded = guard(&robot, &at, &wish, &[obstacle]);
+        at = at.advanced(&guarded.rates, PERIOD_S);
+        let after_m = robot.clearance_m(&at, &obstacle);
+        assert!(after_m >= before_m.min(0.01), "{after_m} after {before_m}");
+        before_m = after_m;
+    }
+}
+
+#[test]
+fn a_robot_at_rest_stays_at_rest_whatever_comes() {
+    let robot = trunk(2);
+    let at = Configuration::straight(2);
+    let towards = Vector3::new(-1.0, 0.0, 0.0);
+    let shape = Shape::Sphere {
+        centre_m: Vector3::new(0.05, 0.0, 0.5),
+    };
+    let obstacle = Obstacle::new(shape, 0.02, towards).unwrap();
+    let still = BendRates::zero(2);
+    let guarded = guard(&robot, &at, &still, &[obstacle]);
+    assert_eq!((guarded.rates, guarded.hit), (still, false));
+    assert!((guarded.clearance_m - 0.015).abs() < 1e-15);
+}
+
+#[test]
+fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
+    let robot = trunk(1);
+    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let near = ball(Vector3::new(0.03, 0.0, 0.3), 0.01);
+    let lost = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
+    let guarded = guard(&robot, &lost, &wish, &[near]);
+    assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
+    assert!(guarded.clearance_m.is_nan());
+    let many = vec![near; NEAR_MAX + 1];
+    let at = Configuration::straight(1);
+    let guarded = guard(&robot, &at, &wish, &many);
+    assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
+}
+
+#[test]
+fn without_obstacles_there_is_no_clearance() {
+    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let guarded = guard(&trunk(1), &Configuration::straight(1), &wish, &[]);
+    assert_eq!(guarded.clearance_m, f64::INFINITY);
+    assert!(!guarded.hit);
+}

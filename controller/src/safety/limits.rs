@@ -1,0 +1,327 @@
+//! Rates that the robot may have: finite, in the box, bends inside their limits, cables neither too fast nor too far.
+
+use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
+
+use super::projection::{Region, Vector};
+
+/// How far inside a limit the nearest command aims, in rad and m, so that rounding does not lead beyond it: there the
+/// command would have to be scaled down, by any amount.
+const INSIDE: f64 = 1e-9;
+/// The same for the speed of a cable, as a share of its limit.
+const SPEED_INSIDE: f64 = 1e-12;
+/// Tangents that replace the round limit of a bend before what is left is cut off.
+const TANGENTS: usize = 8;
+
+/// Which limits changed a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct LimitsHit {
+    /// A rate was beyond its limit.
+    pub rate: bool,
+    /// A bend would have left its limit.
+    pub bend: bool,
+    /// A cable would have been too fast.
+    pub cable_speed: bool,
+    /// A cable would have left its stroke.
+    pub cable_stroke: bool,
+    /// A rate would have grown faster than the largest acceleration.
+    pub acceleration: bool,
+    /// The desired rates, or the state that they start from, were not finite, and the rates became zero.
+    pub non_finite: bool,
+}
+
+impl LimitsHit {
+    fn any(self) -> bool {
+        self != Self::default()
+    }
+}
+
+/// A command inside every limit.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Limited {
+    /// The rates \[rad/s\].
+    pub rates: BendRates,
+    /// What had to be changed.
+    pub hit: LimitsHit,
+}
+
+/// The limits of one command, which the robot obeys for `way_s` \[s\].
+///
+/// Rates in the box, and no component farther from the previous one than the acceleration allows (to slow down is always
+/// allowed: a component may lie anywhere between zero and its previous value, and so much beyond either); each bend at the
+/// end of the way at most its section's limit (one beyond it may only shrink); cables at most at their speed limit and, at the
+/// end of the way, at most their stroke away from their lengths at the straight robot (one beyond it may only come back).
+/// Zero rates are inside, and with any rates all shorter ones in the same direction.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits<'a> {
+    robot: &'a Robot,
+    at: &'a Configuration,
+    /// Where the robot is commanded to be: bends and strokes hold there, too.
+    commanded: Option<&'a Configuration>,
+    /// The largest rates \[rad/s\].
+    rate_max_rad_s: Vector,
+    /// Between which the acceleration lets them be \[rad/s\].
+    least_rad_s: Vector,
+    most_rad_s: Vector,
+    way_s: f64,
+}
+
+impl<'a> Limits<'a> {
+    /// Those of a robot `at` a configuration.
+    pub fn new(robot: &'a Robot, at: &'a Configuration, way_s: f64) -> Self {
+        let mut rate_max_rad_s = Vector::default();
+        let pairs = rate_max_rad_s.as_chunks_mut::<2>().0.iter_mut();
+        for (pair, section) in pairs.zip(robot.sections()) {
+            *pair = [section.rate_max_rad_s; 2];
+        }
+        Self {
+            robot,
+            at,
+            commanded: None,
+            rate_max_rad_s,
+            least_rad_s: [f64::NEG_INFINITY; COORDINATES_MAX],
+            most_rad_s: [f64::INFINITY; COORDINATES_MAX],
+            way_s,
+        }
+    }
+
+    /// Bends and strokes stay inside at the commanded position, too.
+    #[must_use]
+    pub fn with_commanded(self, commanded: Option<&'a Configuration>) -> Self {
+        Self { commanded, ..self }
+    }
+
+    /// No component leaves the previous one by more than `change_rad_s` = acceleration · period, as [`Limits`] has it.
+    #[must_use]
+    pub fn with_acceleration(mut self, previous: &BendRates, change_rad_s: f64) -> Self {
+        for (i, previous) in previous.as_slice().iter().enumerate() {
+            self.least_rad_s[i] = previous.min(0.0) - change_rad_s;
+            self.most_rad_s[i] = previous.max(0.0) + change_rad_s;
+        }
+        self
+    }
+
+    /// The command inside every limit that is nearest to `desired`. Unchanged where that is inside; zero where it or the state
+    /// is not finite.
+    pub fn nearest(&self, desired: &BendRates) -> Limited {
+        let hit = self.broken(desired);
+        let rates = if hit.non_finite {
+            BendRates::zero(self.robot.section_count())
+        } else if hit.any() {
+            self.nearest_in(&mut self.region(), desired)
+                .unwrap_or_else(|| self.shortened(desired))
+        } else {
+            *desired
+        };
+        Limited { rates, hit }
+    }
+
+    /// For a robot that comes to rest: each section's rates are those of `ramp`, or shorter in the same direction. So no
+    /// component is larger than in the ramp, and zero rates stay zero wherever the robot is: a measurement beyond a limit
+    /// never makes a resting robot move. Zero rates where ramp or state are not finite.
+    pub fn shorten(&self, ramp: &BendRates) -> Limited {
+        let hit = self.broken(ramp);
+        let rates = if hit.non_finite {
+            BendRates::zero(self.robot.section_count())
+        } else if hit.any() {
+            self.shortened(ramp)
+        } else {
+            *ramp
+        };
+        Limited { rates, hit }
+    }
+
+    /// Which limits these rates break.
+    fn broken(&self, rates: &BendRates) -> LimitsHit {
+        let is_finite = |at: &&Configuration| at.is_finite();
+        if !(rates.is_finite() && self.places().all(|at| is_finite(&at))) {
+            return LimitsHit {
+                non_finite: true,
+                ..LimitsHit::default()
+            };
+        }
+        let mut hit = LimitsHit::default();
+        for (i, rate) in rates.as_slice().iter().enumerate() {
+            hit.rate |= rate.abs() > self.rate_max_rad_s[i];
+            hit.acceleration |= *rate < self.least_rad_s[i] || *rate > self.most_rad_s[i];
+        }
+        hit.cable_speed = self.speed_share(rates) < 1.0;
+        for at in self.places() {
+            let sections = 0..self.robot.section_count();
+            hit.bend |= sections
+                .into_iter()
+                .any(|j| self.bend_share(at, rates, j) < 1.0);
+            hit.cable_stroke |= self.stroke_share(at, rates) < 1.0;
+        }
+        hit
+    }
+
+    fn lower_rad_s(&self, i: usize) -> f64 {
+        self.least_rad_s[i].max(-self.rate_max_rad_s[i])
+    }
+
+    fn upper_rad_s(&self, i: usize) -> f64 {
+        self.most_rad_s[i].min(self.rate_max_rad_s[i])
+    }
+
+    fn places(&self) -> impl Iterator<Item = &'a Configuration> {
+        core::iter::once(self.at).chain(self.commanded)
+    }
+
+    /// Cut to the box, then shortened section by section, then all together: what a step made sure of, the next one keeps.
+    pub(super) fn shortened(&self, rates: &BendRates) -> BendRates {
+        let mut rates = *rates;
+        for (i, rate) in rates.as_mut_slice().iter_mut().enumerate() {
+            *rate = rate.clamp(self.lower_rad_s(i), self.upper_rad_s(i));
+        }
+        for at in self.places() {
+            for j in 0..self.robot.section_count() {
+                let share = self.bend_share(at, &rates, j);
+                scale(&mut rates.as_mut_slice()[2 * j..2 * j + 2], share);
+            }
+        }
+        let share = self.speed_share(&rates);
+        scale(rates.as_mut_slice(), share);
+        for at in self.places() {
+            let share = self.stroke_share(at, &rates);
+            scale(rates.as_mut_slice(), share);
+        }
+        rates
+    }
+
+    /// The share of its rates that section j may have.
+    fn bend_share(&self, at: &Configuration, rates: &BendRates, j: usize) -> f64 {
+        let (bend, rate) = (at.section(j), rates.section(j));
+        let way = rate.map(|rate| self.way_s * rate);
+        let radius = self.robot.sections()[j].bend_max_rad.max(at.bend_rad(j));
+        if (bend[0] + way[0]).hypot(bend[1] + way[1]) <= radius {
+            return 1.0;
+        }
+        // Where the way leaves the disc: |bend + share · way| = radius.
+        let way_2 = way[0] * way[0] + way[1] * way[1];
+        let outwards = bend[0] * way[0] + bend[1] * way[1];
+        let room = (radius * radius - bend[0] * bend[0] - bend[1] * bend[1]).max(0.0);
+        let share = ((outwards * outwards + way_2 * room).sqrt() - outwards) / way_2;
+        share.clamp(0.0, 1.0)
+    }
+
+    /// The share of the rates that the speed of every cable allows.
+    fn speed_share(&self, rates: &BendRates) -> f64 {
+        let speeds_m_s = self.robot.cable_speeds(rates.as_slice());
+        let fastest_m_s = speeds_m_s
+            .iter()
+            .fold(0.0_f64, |most, speed| most.max(speed.abs()));
+        (self.robot.cable_speed_max_m_s() / fastest_m_s).min(1.0)
+    }
+
+    /// The share of the rates that the stroke of every cable allows: strokes are linear in the bends.
+    fn stroke_share(&self, at: &Configuration, rates: &BendRates) -> f64 {
+        let max_m = self.robot.cable_stroke_max_m();
+        let strokes_m = self.robot.cable_strokes(at.as_slice());
+        let speeds_m_s = self.robot.cable_speeds(rates.as_slice());
+        let mut share = 1.0_f64;
+        for (stroke_m, speed_m_s) in strokes_m.iter().zip(speeds_m_s) {
+            let change_m = self.way_s * speed_m_s;
+            let (least_m, most_m) = (stroke_m.min(-max_m), stroke_m.max(max_m));
+            let next_m = stroke_m + change_m;
+            if next_m > most_m {
+                share = share.min((most_m - stroke_m) / change_m);
+            } else if next_m < least_m {
+                share = share.min((least_m - stroke_m) / change_m);
+            }
+        }
+        share
+    }
+
+    /// What the limits leave of all rates, but for the round limits of the bends: [`Self::nearest_in`] adds those.
+    pub(super) fn region(&self) -> Region {
+        let mut region = Region::new(self.robot.coordinate_count());
+        region.lower = core::array::from_fn(|i| self.lower_rad_s(i));
+        region.upper = core::array::from_fn(|i| self.upper_rad_s(i));
+        let mut columns = [[0.0; CABLES_MAX]; COORDINATES_MAX];
+        let mut unit = BendRates::zero(self.robot.section_count());
+        for (i, column) in columns[..self.robot.coordinate_count()]
+            .iter_mut()
+            .enumerate()
+        {
+            unit.as_mut_slice()[i] = 1.0;
+            *column = self.robot.cable_speeds(unit.as_slice());
+            unit.as_mut_slice()[i] = 0.0;
+        }
+        let speed_max_m_s = self.robot.cable_speed_max_m_s() * (1.0 - SPEED_INSIDE);
+        for cable in 0..self.robot.cable_count() {
+            let pays_out = columns.map(|column| column[cable]);
+            let (mut least_m_s, mut most_m_s) = (-speed_max_m_s, speed_max_m_s);
+            for at in self.places() {
+                let stroke_m = self.robot.cable_strokes(at.as_slice())[cable];
+                let max_m = self.robot.cable_stroke_max_m();
+                let room_m = |to_m: f64| (to_m.max(0.0) - INSIDE) / self.way_s;
+                most_m_s = most_m_s.min(room_m(max_m - stroke_m));
+                least_m_s = least_m_s.max(-room_m(max_m + stroke_m));
+            }
+            region.bound(&pays_out, least_m_s);
+            region.bound(&pays_out.map(|share| -share), -most_m_s);
+        }
+        region
+    }
+
+    /// The rates in `region` and inside the limits of the bends that are nearest to `desired`; `None` where none were found.
+    /// Tangents to the round limits are added to `region` as they are met.
+    pub(super) fn nearest_in(&self, region: &mut Region, desired: &BendRates) -> Option<BendRates> {
+        let mut to = Vector::default();
+        to[..desired.as_slice().len()].copy_from_slice(desired.as_slice());
+        let mut rates = *desired;
+        for _ in 0..TANGENTS {
+            let nearest = region.nearest(&to)?;
+            let width = rates.as_slice().len();
+            rates.as_mut_slice().copy_from_slice(&nearest[..width]);
+            if !self.add_tangents(&rates, region) {
+                break;
+            }
+        }
+        Some(self.shortened(&rates))
+    }
+
+    /// A tangent for every bend that leaves its limit; whether there was one.
+    fn add_tangents(&self, rates: &BendRates, region: &mut Region) -> bool {
+        let mut added = false;
+        for at in self.places() {
+            for j in 0..self.robot.section_count() {
+                let (bend, rate) = (at.section(j), rates.section(j));
+                let target = [0, 1].map(|i| bend[i] + self.way_s * rate[i]);
+                let size = target[0].hypot(target[1]);
+                let radius = self.robot.sections()[j].bend_max_rad.max(at.bend_rad(j)) - INSIDE;
+                if size <= radius + 0.5 * INSIDE {
+                    continue;
+                }
+                let outwards = target.map(|component| component / size);
+                let bent = outwards[0] * bend[0] + outwards[1] * bend[1];
+                let mut normal = Vector::default();
+                normal[2 * j..2 * j + 2].copy_from_slice(&outwards.map(|component| -component));
+                region.bound(&normal, -(radius - bent) / self.way_s);
+                added = true;
+            }
+        }
+        added
+    }
+}
+
+/// [`Limits::nearest`] of a robot that is commanded again after `period_s`.
+pub fn limit(robot: &Robot, at: &Configuration, desired: &BendRates, period_s: f64) -> Limited {
+    Limits::new(robot, at, period_s).nearest(desired)
+}
+
+/// [`Limits::shorten`] of such a robot.
+pub fn shorten(robot: &Robot, at: &Configuration, ramp: &BendRates, period_s: f64) -> Limited {
+    Limits::new(robot, at, period_s).shorten(ramp)
+}
+
+fn scale(rates: &mut [f64], share: f64) {
+    if share < 1.0 {
+        for rate in rates {
+            *rate *= share;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

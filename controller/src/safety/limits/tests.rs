@@ -1,0 +1,189 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::robot::RobotParameters;
+
+const PERIOD_S: f64 = 0.005;
+
+fn robot() -> Robot {
+    Robot::new(&RobotParameters::paper(2)).expect("the paper's robot")
+}
+
+fn rates(values: [f64; 4]) -> BendRates {
+    BendRates::from_slice(&values).expect("two sections")
+}
+
+fn at(values: [f64; 4]) -> Configuration {
+    Configuration::from_slice(&values).expect("two sections")
+}
+
+#[test]
+fn a_bend_that_the_box_would_let_out_is_shortened_onto_its_limit() {
+    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+    // Along the border, keeping the bend inside asks for more than 2 rad/s in one component.
+    let (mut over, mut cut) = (0.0_f64, 0);
+    for step in 0..20_000 {
+        let angle = f64::from(step) * 1e-3;
+        for inside in [0.0, 1e-9, 1e-3, 0.02] {
+            let size = 2.8 - inside;
+            let at = [size * angle.cos(), size * angle.sin()];
+            let at = Configuration::from_slice(&at).unwrap();
+            for wish in [[2.0, 2.0], [-2.0, 2.0], [1.3, -2.0], [50.0, -3.0]] {
+                let wish = BendRates::from_slice(&wish).unwrap();
+                let limited = limit(&robot, &at, &wish, 0.005);
+                let target = at.advanced(&limited.rates, 0.005);
+                over = over.max(target.bend_rad(0) - 2.8);
+                let rates = limited.rates.as_slice();
+                assert!(rates.iter().all(|rate| rate.abs() <= 2.0), "{rates:?}");
+                cut += u32::from(limited.hit.bend);
+            }
+        }
+    }
+    assert!(over <= 1e-12, "{over} rad beyond the limit");
+    assert!(cut > 1000, "{cut} cases at the limit");
+}
+
+proptest! {
+    /// Rest is rest: wherever the robot is measured, beyond its limits, too, no component of a shortened ramp is
+    /// larger than the ramp's, and zero rates are zero to the bit.
+    #[test]
+    fn a_ramp_is_only_shortened_and_rest_stays_rest(
+        bends in prop::array::uniform4(-7.0..7.0_f64),
+        ramp in prop::array::uniform4(-4.0..4.0_f64),
+        stroke_m in 0.001..0.1_f64,
+        speed_m_s in 0.001..0.1_f64,
+    ) {
+        let mut parameters = RobotParameters::paper(2);
+        parameters.cable_stroke_max_m = stroke_m;
+        parameters.cable_speed_max_m_s = speed_m_s;
+        let robot = Robot::new(&parameters).expect("legal");
+        let shortened = shorten(&robot, &at(bends), &rates(ramp), PERIOD_S).rates;
+        for (rate, ramp) in shortened.as_slice().iter().zip(ramp) {
+            prop_assert!(rate.abs() <= ramp.abs() && rate * ramp >= 0.0, "{rate} of {ramp}");
+        }
+        let rest = shorten(&robot, &at(bends), &BendRates::zero(2), PERIOD_S);
+        prop_assert_eq!((rest.rates, rest.hit), (BendRates::zero(2), LimitsHit::default()));
+        // Inside the limits nothing is lost that a limit does not ask for.
+        let inside = at(bends).bend_rad(0).max(at(bends).bend_rad(1)) < 2.0;
+        if inside && stroke_m > 0.09 && speed_m_s > 0.095 && ramp.iter().all(|rate| rate.abs() < 1.0) {
+            prop_assert_eq!(shortened, rates(ramp));
+        }
+    }
+}
+
+proptest! {
+    /// No component grows faster than the acceleration allows; slowing down is free; zero is always allowed.
+    #[test]
+    fn speed_grows_by_the_acceleration_at_most(
+        previous in prop::array::uniform4(-2.0..2.0_f64),
+        wish in prop::array::uniform4(-3.0..3.0_f64),
+        change_rad_s in 0.0..1.0_f64,
+    ) {
+        let (robot, straight) = (robot(), at([0.0; 4]));
+        let limits = Limits::new(&robot, &straight, PERIOD_S);
+        let limits = limits.with_acceleration(&rates(previous), change_rad_s);
+        let limited = limits.nearest(&rates(wish));
+        for (rate, previous) in limited.rates.as_slice().iter().zip(previous) {
+            let most = if rate * previous > 0.0 { previous.abs() } else { 0.0 };
+            prop_assert!(rate.abs() <= (most + change_rad_s) * (1.0 + 1e-12));
+        }
+        prop_assert_eq!(limited.hit.any(), limited.rates != rates(wish));
+        let slower = rates(previous.map(|rate| 0.3 * rate));
+        prop_assert_eq!(limits.nearest(&slower), Limited { rates: slower, hit: LimitsHit::default() });
+    }
+}
+
+#[test]
+fn a_legal_wish_passes_unchanged() {
+    let wish = rates([0.1, -0.2, 0.3, 0.4]);
+    let limited = limit(&robot(), &at([0.1; 4]), &wish, PERIOD_S);
+    assert_eq!((limited.rates, limited.hit), (wish, LimitsHit::default()));
+}
+
+#[test]
+fn rates_and_non_finite_wishes_are_cut() {
+    let limited = limit(
+        &robot(),
+        &at([0.0; 4]),
+        &rates([9.0, 0.0, -9.0, 0.0]),
+        PERIOD_S,
+    );
+    assert!(limited.hit.rate);
+    assert!(
+        limited
+            .rates
+            .as_slice()
+            .iter()
+            .all(|rate| rate.abs() <= 2.0)
+    );
+    let limited = limit(
+        &robot(),
+        &at([0.0; 4]),
+        &rates([f64::NAN, 0.0, 1.0, 0.0]),
+        PERIOD_S,
+    );
+    assert!(limited.hit.non_finite);
+    assert_eq!(limited.rates, BendRates::zero(2));
+}
+
+#[test]
+fn a_bend_never_leaves_its_limit_and_returns_when_it_is_beyond() {
+    let robot = robot();
+    let mut bend = at([2.79, 0.0, 0.0, -2.79]);
+    for _ in 0..20 {
+        let limited = limit(&robot, &bend, &rates([2.0, 2.0, 2.0, -2.0]), PERIOD_S);
+        bend = bend.advanced(&limited.rates, PERIOD_S);
+        assert!(bend.bend_rad(0) <= 2.8 + 1e-12 && bend.bend_rad(1) <= 2.8 + 1e-12);
+    }
+    let beyond = at([2.9, 0.0, 0.0, 0.0]);
+    let limited = limit(&robot, &beyond, &rates([2.0, 0.0, 0.0, 0.0]), PERIOD_S);
+    assert!(limited.hit.bend && limited.rates.as_slice()[0] < 0.0);
+}
+
+#[test]
+fn cables_keep_their_speed_limit() {
+    let mut parameters = RobotParameters::paper(2);
+    parameters.cable_speed_max_m_s = 0.01;
+    let robot = Robot::new(&parameters).expect("legal");
+    let limited = limit(
+        &robot,
+        &at([0.0; 4]),
+        &rates([2.0, 0.0, 2.0, 0.0]),
+        PERIOD_S,
+    );
+    let speeds = robot.cable_speeds(limited.rates.as_slice());
+    assert!(limited.hit.cable_speed);
+    assert!(speeds.iter().all(|speed| speed.abs() <= 0.01 + 1e-15));
+}
+
+#[test]
+fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
+    let mut parameters = RobotParameters::paper(2);
+    parameters.cable_stroke_max_m = 0.02;
+    let robot = Robot::new(&parameters).expect("legal");
+    let farthest_m = |bend: &Configuration| {
+        let strokes_m = robot.cable_strokes(bend.as_slice());
+        strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()))
+    };
+    let (mut bend, mut hits) = (at([0.0; 4]), 0);
+    for step in 0..400 {
+        let turn = f64::from(step).sin();
+        let wish = rates([2.0, 0.3 * turn, 1.5, -turn]);
+        let limited = limit(&robot, &bend, &wish, PERIOD_S);
+        hits += u32::from(limited.hit.cable_stroke);
+        bend = bend.advanced(&limited.rates, PERIOD_S);
+        assert!(farthest_m(&bend) <= 0.02 + 1e-15, "{}", farthest_m(&bend));
+    }
+    assert!(hits > 100, "{hits}");
+    let beyond = at([1.8, 0.0, 0.0, 0.0]);
+    let out = limit(&robot, &beyond, &rates([1.0, 0.0, 0.0, 0.0]), PERIOD_S);
+    assert!(out.hit.cable_stroke);
+    assert!(
+        out.rates.as_slice().iter().all(|rate| rate.abs() < 1e-4),
+        "{:?}",
+        out.rates
+    );
+    let wish = rates([-1.0, 0.0, 0.0, 0.0]);
+    let back = limit(&robot, &beyond, &wish, PERIOD_S);
+    assert_eq!((back.rates, back.hit), (wish, LimitsHit::default()));
+}

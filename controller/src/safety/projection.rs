@@ -1,0 +1,301 @@
+//! The nearest point of a region that half-spaces and a box bound, in the few dimensions of a command.
+//!
+//! Knows no robot. Dual active-set method of Goldfarb and Idnani (Mathematical Programming 27, 1983) with the identity as
+//! Hessian: it begins at the point itself, takes in the half-space that is violated most, and lets go of those that no
+//! longer hold the point back. Work and memory are bounded, nothing allocates, the same input gives the same bits.
+
+use crate::robot::COORDINATES_MAX;
+
+/// A point, or a normal.
+pub(super) type Vector = [f64; COORDINATES_MAX];
+
+/// Half-spaces beside the box: more are left out.
+const ROWS_MAX: usize = 128;
+/// Half-spaces that are taken in or let go before the search gives up.
+const STEPS_MAX: usize = 100;
+/// What counts as inside, in the unit of the point.
+const INSIDE: f64 = 1e-13;
+/// Below this squared length a normal depends on those that hold the point already.
+const DEPENDENT: f64 = 1e-14;
+
+/// A box and half-spaces, in the first `dimensions` coordinates.
+#[derive(Debug, Clone)]
+pub(super) struct Region {
+    dimensions: usize,
+    pub(super) lower: Vector,
+    pub(super) upper: Vector,
+    rows: [Row; ROWS_MAX],
+    row_count: usize,
+}
+
+/// normal · x ≥ bound, with a normal of length 1.
+#[derive(Debug, Clone, Copy)]
+struct Row {
+    normal: Vector,
+    bound: f64,
+}
+
+/// The half-spaces that hold the point, and how strongly.
+#[derive(Debug, Clone, Copy)]
+struct Active {
+    rows: [Row; COORDINATES_MAX],
+    multipliers: Vector,
+    count: usize,
+}
+
+impl Region {
+    /// Everything.
+    pub(super) fn new(dimensions: usize) -> Self {
+        Self {
+            dimensions,
+            lower: [f64::NEG_INFINITY; COORDINATES_MAX],
+            upper: [f64::INFINITY; COORDINATES_MAX],
+            rows: [Row::ZERO; ROWS_MAX],
+            row_count: 0,
+        }
+    }
+
+    /// Only where normal · x ≥ bound. A normal without length bounds nothing.
+    pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
+        let length = dot(normal, normal).sqrt();
+        if length > 0.0 && length.is_finite() && bound.is_finite() && self.row_count < ROWS_MAX {
+            self.rows[self.row_count] = Row {
+                normal: normal.map(|component| component / length),
+                bound: bound / length,
+            };
+            self.row_count += 1;
+        }
+    }
+
+    /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
+    /// a bounded number of steps.
+    pub(super) fn nearest(&self, to: &Vector) -> Option<Vector> {
+        let mut at = *to;
+        let mut active = Active::NONE;
+        let mut steps = 0;
+        while let Some(row) = self.most_violated(&at) {
+            let mut multiplier = 0.0;
+            loop {
+                steps += 1;
+                if steps > STEPS_MAX {
+                    return None;
+                }
+                let shares = active.shares(&row.normal)?;
+                let way = active.rest(&row.normal, &shares);
+                let square = dot(&way, &row.normal);
+                let full = if square > DEPENDENT && active.count < self.dimensions {
+                    (row.bound - dot(&row.normal, &at)) / square
+                } else {
+                    f64::INFINITY
+                };
+                let (until, let_go) = active.lets_go(&shares);
+                let step = full.min(until);
+                if step == f64::INFINITY {
+                    return None;
+                }
+                if full < f64::INFINITY {
+                    add(&mut at, &way, step);
+                }
+                add(&mut active.multipliers, &shares, -step);
+                multiplier += step;
+                if full <= until {
+                    active.push(row, multiplier);
+                    break;
+                }
+                active.remove(let_go);
+            }
+        }
+        Some(at)
+    }
+
+    /// What is violated most at `at`; a NaN violates nothing.
+    fn most_violated(&self, at: &Vector) -> Option<Row> {
+        let (mut most, mut found) = (INSIDE, None);
+        let mut look = |row: Row, lack: f64| {
+            if lack > most {
+                (most, found) = (lack, Some(row));
+            }
+        };
+        for row in &self.rows[..self.row_count] {
+            look(*row, row.bound - dot(&row.normal, at));
+        }
+        for i in 0..self.dimensions {
+            look(Row::axis(i, 1.0, self.lower[i]), self.lower[i] - at[i]);
+            look(Row::axis(i, -1.0, -self.upper[i]), at[i] - self.upper[i]);
+        }
+        found
+    }
+}
+
+impl Row {
+    const ZERO: Self = Self {
+        normal: [0.0; COORDINATES_MAX],
+        bound: 0.0,
+    };
+
+    fn axis(i: usize, sign: f64, bound: f64) -> Self {
+        let mut row = Self {
+            bound,
+            ..Self::ZERO
+        };
+        row.normal[i] = sign;
+        row
+    }
+}
+
+impl Active {
+    const NONE: Self = Self {
+        rows: [Row::ZERO; COORDINATES_MAX],
+        multipliers: [0.0; COORDINATES_MAX],
+        count: 0,
+    };
+
+    /// How much of each held normal there is in `normal`: the least-squares solution of N r = normal, by Cholesky's
+    /// factorisation of Nᵀ N.
+    fn shares(&self, normal: &Vector) -> Option<Vector> {
+        let mut factor = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
+        let mut shares = [0.0; COORDINATES_MAX];
+        for i in 0..self.count {
+            for j in 0..=i {
+                let known: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
+                let rest = dot(&self.rows[i].normal, &self.rows[j].normal) - known;
+                factor[i][j] = if i > j {
+                    rest / factor[j][j]
+                } else if rest > 0.0 {
+                    rest.sqrt()
+                } else {
+                    return None;
+                };
+            }
+            let known: f64 = (0..i).map(|k| factor[i][k] * shares[k]).sum();
+            shares[i] = (dot(&self.rows[i].normal, normal) - known) / factor[i][i];
+        }
+        for i in (0..self.count).rev() {
+            let known: f64 = (i + 1..self.count).map(|k| factor[k][i] * shares[k]).sum();
+            shares[i] = (shares[i] - known) / factor[i][i];
+        }
+        Some(shares)
+    }
+
+    /// What of `normal` the held ones do not span.
+    fn rest(&self, normal: &Vector, shares: &Vector) -> Vector {
+        let mut rest = *normal;
+        for (row, share) in self.rows[..self.count].iter().zip(shares) {
+            add(&mut rest, &row.normal, -share);
+        }
+        rest
+    }
+
+    /// The step after which the first of those held lets go, and which that is.
+    fn lets_go(&self, shares: &Vector) -> (f64, usize) {
+        let (mut until, mut first) = (f64::INFINITY, 0);
+        for i in 0..self.count {
+            let step = self.multipliers[i].max(0.0) / shares[i];
+            if shares[i] > 0.0 && step < until {
+                (until, first) = (step, i);
+            }
+        }
+        (until, first)
+    }
+
+    fn push(&mut self, row: Row, multiplier: f64) {
+        self.rows[self.count] = row;
+        self.multipliers[self.count] = multiplier;
+        self.count += 1;
+    }
+
+    fn remove(&mut self, i: usize) {
+        self.count -= 1;
+        self.rows.copy_within(i + 1..=self.count, i);
+        self.multipliers.copy_within(i + 1..=self.count, i);
+        self.multipliers[self.count] = 0.0;
+    }
+}
+
+fn dot(a: &Vector, b: &Vector) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn add(to: &mut Vector, direction: &Vector, length: f64) {
+    for (to, direction) in to.iter_mut().zip(direction) {
+        *to += length * direction;
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn padded(values: &[f64]) -> Vector {
+        core::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
+    }
+
+    #[test]
+    fn corners_edges_and_regions_without_a_point() {
+        let mut region = Region::new(2);
+        region.lower = padded(&[-1.0, -1.0]);
+        region.upper = padded(&[1.0, 1.0]);
+        let near = |region: &Region, x: f64, y: f64| {
+            region.nearest(&padded(&[x, y])).map(|p| [p[0], p[1]])
+        };
+        assert_eq!(near(&region, 0.5, -0.5), Some([0.5, -0.5]));
+        assert_eq!(near(&region, 3.0, 0.5), Some([1.0, 0.5]));
+        assert_eq!(near(&region, 3.0, -4.0), Some([1.0, -1.0]));
+        region.bound(&padded(&[-1.0, -1.0]), 0.0);
+        let [x, y] = near(&region, 3.0, 3.0).unwrap();
+        assert!(x.abs() < 1e-12 && y.abs() < 1e-12, "{x} {y}");
+        // A half-space that says the same again, and one that no point satisfies.
+        region.bound(&padded(&[-2.0, -2.0]), 0.0);
+        assert!(near(&region, 3.0, 3.0).is_some());
+        region.bound(&padded(&[1.0, 1.0]), 1.0);
+        assert_eq!(near(&region, 3.0, 3.0), None);
+    }
+
+    proptest! {
+        /// The nearest point is inside, and no other point of the region is on the near side of it: for each y inside,
+        /// (to - x) · (y - x) ≤ 0.
+        #[test]
+        fn the_nearest_point_is_inside_and_nothing_inside_is_nearer(
+            to in prop::collection::vec(-5.0..5.0_f64, 12),
+            normals in prop::collection::vec(prop::collection::vec(-1.0..1.0_f64, 12), 0..40),
+            slack in 0.0..0.5_f64,
+            inside in prop::collection::vec(-1.0..1.0_f64, 12),
+            others in prop::collection::vec(prop::collection::vec(-1.0..1.0_f64, 12), 20),
+        ) {
+            let mut region = Region::new(12);
+            region.lower = [-1.0; COORDINATES_MAX];
+            region.upper = [1.0; COORDINATES_MAX];
+            let inside = padded(&inside);
+            for normal in &normals {
+                let normal = padded(normal);
+                region.bound(&normal, dot(&normal, &inside) - slack);
+            }
+            let to = padded(&to);
+            let nearest = region.nearest(&to);
+            prop_assert!(nearest.is_some(), "`inside` is one");
+            let nearest = nearest.unwrap();
+            let lack = |at: &Vector| region.most_violated(at).map_or(0.0, |row| row.bound - dot(&row.normal, at));
+            prop_assert!(lack(&nearest) < 1e-12);
+            let mut away = to;
+            add(&mut away, &nearest, -1.0);
+            for other in &others {
+                // As far from `inside` towards it as the region goes.
+                let mut other = padded(other);
+                while lack(&other) > 0.0 {
+                    let mut half = inside;
+                    add(&mut half, &inside, -0.5);
+                    add(&mut half, &other, 0.5);
+                    other = half;
+                    if other == inside {
+                        break;
+                    }
+                }
+                add(&mut other, &nearest, -1.0);
+                prop_assert!(dot(&away, &other) < 1e-9);
+            }
+        }
+    }
+}

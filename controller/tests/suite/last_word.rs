@@ -1,0 +1,176 @@
+//! What limits and clearance guard leave of motion: a robot that could go on goes on.
+
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use cdcr_controller::safety::{Situation, homing_rates, safe_command};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+const PERIOD_S: f64 = 0.005;
+const SAFE_M: f64 = 0.01;
+
+/// The command that the daemon would send.
+fn command(
+    robot: &Robot,
+    at: &Configuration,
+    previous: &BendRates,
+    obstacles: &[Obstacle],
+    desired: &BendRates,
+) -> BendRates {
+    let situation = Situation {
+        robot,
+        at,
+        commanded: None,
+        previous,
+        obstacles,
+        safe_distance_m: SAFE_M,
+        acceleration_rad_s2: 40.0,
+        period_s: PERIOD_S,
+        moving_s: 3.0 * PERIOD_S,
+        deceleration_rad_s2: 40.0,
+        comes_to_rest: false,
+    };
+    safe_command(&situation, desired).rates
+}
+
+fn norm(rates: &BendRates) -> f64 {
+    rates
+        .as_slice()
+        .iter()
+        .map(|rate| rate * rate)
+        .sum::<f64>()
+        .sqrt()
+}
+
+fn largest_stroke_m(robot: &Robot, at: &Configuration) -> f64 {
+    let strokes_m = robot.cable_strokes(at.as_slice());
+    strokes_m
+        .iter()
+        .fold(0.0, |most, stroke_m| stroke_m.abs().max(most))
+}
+
+/// A configuration with all strokes inside `share` of their limit.
+fn inside_strokes(robot: &Robot, random: &mut Xoshiro256PlusPlus, share: f64) -> Configuration {
+    loop {
+        let bends: Vec<f64> = (0..robot.coordinate_count())
+            .map(|_| random.random_range(-1.5..1.5))
+            .collect();
+        let at = Configuration::from_slice(&bends).unwrap();
+        let largest_m = largest_stroke_m(robot, &at);
+        if largest_m < share * robot.cable_stroke_max_m()
+            && largest_m > 0.7 * robot.cable_stroke_max_m()
+        {
+            return at;
+        }
+    }
+}
+
+#[test]
+fn short_strokes_do_not_freeze_a_robot_that_tracks() {
+    let mut parameters = RobotParameters::paper(3);
+    parameters.cable_stroke_max_m = 0.015;
+    let robot = Robot::new(&parameters).unwrap();
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(1);
+    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, NmpcSettings::default()).unwrap();
+    let mut at = Configuration::straight(3);
+    let mut rates = BendRates::zero(3);
+    let (mut frozen, mut last_mm) = (0, Vec::new());
+    for goal in 0..10 {
+        let goal_m = robot.tip_position(inside_strokes(&robot, &mut random, 0.95).as_slice());
+        for cycle in 0..200 {
+            let sample = ReferenceSample {
+                state: ReferenceState::Inside,
+                position_m: goal_m,
+                orientation: Orientation::Free,
+            };
+            let input = SolveInput {
+                configuration: &at,
+                previous_rates: &rates,
+                reference: &[sample; 2],
+                obstacles: &[],
+                elapsed_periods: 1,
+                seed: cycle_seed(1, 1000 * goal + cycle),
+            };
+            let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            rates = command(&robot, &at, &rates, &[], &wish);
+            frozen += u32::from(norm(&rates) < 0.01 * norm(&wish) && norm(&wish) > 0.01);
+            at = at.advanced(&rates, PERIOD_S);
+            assert!(largest_stroke_m(&robot, &at) <= 0.015 + 1e-15);
+        }
+        last_mm.push(1e3 * (robot.tip_position(at.as_slice()) - goal_m).norm());
+    }
+    let mean_mm = last_mm.iter().sum::<f64>() / last_mm.len() as f64;
+    println!("frozen in {frozen} of 2000 cycles, {mean_mm:.1} mm from the goals: {last_mm:.1?}");
+    assert!(frozen < 20 && mean_mm < 15.0);
+}
+
+/// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many
+/// arrive, and how often it stood still before.
+fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
+    let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(balls as u64);
+    let (mut blocked, mut arrived, mut stood) = (0, 0, 0);
+    while blocked < runs {
+        let bends: Vec<f64> = (0..2 * sections)
+            .map(|_| random.random_range(-1.5..1.5))
+            .collect();
+        let begin = Configuration::from_slice(&bends).unwrap();
+        let obstacles: Vec<Obstacle> = (0..balls)
+            .map(|_| {
+                let part = random.random_range(0.2..0.8);
+                let between: Vec<f64> = bends.iter().map(|bend| part * bend).collect();
+                let between = Configuration::from_slice(&between).unwrap();
+                let section = random.random_range(0..sections);
+                let side = Vector3::from_fn(|_, _| random.random_range(-0.03..0.03));
+                let centre_m = robot.body_point(&between, section, 1.0) + side;
+                Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()
+            })
+            .collect();
+        let clear = |at: &Configuration| {
+            obstacles
+                .iter()
+                .map(|o| robot.clearance_m(at, o))
+                .fold(f64::INFINITY, f64::min)
+        };
+        let straight = Configuration::straight(sections);
+        let path = (0..=50).map(|part| {
+            let bends: Vec<f64> = bends
+                .iter()
+                .map(|bend| bend * f64::from(part) / 50.0)
+                .collect();
+            clear(&Configuration::from_slice(&bends).unwrap())
+        });
+        if clear(&begin) < 1.5 * SAFE_M
+            || clear(&straight) < 1.5 * SAFE_M
+            || path.fold(1.0, f64::min) > 0.0
+        {
+            continue;
+        }
+        blocked += 1;
+        let (mut at, mut rates) = (begin, BendRates::zero(sections));
+        for _ in 0..3000 {
+            let desired = homing_rates(&at, 0.5, PERIOD_S);
+            rates = command(&robot, &at, &rates, &obstacles, &desired);
+            at = at.advanced(&rates, PERIOD_S);
+            assert!(clear(&at) >= SAFE_M.min(clear(&begin)));
+        }
+        let is_home = at.as_slice().iter().all(|bend| bend.abs() < 1e-3);
+        arrived += u32::from(is_home);
+        stood += u32::from(!is_home && norm(&rates) < 1e-6);
+    }
+    (blocked, arrived, stood)
+}
+
+#[test]
+fn balls_on_the_way_home_are_passed() {
+    for (sections, balls, least) in [(3, 1, 40), (3, 4, 32), (3, 8, 24)] {
+        let (blocked, arrived, stood) = homing(sections, balls, 40);
+        println!(
+            "{sections} sections, {balls} balls: {arrived} of {blocked} arrive, {stood} stand still"
+        );
+        assert!(arrived >= least);
+    }
+}

@@ -1,0 +1,74 @@
+use std::fmt::Debug;
+
+use cdcr_shared_types::{Header, ipc};
+use iceoryx2::identifiers::UniquePublisherId;
+use iceoryx2::port::subscriber::Subscriber;
+use iceoryx2::prelude::ZeroCopySend;
+use iceoryx2::sample::Sample;
+
+/// The reading end of a service with several writers, who are served in turn.
+///
+/// iceoryx2 looks for a message at the oldest writer first, and would hear nobody else beside one that writes as fast as
+/// is read. But it passes over a writer of which two messages are held (`subscriber_max_borrowed_samples`). So what was
+/// read stays held until every writer that has something to say was heard.
+#[derive(Debug)]
+pub struct Inlet<T: ZeroCopySend + Debug + 'static> {
+    subscriber: Subscriber<ipc::Service, T, ()>,
+    held: Vec<Sample<ipc::Service, T, ()>>,
+    /// The newest sequence of each writer, the newest writer last.
+    newest: Vec<(UniquePublisherId, u64)>,
+    header_of: fn(&T) -> &Header,
+}
+
+/// A message, and whether it is newer than those of the same writer before it.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Received<T> {
+    pub(super) message: T,
+    pub(super) is_newer: bool,
+}
+
+impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
+    /// `most`: messages that may be held at one time.
+    pub(super) fn new(
+        subscriber: Subscriber<ipc::Service, T, ()>,
+        most: usize,
+        header_of: fn(&T) -> &Header,
+    ) -> Self {
+        Self {
+            subscriber,
+            held: Vec::with_capacity(most),
+            newest: Vec::with_capacity(most),
+            header_of,
+        }
+    }
+
+    /// The next message, if one waits. A copy: nobody changes it after it was checked.
+    pub(super) fn receive(&mut self) -> Option<Received<T>> {
+        let mut next = self.subscriber.receive().ok().flatten();
+        if next.is_none() && !self.held.is_empty() {
+            // Everybody was heard: a new round.
+            self.held.clear();
+            next = self.subscriber.receive().ok().flatten();
+        }
+        let sample = next?;
+        let message = *sample;
+        let writer = sample.header().publisher_id();
+        self.held.push(sample);
+        let is_newer = self.is_newer(writer, (self.header_of)(&message).sequence);
+        Some(Received { message, is_newer })
+    }
+
+    fn is_newer(&mut self, writer: UniquePublisherId, sequence: u64) -> bool {
+        if let Some((_, newest)) = self.newest.iter_mut().find(|(known, _)| *known == writer) {
+            let is_newer = sequence > *newest;
+            *newest = sequence.max(*newest);
+            return is_newer;
+        }
+        if self.newest.len() == self.newest.capacity() {
+            // Twice as many as can write at one time: most have gone.
+            self.newest.remove(0);
+        }
+        self.newest.push((writer, sequence));
+        true
+    }
+}

@@ -1,0 +1,145 @@
+//! Obstacles: whose count, for how long, and that nobody keeps another's out.
+
+use cdcr_shared_types::codes::ObstacleAction;
+
+use super::*;
+
+#[test]
+fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+    rig.gather();
+    rig.tell(4, ObstacleAction::Upsert, &[50]);
+    rig.gather();
+    // The last sign of life waits while the daemon stands still for longer than the obstacle lives.
+    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.next_cycle += 80;
+    for _ in 0..3 {
+        let inputs = rig.gather();
+        assert_eq!(inputs.obstacles.count(), 1);
+        assert!(!inputs.obstacle_source_silent, "nobody listened");
+    }
+    rig.gather_for(100);
+    let inputs = rig.gather();
+    assert_eq!(inputs.obstacles.count(), 1);
+    assert!(inputs.obstacle_source_silent);
+}
+
+#[test]
+fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+    let lifetime_ms = 50;
+    for _ in 0..5 {
+        rig.tell(4, ObstacleAction::Upsert, &[lifetime_ms]);
+        assert!(!rig.gather().obstacle_source_silent);
+    }
+    let begin_ns = rig.now_ns();
+    let mut silent_ns = None;
+    for _ in 0..100 {
+        let inputs = rig.gather();
+        let (count, is_silent) = (inputs.obstacles.count(), inputs.obstacle_source_silent);
+        let placed = inputs.obstacles.at(inputs.gather_ns + PERIOD_NS);
+        assert_eq!((count, placed.count()), (1, 1));
+        if is_silent {
+            silent_ns.get_or_insert(rig.now_ns() - begin_ns);
+        }
+    }
+    let silent_ns = silent_ns.unwrap();
+    assert!(
+        (100 * MS..=100 * MS + 2 * PERIOD_NS).contains(&silent_ns),
+        "{silent_ns}"
+    );
+    // It is heard again, and says nothing of the obstacle.
+    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.gather();
+    let inputs = rig.gather();
+    assert!(!inputs.obstacle_source_silent);
+    assert_eq!(inputs.obstacles.count(), 0);
+    // It dies again, now with no obstacle known; an operator clears.
+    rig.gather_for(200);
+    assert!(rig.gather().obstacle_source_silent);
+    rig.tell(5, ObstacleAction::Clear, &[]);
+    assert!(!rig.gather().obstacle_source_silent);
+    rig.gather_for(200);
+    assert!(!rig.gather().obstacle_source_silent);
+}
+
+#[test]
+fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
+    rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
+    rig.gather();
+    rig.gather_for(300);
+    let inputs = rig.gather();
+    assert_eq!(inputs.obstacles.count(), 64);
+    assert!(
+        !inputs.obstacle_source_silent,
+        "they are kept, and the robot goes on"
+    );
+    rig.tell(4, ObstacleAction::Upsert, &[]);
+    rig.gather();
+    assert_eq!(rig.gather().obstacles.count(), 0);
+}
+
+#[test]
+fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
+    let mut rig = Rig::new("");
+    let mut crowd = rig.crowd(Service::Obstacles);
+    std::mem::swap(&mut crowd[0], &mut rig.obstacles);
+    // Taken in, or refused at the last of 64 obstacles, which costs most.
+    let taken = |rig: &Rig| rig.update(9, ObstacleAction::Upsert, &[1_000; 8]);
+    let refused = |rig: &Rig| {
+        let mut update = rig.update(9, ObstacleAction::Upsert, &[1_000; 64]);
+        update.obstacles[63].radius_m = -1.0;
+        update
+    };
+    for message in [taken as fn(&Rig) -> _, refused] {
+        for _ in 0..20 {
+            flood(&crowd, Service::Obstacles, || message(&rig));
+            rig.gather();
+        }
+        let mut mine = rig.update(4, ObstacleAction::Upsert, &[0]);
+        mine.obstacles[0].id = 99;
+        rig.obstacles.send_copy(mine).unwrap();
+        let mut gathers = 0;
+        while !rig.exchange.obstacles.iter().any(|known| known.id == 99) {
+            flood(&crowd, Service::Obstacles, || message(&rig));
+            let before: u64 = rig.exchange.events.outcomes().iter().sum();
+            rig.gather();
+            let judged = rig.exchange.events.outcomes().iter().sum::<u64>() - before;
+            assert_eq!(judged, gather::UPDATES_PER_GATHER as u64);
+            gathers += 1;
+            // Two messages of each of eight are 16, and a round may have begun.
+            assert!(gathers <= 4);
+        }
+        // What became of each is told.
+        let told = std::iter::from_fn(|| {
+            let (events, count) = rig.exchange.events.report(u64::MAX);
+            (count > 0).then_some(events)
+        });
+        assert!(told.flatten().any(|event| event.sender_id == 4));
+        rig.tell(4, ObstacleAction::Clear, &[]);
+        rig.gather_for(100);
+    }
+    // Where a gather has little time, it does less.
+    assert_eq!(gather::updates_per_gather(200_000), 8);
+    assert_eq!(gather::updates_per_gather(100_000), 4);
+    assert_eq!(gather::updates_per_gather(20_000), 1);
+}
+
+#[test]
+fn a_message_that_is_repeated_or_older_than_its_writers_last_is_refused() {
+    let mut rig = Rig::new("");
+    let older = rig.update(4, ObstacleAction::Upsert, &[0, 0]);
+    let newer = rig.update(4, ObstacleAction::Upsert, &[0]);
+    for update in [&newer, &newer, &older] {
+        rig.obstacles.send_copy(*update).unwrap();
+    }
+    assert_eq!(rig.gather().obstacles.count(), 1);
+    assert_eq!(rig.counted(Outcome::Stale), 2);
+    assert_eq!(rig.exchange.obstacles_refused, 2);
+    // Two writers of one client come in any order.
+    let crowd = rig.crowd(Service::Obstacles);
+    crowd[0].send_copy(older).unwrap();
+    assert_eq!(rig.gather().obstacles.count(), 2);
+    assert_eq!(rig.counted(Outcome::Stale), 2);
+}

@@ -1,0 +1,116 @@
+//! References and the lease that they belong to.
+
+use cdcr_controller::reference::ReferenceState;
+use cdcr_shared_types::codes::ChunkMode;
+use cdcr_shared_types::{ReferenceChunk, ReferencePoint};
+
+use super::*;
+
+#[test]
+fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
+    // Taken by a gather, and by the last look of a lease that expires after the gather.
+    for by_last_look in [false, true] {
+        let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
+        rig.gather();
+        let first = rig.ask(1, RequestKind::AcquireLease);
+        rig.gather();
+        let mut chunk = ReferenceChunk {
+            header: rig.header(1),
+            mode: ChunkMode::Replace.code(),
+            count: 2,
+            ..ReferenceChunk::default()
+        };
+        for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
+            *point = ReferencePoint {
+                time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
+                position_m: [0.0, 0.0, 0.89],
+                ..ReferencePoint::default()
+            };
+        }
+        rig.references.send_copy(chunk).unwrap();
+        let ahead = |inputs: &CycleInputs, cycle| inputs.window.at(cycle).state;
+        let cycle = rig.next_cycle;
+        assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+        let (inputs, second, cycle) = if by_last_look {
+            let renewed = rig.ask(1, RequestKind::AcquireLease);
+            rig.look_again();
+            rig.gather_for(15);
+            // The lease ends 20 ms after that look: after this gather, and with the look that follows it.
+            let cycle = rig.next_cycle;
+            assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+            let second = rig.ask(2, RequestKind::AcquireLease);
+            drop(renewed);
+            (rig.look_again(), second, cycle)
+        } else {
+            // 20 ms after the gather that took the chunk.
+            rig.gather_for(15);
+            let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
+            (rig.gather(), second, cycle)
+        };
+        assert_eq!(ahead(inputs, cycle), ReferenceState::None, "{by_last_look}");
+        let answer = second.receive().unwrap().unwrap();
+        assert_eq!(answer.outcome, Outcome::Accepted.code());
+        assert_eq!(answer.lease_holder, 2);
+        drop(first);
+    }
+}
+
+#[test]
+fn what_is_reserved_must_be_zero_but_in_a_stop() {
+    let mut rig = Rig::new("");
+    rig.gather();
+    let lease = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    let chunk = ReferenceChunk {
+        header: rig.header(1),
+        reserved: 1,
+        ..ReferenceChunk::default()
+    };
+    rig.references.send_copy(chunk).unwrap();
+    let request = |kind: RequestKind| Request {
+        header: chunk.header,
+        kind: kind.code(),
+        reserved: 1,
+        ..Request::default()
+    };
+    let release = rig.control.send_copy(request(RequestKind::ReleaseLease));
+    let stop = rig.control.send_copy(request(RequestKind::Stop));
+    assert_eq!(rig.gather().stops, 1);
+    assert_eq!(rig.counted(Outcome::UnknownCode), 2);
+    drop((lease, release, stop));
+}
+
+#[test]
+fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
+    let mut rig = Rig::new("");
+    let mut crowd = rig.crowd(Service::Reference);
+    std::mem::swap(&mut crowd[0], &mut rig.references);
+    rig.gather();
+    let lease = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    let mut chunk = ReferenceChunk {
+        header: rig.header(1),
+        mode: ChunkMode::Replace.code(),
+        count: 1,
+        ..ReferenceChunk::default()
+    };
+    chunk.points[0].time_ns = rig.now_ns() + 500 * MS;
+    chunk.points[0].position_m = [0.0, 0.0, 0.89];
+    let mut flooding = chunk;
+    flooding.header.sender_id = 2;
+    for _ in 0..20 {
+        flood(&crowd, Service::Reference, || flooding);
+        rig.gather();
+    }
+    rig.references.send_copy(chunk).unwrap();
+    let mut gathers = 0;
+    while rig.exchange.last_chunk.is_none() {
+        flood(&crowd, Service::Reference, || flooding);
+        let before = rig.counted(Outcome::NoLease);
+        rig.gather();
+        assert!(rig.counted(Outcome::NoLease) - before <= gather::CHUNKS_PER_GATHER as u64);
+        gathers += 1;
+        assert!(gathers <= 8);
+    }
+    drop(lease);
+}

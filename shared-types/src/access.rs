@@ -1,0 +1,41 @@
+//! Who may use a root folder.
+
+use std::os::unix::fs::MetadataExt;
+
+use rustix::fs::{Access, AtFlags, CWD, accessat};
+use rustix::process::geteuid;
+
+use crate::Location;
+
+impl Location {
+    /// Whether this process may take part here: the root folder belongs to its user and is closed to others, or the daemon
+    /// opened it to a group and this process is in that. Root is in no group: it could be led to change files elsewhere by what the others
+    /// put into the folder.
+    ///
+    /// # Errors
+    /// When there is no root folder, or this process may not look for it.
+    pub fn is_open_to_us(&self) -> std::io::Result<bool> {
+        let root = std::fs::metadata(self.root())?;
+        let user = geteuid();
+        if root.uid() == user.as_raw() {
+            return Ok(root.mode() & 0o002 == 0);
+        }
+        if user.is_root() {
+            return Ok(false);
+        }
+        let all = Access::READ_OK | Access::WRITE_OK | Access::EXEC_OK;
+        let is_for_group = root.mode() & 0o077 == 0o070
+            && accessat(CWD, self.root(), all, AtFlags::EACCESS).is_ok();
+        Ok(is_for_group && self.is_sheltered())
+    }
+
+    /// Whether nobody but root can have put the root folder in its place: others trust a folder that is not theirs.
+    pub fn is_sheltered(&self) -> bool {
+        let is_folder = self
+            .root()
+            .symlink_metadata()
+            .is_ok_and(|root| root.is_dir());
+        let above = self.root().parent().and_then(|above| above.metadata().ok());
+        is_folder && above.is_some_and(|above| above.uid() == 0 && above.mode() & 0o022 == 0)
+    }
+}

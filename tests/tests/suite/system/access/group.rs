@@ -1,0 +1,206 @@
+//! A group to which the daemon opened its root folder: its members observe, feed and command, others do not.
+//!
+//! The daemon is a user of its own, so that nothing works only because root may do everything.
+
+use std::fs::{self, Permissions};
+use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use cdcr_shared_types::Location;
+use cdcr_tests::{PATIENT, Place, Program, binary, text, wait_until};
+use rustix::process::Signal;
+
+use super::stranger::{
+    EXIT_ROOT, NOBODY, assert_says, attempts, files_below, have_a_stranger, in_view, of_stranger,
+    open_to_all,
+};
+
+/// User and group of the daemon. Nobody has to know them.
+const DAEMON: u32 = 64_320;
+/// The group of the robot.
+const GROUP: u32 = 64_321;
+
+/// A root folder as a service manager makes it: the daemon's, in one that is root's.
+struct Shared {
+    place: Place,
+    root: PathBuf,
+    cdcrd: PathBuf,
+    cdcrctl: PathBuf,
+}
+
+impl Shared {
+    fn new() -> Self {
+        let place = Place::new();
+        in_view(&place);
+        let root = place.location().root().join("robot");
+        fs::create_dir_all(&root).unwrap();
+        fs::set_permissions(place.location().root(), Permissions::from_mode(0o755)).unwrap();
+        // A daemon without a group has run here.
+        let nodes = root.join("nodes");
+        fs::create_dir(&nodes).unwrap();
+        fs::set_permissions(&nodes, Permissions::from_mode(0o750)).unwrap();
+        for folder in [&root, &nodes] {
+            chown(folder, Some(DAEMON), Some(DAEMON)).unwrap();
+        }
+        let [cdcrd, cdcrctl] = ["cdcrd", "cdcrctl"].map(|name| open_to_all(&place, &binary(name)));
+        Self {
+            place,
+            root,
+            cdcrd,
+            cdcrctl,
+        }
+    }
+
+    fn daemon(&self, root: &Path, group: &str) -> Command {
+        let text = format!("{PATIENT}[transport]\ngroup = \"{group}\"\n");
+        let config = self.place.write("robot.toml", &text);
+        fs::set_permissions(&config, Permissions::from_mode(0o644)).unwrap();
+        let mut command = of_stranger(&self.cdcrd, self.place.location().prefix(), root);
+        command.uid(DAEMON).gid(DAEMON);
+        command.args(["run", "--config"]).arg(config);
+        command
+    }
+
+    /// Starts the daemon for the group and waits until a member is served.
+    fn started(&self) -> Program {
+        let daemon = Program::start(&mut self.daemon(&self.root, &GROUP.to_string()));
+        let process = format!("process {},", daemon.id());
+        wait_until("a member is served", || {
+            text(&self.asked(GROUP, "status")).contains(&process)
+        });
+        daemon
+    }
+
+    /// `cdcrctl` of another user, who keeps from all others whatever it makes.
+    fn cdcrctl(&self, group: u32, words: &str) -> Command {
+        let shell = Path::new("/bin/sh");
+        let mut command = of_stranger(shell, self.place.location().prefix(), &self.root);
+        command
+            .gid(group)
+            .args(["-c", r#"umask 077; exec "$0" "$@""#]);
+        command.arg(&self.cdcrctl).args(words.split(' '));
+        command
+    }
+
+    fn asked(&self, group: u32, words: &str) -> Output {
+        self.cdcrctl(group, words).output().unwrap()
+    }
+
+    /// What the other user left below the root folder.
+    fn left(&self) -> Vec<PathBuf> {
+        let is_theirs = |path: &PathBuf| {
+            path.symlink_metadata()
+                .is_ok_and(|file| file.uid() == NOBODY)
+        };
+        files_below(&self.root)
+            .into_iter()
+            .filter(is_theirs)
+            .collect()
+    }
+}
+
+#[test]
+fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let mut daemon = shared.started();
+    for (words, said) in [
+        ("echo telemetry --count 1", "holding"),
+        (
+            "obstacle add --id 7 --at 5,5,5 --radius 0.01",
+            "obstacles: accepted",
+        ),
+        (
+            "ref line --duration 300ms --track",
+            "fed and tracked to its end",
+        ),
+        ("settings set horizon_steps=5", "accepted"),
+        ("stop", "the daemon is stopped"),
+        ("reset", "accepted"),
+    ] {
+        let refusal = shared.asked(NOBODY, words);
+        assert_says(&refusal, 1, &["belongs to user 64320", "transport.group"]);
+        assert_says(&shared.asked(GROUP, words), 0, &[said]);
+    }
+    // Root could be led out of the folder, too.
+    let refusal = shared.cdcrctl(GROUP, "status").uid(0).output().unwrap();
+    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    let files = files_below(&shared.root);
+    assert!(files.len() > 20, "{}", files.len());
+    assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
+    daemon.signal(Signal::TERM);
+    assert_says(&daemon.output(), 0, &[]);
+    assert_eq!(shared.left(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let daemon = shared.started();
+    let mut member = Program::start(&mut shared.cdcrctl(GROUP, "echo telemetry"));
+    wait_until("the member reads", || shared.left().len() > 3);
+    member.signal(Signal::KILL);
+    member.output();
+    wait_until("nothing of it is left", || shared.left().is_empty());
+    drop(daemon);
+}
+
+#[test]
+fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    // Killed, so that its folders and its lock file stay. Another with the group finds its way in them.
+    for _ in 0..2 {
+        let mut daemon = shared.started();
+        daemon.signal(Signal::KILL);
+        daemon.output();
+    }
+    let refused = Program::start(&mut shared.daemon(&shared.root, "")).output();
+    assert_says(&refused, EXIT_ROOT, &["mode 0770", "chmod go-rwx"]);
+    fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
+    let mut daemon = Program::start(&mut shared.daemon(&shared.root, ""));
+    let lock = Location::new(shared.place.location().prefix(), &shared.root).unwrap();
+    wait_until("the daemon runs", || {
+        fs::read_to_string(lock.lock_file(cdcr_tests::ROBOT))
+            .is_ok_and(|text| text.trim() == daemon.id().to_string())
+    });
+    let refusal = shared.asked(GROUP, "status");
+    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    daemon.signal(Signal::TERM);
+    assert_says(&daemon.output(), 0, &[]);
+}
+
+#[test]
+fn a_group_shares_no_folder_that_somebody_else_could_have_made() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let root =
+        Path::new(Location::MEMORY).join(format!("{}open", shared.place.location().prefix()));
+    let group = GROUP.to_string();
+    let refused = Program::start(&mut shared.daemon(&root, &group)).output();
+    let words = ["belongs to root", "install -d -o", "transport.group"];
+    assert_says(&refused, EXIT_ROOT, &words);
+    // Root shares none at all: it could be led out of the folder.
+    let mut of_root = shared.daemon(&shared.root, &group);
+    chown(&shared.root, Some(0), Some(0)).unwrap();
+    let refused = Program::start(of_root.uid(0).gid(0)).output();
+    assert_says(&refused, EXIT_ROOT, &["runs as root", "transport.group"]);
+    // Nor does a client trust one of another user, in whatever group.
+    fs::set_permissions(&root, Permissions::from_mode(0o770)).unwrap();
+    chown(&root, None, Some(GROUP)).unwrap();
+    let mut client = of_stranger(&shared.cdcrctl, shared.place.location().prefix(), &root);
+    let refusal = client.gid(GROUP).arg("status").output().unwrap();
+    assert_says(&refusal, 1, &["belongs to user 64320"]);
+    fs::remove_dir_all(&root).unwrap();
+}

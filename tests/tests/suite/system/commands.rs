@@ -1,0 +1,238 @@
+//! What `cdcrctl` says and does for people: errors with the way out, waiting, saving, completing.
+
+use cdcr_shared_types::codes::{Mode, Reason};
+use cdcr_shared_types::limits::OBSTACLES_MAX;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_status};
+
+/// What a command that fails says.
+fn refused(daemon: &Daemon, line: &str) -> String {
+    let arguments: Vec<_> = line.split_whitespace().collect();
+    let output = daemon.place().cdcrctl(&arguments);
+    assert_eq!(output.status.code(), Some(1), "{line}: {}", text(&output));
+    text(&output)
+}
+
+/// What a command that succeeds says.
+fn done(daemon: &Daemon, line: &str) -> String {
+    let arguments: Vec<_> = line.split_whitespace().collect();
+    let output = daemon.place().cdcrctl(&arguments);
+    assert!(output.status.success(), "{line}: {}", text(&output));
+    text(&output)
+}
+
+#[test]
+fn errors_say_what_is_so_and_what_to_do() {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[obstacles]\nsource_timeout_ms = 500.0\n"
+    ));
+    for (line, said) in [
+        (
+            "status --robot other",
+            &format!("the robot that runs there: {ROBOT}")[..],
+        ),
+        ("track", "nobody feeds a reference"),
+        (
+            "settings set safe_distance_m=0.004",
+            "safe_distance_m = 0.004 is less than the configuration of the daemon allows: at least 0.01",
+        ),
+        (
+            "settings set control_blocks=9",
+            "control_blocks = 9 is out of range: allowed is 0 to 2",
+        ),
+        (
+            "obstacle add --id 1 --at 500,0,0 --radius 20",
+            "are these millimetres?",
+        ),
+        (
+            "obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s",
+            "obstacles.source_timeout_ms = 500",
+        ),
+        ("ref line --start 0,0,900", "are these millimetres?"),
+        ("ref circle --radius 170", "are these millimetres?"),
+        (
+            "ref line --duration 100ms --max-error 1mm",
+            "no cycle tracked the reference",
+        ),
+    ] {
+        let text = refused(&daemon, line);
+        assert!(text.contains(said), "{line}: {text}");
+        assert!(!text.contains("Error"), "a name of a type: {text}");
+    }
+    done(
+        &daemon,
+        "obstacle add --id 1 --at 500,0,0 --radius 20 --far",
+    );
+    assert!(done(&daemon, "settings").contains("0.01 to 10; no less than in the configuration"));
+}
+
+#[test]
+fn the_obstacles_that_are_known_are_listed() {
+    let daemon = Daemon::start(PATIENT);
+    assert_eq!(done(&daemon, "obstacle list"), "no obstacles are known\n");
+    done(&daemon, "obstacle add --id 7 --at 0.5,0,0.25 --radius 0.02");
+    done(
+        &daemon,
+        "obstacle add --id 8 --at 0.5,0,0 --to 0.5,0,1 --radius 0.02",
+    );
+    let list = done(&daemon, "obstacle list");
+    let rows: Vec<_> = list.lines().skip(1).map(str::trim_start).collect();
+    assert!(
+        rows[0].starts_with("7  sphere  0.500,0.000,0.250"),
+        "{list}"
+    );
+    assert!(
+        rows[1].starts_with("8  capsule 0.500,0.000,0.000       0.500,0.000,1.000"),
+        "{list}"
+    );
+    let json = done(&daemon, "obstacle list --format json");
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        (&json[1]["id"], json.as_array().unwrap().len()),
+        (&8.into(), 2)
+    );
+    assert!(json.as_array().unwrap().len() <= OBSTACLES_MAX);
+}
+
+#[test]
+fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
+    // Far from the line at its start, and so slow that it never gets there.
+    let far = "[link]\ninitial_bend_rad = [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\n"
+    ));
+    let said = done(
+        &daemon,
+        "ref line --duration 200ms --track --max-error 0.9m",
+    );
+    let error = said.lines().last().unwrap_or_default();
+    let numbers: Vec<f64> = error
+        .split([' ', ','])
+        .filter_map(|word| word.parse().ok())
+        .collect();
+    let [mean, max, last, cycles] = numbers[..] else {
+        panic!("{said}");
+    };
+    assert!(error.starts_with("tip error: mean"), "{said}");
+    assert!(
+        mean <= max && last <= max && max > 100.0 && cycles > 0.0,
+        "{said}"
+    );
+    let said = refused(
+        &daemon,
+        "ref line --duration 200ms --track --max-error 100mm",
+    );
+    assert!(said.contains("more than --max-error, 100.000 mm"), "{said}");
+    assert!(said.contains("tip error: mean"), "{said}");
+}
+
+#[test]
+fn waiting_ends_when_the_robot_is_there_and_rests() {
+    let bent = "[link]\ninitial_bend_rad = [[0.2, 0.0], [0.0, -0.1], [0.0, 0.0]]\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.4\n"));
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let said = refused(&daemon, "home --wait=20ms");
+    assert!(
+        said.contains("not done within 20ms; the robot goes on"),
+        "{said}"
+    );
+    wait_status(&connection, |status| status.mode == Mode::Homing.code());
+    done(&daemon, "hold --wait");
+    let said = done(&daemon, "home --wait");
+    assert!(
+        said.contains("home: done, the robot rests since cycle"),
+        "{said}"
+    );
+    // The cycle that it names is at rest, at home.
+    let cycle = said
+        .split("since cycle ")
+        .nth(1)
+        .and_then(|rest| rest.split(',').next());
+    let cycle: u64 = cycle.unwrap().parse().unwrap();
+    let record = cdcr_tests::wait_record(&mut telemetry, |record| record.cycle >= cycle);
+    assert_eq!(
+        (record.cycle, record.reason),
+        (cycle, Reason::HomeReached.code())
+    );
+    assert!(
+        record
+            .command
+            .bend_rate_rad_s
+            .iter()
+            .all(|rate| *rate == 0.0)
+    );
+    done(&daemon, "stop");
+    done(&daemon, "reset --wait");
+    let status = connection.status(PATIENCE).unwrap();
+    assert!(
+        status.tip_position_m[0].abs() < 1e-3,
+        "{:?}",
+        status.tip_position_m
+    );
+}
+
+#[test]
+fn saved_settings_are_those_of_the_next_daemon() {
+    let mut daemon = Daemon::start(PATIENT);
+    let file = daemon.place().folder().join("robot.toml");
+    let path = file.to_str().unwrap().to_owned();
+    done(
+        &daemon,
+        "settings set horizon_steps=4 solver=gauss-newton damping=1e-12 budget_ms=1.5 seed=9",
+    );
+    done(&daemon, &format!("settings save {path}"));
+    let text = std::fs::read_to_string(&file).unwrap();
+    for part in ["lease_ms = 60000.0", "damping = 1e-12", "budget_ms = 1.5"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    let settings = daemon.connect().settings().unwrap();
+    assert!(daemon.stop().success());
+    let check = daemon
+        .place()
+        .command("cdcrd")
+        .args(["check", "--config", &path])
+        .output()
+        .unwrap();
+    assert!(check.status.success(), "{}", cdcr_tests::text(&check));
+    let daemon = Daemon::start(&text);
+    assert_eq!(daemon.connect().settings().unwrap(), settings);
+    let again = done(&daemon, "settings save");
+    assert!(
+        again.contains("horizon_steps = 4") && !again.contains("inertia"),
+        "{again}"
+    );
+}
+
+#[test]
+fn a_shell_is_offered_robots_obstacles_and_settings() {
+    let daemon = Daemon::start(PATIENT);
+    done(
+        &daemon,
+        "obstacle add --id 4711 --at 0.5,0,0.25 --radius 0.02",
+    );
+    for (line, offered) in [
+        ("--robot ?", ROBOT),
+        ("obstacle remove ?", "4711"),
+        ("settings set horiz?", "horizon_steps="),
+        ("settings set solver=g?", "solver=gauss-newton"),
+        ("home --w?", "--wait"),
+    ] {
+        let typed = line.trim_end_matches('?');
+        let words: Vec<_> = typed.split(' ').collect();
+        let output = daemon
+            .place()
+            .command("cdcrctl")
+            .args(["--", "cdcrctl"])
+            .args(&words)
+            .env("CDCRCTL_COMPLETE", "bash")
+            .env("_CLAP_IFS", "\n")
+            .env("_CLAP_COMPLETE_INDEX", words.len().to_string())
+            .output()
+            .unwrap();
+        let offers = text(&output);
+        assert!(
+            offers.lines().any(|offer| offer == offered),
+            "{line}: {offers}"
+        );
+    }
+}

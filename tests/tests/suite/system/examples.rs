@@ -1,0 +1,157 @@
+//! Every example of the help pages, and of the guides for `cdcrctl`, is typed into a shell as it stands there.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{Daemon, PATIENT, Place, Program, binary, text, wait_status, wait_until};
+use rustix::process::Signal;
+
+/// The workspace.
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// What has a manual page: each program and command of ours, as words.
+fn commands() -> Vec<Vec<String>> {
+    let pages = fs::read_dir(root().join("packaging/generated/man")).unwrap();
+    let names = pages.map(|page| page.unwrap().file_name().into_string().unwrap());
+    let names = names.filter(|name| {
+        ["cdcrctl", "cdcrd"]
+            .iter()
+            .any(|ours| name.starts_with(ours))
+    });
+    let words = names.map(|name| {
+        let name = name.trim_end_matches(".1").trim_end_matches(".8");
+        name.split('-').map(str::to_owned).collect()
+    });
+    words.collect()
+}
+
+/// The examples of a help page: lines that begin with the program, and end where two spaces begin a remark.
+fn of_help(place: &Place, command: &[String]) -> Vec<String> {
+    let program = &command[0];
+    let output = place
+        .command(program)
+        .args(&command[1..])
+        .arg("--help")
+        .output()
+        .unwrap();
+    let help = text(&output);
+    let (_, help) = help.split_once("\nExample").unwrap_or_default();
+    let lines = help
+        .lines()
+        .map(|line| line.trim_start_matches(['s', ':', ' ']));
+    let examples = lines.filter(|line| line.starts_with(&format!("{program} ")));
+    examples
+        .map(|line| line.split("  ").next().unwrap_or(line).to_owned())
+        .collect()
+}
+
+/// The lines of a guide's blocks of commands that call the program, as this user.
+fn of_guide(path: &Path) -> Vec<String> {
+    let guide = fs::read_to_string(path).unwrap();
+    let blocks = guide.split("```").skip(1).step_by(2);
+    let blocks = blocks.filter_map(|block| block.strip_prefix("sh\n"));
+    let lines = blocks.flat_map(|block| {
+        let block = block.replace("\\\n", " ").replace("./target/release/", "");
+        let lines = block
+            .lines()
+            .map(|line| line.split(" #").next().unwrap_or(line).trim().to_owned());
+        lines.collect::<Vec<_>>()
+    });
+    lines.filter(|line| line.starts_with("cdcrctl ")).collect()
+}
+
+/// A shell at the daemon's place that is given `line`, and waits for what it left in the background.
+fn shell(place: &Place, line: &str) -> Program {
+    let programs = binary("cdcrctl");
+    let path = std::env::var("PATH").unwrap_or_default();
+    let path = format!("{}:{path}", programs.parent().unwrap().display());
+    let mut command = std::process::Command::new("sh");
+    for (name, value) in place.command("cdcrctl").get_envs() {
+        match value {
+            Some(value) => command.env(name, value),
+            None => command.env_remove(name),
+        };
+    }
+    let command = command.args(["-c", &format!("{line}\nstatus=$?; wait; exit $status")]);
+    Program::start(command.env("PATH", path).current_dir(place.folder()))
+}
+
+/// Whether a process has a handler for `SIGINT`, see `proc_pid_status(5)`.
+fn catches_interrupt(process: u32) -> bool {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let caught = status.lines().find_map(|line| line.strip_prefix("SigCgt:"));
+    let caught = caught.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
+    caught.is_some_and(|mask| mask & (1 << (Signal::INT.as_raw() - 1)) != 0)
+}
+
+/// Runs an example, where it can run: a robot that holds, is stopped for a reset, and knows no obstacle.
+fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
+    let place = daemon.place();
+    let connection = daemon.connect();
+    wait_status(&connection, |status| status.lease_holder == 0);
+    if line.starts_with("cdcrctl reset") {
+        place.cdcrctl(&["stop"]);
+    }
+    let goes_on = ["--watch", "--follow", "telemetry --rate"];
+    let mut program = if goes_on.iter().any(|option| line.contains(option)) {
+        let program = shell(place, &format!("exec {line}"));
+        wait_until("it can be interrupted", || catches_interrupt(program.id()));
+        program.signal(Signal::INT);
+        program
+    } else {
+        shell(place, line)
+    };
+    let output = program.output();
+    place.cdcrctl(&["obstacle", "clear"]);
+    let status = connection.status(cdcr_tests::PATIENCE).unwrap();
+    if [Mode::Stopped, Mode::Faulted]
+        .map(Mode::code)
+        .contains(&status.mode)
+    {
+        place.cdcrctl(&["reset"]);
+    }
+    println!("$ {line}\n{}", text(&output));
+    if output.status.success() {
+        return Ok(());
+    }
+    Err(format!("{line}: {}\n{}", output.status, text(&output)))
+}
+
+#[test]
+fn every_example_works_as_typed() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    fs::create_dir(place.folder().join("configs")).unwrap();
+    for file in ["path.csv", "configs/path.csv"] {
+        fs::copy(root().join("configs/path.csv"), place.folder().join(file)).unwrap();
+    }
+    let of_helps = commands()
+        .into_iter()
+        .flat_map(|command| of_help(place, &command));
+    let guides = fs::read_dir(root().join("docs")).unwrap();
+    let guides = guides
+        .map(|entry| entry.unwrap().path())
+        .chain([root().join("README.md")]);
+    let guides = guides.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    let of_guides = guides.flat_map(|path| of_guide(&path));
+    let examples: BTreeSet<String> = of_helps.chain(of_guides).collect();
+    assert!(examples.len() > 40, "{examples:#?}");
+    // These take a minute, or tests of their own.
+    let is_left_out = |line: &&String| {
+        ["run", "bare", "doctor"]
+            .iter()
+            .any(|name| line.starts_with(&format!("cdcrd {name}")))
+    };
+    for example in examples.iter().filter(|line| !is_left_out(line)) {
+        // Once more, where the machine stalled for longer than a reference is sent ahead.
+        if let Err(first) = run(&daemon, example)
+            && let Err(second) = run(&daemon, example)
+        {
+            panic!("{first}\nand once more: {second}");
+        }
+    }
+}
