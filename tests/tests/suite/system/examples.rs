@@ -121,14 +121,13 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     Err(format!("{line}: {}\n{}", output.status, text(&output)))
 }
 
+/// Robots that the examples are given to.
+const SIDE_BY_SIDE: usize = 5;
+
 #[test]
 fn every_example_works_as_typed() {
-    let daemon = Daemon::start(PATIENT);
-    let place = daemon.place();
-    fs::create_dir(place.folder().join("configs")).unwrap();
-    for file in ["path.csv", "configs/path.csv"] {
-        fs::copy(root().join("configs/path.csv"), place.folder().join(file)).unwrap();
-    }
+    let place = Place::new();
+    let place = &place;
     let of_helps = commands()
         .into_iter()
         .flat_map(|command| of_help(place, &command));
@@ -140,13 +139,28 @@ fn every_example_works_as_typed() {
     let of_guides = guides.flat_map(|path| of_guide(&path));
     let examples: BTreeSet<String> = of_helps.chain(of_guides).collect();
     assert!(examples.len() > 40, "{examples:#?}");
-    // These take a minute, or tests of their own.
+    // Those take a minute, or tests of their own; these are for another place.
     let is_left_out = |line: &&String| {
-        ["run", "bare", "doctor"]
-            .iter()
-            .any(|name| line.starts_with(&format!("cdcrd {name}")))
+        let of_cdcrd = ["run", "bare", "doctor"].map(|name| format!("cdcrd {name}"));
+        of_cdcrd.iter().any(|command| line.starts_with(command)) || line.contains("--root")
     };
-    for example in examples.iter().filter(|line| !is_left_out(line)) {
+    let examples: Vec<_> = examples.iter().filter(|line| !is_left_out(line)).collect();
+    // Each beside as many others, with a daemon of its own.
+    std::thread::scope(|scope| {
+        for some in examples.chunks(examples.len().div_ceil(SIDE_BY_SIDE)) {
+            scope.spawn(|| run_all(some));
+        }
+    });
+}
+
+fn run_all(examples: &[&String]) {
+    let daemon = Daemon::start(PATIENT);
+    let folder = daemon.place().folder();
+    fs::create_dir(folder.join("configs")).unwrap();
+    for file in ["path.csv", "configs/path.csv"] {
+        fs::copy(root().join("configs/path.csv"), folder.join(file)).unwrap();
+    }
+    for example in examples {
         // Once more, where the machine stalled for longer than a reference is sent ahead.
         if let Err(first) = run(&daemon, example)
             && let Err(second) = run(&daemon, example)
