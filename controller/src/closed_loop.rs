@@ -91,7 +91,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Makes `wish` safe as a daemon does (acceleration, limits, clearance guard), moves the robot by what is left of it and
+    /// Makes `wish` safe as a daemon does (acceleration, limits, clearance guard; but that the robot gets every command, and stops
+    /// at once), moves the robot by what is left of it and
     /// the obstacles by their velocity, and goes on to the next period.
     pub fn advance(&mut self, wish: &BendRates) {
         let situation = Situation {

@@ -142,6 +142,12 @@ fn exchange_ns(costs: Costs) -> u64 {
     costs.exchange_ns.max(CycleConfig::EXCHANGE_NS)
 }
 
+/// What after the solver may count as its cost \[ns\]. More than that is stalls of the machine that add up, which an earlier
+/// end of the solver does not avoid: a machine that is away for a third of the time would leave it nothing.
+pub fn after_solve_max_ns(period_ns: u64) -> u64 {
+    (period_ns / 4).max(200_000)
+}
+
 /// So many costs are remembered: 0.64 s at 5 ms.
 const REMEMBERED: usize = 128;
 /// So many of the largest are stalls of the processor rather than costs.
@@ -257,6 +263,14 @@ mod tests {
         assert!(!short.is_cut_short(costs(10, 40)));
         assert!(short.is_cut_short(costs(30, 40)));
         assert!(short.describe(costs(30, 40)).contains("0.030 ms after it"));
+    }
+
+    #[test]
+    fn stalls_that_add_up_leave_the_solver_most_of_its_time() {
+        let most_us = after_solve_max_ns(5000 * US) / US;
+        let plain = budget(|_| ());
+        assert!(plain.solve_ns(costs(most_us, 150)) > 2600 * US);
+        assert_eq!(after_solve_max_ns(100 * US), 200 * US);
     }
 
     #[test]

@@ -83,9 +83,10 @@ impl Location {
             NameHolder::Ours { process_id } => Some(Presence { process_id }),
             NameHolder::Nobody | NameHolder::Foreign => None,
         };
-        let process_id = by_lock
+        // The kernel knows who holds the name; what stands in the lock file, whoever may write to it says.
+        let process_id = by_name
             .and_then(|presence| presence.process_id)
-            .or_else(|| by_name.and_then(|presence| presence.process_id));
+            .or_else(|| by_lock.and_then(|presence| presence.process_id));
         by_lock.or(by_name).map(|_| Presence { process_id })
     }
 

@@ -6,6 +6,7 @@ mod near;
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot};
 
 use super::Limits;
+use super::projection::Region;
 use near::Near;
 
 /// Times that a command is corrected before it is scaled down instead.
@@ -54,6 +55,8 @@ pub(super) struct Guard<'a> {
     pub(super) robot: &'a Robot,
     /// Where it is.
     pub(super) at: &'a Configuration,
+    /// Where it is commanded to be, when it obeys positions: its motors are on their way there.
+    pub(super) commanded: Option<&'a Configuration>,
     /// Where they are now.
     pub(super) obstacles: &'a [Obstacle],
     /// Distance D \[m\].
@@ -80,7 +83,8 @@ impl Guard<'_> {
     /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves. Standing still always holds.
+    /// exactly, what was found is scaled down, and then `rates` themselves. Standing still always holds. A robot that obeys
+    /// positions keeps the same rule from where it is commanded to be, too.
     ///
     /// What it cannot do: it does not plan a way around; and it does not flee: an obstacle that runs into the standing robot
     /// does so.
@@ -97,7 +101,7 @@ impl Guard<'_> {
     }
 
     /// The rates where they hold the rule, and what `mend` makes of them elsewhere.
-    fn guarded(&self, rates: &BendRates, mend: impl FnOnce(&Near) -> BendRates) -> Guarded {
+    fn guarded(&self, rates: &BendRates, mend: impl FnOnce(&Places) -> BendRates) -> Guarded {
         let unchanged = |clearance_m| Guarded {
             rates: *rates,
             hit: false,
@@ -106,10 +110,9 @@ impl Guard<'_> {
         if self.obstacles.is_empty() {
             return unchanged(f64::INFINITY);
         }
-        let body = self.robot.body(self.at);
-        let clearance_m = least_clearance_m(&body, self.obstacles);
-        let allowed = match Near::find(self, &body, rates) {
-            Some(near) if near.holds(self, rates) => return unchanged(clearance_m),
+        let clearance_m = least_clearance_m(&self.robot.body(self.at), self.obstacles);
+        let allowed = match self.find(rates) {
+            Some(near) if near.hold(self, rates) => return unchanged(clearance_m),
             Some(near) => mend(&near),
             None => self.rest(),
         };
@@ -120,8 +123,21 @@ impl Guard<'_> {
         }
     }
 
+    /// `None` where there are too many obstacles.
+    fn find(&self, rates: &BendRates) -> Option<Places> {
+        let measured = Near::find(self, self.at, rates)?;
+        let commanded = match self.commanded.filter(|commanded| *commanded != self.at) {
+            Some(commanded) => Some(Near::find(self, commanded, rates)?),
+            None => None,
+        };
+        Some(Places {
+            measured,
+            commanded,
+        })
+    }
+
     /// The nearest rates inside the limits that hold the rule, as far as they are found.
-    fn corrected(&self, near: &Near, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
+    fn corrected(&self, near: &Places, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
         let mut region = limits.region();
         let mut rates = *wish;
         for _ in 0..CORRECTIONS {
@@ -132,7 +148,7 @@ impl Guard<'_> {
                 break;
             };
             rates = shortened_to(nearest, fastest(wish));
-            if near.holds(self, &rates) {
+            if near.hold(self, &rates) {
                 return rates;
             }
         }
@@ -144,13 +160,13 @@ impl Guard<'_> {
     }
 
     /// `wish`, scaled down to where the rule holds.
-    fn scaled(&self, near: &Near, wish: &BendRates) -> BendRates {
+    fn scaled(&self, near: &Places, wish: &BendRates) -> BendRates {
         let mut held = self.rest();
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
             let rates = times(wish, middle);
-            if near.holds(self, &rates) {
+            if near.hold(self, &rates) {
                 (low, held) = (middle, rates);
             } else {
                 high = middle;
@@ -161,6 +177,30 @@ impl Guard<'_> {
 
     fn rest(&self) -> BendRates {
         BendRates::zero(self.robot.section_count())
+    }
+}
+
+/// What is near where the robot is, and where it is commanded to be.
+struct Places {
+    measured: Near,
+    commanded: Option<Near>,
+}
+
+impl Places {
+    fn iter(&self) -> impl Iterator<Item = &Near> {
+        core::iter::once(&self.measured).chain(&self.commanded)
+    }
+
+    fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
+        self.iter().all(|near| near.holds(guard, rates))
+    }
+
+    /// [`Near::bound`] of each.
+    fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
+        let is_bounded = |near: &Near| near.bound(guard, rates, &mut *region);
+        self.iter()
+            .map(is_bounded)
+            .fold(false, |any, one| any | one)
     }
 }
 

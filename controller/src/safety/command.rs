@@ -75,6 +75,7 @@ impl<'a> Situation<'a> {
         Guard {
             robot: self.robot,
             at: self.at,
+            commanded: self.commanded,
             obstacles: self.obstacles,
             safe_distance_m: self.safe_distance_m,
             period_s: self.period_s,

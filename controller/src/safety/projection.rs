@@ -13,7 +13,7 @@ pub(super) type Vector = [f64; COORDINATES_MAX];
 const ROWS_MAX: usize = 128;
 /// Half-spaces that are taken in or let go before the search gives up.
 const STEPS_MAX: usize = 100;
-/// What counts as inside, in the unit of the point.
+/// What counts as inside, in the unit of the point, or as a share of it where it is larger than 1.
 const INSIDE: f64 = 1e-13;
 /// Below this squared length a normal depends on those that hold the point already.
 const DEPENDENT: f64 = 1e-14;
@@ -112,6 +112,7 @@ impl Region {
     fn most_violated(&self, at: &Vector) -> Option<Row> {
         let (mut most, mut found) = (INSIDE, None);
         let mut look = |row: Row, lack: f64| {
+            let lack = lack / (1.0 + row.bound.abs());
             if lack > most {
                 (most, found) = (lack, Some(row));
             }

@@ -511,10 +511,8 @@ fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
         trial.turn();
         trial.rest_after(9_000_000);
     }
-    let record = trial.turn();
-    assert_eq!(until_ns(&record), 0);
-    assert!(record.core_budget.is_cut_short(record.costs));
-    assert_eq!(record.report.quanta, 0);
+    // Many long ones are stalls, too: they take no more than a quarter of the period, and half as much again.
+    assert_eq!(until_ns(&trial.turn()), 5_000_000 - 1_875_000);
 }
 
 #[test]

@@ -58,10 +58,17 @@ pub(super) fn prepare(location: &Location, group_id: Option<u32>) -> Result<(), 
     }
     let done = match group_id {
         Some(_) if is_for_group => Ok(()),
-        Some(group_id) => open_folders(root).and_then(|()| acl::open_to_group(root, group_id)),
+        Some(group_id) => share(root, group_id),
         None => acl::close(root),
     };
     done.map_err(|cause| file_error(root, cause))
+}
+
+/// Lets a group in. Nobody else is let in meanwhile.
+fn share(root: &Path, group_id: u32) -> std::io::Result<()> {
+    std::fs::set_permissions(root, Permissions::from_mode(0o700))?;
+    open_folders(root)?;
+    acl::open_to_group(root, group_id)
 }
 
 /// Whether a group may be let into the root.

@@ -118,7 +118,7 @@ pub(crate) enum Task {
     Track,
     /// Stop following and keep the position
     #[command(
-        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until the robot rests"
+        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until it is commanded to rest"
     )]
     Hold(WaitOptions),
     /// Move to the straight configuration
@@ -180,7 +180,7 @@ pub(crate) enum Format {
 /// Options of what takes the robot some time.
 #[derive(Debug, Args)]
 pub(crate) struct WaitOptions {
-    /// Wait until it is done and the robot rests, 60s at most or TIME; fail when it takes longer, or something
+    /// Wait until it is done and the robot is commanded to rest, 60s at most or TIME; fail when it takes longer, or something
     /// else comes between
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
         value_parser = value::curve_duration)]

@@ -78,7 +78,7 @@ fn done(
     let took_s = (record.cycle - response.cycle) as f64 * record.period_ns as f64 * 1e-9;
     writeln!(
         std::io::stdout(),
-        "{kind}: done, the robot rests since cycle {}, {took_s:.2} s later",
+        "{kind}: done, commanded to rest since cycle {}, {took_s:.2} s later",
         record.cycle
     )?;
     Ok(Done::Good)

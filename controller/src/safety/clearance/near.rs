@@ -1,6 +1,8 @@
 //! The obstacles that the body can get too near to, section by section, and whether it does.
 
-use crate::robot::{BendRates, Body, COORDINATES_MAX, Obstacle, SECTIONS_MAX};
+use core::cell::Cell;
+
+use crate::robot::{BendRates, Body, COORDINATES_MAX, Configuration, Obstacle, SECTIONS_MAX};
 use crate::safety::projection::Region;
 
 use super::{Guard, fastest};
@@ -9,8 +11,11 @@ use super::{Guard, fastest};
 pub(super) const NEAR_MAX: usize = 64;
 /// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
 const MARGIN_M: f64 = 1e-9;
-/// What is not looked for between two places of the way \[m\].
+/// What is not looked for between two places of the way \[m\], at most: half of what lies between the axes at distance D, if
+/// that is less, so that no thin section jumps through a thin obstacle.
 const DIP_M: f64 = 1e-3;
+/// Obstacles that are looked at in all places of one command, before what is not known to be clear counts as not clear.
+const LOOKS: u32 = 6000;
 /// How often a part of the way is halved before it counts as not clear.
 const DEPTH: u32 = 6;
 
@@ -20,8 +25,12 @@ type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
 
 /// The watched obstacles.
 pub(super) struct Near {
-    /// The robot that stands still.
+    at: Configuration,
+    /// The robot that stands still there.
     still: Body,
+    watched_count: u32,
+    /// What is left of [`LOOKS`].
+    looks: Cell<u32>,
     watched: [Option<Watched>; NEAR_MAX],
 }
 
@@ -34,6 +43,8 @@ struct Watched {
     reach_m: [f64; SECTIONS_MAX],
     /// What each section must keep at the ends of [`ends_s`] \[m\].
     floors_m: [[f64; SECTIONS_MAX]; 2],
+    /// As [`DIP_M`].
+    dip_m: f64,
 }
 
 /// A place of the way: bend + s q̇.
@@ -43,15 +54,25 @@ struct Place {
 }
 
 impl Near {
-    /// `None` when there are more than fit.
-    pub(super) fn find(guard: &Guard<'_>, body: &Body, rates: &BendRates) -> Option<Self> {
+    /// Those of a robot that is `at` a configuration. `None` when there are more than fit.
+    pub(super) fn find(guard: &Guard<'_>, at: &Configuration, rates: &BendRates) -> Option<Self> {
+        let body = &guard.robot.body(at);
         let (way_s, safe_m) = (guard.stopping.way_s, guard.safe_distance_m);
         let travel_m = farthest_m(guard, rates);
         let time_s = guard.stopping.time_s(way_s);
         let mut near = Self {
+            at: *at,
             still: *body,
+            watched_count: 0,
+            looks: Cell::new(LOOKS),
             watched: [None; NEAR_MAX],
         };
+        let thinnest_m = guard
+            .robot
+            .sections()
+            .iter()
+            .map(|section| section.body_radius_m);
+        let thinnest_m = thinnest_m.fold(f64::INFINITY, f64::min);
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
             let speed_m_s = obstacle.velocity_m_s().norm();
@@ -73,9 +94,11 @@ impl Near {
                         }
                     }),
                     floors_m: [[0.0; SECTIONS_MAX]; 2],
+                    dip_m: DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m())),
                 };
                 watched.floors_m = ends_s(guard).map(|way_s| watched.floor_m(guard, body, way_s));
                 *slots.next()? = Some(watched);
+                near.watched_count += 1;
             }
         }
         Some(near)
@@ -87,8 +110,11 @@ impl Near {
 
     /// The rule of [`Guard::keep_clear`].
     pub(super) fn holds(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
-        if self.watched[0].is_none() {
+        if self.watched_count == 0 {
             return true;
+        }
+        if self.looks.get() == 0 {
+            return false;
         }
         let all = u64::MAX;
         let is_clear = |place: &Place| {
@@ -124,7 +150,7 @@ impl Near {
         let mut is_bounded = false;
         for way_s in ends_s(guard) {
             let place = self.place(guard, rates, way_s, u64::MAX);
-            let next = guard.at.advanced(rates, place.way_s);
+            let next = self.at.advanced(rates, place.way_s);
             let body = guard.robot.body(&next);
             for (watched, spare_m) in self.watched().zip(&place.spare_m) {
                 for (section, spare_m) in spare_m.iter().enumerate() {
@@ -155,7 +181,9 @@ impl Near {
 
     /// The place at s = `way_s`, with the spare of the watched obstacles whose bits are in `which`.
     fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64, which: u64) -> Place {
-        let body = guard.robot.body(&guard.at.advanced(rates, way_s));
+        let looks = which.count_ones().min(self.watched_count);
+        self.looks.set(self.looks.get().saturating_sub(looks));
+        let body = guard.robot.body(&self.at.advanced(rates, way_s));
         let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
         for (index, watched) in self.watched().enumerate() {
             if which & (1 << index) != 0 {
@@ -216,7 +244,7 @@ struct Way<'a> {
 }
 
 impl Way<'_> {
-    /// Whether no spare falls below -[`DIP_M`] between two places: by what can be travelled between them, and where that does
+    /// Whether no spare falls below -[`Watched::dip_m`] between two places: by what can be travelled between them, and where that does
     /// not tell, by their middle. Where a moving obstacle is, is looked at once a period.
     fn is_clear_between(&self, from: &Place, to: &Place, which: u64, depth: u32) -> bool {
         let open = self.unsettled(from, to, which);
@@ -224,12 +252,14 @@ impl Way<'_> {
             return true;
         }
         let way_s = 0.5 * (from.way_s + to.way_s);
-        if depth == 0 {
+        if depth == 0 || self.near.looks.get() == 0 {
             return false;
         }
         let middle = self.near.place(self.guard, self.rates, way_s, open);
-        let is_clear = |spare_m: &f64| *spare_m >= -DIP_M;
-        middle.spare_m.iter().flatten().all(is_clear)
+        let is_clear = |(watched, spare_m): (&Watched, &[f64; SECTIONS_MAX])| {
+            spare_m.iter().all(|spare_m| *spare_m >= -watched.dip_m)
+        };
+        self.near.watched().zip(&middle.spare_m).all(is_clear)
             && self.is_clear_between(from, &middle, open, depth - 1)
             && self.is_clear_between(&middle, to, open, depth - 1)
     }
@@ -250,7 +280,7 @@ impl Way<'_> {
                 let travel_m = self.travel_m_s[j] * (to.way_s - from.way_s)
                     + obstacles * watched.speed_m_s * time_s;
                 let least_m = 0.5 * (from.spare_m[index][j] + to.spare_m[index][j] - travel_m);
-                least_m < -DIP_M
+                least_m < -watched.dip_m
             };
             if which & (1 << index) != 0 && (0..SECTIONS_MAX).any(is_open) {
                 open |= 1 << index;

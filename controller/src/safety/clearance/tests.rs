@@ -28,6 +28,7 @@ impl Moment {
         Guard {
             robot: &self.robot,
             at: &self.at,
+            commanded: None,
             obstacles: &self.obstacles,
             safe_distance_m: self.safe_distance_m,
             period_s: PERIOD_S,
@@ -207,12 +208,38 @@ fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obsta
     let guard = Guard {
         robot,
         at,
+        commanded: None,
         obstacles,
         safe_distance_m: 0.01,
         period_s: PERIOD_S,
         stopping: STOPPING,
     };
     guard.keep_clear(&limits, wish)
+}
+
+#[test]
+fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
+    // The tip is behind; where it is sent, it is at the border.
+    let robot = trunk(1);
+    let (at, commanded) = ([0.0, 0.0], [0.3, 0.0]);
+    let [at, commanded] = [at, commanded].map(|bends| Configuration::from_slice(&bends).unwrap());
+    let centre_m = robot.tip_position(&commanded) + Vector3::new(0.0451, 0.0, 0.0);
+    let obstacles = [ball(centre_m, 0.02)];
+    let wish = BendRates::from_slice(&[1.0, 0.0]).unwrap();
+    let guard = |commanded| Guard {
+        robot: &robot,
+        at: &at,
+        commanded,
+        obstacles: &obstacles,
+        safe_distance_m: 0.01,
+        period_s: PERIOD_S,
+        stopping: STOPPING,
+    };
+    let limits = Limits::new(&robot, &at, STOPPING.way_s);
+    assert!(!guard(None).keep_clear(&limits, &wish).hit);
+    let kept = guard(Some(&commanded)).keep_clear(&limits, &wish);
+    let sent = commanded.advanced(&kept.rates, STOPPING.way_s);
+    assert!(kept.hit && robot.clearance_m(&sent, &obstacles[0]) >= 0.01);
 }
 
 /// A robot that wants to bend towards a ball for a second.

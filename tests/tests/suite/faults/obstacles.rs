@@ -5,6 +5,7 @@ use std::sync::atomic::AtomicBool;
 use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns};
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
+use cdcr_test_skip::{Need, skip};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{Daemon, PATIENT, wait_status};
 
@@ -188,7 +189,11 @@ fn floods_of_obstacles_keep_nobody_out_and_make_no_inputs_late() {
         }
         let late = cycles_on_late_inputs(&mut trail);
         println!("cycles on late inputs, of 400: {late_before} without floods, {late} beside them");
-        assert!(late <= late_before + 100, "{late_before}, then {late}");
+        if late_before > 20 {
+            skip(Need::OnTime, "inputs come late here without floods, too");
+        } else {
+            assert!(late <= late_before + 100, "{late_before}, then {late}");
+        }
     });
 }
 

@@ -140,7 +140,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     done(&daemon, "hold --wait");
     let said = done(&daemon, "home --wait");
     assert!(
-        said.contains("home: done, the robot rests since cycle"),
+        said.contains("home: done, commanded to rest since cycle"),
         "{said}"
     );
     // The cycle that it names is at rest, at home.

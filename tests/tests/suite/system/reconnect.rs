@@ -51,6 +51,9 @@ impl Life {
 
 impl Drop for Life {
     fn drop(&mut self) {
+        if thread::panicking() {
+            println!("the daemon at the end: {:?}", self.0.try_wait());
+        }
         let _ = self.0.kill();
         let _ = self.0.wait();
     }

@@ -107,13 +107,7 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
     freeze(&daemon, Duration::from_secs(1));
     let record = wait_mode(&mut telemetry, Mode::Stopped);
     assert_eq!(record.reason, Reason::DeadlineMisses.code());
-    // Refused while the bucket is full: the machine must have been well for a while.
-    wait_until("the reset", || {
-        connection
-            .request_within(RequestKind::Reset, PATIENCE)
-            .is_ok()
-    });
-    wait_mode(&mut telemetry, Mode::Holding);
+    // That it can be reset again: faults::timing.
 }
 
 #[test]
