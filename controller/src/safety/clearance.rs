@@ -110,8 +110,9 @@ impl Guard<'_> {
         if self.obstacles.is_empty() {
             return unchanged(f64::INFINITY);
         }
-        let clearance_m = least_clearance_m(&self.robot.body(self.at), self.obstacles);
-        let allowed = match self.find(rates) {
+        let body = self.robot.body(self.at);
+        let clearance_m = least_clearance_m(&body, self.obstacles);
+        let allowed = match self.find(&body, rates) {
             Some(near) if near.hold(self, rates) => return unchanged(clearance_m),
             Some(near) => mend(&near),
             None => self.rest(),
@@ -124,10 +125,13 @@ impl Guard<'_> {
     }
 
     /// `None` where there are too many obstacles.
-    fn find(&self, rates: &BendRates) -> Option<Places> {
-        let measured = Near::find(self, self.at, rates)?;
+    fn find(&self, body: &Body, rates: &BendRates) -> Option<Places> {
+        let measured = Near::find(self, self.at, body, rates)?;
         let commanded = match self.commanded.filter(|commanded| *commanded != self.at) {
-            Some(commanded) => Some(Near::find(self, commanded, rates)?),
+            Some(commanded) => {
+                let body = self.robot.body(commanded);
+                Some(Near::find(self, commanded, &body, rates)?)
+            }
             None => None,
         };
         Some(Places {

@@ -54,9 +54,13 @@ struct Place {
 }
 
 impl Near {
-    /// Those of a robot that is `at` a configuration. `None` when there are more than fit.
-    pub(super) fn find(guard: &Guard<'_>, at: &Configuration, rates: &BendRates) -> Option<Self> {
-        let body = &guard.robot.body(at);
+    /// Those of a robot that is `at` a configuration, with this `body`. `None` when there are more than fit.
+    pub(super) fn find(
+        guard: &Guard<'_>,
+        at: &Configuration,
+        body: &Body,
+        rates: &BendRates,
+    ) -> Option<Self> {
         let (way_s, safe_m) = (guard.stopping.way_s, guard.safe_distance_m);
         let travel_m = farthest_m(guard, rates);
         let time_s = guard.stopping.time_s(way_s);
@@ -96,7 +100,11 @@ impl Near {
                     floors_m: [[0.0; SECTIONS_MAX]; 2],
                     dip_m: DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m())),
                 };
-                watched.floors_m = ends_s(guard).map(|way_s| watched.floor_m(guard, body, way_s));
+                watched.floors_m = if speed_m_s == 0.0 {
+                    [watched.floor_m(guard, body, 0.0); 2]
+                } else {
+                    ends_s(guard).map(|way_s| watched.floor_m(guard, body, way_s))
+                };
                 *slots.next()? = Some(watched);
                 near.watched_count += 1;
             }
