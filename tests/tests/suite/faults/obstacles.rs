@@ -1,11 +1,11 @@
 //! Obstacles that come too near, and too many of them.
 
+use std::collections::BTreeMap;
 use std::sync::atomic::AtomicBool;
 
 use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns};
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
-use cdcr_test_skip::{Need, skip};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{Daemon, PATIENT, wait_status};
 
@@ -157,20 +157,26 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     assert_eq!((status.obstacle_count, status.faults), (64, 0));
 }
 
-/// Of 400 cycles those whose inputs were gathered before the release before theirs.
-fn cycles_on_late_inputs(trail: &mut Trail) -> usize {
-    trail.catch_up();
-    let is_late = |record: Telemetry| record.gather_ns + record.period_ns < record.release_ns;
-    let mut next = || trail.until("the next record", |_| true).1;
-    (0..400).filter(|_| is_late(next())).count()
+/// Updates that one gather judges at the most, at the default lead (docs/realtime.md).
+const UPDATES_PER_GATHER: u32 = 8;
+
+/// Counts the updates that the record tells of, by the gather that judged them.
+fn count_updates(record: &Telemetry, judged: &mut BTreeMap<u64, u32>) {
+    let is_update = |event: &&InputEvent| event.kind == EventKind::Obstacles.code();
+    for event in events(record).iter().filter(is_update) {
+        *judged
+            .entry(record.gather - u64::from(event.gathers_ago))
+            .or_default() += 1;
+    }
 }
 
+/// The work of a gather is bounded in updates: that is what keeps its inputs in time, and it is counted here. How late they
+/// are beside six threads that never pause is also up to the machine (`docs/realtime.md` has figures).
 #[test]
-fn floods_of_obstacles_keep_nobody_out_and_make_no_inputs_late() {
+fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
-    let late_before = cycles_on_late_inputs(&mut trail);
     let (ending, done) = (AtomicBool::new(false), Done::default());
     std::thread::scope(|scope| {
         let _ends = crate::stop::EndWhenDropped(&ending);
@@ -183,17 +189,17 @@ fn floods_of_obstacles_keep_nobody_out_and_make_no_inputs_late() {
         });
         // The last to come, beside six that never pause.
         let sender = connection.obstacle_sender().unwrap();
+        let mut judged = BTreeMap::new();
         for _ in 0..20 {
             let (_, told) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
             assert_eq!(told.outcome, Outcome::Accepted.code());
+            for _ in 0..20 {
+                let (_, record) = trail.until("the next record", |_| true);
+                count_updates(&record, &mut judged);
+            }
         }
-        let late = cycles_on_late_inputs(&mut trail);
-        println!("cycles on late inputs, of 400: {late_before} without floods, {late} beside them");
-        if late_before > 20 {
-            skip(Need::OnTime, "inputs come late here without floods, too");
-        } else {
-            assert!(late <= late_before + 100, "{late_before}, then {late}");
-        }
+        let most = judged.into_values().max().unwrap();
+        assert!((2..=UPDATES_PER_GATHER).contains(&most), "{most} in a gather");
     });
 }
 
