@@ -1,4 +1,4 @@
-//! Fault injection: every row of `docs/faults.md` happens here to real processes, and what comes of it is
+//! Fault injection: every fault of `docs/faults.md` happens here to real processes, and what comes of it is
 //! asserted together with how long it took.
 //!
 //! Times come from the monotonic stamps in the records, because the machine that runs the tests may stall for

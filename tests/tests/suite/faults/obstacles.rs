@@ -199,7 +199,10 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
             }
         }
         let most = judged.into_values().max().unwrap();
-        assert!((2..=UPDATES_PER_GATHER).contains(&most), "{most} in a gather");
+        assert!(
+            (2..=UPDATES_PER_GATHER).contains(&most),
+            "{most} in a gather"
+        );
     });
 }
 

@@ -1,4 +1,4 @@
-//! The table of faults says what is tested: each row names a test that is there.
+//! The page of faults says what is tested: each fault names a test that is there.
 
 use std::path::Path;
 
@@ -8,18 +8,19 @@ fn workspace() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap()
 }
 
-/// Rows of the table under a heading, cell by cell.
-fn rows(heading: &str) -> Vec<Vec<String>> {
-    let text = std::fs::read_to_string(workspace().join("docs/faults.md")).unwrap();
-    let section = text.split_once(&format!("\n## {heading}\n")).unwrap().1;
-    let section = section.split("\n## ").next().unwrap();
-    let lines = section.lines().filter(|line| line.starts_with('|'));
-    let cells = |line: &str| {
-        let cells = line.trim_matches('|').split('|');
-        cells.map(|cell| cell.trim().to_owned()).collect()
-    };
-    // Without head and rule.
-    lines.skip(2).map(cells).collect()
+fn page() -> String {
+    std::fs::read_to_string(workspace().join("docs/faults.md")).unwrap()
+}
+
+/// What a fault says of itself, and in this order.
+const FIELDS: [&str; 5] = ["Detection", "Reaction", "What you see", "Recovery", "Tests"];
+
+/// The text of a field of a fault, up to the next field.
+fn field<'f>(fault: &'f str, name: &str) -> &'f str {
+    let (_, text) = fault
+        .split_once(&format!("\n- **{name}**: "))
+        .unwrap_or_else(|| panic!("no {name}: {fault}"));
+    text.split("\n- **").next().unwrap()
 }
 
 /// What is in `backticks`.
@@ -28,14 +29,18 @@ fn quoted(cell: &str) -> Vec<&str> {
 }
 
 #[test]
-fn every_row_names_a_test_that_is_there() {
-    let rows = rows("The table");
-    assert!(rows.len() >= 20, "{} rows", rows.len());
-    for row in rows {
-        assert_eq!(row.len(), 6, "{row:?}");
-        assert!(row.iter().all(|cell| !cell.is_empty()), "{row:?}");
-        let tests = quoted(&row[5]);
-        assert!(!tests.is_empty(), "no test: {row:?}");
+fn every_fault_names_a_test_that_is_there() {
+    let page = page();
+    let (faults, _) = page.split_once("\n## Exit statuses\n").unwrap();
+    let faults: Vec<_> = faults.split("\n### ").skip(1).collect();
+    assert!(faults.len() >= 54, "{} faults", faults.len());
+    for fault in faults {
+        for name in FIELDS {
+            assert!(!field(fault, name).trim().is_empty(), "{name}: {fault}");
+        }
+        assert_eq!(fault.matches("\n- **").count(), FIELDS.len(), "{fault}");
+        let tests = quoted(field(fault, "Tests"));
+        assert!(!tests.is_empty(), "no test: {fault}");
         for test in tests {
             let (file, function) = test.split_once("::").unwrap();
             // Of this folder, of its neighbours, or of a unit.
@@ -54,8 +59,13 @@ fn every_row_names_a_test_that_is_there() {
 
 #[test]
 fn every_end_has_its_row() {
-    let rows = rows("Exit statuses");
-    let statuses: Vec<u8> = rows.iter().filter_map(|row| row[0].parse().ok()).collect();
-    let expected = ExitCause::ALL.map(ExitCause::code);
-    assert_eq!(statuses, expected);
+    let page = page();
+    let (_, section) = page.split_once("\n## Exit statuses\n").unwrap();
+    let section = section.split("\n## ").next().unwrap();
+    let lines = section.lines().filter_map(|line| line.strip_prefix("| "));
+    // Head and rule have no number.
+    let statuses: Vec<u8> = lines
+        .filter_map(|line| line.split(' ').next()?.parse().ok())
+        .collect();
+    assert_eq!(statuses, ExitCause::ALL.map(ExitCause::code));
 }
