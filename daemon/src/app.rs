@@ -16,20 +16,22 @@ use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
 use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
-use crate::core_budget::{KERNEL_SHARE, kernel_share};
-use crate::cycle::{Cycle, Policy, Settings};
-use crate::doctor::{System, with_core};
-use crate::exchange::{Exchange, services};
+use crate::core_budget::KERNEL_SHARE;
+use crate::cycle::Cycle;
+use crate::doctor::{System, kernel_share, with_core};
+use crate::exchange::Exchange;
 use crate::exit::{Ended, ExitCause};
+use crate::handover::{CycleEnds, ExchangeEnds, Policy, ReporterEnds, Settings, Shared, channels};
 use crate::instance::Instance;
+use crate::link::RobotLink;
 use crate::link::{DriverLink, SimulatedRobot};
-use crate::ports::{Clock, RobotLink};
 use crate::reporter::Reporter;
+use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
-use crate::rt::handoff::{CycleEnds, ExchangeEnds, ReporterEnds, Shared, channels};
-use crate::rt::privileges::{ThreadPlan, go_before_ordinary_tasks};
+use crate::rt::privileges::go_before_ordinary_tasks;
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
+use crate::services;
 use crate::start::{self, Started, arm, end_signals, give_up};
 use crate::supervisor::Supervisor;
 
@@ -284,10 +286,8 @@ fn spawn_exchange(
     daemon_id: u64,
     reporter: Thread,
 ) -> Result<Started> {
-    let plan = ThreadPlan::new(
-        &validated.config.realtime,
-        validated.config.realtime.exchange_priority,
-    );
+    let realtime = &validated.config.realtime;
+    let plan = realtime.thread_plan(realtime.exchange_priority);
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
     Started::spawn("cdcr-exchange", move |stage| {
         // iceoryx2's ports stay in the thread that made them.
@@ -316,7 +316,7 @@ fn spawn_reporter(
     shared: &Arc<Shared>,
     daemon_id: u64,
 ) -> Result<Started> {
-    let plan = ThreadPlan::beside(&validated.config.realtime);
+    let plan = validated.config.realtime.plan_beside();
     let (validated, shared) = (validated.clone(), Arc::clone(shared));
     Started::spawn("cdcr-reporter", move |stage| {
         let built = services::node(&validated.location).and_then(|node| {
@@ -344,10 +344,8 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
     exchange: Thread,
     watch: CycleWatch,
 ) -> Result<Started> {
-    let plan = ThreadPlan::new(
-        &validated.config.realtime,
-        validated.config.realtime.cycle_priority,
-    );
+    let realtime = &validated.config.realtime;
+    let plan = realtime.thread_plan(realtime.cycle_priority);
     let shared = Arc::clone(shared);
     let cycles_to_rest = cycles_to_rest(validated);
     Started::spawn("cdcr-cycle", move |stage| {

@@ -15,15 +15,15 @@ use std::time::Duration;
 
 use anyhow::{Context, Result, bail};
 
+use crate::accounting::{Accounting, Totals};
 use crate::config::{Config, Validated, ns};
-use crate::cycle::Policy;
 use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
-use crate::ports::Clock;
-use crate::rt::accounting::{Accounting, Totals, Verdict};
+use crate::handover::Policy;
 use crate::rt::attribution::{Attribution, Blame, Judged, Scheduling, Timing};
+use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
-use crate::rt::privileges::ThreadPlan;
+use crate::rt::schedule::Lateness;
 use crate::rt::schedule::{Release, Schedule};
 use crate::rt::scheduler::{SchedulerLooks, this_thread};
 use crate::start::{self, Started, arm, end_signals, give_up};
@@ -43,7 +43,7 @@ pub struct BareCycle {
     /// The clock, read right after the start \[ns\].
     pub handed_over_ns: u64,
     /// Whether it was late.
-    pub verdict: Verdict,
+    pub lateness: Lateness,
     /// Why.
     pub blame: Blame,
     /// What the system did to the thread since the cycle before. None where it does not tell.
@@ -129,7 +129,7 @@ fn spawn(
     mut recorder: Recorder,
     ending: &Arc<AtomicBool>,
 ) -> Result<Started<Recorder>> {
-    let plan = ThreadPlan::new(&config.realtime, config.realtime.cycle_priority);
+    let plan = config.realtime.thread_plan(config.realtime.cycle_priority);
     let ending = Arc::clone(ending);
     Started::spawn("cdcr-cycle", move |stage| {
         let mut looks = SchedulerLooks::at(Some(this_thread()));
@@ -198,14 +198,14 @@ impl Recorder {
             let release = schedule.wait(clock);
             let handed_over_ns = clock.now_ns();
             newest = release.cycle;
-            let verdict = self.accounting.judge(&release, handed_over_ns, false);
+            let lateness = self.accounting.judge(&release, handed_over_ns, false);
             let scheduling = looks.look();
-            let judged = self.judged(&release, handed_over_ns, verdict);
+            let judged = self.judged(&release, handed_over_ns, lateness);
             // There is room: each cycle has a higher number, and none but the last is beyond the last.
             self.cycles.push(BareCycle {
                 release,
                 handed_over_ns,
-                verdict,
+                lateness,
                 blame: self.attribution.judge(&judged, scheduling.as_ref()),
                 interference: scheduling.as_ref().map(Interference::from),
             });
@@ -213,11 +213,11 @@ impl Recorder {
     }
 
     /// The cycle as far as its lateness is concerned: all its computation is one look at the clock.
-    fn judged(&self, release: &Release, handed_over_ns: u64, verdict: Verdict) -> Judged {
+    fn judged(&self, release: &Release, handed_over_ns: u64, lateness: Lateness) -> Judged {
         let compute_ns = handed_over_ns - release.start_ns;
         Judged {
             count: self.totals().cycles,
-            verdict,
+            lateness,
             skipped: release.skipped,
             timing: Timing {
                 early_ns: self.spin_ns,
@@ -244,7 +244,7 @@ fn memory(count: usize) -> Result<Vec<BareCycle>> {
             ..Release::default()
         },
         handed_over_ns: u64::MAX,
-        verdict: Verdict::default(),
+        lateness: Lateness::default(),
         blame: Blame::InTime,
         interference: None,
     };

@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result};
 
+use crate::handover::Shared;
 use crate::instance::{Found, PlaceWatch};
-use crate::rt::handoff::Shared;
 
 /// How often it looks.
 const LOOK_EVERY: Duration = Duration::from_secs(1);

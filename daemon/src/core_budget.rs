@@ -11,7 +11,6 @@
 //! A replay needs none of this: the record says how far the solve went.
 
 use crate::config::{Config, CycleConfig, RealtimeMode, ns};
-use crate::doctor::{System, Unreadable};
 use crate::rt::schedule::Release;
 
 /// Share of a core that Linux leaves to real-time threads by default: `sched_rt_runtime_us`, and the fair server of
@@ -19,24 +18,6 @@ use crate::rt::schedule::Release;
 pub const KERNEL_SHARE: f64 = 0.95;
 /// What of the kernel's share is not used, so that stalls, interrupts and what was measured too small do not use it up.
 const KEPT_BACK: f64 = 0.025;
-
-/// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
-pub const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
-
-/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
-/// ordinary tasks of the core starve otherwise, those of the kernel among them.
-///
-/// # Errors
-/// The system does not tell.
-pub fn kernel_share(system: &System) -> Result<f64, Unreadable> {
-    let runtime_us = system.number(RT_RUNTIME_US)?;
-    let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
-    Ok(if runtime_us < 0 {
-        KERNEL_SHARE
-    } else {
-        (runtime_us as f64 / period_us.max(1) as f64).min(KERNEL_SHARE)
-    })
-}
 
 /// What the parts beside the solver take in a period, as far as it was measured \[ns\].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -289,23 +270,5 @@ mod tests {
             recent.note(20);
         }
         assert_eq!(recent.high_ns(), 20);
-    }
-
-    #[test]
-    fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
-        for (runtime_us, share) in [
-            ("950000", Some(0.95)),
-            ("500000", Some(0.5)),
-            ("1000000", Some(0.95)),
-            ("-1", Some(0.95)),
-            ("many", None),
-        ] {
-            let folder = tempfile::tempdir().unwrap();
-            let kernel = folder.path().join("proc/sys/kernel");
-            std::fs::create_dir_all(&kernel).unwrap();
-            std::fs::write(kernel.join("sched_rt_runtime_us"), runtime_us).unwrap();
-            std::fs::write(kernel.join("sched_rt_period_us"), "1000000").unwrap();
-            assert_eq!(kernel_share(&System::at(folder.path())).ok(), share);
-        }
     }
 }

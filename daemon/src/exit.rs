@@ -6,8 +6,8 @@
 use std::process::ExitCode;
 
 use crate::config::ConfigError;
-use crate::exchange::services::ServiceError;
 use crate::instance::InstanceError;
+use crate::services::ServiceError;
 
 /// Why the process ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

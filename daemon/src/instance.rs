@@ -17,7 +17,7 @@ use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
-use crate::exchange::remains;
+use crate::services::remains;
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 

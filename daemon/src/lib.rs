@@ -23,24 +23,27 @@
 //! | [`app`] | every concrete type | nothing is hidden from it |
 //! | [`cli`] | the command line | anything about a cycle |
 
+pub mod accounting;
 pub mod app;
 pub mod bare;
 mod caretaker;
 pub mod cli;
 pub mod config;
+pub mod convert;
 pub mod core_budget;
 pub mod cycle;
 pub mod doctor;
 pub mod exchange;
 pub mod exit;
+pub mod handover;
 pub mod instance;
-mod latency;
 pub mod link;
 pub mod log;
 pub mod obstacles;
-pub mod ports;
 pub mod reporter;
 pub mod rt;
 pub mod service_manager;
+pub mod services;
 mod start;
 pub mod supervisor;
+mod warnings;

@@ -4,8 +4,19 @@ use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::KinematicPlant;
 use cdcr_controller::robot::BendRates;
 
-use crate::ports::{RobotLink, TimedMeasurement};
-use crate::rt::handoff::CycleInputs;
+use crate::handover::{CycleInputs, TimedMeasurement};
+
+/// The robot, simulated or real, as the cycle sees it.
+///
+/// Both methods are called once in each cycle by the cycle thread, so they neither allocate, lock nor
+/// call the system.
+pub trait RobotLink {
+    /// The newest measurement for the release at `release_ns`; none when there is none yet.
+    fn measure(&mut self, release_ns: u64, inputs: &CycleInputs) -> Option<TimedMeasurement>;
+
+    /// The rates that hold from the release at `release_ns` on.
+    fn command(&mut self, release_ns: u64, rates: &BendRates);
+}
 
 /// The ideal kinematic robot. Commands take effect at the release of their cycle, and its state is
 /// known exactly at each release.

@@ -19,58 +19,15 @@ use std::time::Duration;
 use cdcr_controller::nmpc::SolveStatus;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{LateCause, Mode, Outcome};
+use cdcr_shared_types::codes::{LateCause, Mode};
 use cdcr_shared_types::ipc;
-use cdcr_shared_types::limits::EVENTS_MAX;
 use iceoryx2::port::publisher::Publisher;
 
 use crate::config::{LinkKind, Validated, ns};
-use crate::cycle::{CycleRecord, MeasurementUse};
-use crate::exchange::{convert, services};
-use crate::ports::Clock;
-use crate::rt::attribution::{Attribution, Blame, Judged, Scheduling, Timing};
-use crate::rt::handoff::{ReporterEnds, Shared};
-use crate::supervisor::Summary;
-
-/// A cycle on its way to those who watch: what it did, and what the exchange knows of it.
-#[derive(Debug)]
-pub struct CycleReport {
-    /// Its number; those that found no room leave gaps.
-    pub number: u64,
-    /// What the scheduler did to the cycle thread since the look before; none where the kernel does not tell.
-    pub scheduling: Option<Scheduling>,
-    /// What the cycle did.
-    pub record: CycleRecord,
-    /// Its command as it was published, or would have been.
-    pub command: wire::Command,
-    /// From the hand-over of the record until the command was out \[ns\].
-    pub publish_ns: u64,
-    /// What clients have to do with it.
-    pub inputs: InputReport,
-}
-
-/// What the exchange took in until a cycle.
-#[derive(Debug)]
-pub struct InputReport {
-    /// What was taken or refused and belongs to this record; the first `event_count` count.
-    pub events: [wire::InputEvent; EVENTS_MAX],
-    /// How many events there are.
-    pub event_count: usize,
-    /// Events lost so far because no record took them.
-    pub dropped_events: u64,
-    /// How often each outcome was given so far.
-    pub outcomes: [u64; Outcome::COUNT],
-    /// How long the newest gather took \[ns\].
-    pub gather_took_ns: u64,
-    /// Who holds the reference lease; 0: nobody.
-    pub lease_holder: u64,
-    /// Time of the reference's last point \[ns\]; 0: there is none.
-    pub reference_end_ns: u64,
-    /// Points of the reference that are still ahead.
-    pub reference_points: u32,
-    /// Obstacles refused so far.
-    pub obstacles_refused: u64,
-}
+use crate::handover::{CycleRecord, CycleReport, MeasurementUse, ReporterEnds, Shared, Summary};
+use crate::rt::attribution::{Attribution, Blame, Judged, Timing};
+use crate::rt::clock::Clock;
+use crate::{convert, services};
 
 /// The longest sleep without a report: by it a watchdog sees that the thread lives.
 const SLEEP_MAX: Duration = Duration::from_millis(20);
@@ -213,7 +170,7 @@ impl Reporter {
             stale_measurement: self.has_driver
                 && record.measurement_use == MeasurementUse::Repeated,
             position_error_m: self.tracking_error_m(record),
-            verdict: record.verdict,
+            lateness: record.lateness,
             misses_tolerated: record.policy.tolerates(record.miss_bucket),
             totals: record.totals,
             mode: self.last_mode,
@@ -255,7 +212,7 @@ fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
     let release = &record.release;
     Judged {
         count: record.totals.cycles,
-        verdict: record.verdict,
+        lateness: record.lateness,
         skipped: release.skipped,
         timing: Timing {
             early_ns: spin_ns,

@@ -1,4 +1,4 @@
-//! How real-time threads come to life, the same for the daemon and for [`bare`](crate::bare).
+//! How real-time threads come to life, the same for the daemon and for `cdcrd bare`.
 //!
 //! ```text
 //! each thread: ready ─► (memory is locked) ─► warm up ─► priority, core, stack ─► schedule ─► first release
@@ -18,8 +18,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 
 use crate::config::{Config, RealtimeConfig, RealtimeMode, ns};
 use crate::exit::{Ended, ExitCause};
-use crate::ports::Clock;
-use crate::rt::privileges::{ThreadPlan, choose_core, keep_awake, lock_memory, stay_off_core};
+use crate::rt::clock::Clock;
+use crate::rt::privileges::{ThreadPlan, keep_awake, lock_memory, stay_off_core};
 use crate::rt::schedule::Schedule;
 
 /// How long a thread may take to get ready.
@@ -65,7 +65,8 @@ pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result
     for thread in threads {
         thread.wait_ready()?;
     }
-    let mut missing = lock_memory(config.mode);
+    let is_off = config.mode == RealtimeMode::Off;
+    let mut missing = if is_off { realtime::OFF } else { lock_memory() };
     for thread in threads {
         missing |= thread.arm()?;
     }
@@ -73,13 +74,13 @@ pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result
         bail!(not_granted(missing));
     }
     let pinned = missing & (realtime::PINNED | realtime::OFF) == 0;
-    let core = choose_core(config).filter(|_| pinned);
+    let core = config.core().filter(|_| pinned);
     say_what_is_missing(missing, core);
     stay_off_core(core);
     Ok(Armed {
         missing,
         core,
-        _awake: keep_awake(config),
+        _awake: (!is_off && config.no_deep_sleep).then(keep_awake).flatten(),
     })
 }
 

@@ -29,8 +29,8 @@
 //! * Every message starts with a [`Header`]: who sent it, its sequence number and when. iceoryx2 does
 //!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
 //!
-//! Invariant: no logic lives here. Nothing validates, computes or decides; the daemon's
-//! `exchange/convert/` does that at the edge.
+//! The messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` does that at the edge. Beside
+//! them is only what daemon and client need to meet: folders, files, locks, who may come in.
 
 mod access;
 pub mod codes;

@@ -2,7 +2,7 @@
 
 use cdcr_client::obstacles;
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, SectionParameters};
-use cdcr_daemon::exchange::convert;
+use cdcr_daemon::convert;
 use cdcr_shared_types::{RobotDescription, SectionDescription, Telemetry};
 
 /// The robot of a description.

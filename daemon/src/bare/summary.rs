@@ -7,9 +7,9 @@ use serde::Serialize;
 
 use super::{BareCycle, Blame, Recorder};
 use crate::config::{Config, ns};
-use crate::cycle::Policy;
-use crate::exchange::convert;
-use crate::latency;
+use crate::convert;
+use crate::handover::Policy;
+use crate::rt::latency;
 
 /// Digits that a percentile has.
 const DIGITS: u8 = 3;
@@ -161,8 +161,8 @@ mod tests {
 
     use super::*;
     use crate::bare::Interference;
-    use crate::rt::accounting::Verdict;
     use crate::rt::attribution::LateCause;
+    use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
 
     fn cycle(number: u64, wake_ns: u64, blame: Blame, run_delay_ns: Option<u64>) -> BareCycle {
@@ -176,7 +176,7 @@ mod tests {
                 skipped: 0,
             },
             handed_over_ns: due_ns + wake_ns + 50,
-            verdict: Verdict::default(),
+            lateness: Lateness::default(),
             blame,
             interference: run_delay_ns.map(|run_delay_ns| Interference {
                 run_delay_ns,

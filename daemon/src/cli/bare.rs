@@ -8,7 +8,7 @@ use clap::{Args, ValueEnum};
 
 use super::{Source, end_with_process};
 use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
-use crate::exchange::convert;
+use crate::convert;
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
@@ -98,8 +98,8 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
             release.start_ns,
             cycle.handed_over_ns,
             release.skipped,
-            u8::from(cycle.verdict.late_start),
-            u8::from(cycle.verdict.deadline_miss),
+            u8::from(cycle.lateness.late_start),
+            u8::from(cycle.lateness.deadline_miss),
             convert::late_cause(cycle.blame.cause()).code()
         )?;
     }
@@ -186,8 +186,8 @@ mod tests {
 
     use super::*;
     use crate::bare::Interference;
-    use crate::rt::accounting::Verdict;
     use crate::rt::attribution::{Blame, LateCause};
+    use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
 
     fn outcome() -> Outcome {
@@ -200,7 +200,7 @@ mod tests {
                 skipped: 1,
             },
             handed_over_ns: 350,
-            verdict: Verdict {
+            lateness: Lateness {
                 late_start: true,
                 deadline_miss: false,
             },

@@ -8,8 +8,9 @@ use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 
 use crate::config::{
-    ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, doubts, explain,
+    ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, explain,
 };
+use crate::warnings::warnings;
 
 #[allow(
     clippy::doc_markdown,
@@ -75,8 +76,8 @@ impl Source {
     /// The configuration, checked. What is doubtful goes to the log.
     pub(super) fn load(&self) -> Result<Validated, ConfigError> {
         let validated = self.settings()?.validate()?;
-        for doubt in doubts(&validated.config) {
-            tracing::warn!("{doubt}");
+        for warning in warnings(&validated.config) {
+            tracing::warn!("{warning}");
         }
         Ok(validated)
     }
@@ -179,8 +180,8 @@ pub(super) fn check(source: &Source) -> Result<()> {
     for (key, value, origin) in changed {
         lines.push(format!("  {key} = {}  ({origin})", shortened(&value)));
     }
-    for doubt in doubts(&validated.config) {
-        lines.push(format!("warning: {doubt}"));
+    for warning in warnings(&validated.config) {
+        lines.push(format!("warning: {warning}"));
     }
     lines.push(String::new());
     say(&lines.join("\n"))

@@ -14,7 +14,6 @@
 //! Schema, explanations and error messages are made of these, and tests compare them with each other.
 
 mod cycle;
-mod doubts;
 mod error;
 mod explain;
 mod keys;
@@ -42,7 +41,6 @@ use cdcr_shared_types::Location;
 use serde::{Deserialize, Serialize};
 
 pub use cycle::CycleConfig;
-pub use doubts::doubts;
 pub use error::ConfigError;
 pub use explain::explain;
 pub use layers::Layers;

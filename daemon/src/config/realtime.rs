@@ -1,6 +1,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::LinkKind;
+use crate::rt::privileges::{ThreadPlan, last_core};
 
 /// How much real time is asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -48,6 +49,29 @@ pub struct RealtimeConfig {
     pub spin_us: f64,
     /// Keep the processor out of deep sleep, by `/dev/cpu_dma_latency`, as far as the system grants it.
     pub no_deep_sleep: bool,
+}
+
+impl RealtimeConfig {
+    /// The core of the real-time threads: the configured one, or else the last one that the process may use.
+    pub fn core(&self) -> Option<usize> {
+        usize::try_from(self.core).ok().or_else(last_core)
+    }
+
+    /// The plan of a real-time thread with `priority`; an ordinary thread where no real time is wanted.
+    pub fn thread_plan(&self, priority: i32) -> ThreadPlan {
+        if self.mode == RealtimeMode::Off {
+            return ThreadPlan::default();
+        }
+        ThreadPlan::real_time(self.core(), priority)
+    }
+
+    /// The plan of a thread that works for the real-time threads, off their core.
+    pub fn plan_beside(&self) -> ThreadPlan {
+        if self.mode == RealtimeMode::Off {
+            return ThreadPlan::default();
+        }
+        ThreadPlan::beside(self.core())
+    }
 }
 
 impl Default for RealtimeConfig {

@@ -7,8 +7,6 @@
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
 //! in the record, so that the cycle can be computed again.
 
-mod policy;
-mod record;
 mod state;
 
 use cdcr_controller::nmpc::{
@@ -23,17 +21,17 @@ use cdcr_controller::safety::{
 };
 use nalgebra::Vector3;
 
+use crate::accounting::Accounting;
 use crate::config::{Interface, Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts, after_solve_max_ns};
-use crate::obstacles::ObstacleSet;
-use crate::ports::{Clock, RobotLink, TimedMeasurement};
-use crate::rt::accounting::Accounting;
-use crate::rt::handoff::{
-    CycleAnswer, CycleInputs, CycleRequest, REQUESTS_PER_CYCLE, REQUESTS_WAITING,
+use crate::handover::{
+    CycleAnswer, CycleInputs, CycleRecord, CycleRequest, Policy, REQUESTS_PER_CYCLE,
+    REQUESTS_WAITING, Settings, TimedMeasurement,
 };
+use crate::link::RobotLink;
+use crate::obstacles::ObstacleSet;
+use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
-pub use policy::{Policy, Settings};
-pub use record::{CycleRecord, MeasurementUse};
 use state::RobotState;
 
 /// Longest time that the solver is warmed up \[ns\].
@@ -272,7 +270,7 @@ impl<L: RobotLink> Cycle<L> {
         self.rates = safe.rates;
         self.link.command(release.release_ns, &safe.rates);
         let handed_over_ns = clock.now_ns();
-        let verdict = self
+        let lateness = self
             .accounting
             .judge(&release, handed_over_ns, stale_inputs);
 
@@ -286,7 +284,7 @@ impl<L: RobotLink> Cycle<L> {
             core_budget: self.core_budget,
             costs,
             longest_gap_ns: self.longest_gap_ns,
-            verdict,
+            lateness,
             stale_inputs,
             totals: *self.accounting.totals(),
             miss_bucket: self.accounting.bucket().level(),

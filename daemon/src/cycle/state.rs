@@ -2,10 +2,8 @@ use cdcr_controller::estimator::{Estimator, Measurement};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
 
-use super::{MeasurementUse, Policy};
 use crate::config::Interface;
-use crate::ports::TimedMeasurement;
-use crate::rt::handoff::CycleInputs;
+use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
 /// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
 const BEND_TOLERANCE_RAD: f64 = 0.05;

@@ -14,7 +14,7 @@ use cdcr_controller::safety::{LeaseState, Request};
 
 use super::*;
 use crate::config::Config;
-use crate::exchange::convert;
+use crate::convert;
 use crate::link::DriverLink;
 
 const PERIOD_NS: u64 = 5_000_000;

@@ -4,7 +4,7 @@ use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::system::chosen_of;
 use super::{Check, Concern, Judgement, Scene, Unreadable};
-use crate::exchange::daemon_bytes;
+use crate::services::daemon_bytes;
 
 pub(super) const CHECKS: &[Check] = &[
     Check {

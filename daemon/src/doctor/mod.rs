@@ -34,6 +34,7 @@ pub use finding::{Finding, Judgement, NOTHING_TO_DO, Report, Verdict};
 pub use plan::Plan;
 pub use probe::Probe;
 pub use sample::{CoreLoad, InterruptRate, Load, Neighbour, Snapshot, Thread};
+pub use scheduler::kernel_share;
 pub use system::{System, Unreadable};
 
 use crate::config::{RealtimeMode, Validated};

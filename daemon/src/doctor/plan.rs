@@ -5,7 +5,6 @@ use std::path::PathBuf;
 use super::finding::{Judgement, Verdict};
 use crate::config::{RealtimeMode, Validated};
 use crate::core_budget::CoreBudget;
-use crate::rt::privileges::choose_core;
 
 /// What the configuration asks of the machine.
 #[derive(Debug, Clone)]
@@ -44,7 +43,7 @@ impl Plan {
         let (cycle, realtime) = (&config.cycle, &config.realtime);
         Self {
             mode: realtime.mode,
-            core: choose_core(realtime),
+            core: realtime.core(),
             cycle_priority: realtime.cycle_priority,
             exchange_priority: realtime.exchange_priority,
             period_ms: cycle.period_ms,

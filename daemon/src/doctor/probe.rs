@@ -9,9 +9,9 @@ use rustix::thread::{disable_transparent_huge_pages, transparent_huge_pages_are_
 
 use super::plan::Plan;
 use super::system::System;
-use crate::exchange::mount_point;
 use crate::instance::is_in_memory;
 use crate::rt::sys;
+use crate::services::mount_point;
 
 /// What was tried.
 #[derive(Debug, Clone)]

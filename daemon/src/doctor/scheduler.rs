@@ -1,10 +1,28 @@
 //! The kernel's scheduler: pre-emption, and what it takes from real-time threads.
 
-use crate::core_budget::{Costs, RT_RUNTIME_US, kernel_share};
+use crate::core_budget::{Costs, KERNEL_SHARE};
 
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
-use super::{Check, Concern, Judgement, Scene, Unreadable};
+use super::{Check, Concern, Judgement, Scene, System, Unreadable};
+
+/// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
+pub(super) const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
+
+/// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
+/// ordinary tasks of the core starve otherwise, those of the kernel among them.
+///
+/// # Errors
+/// The system does not tell.
+pub fn kernel_share(system: &System) -> Result<f64, Unreadable> {
+    let runtime_us = system.number(RT_RUNTIME_US)?;
+    let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
+    Ok(if runtime_us < 0 {
+        KERNEL_SHARE
+    } else {
+        (runtime_us as f64 / period_us.max(1) as f64).min(KERNEL_SHARE)
+    })
+}
 
 pub(super) const CHECKS: &[Check] = &[
     Check {
@@ -186,6 +204,7 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
 mod tests {
     use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
+    use super::super::{System, kernel_share};
     use crate::config::{Config, RealtimeMode};
     use crate::core_budget::CoreBudget;
 
@@ -276,5 +295,23 @@ mod tests {
         fake.expect("rt_group", Good, &[]);
         fake.scene.probe.fifo = Err("not permitted".to_owned());
         fake.expect("rt_group", Warning, &["rt_group_sched=0"]);
+    }
+
+    #[test]
+    fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
+        for (runtime_us, share) in [
+            ("950000", Some(0.95)),
+            ("500000", Some(0.5)),
+            ("1000000", Some(0.95)),
+            ("-1", Some(0.95)),
+            ("many", None),
+        ] {
+            let folder = tempfile::tempdir().unwrap();
+            let kernel = folder.path().join("proc/sys/kernel");
+            std::fs::create_dir_all(&kernel).unwrap();
+            std::fs::write(kernel.join("sched_rt_runtime_us"), runtime_us).unwrap();
+            std::fs::write(kernel.join("sched_rt_period_us"), "1000000").unwrap();
+            assert_eq!(kernel_share(&System::at(folder.path())).ok(), share);
+        }
     }
 }

@@ -4,7 +4,7 @@ use cdcr_shared_types::codes::{EventKind, Outcome};
 use cdcr_shared_types::limits::EVENTS_MAX;
 use cdcr_shared_types::{Header, InputEvent};
 
-use super::convert::Refused;
+use crate::convert::Refused;
 
 /// What was taken in and not yet reported, and the counts of all outcomes.
 #[derive(Debug)]

@@ -3,12 +3,12 @@
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Mode, Outcome};
 use cdcr_shared_types::{Header, Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
-use super::convert::{self, Refused};
-use super::inlet::Received;
 use super::{Exchange, LastChunk, LastLook};
-use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::handoff::Shared;
+use crate::convert::{self, Refused};
+use crate::handover::{Shared, TimedMeasurement};
+use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
+use crate::services::Received;
 
 /// Chunks that one gather takes or refuses. A client streams one in half a second; more than this wait.
 pub(super) const CHUNKS_PER_GATHER: usize = 4;

@@ -13,17 +13,12 @@
 //! [reporter](crate::reporter)'s.
 
 mod bound_driver;
-pub mod convert;
 mod events;
 mod gather;
-mod inlet;
 mod lease;
 mod obstacle_sources;
 mod publish;
-pub mod remains;
 mod requests;
-mod room;
-pub mod services;
 
 use std::thread::Thread;
 use std::time::Duration;
@@ -36,21 +31,18 @@ use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
 
 use crate::config::{Interface, LinkKind, Validated, ns};
 use crate::core_budget::RecentCosts;
-use crate::cycle::Settings;
+use crate::handover::{ExchangeEnds, REQUESTS_PER_CYCLE, Settings, Shared, TimedMeasurement};
 use crate::obstacles::ObstacleSet;
-use crate::ports::{Clock, TimedMeasurement};
-use crate::rt::handoff::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
+use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::SchedulerLooks;
 use crate::rt::suspend::SuspendWatch;
+use crate::services::Ports;
 use bound_driver::BoundDriver;
 use events::Events;
 use lease::Lease;
 use obstacle_sources::ObstacleSources;
 use requests::Waiting;
-use services::Ports;
-
-pub use room::{daemon_bytes, mount_point};
 
 /// The exchange of one daemon.
 #[derive(Debug)]

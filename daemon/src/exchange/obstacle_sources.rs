@@ -118,7 +118,7 @@ mod tests {
     use cdcr_shared_types::{Header, Obstacle};
 
     use super::*;
-    use crate::exchange::convert;
+    use crate::convert;
 
     const MS: u64 = 1_000_000;
 

@@ -7,11 +7,10 @@ use std::thread::Thread;
 
 use cdcr_shared_types as wire;
 
-use super::{Exchange, convert, services};
-use crate::cycle::CycleRecord;
-use crate::ports::Clock;
-use crate::reporter::{CycleReport, InputReport};
-use crate::rt::handoff::Shared;
+use super::Exchange;
+use crate::handover::{CycleRecord, CycleReport, InputReport, Shared};
+use crate::rt::clock::Clock;
+use crate::{convert, services};
 
 impl Exchange {
     /// Publishes the command of the newest record that the cycle has handed over, and hands every record on. More than one

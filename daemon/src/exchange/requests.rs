@@ -5,10 +5,9 @@ use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
 use cdcr_shared_types::{Header, Request, Response, Service, ipc};
 use iceoryx2::active_request::ActiveRequest;
 
-use super::convert::{self, Refused};
-use super::{Exchange, convert::mode_request};
-use crate::cycle::CycleRecord;
-use crate::rt::handoff::{CycleAnswer, CycleRequest, Shared};
+use super::Exchange;
+use crate::convert::{self, Refused, mode_request};
+use crate::handover::{CycleAnswer, CycleRecord, CycleRequest, Shared};
 
 /// A request whose client waits for an answer.
 type Asked = ActiveRequest<ipc::Service, Request, (), Response, ()>;

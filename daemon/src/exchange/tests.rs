@@ -19,9 +19,10 @@ use iceoryx2::prelude::{Node, ZeroCopySend};
 use super::*;
 use crate::config::Config;
 use crate::cycle::Cycle;
+use crate::handover::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, channels};
 use crate::link::DriverLink;
-use crate::rt::handoff::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, channels};
 use crate::rt::schedule::Release;
+use crate::services;
 
 const MS: u64 = 1_000_000;
 const PERIOD_NS: u64 = 5 * MS;

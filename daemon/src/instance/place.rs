@@ -11,7 +11,7 @@ use iceoryx2::service::messaging_pattern::MessagingPattern;
 use rustix::fs::{FlockOperation, flock};
 
 use super::{InstanceError, file_error, is_file_at, lock, write_process_id};
-use crate::exchange::remains;
+use crate::services::remains;
 
 /// What clients need to find a daemon, as it was when the daemon began.
 #[derive(Debug)]

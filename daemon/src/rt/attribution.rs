@@ -12,7 +12,7 @@
 //! An overrun that takes the next release with it is one event: the punctual cycle after it has no cause of
 //! its own.
 
-use super::accounting::Verdict;
+use super::schedule::Lateness;
 
 /// What the scheduler knows about the cycle thread, counted since the thread began.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -152,7 +152,7 @@ pub struct Judged {
     /// How many cycles ran, this one included.
     pub count: u64,
     /// Whether it was late.
-    pub verdict: Verdict,
+    pub lateness: Lateness,
     /// Releases before it that got no cycle.
     pub skipped: u32,
     /// Its times.
@@ -191,10 +191,10 @@ pub struct Attribution {
 impl Attribution {
     /// What the next cycle has to answer for.
     pub fn judge(&mut self, cycle: &Judged, scheduling: Option<&Scheduling>) -> Blame {
-        let Verdict {
+        let Lateness {
             late_start,
             deadline_miss,
-        } = cycle.verdict;
+        } = cycle.lateness;
         let before = self.missed.take();
         if !late_start && !deadline_miss {
             return match before {
@@ -353,7 +353,7 @@ mod tests {
     fn judged(count: u64, deadline_miss: bool, skipped: u32, compute: u64) -> Judged {
         Judged {
             count,
-            verdict: Verdict {
+            lateness: Lateness {
                 late_start: false,
                 deadline_miss,
             },
@@ -393,7 +393,7 @@ mod tests {
     fn a_late_start_that_met_its_deadline_took_no_release() {
         let mut attribution = Attribution::default();
         let mut late = judged(1, false, 0, 30);
-        late.verdict.late_start = true;
+        late.lateness.late_start = true;
         late.timing.wake_ns = 900 * US;
         assert_eq!(
             attribution.judge(&late, None),

@@ -4,7 +4,28 @@ use std::ops::RangeInclusive;
 
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-use crate::ports::Clock;
+/// Time.
+pub trait Clock {
+    /// Now \[ns\]. Never goes back; costs tens of nanoseconds; no system call on the platforms that
+    /// matter (vDSO).
+    fn now_ns(&self) -> u64;
+
+    /// Returns at `time_ns` or later, at once when it has passed. The only call of the cycle that may
+    /// block.
+    fn sleep_until(&self, time_ns: u64);
+
+    /// For how long the calling thread has had a core so far \[ns\]. A system call. A clock that nobody runs by need not
+    /// say it.
+    fn on_core_ns(&self) -> u64 {
+        0
+    }
+
+    /// For how long the machine has slept so far (suspended), in which time [`now_ns`](Self::now_ns) stood still: least
+    /// and most \[ns\]. No system call either. A clock of a machine that never sleeps need not say it.
+    fn slept_ns(&self) -> RangeInclusive<u64> {
+        0..=0
+    }
+}
 
 /// `CLOCK_MONOTONIC`, the clock of every time stamp on the wire.
 #[derive(Debug, Clone, Copy, Default)]

@@ -12,7 +12,6 @@ use rustix::thread::{
 };
 
 use super::sys;
-use crate::config::{RealtimeConfig, RealtimeMode};
 
 /// What a thread asks for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -34,37 +33,27 @@ const TIMER_SLACK_NS: NonZeroU64 = NonZeroU64::MIN;
 /// Stack that a real-time thread touches beforehand.
 const STACK_BYTES: usize = 256 * 1024;
 
-/// The core that the configuration asks for. Where it leaves that open and none could be chosen
-/// ([`with_core`](crate::doctor::with_core)), the last one that the process may use.
-pub fn choose_core(config: &RealtimeConfig) -> Option<usize> {
-    match usize::try_from(config.core) {
-        Ok(core) => Some(core),
-        Err(_) => core_affinity::get_core_ids()?.last().map(|core| core.id),
-    }
+/// The last core that the process may use.
+pub fn last_core() -> Option<usize> {
+    core_affinity::get_core_ids()?.last().map(|core| core.id)
 }
 
 impl ThreadPlan {
-    /// The plan of a thread with `priority` under the configuration.
-    pub fn new(config: &RealtimeConfig, priority: i32) -> Self {
-        if config.mode == RealtimeMode::Off {
-            return Self::default();
-        }
+    /// The plan of a real-time thread.
+    pub fn real_time(core: Option<usize>, priority: i32) -> Self {
         Self {
-            core: choose_core(config),
+            core,
             priority: Some(priority),
             keep_off: None,
         }
     }
 
     /// The plan of a thread that works for the real-time threads, off their core.
-    pub fn beside(config: &RealtimeConfig) -> Self {
-        if config.mode == RealtimeMode::Off {
-            return Self::default();
-        }
+    pub fn beside(core: Option<usize>) -> Self {
         Self {
             core: None,
             priority: Some(BESIDE_PRIORITY),
-            keep_off: choose_core(config),
+            keep_off: core,
         }
     }
 
@@ -105,7 +94,7 @@ fn wake_up_exactly() {
 /// Keeps the calling thread, and those that it starts from now on, off the core of the real-time threads, where
 /// it may use another one. Ordinary work there would empty the caches of the cycle.
 ///
-/// To be called after [`choose_core`], which counts the cores that the calling thread may use.
+/// To be called after [`last_core`], which counts the cores that the calling thread may use.
 pub fn stay_off_core(core: Option<usize>) {
     let Some(core) = core.filter(|core| *core < CpuSet::MAX_CPU) else {
         return;
@@ -118,7 +107,7 @@ pub fn stay_off_core(core: Option<usize>) {
         sched_setaffinity(None, &allowed)
     });
     if let Err(error) = moved {
-        tracing::info!(core, %error, "a thread that should keep off may use the core of the real-time threads");
+        tracing::info!(core, %error, "cannot exclude non-real-time threads from the core of the real-time threads");
     }
 }
 
@@ -135,10 +124,7 @@ pub fn go_before_ordinary_tasks() {
 
 /// Locks all memory of the process, present and future, and keeps the kernel from moving it together into huge
 /// pages. Returns what is missing.
-pub fn lock_memory(mode: RealtimeMode) -> u32 {
-    if mode == RealtimeMode::Off {
-        return realtime::OFF;
-    }
+pub fn lock_memory() -> u32 {
     sys::keep_freed_memory();
     keep_pages_small();
     match rustix::mm::mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE) {
@@ -159,12 +145,9 @@ fn keep_pages_small() {
 }
 
 /// Keeps the processor out of deep sleep for as long as the file lives: `/dev/cpu_dma_latency` with the value
-/// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). None where the configuration does not want
-/// it or the system does not grant it; then wake-ups take longer, and nothing else.
-pub fn keep_awake(config: &RealtimeConfig) -> Option<File> {
-    if config.mode == RealtimeMode::Off || !config.no_deep_sleep {
-        return None;
-    }
+/// zero (<https://docs.kernel.org/power/pm_qos_interface.html>). None where the system does not grant it; then wake-ups take
+/// longer, and nothing else.
+pub fn keep_awake() -> Option<File> {
     let opened = OpenOptions::new().write(true).open("/dev/cpu_dma_latency");
     let held = opened.and_then(|mut file| file.write_all(&0_i32.to_ne_bytes()).map(|()| file));
     match held {

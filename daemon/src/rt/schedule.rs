@@ -1,6 +1,6 @@
 //! The absolute time grid.
 
-use crate::ports::Clock;
+use crate::rt::clock::Clock;
 
 /// The absolute time grid: cycle k is released at `origin + k · period`.
 ///
@@ -35,6 +35,15 @@ pub struct Release {
     pub start_ns: u64,
     /// Releases that passed since the previous cycle without a cycle.
     pub skipped: u32,
+}
+
+/// How late a cycle was.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Lateness {
+    /// It started late.
+    pub late_start: bool,
+    /// The command for the release that was due was handed over after the deadline.
+    pub deadline_miss: bool,
 }
 
 impl Schedule {

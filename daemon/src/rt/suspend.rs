@@ -18,7 +18,7 @@ pub struct SuspendWatch {
 
 impl SuspendWatch {
     /// Takes note of how long the machine has slept in all, between a least and a most \[ns\]
-    /// ([`Clock::slept_ns`](crate::ports::Clock::slept_ns)). Returns how often it slept since the first look.
+    /// ([`Clock::slept_ns`](crate::rt::clock::Clock::slept_ns)). Returns how often it slept since the first look.
     ///
     /// The two are apart by the time that passed between the readings of the clocks, which may be long. It counts only
     /// what is certain: the least of now is more than the most of before.

@@ -9,107 +9,23 @@ mod watchdog;
 
 use std::time::{Duration, Instant};
 
-use cdcr_controller::safety::FollowingError;
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{LateCause, Mode, Outcome, Reason};
+use cdcr_shared_types::codes::{LateCause, Mode};
 use cdcr_shared_types::ipc;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::Node;
 
 use crate::config::{LinkKind, Validated, ns};
-use crate::core_budget::{CoreBudget, Costs};
-use crate::cycle::Settings;
-use crate::exchange::convert;
-use crate::exchange::services::{incidents, publisher};
+use crate::convert;
 use crate::exit::{Ended, ExitCause};
-use crate::ports::Clock;
-use crate::rt::accounting::{Totals, Verdict};
-use crate::rt::handoff::{Shared, SupervisorEnds};
+use crate::handover::{Settings, Shared, Summary, SupervisorEnds};
+use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
+use crate::services::{incidents, publisher};
 use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
-
-/// What the supervisor learns of a cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct Summary {
-    /// Number on the grid.
-    pub cycle: u64,
-    /// Release to start \[ns\].
-    pub wake_ns: u64,
-    /// The solver \[ns\].
-    pub solve_ns: u64,
-    /// How the real-time threads share out their core.
-    pub core_budget: CoreBudget,
-    /// What the parts beside the solver were known to take.
-    pub costs: Costs,
-    /// Whether it ran.
-    pub solved: bool,
-    /// Whether the budget ended it.
-    pub budget_hit: bool,
-    /// Start to hand-over \[ns\].
-    pub compute_ns: u64,
-    /// Release to hand-over \[ns\].
-    pub response_ns: u64,
-    /// The gather before it \[ns\].
-    pub gather_ns: u64,
-    /// Hand-over to the command being in the readers' queues \[ns\].
-    pub publish_ns: u64,
-    /// Releases before it that got no cycle.
-    pub skipped_periods: u32,
-    /// Time of the release that was due \[ns\].
-    pub due_ns: u64,
-    /// [`wire::codes::LateCause`]; none, too, when it only skipped the releases that the late cycle before it
-    /// took.
-    pub late_cause: u32,
-    /// Whether it used the inputs of the cycle before again.
-    pub stale_inputs: bool,
-    /// Whether its driver had measured nothing newer.
-    pub stale_measurement: bool,
-    /// Distance of the tip from its reference \[m\], while it follows one.
-    pub position_error_m: Option<f64>,
-    /// Whether the cycle was late.
-    pub verdict: Verdict,
-    /// Whether the leaky bucket is full and the robot, a simulated one, goes on.
-    pub misses_tolerated: bool,
-    /// Counts since the start.
-    pub totals: Totals,
-    /// Mode.
-    pub mode: Mode,
-    /// Why.
-    pub reason: Reason,
-    /// Faults since the start.
-    pub faults: u64,
-    /// Settings of the solver.
-    pub settings: wire::SolverSettings,
-    /// Holder of the lease, 0: nobody.
-    pub lease_holder: u64,
-    /// Last time of the reference \[ns\], 0: none.
-    pub reference_end_ns: u64,
-    /// Points ahead.
-    pub reference_points: u32,
-    /// Obstacles of this cycle.
-    pub obstacle_count: u32,
-    /// Obstacle updates refused since the start.
-    pub obstacles_refused: u64,
-    /// Smallest clearance \[m\].
-    pub clearance_m: f64,
-    /// Whether the clearance guard changed the command.
-    pub clearance_guarded: bool,
-    /// Tip at the release \[m\].
-    pub tip_position_m: [f64; 3],
-    /// Distance of tip and reference \[m\]; NaN without a reference.
-    pub reference_distance_m: f64,
-    /// How far the robot is from where it is commanded to be.
-    pub following: FollowingError,
-    /// Whether that is more than the warning.
-    pub following_warning: bool,
-    /// Events that no record took.
-    pub dropped_events: u64,
-    /// Messages by outcome.
-    pub outcomes: [u64; Outcome::COUNT],
-}
 
 /// How often the supervisor looks.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
@@ -261,7 +177,7 @@ impl Supervisor {
             self.status.following_warnings += u64::from(summary.following_warning);
             self.log(&summary);
             self.count_tolerated(&summary);
-            if !summary.verdict.deadline_miss {
+            if !summary.lateness.deadline_miss {
                 self.manager.ready();
             }
             self.newest = summary;
@@ -346,7 +262,7 @@ impl Supervisor {
             );
         }
         let is_late = summary.late_cause != LateCause::None.code();
-        if is_late && (summary.verdict.deadline_miss || summary.skipped_periods > 0) {
+        if is_late && (summary.lateness.deadline_miss || summary.skipped_periods > 0) {
             self.late = Some(*summary);
         }
         if self.logged.elapsed() >= LATE_LINE_EVERY
@@ -496,6 +412,8 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::Reason;
+
     use super::*;
 
     #[test]

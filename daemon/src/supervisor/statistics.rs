@@ -4,9 +4,9 @@ use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 
-use super::Summary;
-use crate::latency;
-use crate::rt::accounting::Totals;
+use crate::accounting::Totals;
+use crate::handover::Summary;
+use crate::rt::latency;
 
 /// Length of a slice of the last minute.
 const SLICE: Duration = Duration::from_secs(10);
@@ -140,7 +140,7 @@ impl Window {
 
     fn record(&mut self, summary: &Summary) {
         let counts = &mut self.counts;
-        let missed = summary.verdict.deadline_miss;
+        let missed = summary.lateness.deadline_miss;
         counts.budget_hits += u64::from(summary.budget_hit);
         counts.stale_inputs += u64::from(summary.stale_inputs);
         counts.stale_measurements += u64::from(summary.stale_measurement);
@@ -244,7 +244,7 @@ fn difference(now: &Totals, before: &Totals) -> Totals {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::rt::accounting::Verdict;
+    use crate::rt::schedule::Lateness;
 
     const S: u64 = 1_000_000_000;
 
@@ -263,7 +263,7 @@ mod tests {
 
     fn missed(skipped_periods: u32) -> Summary {
         Summary {
-            verdict: Verdict {
+            lateness: Lateness {
                 late_start: true,
                 deadline_miss: true,
             },
@@ -292,8 +292,8 @@ mod tests {
         fn lose(&mut self, summary: &Summary) {
             let totals = &mut self.totals;
             totals.cycles += 1;
-            totals.late_starts += u64::from(summary.verdict.late_start);
-            totals.deadline_misses += u64::from(summary.verdict.deadline_miss);
+            totals.late_starts += u64::from(summary.lateness.late_start);
+            totals.deadline_misses += u64::from(summary.lateness.deadline_miss);
             totals.skipped_periods += u64::from(summary.skipped_periods);
         }
 

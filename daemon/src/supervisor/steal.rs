@@ -5,7 +5,7 @@ use std::os::unix::fs::FileExt;
 
 use cdcr_shared_types::codes::LateCause;
 
-use crate::ports::Clock;
+use crate::rt::clock::Clock;
 
 /// One tick of `/proc/stat` \[ns\]: `USER_HZ` is 100 on every platform that Linux runs on with user programs.
 const TICK_NS: u64 = 10_000_000;

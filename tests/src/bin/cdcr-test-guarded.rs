@@ -6,7 +6,7 @@
     reason = "in a helper of a test a panic is the report"
 )]
 
-use cdcr_daemon::ports::Clock;
+use cdcr_daemon::rt::clock::Clock;
 use cdcr_daemon::rt::clock::MonotonicClock;
 use cdcr_daemon::rt::sys::{WatchedAllocator, forbid_allocations};
 use cdcr_tests::system_calls::forbid_system_calls;

@@ -3,7 +3,8 @@
 use std::path::Path;
 
 use super::error_of;
-use crate::config::{Config, doubts, keys, ns, ranges};
+use crate::config::{Config, keys, ns, ranges};
+use crate::warnings::warnings;
 
 #[test]
 fn rules_between_keys() {
@@ -109,11 +110,11 @@ fn the_shortest_period_needs_a_shorter_gather_lead() {
         (cycle.deadline_ns(), cycle.budget_margin_ns()),
         (100_000, 40_000)
     );
-    let doubts = doubts(&validated.config);
-    assert_eq!(doubts.len(), 1, "{doubts:?}");
+    let warnings = warnings(&validated.config);
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(
-        doubts[0].starts_with("cycle.late_start_ms = 1 is longer"),
-        "{doubts:?}"
+        warnings[0].starts_with("cycle.late_start_ms = 1 is longer"),
+        "{warnings:?}"
     );
 }
 

@@ -2,7 +2,7 @@
 
 use cdcr_client::monotonic_ns;
 use cdcr_controller::robot::{BendRates, Robot, RobotParameters};
-use cdcr_daemon::exchange::convert;
+use cdcr_daemon::convert;
 use cdcr_shared_types::codes::ObstacleShape;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::record::{configuration_of, robot_of};

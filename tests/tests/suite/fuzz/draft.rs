@@ -2,8 +2,8 @@
 //! three numbers are wrong.
 
 use cdcr_daemon::config::Config;
-use cdcr_daemon::cycle::Settings;
-use cdcr_daemon::exchange::convert::settings_to_wire;
+use cdcr_daemon::convert::settings_to_wire;
+use cdcr_daemon::handover::Settings;
 use cdcr_shared_types::codes::{Interface, RequestKind};
 use cdcr_shared_types::{
     Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint, Request, SolverSettings,

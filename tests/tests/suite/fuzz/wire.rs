@@ -5,7 +5,7 @@ use cdcr_controller::reference::{
     APART_MIN_NS, Orientation, ReferencePoint, ReferenceState, ReferenceWindow, Trajectory,
 };
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, Shape};
-use cdcr_daemon::exchange::convert::{
+use cdcr_daemon::convert::{
     measurement, mode_request, reference_points, settings_from_wire, settings_to_wire,
     updated_obstacles,
 };

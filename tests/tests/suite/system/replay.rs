@@ -13,7 +13,7 @@ use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
-use cdcr_daemon::exchange::convert;
+use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interface, Mode, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};

@@ -2,7 +2,7 @@
 
 use cdcr_controller::safety::LeakyBucket;
 
-use super::schedule::Release;
+use crate::rt::schedule::{Lateness, Release};
 
 /// What counts as late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -13,15 +13,6 @@ pub struct Limits {
     pub late_start_ns: u64,
     /// Level of the leaky bucket at which misses are no accident any more.
     pub miss_limit: u32,
-}
-
-/// The verdict on one cycle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Verdict {
-    /// It started late.
-    pub late_start: bool,
-    /// The command for the release that was due was handed over after the deadline.
-    pub deadline_miss: bool,
 }
 
 /// Counts since the start.
@@ -57,20 +48,25 @@ impl Accounting {
 
     /// Judges a cycle whose command was handed over at `handed_over_ns`. One with stale inputs is no miss, and as bad
     /// for the leaky bucket.
-    pub fn judge(&mut self, release: &Release, handed_over_ns: u64, stale_inputs: bool) -> Verdict {
-        let verdict = Verdict {
+    pub fn judge(
+        &mut self,
+        release: &Release,
+        handed_over_ns: u64,
+        stale_inputs: bool,
+    ) -> Lateness {
+        let lateness = Lateness {
             late_start: release.start_ns - release.due_ns > self.limits.late_start_ns,
             deadline_miss: handed_over_ns - release.due_ns > self.limits.deadline_ns,
         };
         self.totals.cycles += 1;
-        self.totals.late_starts += u64::from(verdict.late_start);
-        self.totals.deadline_misses += u64::from(verdict.deadline_miss);
+        self.totals.late_starts += u64::from(lateness.late_start);
+        self.totals.deadline_misses += u64::from(lateness.deadline_miss);
         self.totals.skipped_periods += u64::from(release.skipped);
-        match u32::from(verdict.deadline_miss || stale_inputs).saturating_add(release.skipped) {
+        match u32::from(lateness.deadline_miss || stale_inputs).saturating_add(release.skipped) {
             0 => self.bucket.drain(),
             trouble => self.bucket.pour(trouble),
         }
-        verdict
+        lateness
     }
 
     /// Counts since the start.
@@ -110,7 +106,7 @@ mod tests {
         };
         assert_eq!(
             accounting.judge(&release(1020, 0), 1100, false),
-            Verdict::default()
+            Lateness::default()
         );
         let late = accounting.judge(&release(1021, 0), 1100, false);
         assert!(late.late_start && !late.deadline_miss);
@@ -122,12 +118,12 @@ mod tests {
             release_ns: 1300,
             ..release(1310, 0)
         };
-        let verdict = Accounting::new(limits).judge(&stall, 1320, false);
-        assert!(verdict.late_start && verdict.deadline_miss);
+        let lateness = Accounting::new(limits).judge(&stall, 1320, false);
+        assert!(lateness.late_start && lateness.deadline_miss);
         let mut starved = Accounting::new(limits);
         for _ in 0..3 {
-            let verdict = starved.judge(&release(1001, 0), 1010, true);
-            assert_eq!(verdict, Verdict::default());
+            let lateness = starved.judge(&release(1001, 0), 1010, true);
+            assert_eq!(lateness, Lateness::default());
         }
         assert!(starved.bucket().overflows());
         let totals = Totals {

@@ -8,8 +8,8 @@ use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
+use crate::handover::TimedMeasurement;
 use crate::obstacles::{KnownObstacle, ObstacleSet};
-use crate::ports::TimedMeasurement;
 
 /// Why a message was refused, and at which of its points or obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -29,9 +29,8 @@ mod tests {
 
     use super::outgoing::{measurement_to_wire, obstacle_to_wire};
     use super::*;
-    use crate::cycle::Settings;
+    use crate::handover::{Settings, TimedMeasurement};
     use crate::obstacles::ObstacleSet;
-    use crate::ports::TimedMeasurement;
 
     fn trunk() -> Robot {
         Robot::new(&RobotParameters::paper(1)).unwrap()

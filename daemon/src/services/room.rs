@@ -143,7 +143,7 @@ mod tests {
 
     use cdcr_shared_types::Location;
 
-    use super::super::services::{Ports, ServiceError, incidents, node, publisher, telemetry};
+    use super::super::{Ports, ServiceError, incidents, node, publisher, telemetry};
     use super::*;
 
     #[test]

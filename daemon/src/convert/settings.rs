@@ -5,7 +5,7 @@ use cdcr_controller::optimizer::VelocityRule;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
-use crate::cycle::Settings;
+use crate::handover::Settings;
 
 /// Longest budget of a solve that can be asked for \[ns\]: the longest period.
 const BUDGET_MAX_NS: u64 = 100_000_000;

@@ -4,11 +4,11 @@ use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode};
 
 use super::{Policy, Settings};
+use crate::accounting::Totals;
 use crate::core_budget::{CoreBudget, Costs};
+use crate::handover::{CycleAnswer, REQUESTS_WAITING, TimedMeasurement};
 use crate::obstacles::ObstacleSet;
-use crate::ports::TimedMeasurement;
-use crate::rt::accounting::{Totals, Verdict};
-use crate::rt::handoff::{CycleAnswer, REQUESTS_WAITING};
+use crate::rt::schedule::Lateness;
 use crate::rt::schedule::Release;
 
 /// What became of the measurement.
@@ -46,7 +46,7 @@ pub struct CycleRecord {
     /// Longest time between two looks at the clock until the solver was done \[ns\].
     pub longest_gap_ns: u64,
     /// Whether it was late.
-    pub verdict: Verdict,
+    pub lateness: Lateness,
     /// Whether it used the inputs of the cycle before again.
     pub stale_inputs: bool,
     /// Counts including this cycle.

@@ -1,8 +1,10 @@
-use super::{Config, LinkKind, REST_MAX_S, ns};
+//! What a configuration may say and hardly means.
+
+use crate::config::{Config, LinkKind, REST_MAX_S, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
 /// What is allowed but hardly meant, each with the keys that it is about.
-pub fn doubts(config: &Config) -> Vec<String> {
+pub(crate) fn warnings(config: &Config) -> Vec<String> {
     let Config {
         link,
         cycle,
@@ -21,7 +23,7 @@ pub fn doubts(config: &Config) -> Vec<String> {
     let fastest_rad_s = rates.fold(0.0, f64::max);
     let ramp_s = fastest_rad_s / motion.deceleration_rad_s2;
     let unmeasured_rad = fastest_rad_s * link.measurement_timeout_ms * 1e-3;
-    let doubts = [
+    let warnings = [
         (left_ms <= 0.0).then(|| {
             format!(
                 "cycle.deadline_ms leaves the solver no time: the deadline is {deadline_ms} ms, and \
@@ -92,7 +94,7 @@ pub fn doubts(config: &Config) -> Vec<String> {
         }),
         cut(config),
     ];
-    doubts.into_iter().flatten().collect()
+    warnings.into_iter().flatten().collect()
 }
 
 /// Where somebody set how long the solver may take, and the real-time threads do not have so much of the core.
@@ -126,7 +128,7 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn each_doubt_names_its_key_and_good_configurations_raise_none() {
+    fn each_warning_names_its_key_and_good_configurations_raise_none() {
         for (text, key) in [
             (
                 "[cycle]\ndeadline_ms = 0.5\nlate_start_ms = 0.1\n",
@@ -161,18 +163,18 @@ mod tests {
             ),
         ] {
             let config = Config::parse(text, Path::new("x")).unwrap().config;
-            let doubts = doubts(&config);
-            assert_eq!(doubts.len(), 1, "{text}: {doubts:?}");
-            assert!(doubts[0].contains(key), "{text}: {doubts:?}");
+            let warnings = warnings(&config);
+            assert_eq!(warnings.len(), 1, "{text}: {warnings:?}");
+            assert!(warnings[0].contains(key), "{text}: {warnings:?}");
         }
         for text in [
             "",
             "[realtime]\nspin_us = 400\n",
             "[cycle]\nbudget_ms = 4.4\n[realtime]\nmode = \"off\"\nspin_us = 400\n",
-            include_str!("../../../configs/driver.toml"),
+            include_str!("../../configs/driver.toml"),
         ] {
             let config = Config::parse(text, Path::new("x")).unwrap().config;
-            assert_eq!(doubts(&config), Vec::<String>::new());
+            assert_eq!(warnings(&config), Vec::<String>::new());
         }
     }
 }

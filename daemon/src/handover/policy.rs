@@ -1,8 +1,8 @@
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
+use crate::accounting::Limits;
 use crate::config::{Config, CycleConfig, Interface, LinkKind, MotionConfig, ns};
-use crate::rt::accounting::Limits;
 
 /// The fixed rules of a cycle, from the configuration.
 #[derive(Debug, Clone, Copy)]

@@ -22,9 +22,11 @@ pub struct Inlet<T: ZeroCopySend + Debug + 'static> {
 
 /// A message, and whether it is newer than those of the same writer before it.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Received<T> {
-    pub(super) message: T,
-    pub(super) is_newer: bool,
+pub struct Received<T> {
+    /// The message.
+    pub message: T,
+    /// Whether it is newer than those of its writer before it.
+    pub is_newer: bool,
 }
 
 impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
@@ -43,7 +45,7 @@ impl<T: ZeroCopySend + Debug + Copy + 'static> Inlet<T> {
     }
 
     /// The next message, if one waits. A copy: nobody changes it after it was checked.
-    pub(super) fn receive(&mut self) -> Option<Received<T>> {
+    pub(crate) fn receive(&mut self) -> Option<Received<T>> {
         let mut next = self.subscriber.receive().ok().flatten();
         if next.is_none() && !self.held.is_empty() {
             // Everybody was heard: a new round.

@@ -11,9 +11,8 @@ use cdcr_shared_types::codes::{self, Outcome};
 
 use super::settings::settings_to_wire;
 use crate::config::Interface;
-use crate::cycle::{CycleRecord, MeasurementUse};
+use crate::handover::{CycleRecord, MeasurementUse, TimedMeasurement};
 use crate::obstacles::KnownObstacle;
-use crate::ports::TimedMeasurement;
 use crate::rt::attribution::{LateCause, Scheduling};
 
 /// A refusal of the mode machine.
@@ -296,8 +295,8 @@ fn measurement_state(state: MeasurementUse) -> codes::MeasurementState {
 
 fn timing_flags(record: &CycleRecord) -> u32 {
     let bits = [
-        (record.verdict.late_start, codes::timing::LATE_START),
-        (record.verdict.deadline_miss, codes::timing::DEADLINE_MISS),
+        (record.lateness.late_start, codes::timing::LATE_START),
+        (record.lateness.deadline_miss, codes::timing::DEADLINE_MISS),
         (record.stale_inputs, codes::timing::STALE_INPUTS),
     ];
     sum_of_set(&bits)

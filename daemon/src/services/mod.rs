@@ -14,9 +14,14 @@ use iceoryx2::prelude::{
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
-use super::inlet::Inlet;
-use super::remains;
-use super::room::{self, MANAGEMENT_BYTES, NoRoom, Room};
+mod inlet;
+pub mod remains;
+mod room;
+
+use room::{MANAGEMENT_BYTES, NoRoom, Room};
+
+pub use inlet::{Inlet, Received};
+pub use room::{daemon_bytes, mount_point};
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -64,7 +69,7 @@ pub enum ServiceError {
 }
 
 impl ServiceError {
-    pub(super) fn full(what: String, no_room: &NoRoom) -> Self {
+    fn full(what: String, no_room: &NoRoom) -> Self {
         Self::Full {
             mount: no_room.mount.display().to_string(),
             what,
@@ -86,7 +91,7 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     };
     let room = Room::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
-    room.ask(room::daemon_bytes().saturating_sub(room.taken_bytes()))
+    room.ask(daemon_bytes().saturating_sub(room.taken_bytes()))
         .map_err(|no_room| ServiceError::full("the daemon".to_owned(), &no_room))?;
     let mut config = location
         .iceoryx2_config()

@@ -1,0 +1,94 @@
+use cdcr_shared_types::Incident;
+use rtrb::{Consumer, Producer, RingBuffer};
+use triple_buffer::{Input, Output, triple_buffer};
+
+use super::{CycleInputs, CycleRecord, CycleReport, CycleRequest, Settings, Summary};
+use crate::rt::record_ring::{RecordReceiver, RecordSender, record_ring};
+
+/// Requests that one cycle carries out; the rest waits for the next.
+pub const REQUESTS_PER_CYCLE: usize = 4;
+/// Requests that wait for a cycle. One that stops answers all of them.
+pub const REQUESTS_WAITING: usize = 4 * REQUESTS_PER_CYCLE;
+/// Records between cycle and exchange: 0.48 s at 5 ms.
+const RECORDS: usize = 96;
+/// Records between exchange and reporter: 0.64 s at 5 ms.
+const REPORTS: usize = 128;
+/// Summaries between reporter and supervisor: 5 s at 5 ms.
+const SUMMARIES: usize = 1024;
+/// Bad cycles between reporter and supervisor.
+const INCIDENTS: usize = 16;
+
+/// Ends of the cycle thread.
+#[derive(Debug)]
+pub struct CycleEnds {
+    /// Newest inputs.
+    pub inputs: Output<CycleInputs>,
+    /// Requests.
+    pub requests: Consumer<CycleRequest>,
+    /// Records.
+    pub records: RecordSender<CycleRecord>,
+}
+
+/// Ends of the exchange thread.
+#[derive(Debug)]
+pub struct ExchangeEnds {
+    /// Newest inputs.
+    pub inputs: Input<CycleInputs>,
+    /// Requests.
+    pub requests: Producer<CycleRequest>,
+    /// Records.
+    pub records: RecordReceiver<CycleRecord>,
+    /// Records with what belongs to them.
+    pub reports: Producer<CycleReport>,
+}
+
+/// Ends of the reporter thread.
+#[derive(Debug)]
+pub struct ReporterEnds {
+    /// Records with what belongs to them.
+    pub reports: Consumer<CycleReport>,
+    /// Summaries.
+    pub summaries: Producer<Summary>,
+    /// Bad cycles.
+    pub incidents: Producer<Incident>,
+}
+
+/// Ends of the supervisor.
+#[derive(Debug)]
+pub struct SupervisorEnds {
+    /// Summaries.
+    pub summaries: Consumer<Summary>,
+    /// Bad cycles.
+    pub incidents: Consumer<Incident>,
+}
+
+/// The channels between cycle, exchange, reporter and supervisor.
+pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, SupervisorEnds) {
+    let (input, output) = triple_buffer(&CycleInputs::new(settings));
+    let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
+    let (record_in, record_out) = record_ring(RECORDS);
+    let (report_in, report_out) = RingBuffer::new(REPORTS);
+    let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
+    let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
+    let cycle = CycleEnds {
+        inputs: output,
+        requests: request_out,
+        records: record_in,
+    };
+    let exchange = ExchangeEnds {
+        inputs: input,
+        requests: request_in,
+        records: record_out,
+        reports: report_in,
+    };
+    let reporter = ReporterEnds {
+        reports: report_out,
+        summaries: summary_in,
+        incidents: incident_in,
+    };
+    let supervisor = SupervisorEnds {
+        summaries: summary_out,
+        incidents: incident_out,
+    };
+    (cycle, exchange, reporter, supervisor)
+}

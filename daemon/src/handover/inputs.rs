@@ -1,0 +1,82 @@
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::reference::ReferenceWindow;
+use cdcr_controller::safety::{LeaseState, Refusal, Request};
+
+use super::Settings;
+use crate::obstacles::ObstacleSet;
+
+/// A measurement with its time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedMeasurement {
+    /// What was measured.
+    pub measurement: Measurement,
+    /// When \[ns\].
+    pub measured_ns: u64,
+}
+
+/// Everything that one gather found out, as one consistent whole.
+#[derive(Debug, Clone)]
+pub struct CycleInputs {
+    /// Number of the gather; 0: there was none yet.
+    pub gather: u64,
+    /// Its time \[ns\].
+    pub gather_ns: u64,
+    /// The reference on the grid.
+    pub window: ReferenceWindow,
+    /// The reference lease.
+    pub lease: LeaseState,
+    /// Stops that were asked for so far. When it has grown, the cycle stops whatever else waits in the ring.
+    pub stops: u64,
+    /// Times that the machine slept (suspend to memory or disk) so far. When it has grown, the cycle stops.
+    pub suspends: u64,
+    /// The source of the obstacles is silent, and the configuration wants the robot to hold then.
+    pub obstacle_source_silent: bool,
+    /// The driver's newest measurement.
+    pub measurement: Option<TimedMeasurement>,
+    /// The obstacles, each at its own stamp.
+    pub obstacles: ObstacleSet,
+    /// What the exchange took of the core in a period, of late \[ns\].
+    pub exchange_ns: u64,
+    /// The settings in force, checked.
+    pub settings: Settings,
+    /// Grows with each change of the settings.
+    pub settings_revision: u64,
+}
+
+impl CycleInputs {
+    /// Before the first gather.
+    pub fn new(settings: Settings) -> Self {
+        Self {
+            gather: 0,
+            gather_ns: 0,
+            window: ReferenceWindow::default(),
+            lease: LeaseState::Free,
+            stops: 0,
+            suspends: 0,
+            obstacle_source_silent: false,
+            measurement: None,
+            obstacles: ObstacleSet::default(),
+            exchange_ns: 0,
+            settings,
+            settings_revision: 0,
+        }
+    }
+}
+
+/// A request on its way to the cycle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CycleRequest {
+    /// Its ticket: the exchange finds the waiting client by it.
+    pub ticket: u64,
+    /// What is asked.
+    pub request: Request,
+}
+
+/// What became of it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct CycleAnswer {
+    /// Ticket of the request.
+    pub ticket: u64,
+    /// Taken, or why not.
+    pub outcome: Result<(), Refusal>,
+}
