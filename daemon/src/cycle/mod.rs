@@ -23,7 +23,7 @@ use nalgebra::Vector3;
 
 use crate::accounting::Accounting;
 use crate::config::{Interface, Validated, ns};
-use crate::core_budget::{CoreBudget, Costs, RecentCosts, after_solve_max_ns};
+use crate::core_budget::{CoreBudget, Costs, RecentCosts};
 use crate::handover::{
     CycleAnswer, CycleInputs, CycleRecord, CycleRequest, Policy, REQUESTS_PER_CYCLE,
     REQUESTS_WAITING, Settings, TimedMeasurement,
@@ -248,10 +248,7 @@ impl<L: RobotLink> Cycle<L> {
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = Costs {
-            after_solve_ns: self
-                .costs_after_solve
-                .high_ns()
-                .min(after_solve_max_ns(self.period_ns)),
+            after_solve_ns: self.costs_after_solve.high_by_clock_ns(),
             exchange_ns: inputs.exchange_ns,
         };
         self.solve_until_ns = 0;

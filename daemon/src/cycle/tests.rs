@@ -507,12 +507,18 @@ fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
     // 92.5 % of the period from the start, which is 0.02 ms late.
     assert_eq!(until_ns(&record), 4_625_000 + 20_000 - 280_100 - 150_000);
     assert!(record.solve_end_ns <= record.solve_until_ns);
-    for _ in 0..4 {
+    // Many long ones are stalls, too, until they are a quarter.
+    for turn in 1..200 {
         trial.turn();
-        trial.rest_after(9_000_000);
+        trial.rest_after(if turn % 5 == 0 { 9_000_000 } else { 280_000 });
     }
-    // Many long ones are stalls, too: they take no more than a quarter of the period, and half as much again.
-    assert_eq!(until_ns(&trial.turn()), 5_000_000 - 1_875_000);
+    assert_eq!(trial.turn().costs.after_solve_ns, 280_100);
+    // What is no stall counts in full, and half as much again is left.
+    for _ in 0..200 {
+        trial.turn();
+        trial.rest_after(1_500_000);
+    }
+    assert_eq!(until_ns(&trial.turn()), 5_000_000 - 3 * 1_500_100 / 2);
 }
 
 #[test]

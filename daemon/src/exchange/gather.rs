@@ -85,7 +85,7 @@ impl Exchange {
             self.settings.nmpc.horizon_steps as usize,
         );
         inputs.lease = self.lease.state(now_ns);
-        inputs.exchange_ns = self.own_costs.high_ns();
+        inputs.exchange_ns = self.own_costs.high_on_core_ns();
         inputs.measurement = self.measurement;
         inputs.obstacles = self.obstacles;
         let sources = &self.obstacle_sources;
