@@ -7,6 +7,8 @@
 //!        look:    requests once more, just before the release }
 //! ```
 //!
+//! What clients bring is taken in by a desk each: `references`, `measurements`, `obstacles`, `settings`, `requests`.
+//!
 //! It runs on the core of the cycle at a lower priority, so the cycle pre-empts it, and whatever a
 //! client does (connect, flood, stop reading) costs time here and not there. Everything that it reads
 //! has a limit per gather, and writers are served in turn. Who only watches costs nothing here, readers of commands excepted: that is the
@@ -16,33 +18,37 @@ mod bound_driver;
 mod events;
 mod gather;
 mod lease;
+mod measurements;
 mod obstacle_sources;
+mod obstacles;
+mod own_costs;
 mod publish;
+mod references;
 mod requests;
+mod settings;
 
 use std::thread::Thread;
 use std::time::Duration;
 
-use cdcr_controller::reference::Trajectory;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Header;
 use cdcr_shared_types::codes::Mode;
-use cdcr_shared_types::limits::{EVENTS_MAX, REFERENCE_POINTS_MAX};
+use cdcr_shared_types::limits::EVENTS_MAX;
 
-use crate::config::{Interface, LinkKind, Validated, ns};
-use crate::core_budget::RecentCosts;
-use crate::handover::{ExchangeEnds, REQUESTS_PER_CYCLE, Settings, Shared, TimedMeasurement};
-use crate::obstacles::ObstacleSet;
+use crate::config::{Validated, ns};
+use crate::handover::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::SchedulerLooks;
 use crate::rt::suspend::SuspendWatch;
 use crate::services::Ports;
-use bound_driver::BoundDriver;
 use events::Events;
-use lease::Lease;
-use obstacle_sources::ObstacleSources;
-use requests::Waiting;
+use measurements::Measurements;
+use obstacles::Obstacles;
+use own_costs::OwnCosts;
+use references::References;
+use requests::RequestDesk;
+use settings::SettingsInForce;
 
 /// The exchange of one daemon.
 #[derive(Debug)]
@@ -50,51 +56,34 @@ pub struct Exchange {
     ports: Ports,
     ends: ExchangeEnds,
     robot: Robot,
-    has_driver: bool,
     period_ns: u64,
     gather_lead_ns: u64,
-    interface: Interface,
-    trajectory: Trajectory,
-    lease: Lease,
-    last_chunk: Option<LastChunk>,
-    /// A measurement that is older than this when it arrives is refused \[ns\].
-    measurement_timeout_ns: u64,
-    driver: BoundDriver,
-    measurement: Option<TimedMeasurement>,
-    obstacles: ObstacleSet,
-    obstacle_sources: ObstacleSources,
-    obstacles_refused: u64,
-    settings: Settings,
-    settings_revision: u64,
-    /// The least safe distance that clients may set: the configured one \[m\].
-    safe_distance_min_m: f64,
-    gather: u64,
-    /// When the newest gather began \[ns\].
-    gather_began_ns: u64,
+    /// How long before its release the cycle thread wakes up \[ns\].
+    spin_ns: u64,
+    references: References,
+    measurements: Measurements,
+    obstacles: Obstacles,
+    settings: SettingsInForce,
+    requests: RequestDesk,
+    /// What became of all that.
     events: Events,
-    waiting: Waiting,
+    /// Number of the newest gather.
+    gather: u64,
+    /// When it began \[ns\].
+    gather_began_ns: u64,
+    /// How long it took \[ns\].
+    gather_took_ns: u64,
     daemon_id: u64,
     commands_sent: u64,
     /// Records so far, also those that the reporter had no room for.
     reports: u64,
-    scheduler: SchedulerLooks,
     last_cycle: u64,
     last_mode: Mode,
-    /// Stops that were asked for so far.
-    stops: u64,
+    scheduler: SchedulerLooks,
+    own_costs: OwnCosts,
     suspend_watch: SuspendWatch,
     /// Times that the machine slept so far.
     suspends: u64,
-    /// Requests that were carried out since the newest gather began.
-    requests_taken: usize,
-    /// How long the newest gather took \[ns\].
-    gather_took_ns: u64,
-    /// How long before its release the cycle thread wakes up \[ns\].
-    spin_ns: u64,
-    /// What this thread takes of the core in a period.
-    own_costs: RecentCosts,
-    /// Its time on the core until the newest record \[ns\].
-    on_core_ns: u64,
 }
 
 /// The look for requests between a gather and the release of its cycle: a stop that was sent meanwhile need not wait
@@ -130,57 +119,35 @@ const _: () = assert!(
         <= EVENTS_MAX
 );
 
-/// The newest chunk that was accepted.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct LastChunk {
-    client: u64,
-    sequence: u64,
-}
-
 impl Exchange {
     /// The exchange of a validated configuration over `ports`.
     pub fn new(validated: &Validated, ports: Ports, ends: ExchangeEnds, daemon_id: u64) -> Self {
         let config = &validated.config;
-        let period_ns = ns(config.cycle.period_ms);
-        let measurement_timeout_ns = ns(config.link.measurement_timeout_ms);
         Self {
             ports,
             ends,
             robot: validated.robot.clone(),
-            has_driver: config.link.kind == LinkKind::Driver,
-            period_ns,
+            period_ns: ns(config.cycle.period_ms),
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
-            interface: config.link.interface,
-            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, validated.robot.reach_m()),
-            lease: Lease::new(ns(config.reference.lease_ms)),
-            last_chunk: None,
-            measurement_timeout_ns,
-            driver: BoundDriver::new(measurement_timeout_ns),
-            measurement: None,
-            obstacles: ObstacleSet::default(),
-            obstacle_sources: ObstacleSources::new(&config.obstacles),
-            obstacles_refused: 0,
-            settings: Settings::new(config),
-            settings_revision: 0,
-            safe_distance_min_m: config.controller.safe_distance_m,
+            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            references: References::new(&validated.robot, ns(config.reference.lease_ms)),
+            measurements: Measurements::new(config),
+            obstacles: Obstacles::new(&config.obstacles),
+            settings: SettingsInForce::new(config),
+            requests: RequestDesk::new(),
+            events: Events::new(),
             gather: 0,
             gather_began_ns: 0,
-            events: Events::new(),
-            waiting: Waiting::new(),
+            gather_took_ns: 0,
             daemon_id,
             commands_sent: 0,
             reports: 0,
-            scheduler: SchedulerLooks::default(),
             last_cycle: 0,
             last_mode: Mode::Starting,
-            stops: 0,
+            scheduler: SchedulerLooks::default(),
+            own_costs: OwnCosts::default(),
             suspend_watch: SuspendWatch::default(),
             suspends: 0,
-            requests_taken: 0,
-            gather_took_ns: 0,
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
-            own_costs: RecentCosts::default(),
-            on_core_ns: 0,
         }
     }
 

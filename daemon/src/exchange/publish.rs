@@ -48,15 +48,8 @@ impl Exchange {
         }
         shared.count_dropped_records(self.ends.records.lost() - lost);
         if scheduling.is_some() {
-            self.note_own_cost(clock);
+            self.own_costs.note(clock.on_core_ns());
         }
-    }
-
-    /// What this thread took of the core since the record before.
-    fn note_own_cost(&mut self, clock: &impl Clock) {
-        let before_ns = core::mem::replace(&mut self.on_core_ns, clock.on_core_ns());
-        self.own_costs
-            .note(self.on_core_ns.saturating_sub(before_ns));
     }
 
     /// The command of `record`. It leaves if the record is the newest, the robot's configuration is known, and the command
@@ -94,10 +87,10 @@ impl Exchange {
             dropped_events: self.events.dropped(),
             outcomes: *self.events.outcomes(),
             gather_took_ns: self.gather_took_ns,
-            lease_holder: self.lease.holder(now_ns).unwrap_or(0),
-            reference_end_ns: self.trajectory.end_ns().unwrap_or(0),
-            reference_points: self.trajectory.points_ahead(now_ns) as u32,
-            obstacles_refused: self.obstacles_refused,
+            lease_holder: self.references.holder(now_ns).unwrap_or(0),
+            reference_end_ns: self.references.end_ns().unwrap_or(0),
+            reference_points: self.references.points_ahead(now_ns) as u32,
+            obstacles_refused: self.obstacles.refused(),
         }
     }
 }

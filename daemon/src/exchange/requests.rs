@@ -21,21 +21,47 @@ const REQUEST_AGE_MAX_NS: u64 = 1_000_000_000;
 /// Requests that wait for their cycle.
 const WAITING_MAX: usize = 16;
 
-/// Requests that were handed to the cycle and wait for its answer.
+/// What clients ask: how much of it a gather carries out, and what waits for the cycle.
 #[derive(Debug)]
-pub(super) struct Waiting {
-    asked: Vec<(u64, Asked)>,
+pub(super) struct RequestDesk {
+    waiting: Vec<(u64, Asked)>,
     next_ticket: u64,
     answers_sent: u64,
+    /// Requests that were carried out since the newest gather began.
+    taken: usize,
+    stops: u64,
 }
 
-impl Waiting {
+impl RequestDesk {
     pub(super) fn new() -> Self {
         Self {
-            asked: Vec::with_capacity(WAITING_MAX),
+            waiting: Vec::with_capacity(WAITING_MAX),
             next_ticket: 1,
             answers_sent: 0,
+            taken: 0,
+            stops: 0,
         }
+    }
+
+    /// A new gather may carry out requests again.
+    pub(super) fn begin_gather(&mut self) {
+        self.taken = 0;
+    }
+
+    /// Stops that were asked for so far.
+    pub(super) fn stops(&self) -> u64 {
+        self.stops
+    }
+
+    fn has_room(&self) -> bool {
+        self.waiting.len() < WAITING_MAX
+    }
+
+    /// The client that waits with `ticket`.
+    fn take_out(&mut self, ticket: u64) -> Option<Asked> {
+        let mut waiting = self.waiting.iter();
+        let at = waiting.position(|(waiting, _)| *waiting == ticket)?;
+        Some(self.waiting.swap_remove(at).1)
     }
 }
 
@@ -49,8 +75,8 @@ impl Exchange {
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
                 self.pass_stop_on(asked, now_ns);
-            } else if self.requests_taken < REQUESTS_PER_GATHER {
-                self.requests_taken += 1;
+            } else if self.requests.taken < REQUESTS_PER_GATHER {
+                self.requests.taken += 1;
                 self.take_request(asked, now_ns, shared);
             } else {
                 self.answer_now(&asked, Outcome::Busy, now_ns);
@@ -62,9 +88,8 @@ impl Exchange {
     /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no
     /// room for the cycle's answer, it is answered now.
     fn pass_stop_on(&mut self, asked: Asked, now_ns: u64) {
-        self.stops += 1;
-        let ring_has_room =
-            self.ends.requests.slots() > 0 && self.waiting.asked.len() < WAITING_MAX;
+        self.requests.stops += 1;
+        let ring_has_room = self.ends.requests.slots() > 0 && self.requests.has_room();
         if ring_has_room {
             self.pass_on(asked, ModeRequest::Stop, now_ns);
         } else {
@@ -92,17 +117,11 @@ impl Exchange {
 
     /// Requests about the mode are the cycle's to decide.
     fn pass_on(&mut self, asked: Asked, request: ModeRequest, now_ns: u64) {
-        let ticket = self.waiting.next_ticket;
-        let has_room = self.waiting.asked.len() < WAITING_MAX;
-        if has_room
-            && self
-                .ends
-                .requests
-                .push(CycleRequest { ticket, request })
-                .is_ok()
-        {
-            self.waiting.next_ticket += 1;
-            self.waiting.asked.push((ticket, asked));
+        let ticket = self.requests.next_ticket;
+        let ring = &mut self.ends.requests;
+        if self.requests.has_room() && ring.push(CycleRequest { ticket, request }).is_ok() {
+            self.requests.next_ticket += 1;
+            self.requests.waiting.push((ticket, asked));
         } else {
             self.answer_now(&asked, Outcome::Busy, now_ns);
         }
@@ -118,43 +137,15 @@ impl Exchange {
     ) -> Outcome {
         let client = request.header.sender_id;
         match kind {
-            RequestKind::AcquireLease => self.acquire_lease(client, now_ns),
-            RequestKind::ReleaseLease if self.lease.release(client, now_ns) => {
-                self.drop_reference();
-                Outcome::Accepted
-            }
-            RequestKind::ReleaseLease => Outcome::NoLease,
-            RequestKind::Settings => match convert::settings_from_wire(&request.settings) {
-                // Nobody who is connected may let the body come nearer than the configuration does.
-                Ok(settings) if settings.nmpc.safe_distance_m < self.safe_distance_min_m => {
-                    Outcome::OutOfRange
-                }
-                Ok(settings) => {
-                    self.settings = settings;
-                    self.settings_revision += 1;
-                    Outcome::Accepted
-                }
-                Err(outcome) => outcome,
-            },
+            RequestKind::AcquireLease => self.references.acquire_lease(client, now_ns),
+            RequestKind::ReleaseLease => self.references.release_lease(client, now_ns),
+            RequestKind::Settings => self.settings.change(&request.settings),
             RequestKind::ResetStatistics => {
                 shared.reset_statistics();
                 Outcome::Accepted
             }
             _ => Outcome::UnknownCode,
         }
-    }
-
-    /// Who acquires the lease begins without a reference. One that has expired just now, since the gather, has left its
-    /// reference behind.
-    fn acquire_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
-        let renews = self.lease.holder(now_ns) == Some(client);
-        if !self.lease.acquire(client, now_ns) {
-            return Outcome::LeaseHeld;
-        }
-        if !renews {
-            self.drop_reference();
-        }
-        Outcome::Accepted
     }
 
     fn answer_now(&mut self, asked: &Asked, outcome: Outcome, now_ns: u64) {
@@ -168,15 +159,9 @@ impl Exchange {
     /// Answers the requests that a cycle decided.
     pub(super) fn answer_decided(&mut self, record: &CycleRecord, now_ns: u64) {
         for CycleAnswer { ticket, outcome } in record.answers.iter().flatten() {
-            let Some(at) = self
-                .waiting
-                .asked
-                .iter()
-                .position(|(waiting, _)| waiting == ticket)
-            else {
+            let Some(asked) = self.requests.take_out(*ticket) else {
                 continue;
             };
-            let (_, asked) = self.waiting.asked.swap_remove(at);
             let outcome = outcome.map_or_else(convert::refusal, |()| Outcome::Accepted);
             let Request { header, kind, .. } = *asked.payload();
             self.note_request(&header, kind, outcome, record.gather, now_ns);
@@ -190,15 +175,15 @@ impl Exchange {
     }
 
     fn response(&mut self, asked: &Header, outcome: Outcome, now_ns: u64) -> Response {
-        self.waiting.answers_sent += 1;
+        self.requests.answers_sent += 1;
         Response {
-            header: self.header(self.waiting.answers_sent, now_ns),
+            header: self.header(self.requests.answers_sent, now_ns),
             request_sequence: asked.sequence,
             cycle: self.last_cycle,
             outcome: outcome.code(),
             mode: self.last_mode.code(),
-            lease_holder: self.lease.holder(now_ns).unwrap_or(0),
-            lease_left_ns: self.lease.left_ns(now_ns),
+            lease_holder: self.references.holder(now_ns).unwrap_or(0),
+            lease_left_ns: self.references.lease_left_ns(now_ns),
         }
     }
 

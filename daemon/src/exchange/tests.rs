@@ -19,7 +19,7 @@ use iceoryx2::prelude::{Node, ZeroCopySend};
 use super::*;
 use crate::config::Config;
 use crate::cycle::Cycle;
-use crate::handover::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, channels};
+use crate::handover::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels};
 use crate::link::DriverLink;
 use crate::rt::schedule::Release;
 use crate::services;
@@ -405,7 +405,7 @@ fn a_robot_has_one_driver_until_that_is_lost() {
     turn(&mut rig);
     // One that is refused does not keep its place warm: the robot is lost first, then another driver has it.
     let (mut silent_ns, last_ns) = (0, rig.now_ns());
-    while rig.exchange.measurement.unwrap().measured_ns <= last_ns {
+    while rig.exchange.measurements.newest().unwrap().measured_ns <= last_ns {
         silent_ns = rig.now_ns() - last_ns;
         turn(&mut rig);
     }
@@ -414,7 +414,7 @@ fn a_robot_has_one_driver_until_that_is_lost() {
     rig.measure(1, 0.5, 0);
     rig.gather();
     assert_eq!(
-        rig.exchange.measurement.unwrap().measured_ns,
+        rig.exchange.measurements.newest().unwrap().measured_ns,
         rig.now_ns() - PERIOD_NS
     );
 }
@@ -429,7 +429,7 @@ fn another_driver_waits_until_the_cycle_has_seen_that_the_first_is_lost() {
         rig.measure(2, 1.0, 0);
         rig.gather();
     }
-    let last = rig.exchange.measurement.unwrap().measurement;
+    let last = rig.exchange.measurements.newest().unwrap().measurement;
     let bends = [0.5, 0.0, 0.0, 0.0, 0.0, 0.0];
     let first = cdcr_controller::robot::Configuration::from_slice(&bends).unwrap();
     assert_eq!(

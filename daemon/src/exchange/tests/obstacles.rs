@@ -101,7 +101,13 @@ fn who_floods_obstacles_neither_keeps_another_out_nor_makes_a_gather_long() {
         mine.obstacles[0].id = 99;
         rig.obstacles.send_copy(mine).unwrap();
         let mut gathers = 0;
-        while !rig.exchange.obstacles.iter().any(|known| known.id == 99) {
+        while !rig
+            .exchange
+            .obstacles
+            .known()
+            .iter()
+            .any(|known| known.id == 99)
+        {
             flood(&crowd, Service::Obstacles, || message(&rig));
             let before: u64 = rig.exchange.events.outcomes().iter().sum();
             rig.gather();
@@ -136,7 +142,7 @@ fn a_message_that_is_repeated_or_older_than_its_writers_last_is_refused() {
     }
     assert_eq!(rig.gather().obstacles.count(), 1);
     assert_eq!(rig.counted(Outcome::Stale), 2);
-    assert_eq!(rig.exchange.obstacles_refused, 2);
+    assert_eq!(rig.exchange.obstacles.refused(), 2);
     // Two writers of one client come in any order.
     let crowd = rig.crowd(Service::Obstacles);
     crowd[0].send_copy(older).unwrap();

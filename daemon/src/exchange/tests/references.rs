@@ -104,7 +104,7 @@ fn who_floods_references_does_not_keep_out_who_holds_the_lease() {
     }
     rig.references.send_copy(chunk).unwrap();
     let mut gathers = 0;
-    while rig.exchange.last_chunk.is_none() {
+    while !rig.exchange.references.is_fed() {
         flood(&crowd, Service::Reference, || flooding);
         let before = rig.counted(Outcome::NoLease);
         rig.gather();

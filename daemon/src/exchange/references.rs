@@ -1,0 +1,171 @@
+use cdcr_controller::reference::{ReferenceWindow, Trajectory};
+use cdcr_controller::robot::Robot;
+use cdcr_controller::safety::LeaseState;
+use cdcr_shared_types::codes::{ChunkMode, Outcome};
+use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
+use cdcr_shared_types::{Header, ReferenceChunk};
+
+use super::lease::Lease;
+use crate::convert::{self, Refused};
+use crate::rt::schedule::Schedule;
+
+/// The reference, and who may feed it. A reference belongs to its lease: when that ends, so does the reference.
+#[derive(Debug)]
+pub(super) struct References {
+    trajectory: Trajectory,
+    lease: Lease,
+    last_chunk: Option<LastChunk>,
+}
+
+/// The newest chunk that was accepted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct LastChunk {
+    client: u64,
+    sequence: u64,
+}
+
+impl References {
+    /// No reference, and a lease that nobody holds.
+    pub(super) fn new(robot: &Robot, lease_ns: u64) -> Self {
+        Self {
+            trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m()),
+            lease: Lease::new(lease_ns),
+            last_chunk: None,
+        }
+    }
+
+    /// Nobody listened for `unheard_ns` after `heard_ns`: that is no silence of the holder.
+    pub(super) fn extend_lease(&mut self, heard_ns: u64, unheard_ns: u64) {
+        self.lease.extend(heard_ns, unheard_ns);
+    }
+
+    /// Drops the reference of a lease that is over.
+    pub(super) fn end_silent_lease(&mut self, now_ns: u64) {
+        if self.is_fed() && self.holder(now_ns).is_none() {
+            self.drop_reference();
+        }
+    }
+
+    /// Whether a chunk was accepted since the reference was dropped last.
+    pub(super) fn is_fed(&self) -> bool {
+        self.last_chunk.is_some()
+    }
+
+    /// Takes a chunk whole, or refuses it whole.
+    pub(super) fn take(
+        &mut self,
+        chunk: &ReferenceChunk,
+        robot: &Robot,
+        now_ns: u64,
+    ) -> Result<u32, Refused> {
+        let Header {
+            sender_id: client,
+            sequence,
+            ..
+        } = chunk.header;
+        if self.holder(now_ns) != Some(client) {
+            return Err(Refused::whole(Outcome::NoLease));
+        }
+        if chunk.reserved != 0 {
+            return Err(Refused::whole(Outcome::UnknownCode));
+        }
+        let mode =
+            ChunkMode::try_from(chunk.mode).map_err(|_| Refused::whole(Outcome::UnknownCode))?;
+        self.check_sequence(mode, client, sequence)?;
+        let points = convert::reference_points(chunk, robot, now_ns)?;
+        let taken = match mode {
+            ChunkMode::Replace => self.trajectory.replace(points),
+            ChunkMode::Append => self.trajectory.append(points),
+        };
+        taken.map_err(|error| convert::trajectory_refusal(&error))?;
+        self.last_chunk = Some(LastChunk { client, sequence });
+        self.lease.renew(client, now_ns);
+        Ok(0)
+    }
+
+    /// An appended chunk continues the last one without a gap; a new trajectory is newer than it.
+    fn check_sequence(&self, mode: ChunkMode, client: u64, sequence: u64) -> Result<(), Refused> {
+        let last = self.last_chunk.filter(|last| last.client == client);
+        match (mode, last) {
+            (_, Some(last)) if sequence <= last.sequence => Err(Refused::whole(Outcome::Stale)),
+            (ChunkMode::Append, Some(last)) if sequence == last.sequence + 1 => Ok(()),
+            (ChunkMode::Append, _) => Err(Refused::whole(Outcome::SequenceGap)),
+            (ChunkMode::Replace, _) => Ok(()),
+        }
+    }
+
+    /// Who acquires the lease begins without a reference. One that has expired just now, since the gather, has left its
+    /// reference behind.
+    pub(super) fn acquire_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
+        let renews = self.holder(now_ns) == Some(client);
+        if !self.lease.acquire(client, now_ns) {
+            return Outcome::LeaseHeld;
+        }
+        if !renews {
+            self.drop_reference();
+        }
+        Outcome::Accepted
+    }
+
+    /// The holder gives the lease back.
+    pub(super) fn release_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
+        if !self.lease.release(client, now_ns) {
+            return Outcome::NoLease;
+        }
+        self.drop_reference();
+        Outcome::Accepted
+    }
+
+    fn drop_reference(&mut self) {
+        self.trajectory.clear();
+        self.last_chunk = None;
+    }
+
+    /// Forgets what is before the release before `cycle`.
+    pub(super) fn forget_before(&mut self, schedule: &Schedule, cycle: u64) {
+        self.trajectory
+            .forget_before(schedule.release_ns(cycle.saturating_sub(1)));
+    }
+
+    /// Samples the reference at the releases from `cycle` on.
+    pub(super) fn fill(
+        &self,
+        window: &mut ReferenceWindow,
+        schedule: &Schedule,
+        cycle: u64,
+        horizon: usize,
+    ) {
+        window.fill(
+            &self.trajectory,
+            cycle,
+            schedule.release_ns(cycle),
+            schedule.period_ns(),
+            horizon,
+        );
+    }
+
+    /// The client that holds the lease.
+    pub(super) fn holder(&self, now_ns: u64) -> Option<u64> {
+        self.lease.holder(now_ns)
+    }
+
+    /// How long the lease still runs \[ns\].
+    pub(super) fn lease_left_ns(&self, now_ns: u64) -> u64 {
+        self.lease.left_ns(now_ns)
+    }
+
+    /// The lease as the cycle sees it.
+    pub(super) fn lease_state(&self, now_ns: u64) -> LeaseState {
+        self.lease.state(now_ns)
+    }
+
+    /// Time of the last point \[ns\].
+    pub(super) fn end_ns(&self) -> Option<u64> {
+        self.trajectory.end_ns()
+    }
+
+    /// Points that are still ahead.
+    pub(super) fn points_ahead(&self, now_ns: u64) -> usize {
+        self.trajectory.points_ahead(now_ns)
+    }
+}

@@ -1,0 +1,43 @@
+use cdcr_shared_types::SolverSettings;
+use cdcr_shared_types::codes::Outcome;
+
+use crate::config::Config;
+use crate::convert;
+use crate::handover::Settings;
+
+/// The settings in force, which clients may change.
+#[derive(Debug)]
+pub(super) struct SettingsInForce {
+    /// The settings.
+    pub(super) settings: Settings,
+    /// Grows with each change.
+    pub(super) revision: u64,
+    /// The least safe distance that clients may set: the configured one \[m\].
+    safe_distance_min_m: f64,
+}
+
+impl SettingsInForce {
+    /// Those of the configuration.
+    pub(super) fn new(config: &Config) -> Self {
+        Self {
+            settings: Settings::new(config),
+            revision: 0,
+            safe_distance_min_m: config.controller.safe_distance_m,
+        }
+    }
+
+    /// Nobody who is connected may let the body come nearer than the configuration does.
+    pub(super) fn change(&mut self, wanted: &SolverSettings) -> Outcome {
+        match convert::settings_from_wire(wanted) {
+            Ok(settings) if settings.nmpc.safe_distance_m < self.safe_distance_min_m => {
+                Outcome::OutOfRange
+            }
+            Ok(settings) => {
+                self.settings = settings;
+                self.revision += 1;
+                Outcome::Accepted
+            }
+            Err(outcome) => outcome,
+        }
+    }
+}
