@@ -135,11 +135,8 @@ fn run_with<L: RobotLink + Send + 'static>(
         go_before_ordinary_tasks();
     }
     // Here, because it inherits what this thread was given: a core beside the loop, and its priority.
-    let watch = instance.watch(&validated.config.robot.name);
-    let caretaker = match watch
-        .map_err(anyhow::Error::from)
-        .and_then(|place| Caretaker::start(place, Arc::clone(&shared)))
-    {
+    let place = instance.watch(&validated.config.robot.name);
+    let caretaker = match Caretaker::start(place, Arc::clone(&shared)) {
         Ok(caretaker) => caretaker,
         Err(error) => {
             give_up([cycle, exchange, reporter]);

@@ -85,15 +85,7 @@ impl ExitCause {
             }
             match cause.downcast_ref::<InstanceError>() {
                 Some(InstanceError::Runs { .. }) => return Some(Self::AlreadyRuns),
-                Some(
-                    InstanceError::ForeignRoot { .. }
-                    | InstanceError::ForeignLink { .. }
-                    | InstanceError::OpenRoot { .. }
-                    | InstanceError::RootOnDisk { .. }
-                    | InstanceError::GroupOfRoot { .. }
-                    | InstanceError::GroupRoot { .. }
-                    | InstanceError::File { .. },
-                ) => return Some(Self::Root),
+                Some(_) => return Some(Self::Root),
                 None => {}
             }
             if cause.is::<ConfigError>() {

@@ -30,6 +30,9 @@ const LOOK_MAX: Duration = Duration::from_millis(200);
 pub struct Instance {
     path: PathBuf,
     location: Location,
+    /// The root folder, locked: who may use it does not change.
+    root: Arc<File>,
+    group_id: Option<u32>,
     locked: Arc<Mutex<File>>,
     /// Taken for as long as the process lives, whatever becomes of the files.
     name: Option<Arc<UnixListener>>,
@@ -89,6 +92,22 @@ pub enum InstanceError {
         /// Its permissions.
         mode: u32,
     },
+    /// Another daemon lives in the root folder, and other users may use it than this one wants.
+    #[error(
+        "the root folder {root} is {access}, and others run in it: {daemons}\nthis daemon, with transport.group = {group}, \
+         would change for them who may use it: give all daemons of a root folder the same group, end the others first, or choose \
+         another with --root"
+    )]
+    RootInUse {
+        /// Root folder.
+        root: String,
+        /// Who may use it now.
+        access: &'static str,
+        /// Robots and processes.
+        daemons: String,
+        /// Whom this one wants to let in.
+        group: String,
+    },
     /// The root folder is not in memory.
     #[error(
         "the root folder {root} lies on a disk, and the system would hold up the daemon to write shared memory to it\n\
@@ -136,7 +155,7 @@ impl Instance {
         robot: &str,
         group_id: Option<u32>,
     ) -> Result<Self, InstanceError> {
-        root::prepare(location, group_id)?;
+        let root = root::prepare(location, robot, group_id)?;
         let name = name::take(location, robot)?.map(Arc::new);
         let path = location.lock_file(robot);
         let mut locked = lock(&path, location, robot)?;
@@ -146,18 +165,16 @@ impl Instance {
         Ok(Self {
             path,
             location: location.clone(),
+            root: Arc::new(root),
+            group_id,
             locked: Arc::new(Mutex::new(locked)),
             name,
         })
     }
 
     /// What has to stay where it is for as long as the daemon of `robot` runs. Call it when the services are there.
-    ///
-    /// # Errors
-    /// [`InstanceError::File`] when the root folder is gone already.
-    pub(crate) fn watch(&self, robot: &str) -> Result<PlaceWatch, InstanceError> {
-        let (locked, name) = (Arc::clone(&self.locked), self.name.clone());
-        PlaceWatch::new(&self.location, robot, locked, name)
+    pub(crate) fn watch(&self, robot: &str) -> PlaceWatch {
+        PlaceWatch::new(self, robot)
     }
 }
 
@@ -269,7 +286,7 @@ mod tests {
     fn a_link_in_the_place_of_the_lock_file_is_not_followed() {
         let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
         let location = Location::new("cdcrtest_lock_", &folder.path().join("root")).unwrap();
-        root::prepare(&location, None).unwrap();
+        root::prepare(&location, "a", None).unwrap();
         let elsewhere = folder.path().join("elsewhere");
         std::fs::write(&elsewhere, "theirs").unwrap();
         std::os::unix::fs::symlink(&elsewhere, location.lock_file("a")).unwrap();

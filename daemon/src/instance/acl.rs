@@ -1,40 +1,59 @@
-//! The access control list of the root folder: for its owner alone, or for a group as well. See `acl(5)`.
+//! Who may use the root folder: its owner alone, or a group as well, by an access control list. See `acl(5)`.
 
+use std::fs::{File, Permissions};
 use std::io::Result;
-use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
+use std::os::unix::fs::{MetadataExt, PermissionsExt};
 
-use rustix::fs::{XattrFlags, getxattr, removexattr, setxattr};
+use rustix::fs::{XattrFlags, fgetxattr, fremovexattr, fsetxattr};
 use rustix::io::Errno;
 
 /// Name of the list.
 const ACCESS: &str = "system.posix_acl_access";
 
-/// Whether the folder is open to its owner and the group, and to nobody else.
-pub(super) fn is_for_group(folder: &Path, group_id: u32) -> bool {
-    let list = list(group_id);
-    let mut found = vec![0; list.len() + 1];
-    getxattr(folder, ACCESS, &mut found).is_ok_and(|length| found[..length] == list)
-}
-
-/// Opens the folder to a group.
-pub(super) fn open_to_group(folder: &Path, group_id: u32) -> Result<()> {
-    setxattr(folder, ACCESS, &list(group_id), XattrFlags::empty())?;
-    Ok(())
-}
-
-/// Closes the folder to all but its owner.
-pub(super) fn close(folder: &Path) -> Result<()> {
-    match removexattr(folder, ACCESS) {
-        // There is none, or the file system has no lists.
-        Ok(()) | Err(Errno::NODATA | Errno::OPNOTSUPP) => {}
-        Err(error) => return Err(error.into()),
+/// Whether the folder is open to its owner and `group_id`, and to nobody else.
+pub(super) fn is_for(folder: &File, group_id: Option<u32>) -> bool {
+    let has_mode = |mode| {
+        let found = folder.metadata().map(|folder| folder.mode() & 0o7777);
+        found.is_ok_and(|found| found == mode)
+    };
+    match group_id {
+        None => has_mode(0o700) && list_of(folder).is_empty(),
+        Some(group_id) => has_mode(0o770) && list_of(folder) == list_for(group_id),
     }
-    std::fs::set_permissions(folder, PermissionsExt::from_mode(0o700))
 }
+
+/// Opens the folder to its owner and `group_id`, and to nobody else, not even for a moment.
+pub(super) fn set_for(folder: &File, group_id: Option<u32>) -> Result<()> {
+    let Some(group_id) = group_id else {
+        // In this order: without the list the mode counts.
+        folder.set_permissions(Permissions::from_mode(0o700))?;
+        return match fremovexattr(folder, ACCESS) {
+            // There is none, or the file system has no lists.
+            Ok(()) | Err(Errno::NODATA | Errno::OPNOTSUPP) => Ok(()),
+            Err(error) => Err(error.into()),
+        };
+    };
+    fsetxattr(folder, ACCESS, &list_for(group_id), XattrFlags::empty())?;
+    folder.set_permissions(Permissions::from_mode(0o770))
+}
+
+/// The list of the folder; empty where it has none but its mode.
+fn list_of(folder: &File) -> Vec<u8> {
+    let mut list = vec![0; LONGEST];
+    match fgetxattr(folder, ACCESS, &mut list) {
+        Ok(length) => list.truncate(length),
+        Err(Errno::NODATA | Errno::OPNOTSUPP) => list.clear(),
+        // Longer than any of ours, or unreadable: none of ours.
+        Err(_) => {}
+    }
+    list
+}
+
+/// Room for a list \[bytes\]; one of ours has 44.
+const LONGEST: usize = 256;
 
 /// The owner and the group may do everything, all others nothing (`linux/posix_acl_xattr.h`).
-fn list(group_id: u32) -> Vec<u8> {
+fn list_for(group_id: u32) -> Vec<u8> {
     const VERSION: u32 = 2;
     const NOBODY_NAMED: u32 = u32::MAX;
     let (owner, owners_group, group, mask, others): (u16, u16, u16, u16, u16) =

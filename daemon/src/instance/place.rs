@@ -1,16 +1,15 @@
 //! Whether clients still find this daemon: what they look for lies in files, which anybody with the right to can delete.
 
-use std::fs::{File, Metadata, Permissions};
-use std::os::unix::fs::{MetadataExt, PermissionsExt};
+use std::fs::File;
+use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use cdcr_shared_types::{Location, Service};
 use iceoryx2::service::messaging_pattern::MessagingPattern;
-use rustix::fs::{FlockOperation, flock};
 
-use super::{InstanceError, file_error, is_file_at, lock, write_process_id};
+use super::{Instance, acl, file_error, is_file_at, lock, write_process_id};
 use crate::exchange::remains;
 
 /// What clients need to find a daemon, as it was when the daemon began.
@@ -18,9 +17,9 @@ use crate::exchange::remains;
 pub(crate) struct PlaceWatch {
     location: Location,
     robot: String,
-    root: File,
-    /// Who may use it.
-    mode: u32,
+    root: Arc<File>,
+    /// Who may use it beside its owner.
+    group_id: Option<u32>,
     lock: Arc<Mutex<File>>,
     name: Option<Arc<UnixListener>>,
     services: Vec<(PathBuf, Option<u64>)>,
@@ -44,39 +43,31 @@ pub(crate) enum Found {
 const LET_GO_MAX: usize = 256;
 
 impl PlaceWatch {
-    pub(super) fn new(
-        location: &Location,
-        robot: &str,
-        lock: Arc<Mutex<File>>,
-        name: Option<Arc<UnixListener>>,
-    ) -> Result<Self, InstanceError> {
-        let failed = |cause| file_error(location.root(), cause);
-        let root = File::open(location.root()).map_err(failed)?;
-        Ok(Self {
-            mode: root.metadata().map_err(failed)?.mode(),
-            root,
+    pub(super) fn new(instance: &Instance, robot: &str) -> Self {
+        let location = &instance.location;
+        Self {
             location: location.clone(),
             robot: robot.to_owned(),
-            lock,
-            name,
+            root: Arc::clone(&instance.root),
+            group_id: instance.group_id,
+            lock: Arc::clone(&instance.locked),
+            name: instance.name.clone(),
             services: service_files(location, robot)
                 .map(|path| {
                     let inode = inode(&path);
                     (path, inode)
                 })
                 .collect(),
-        })
+        }
     }
 
     /// Looks whether the files are those of the beginning, and makes the lock file again where it is missing.
     pub(crate) fn look(&self) -> Found {
-        // Programs that delete old files leave a locked folder alone. Another one may have it for a moment.
-        let _ = flock(&self.root, FlockOperation::NonBlockingLockShared);
         if !is_file_at(&self.root, self.location.root()) {
             let path = self.location.root().to_owned();
             return Found::Lost { path };
         }
-        self.look_at_mode();
+        self.look_at_access();
         let missing = self
             .services
             .iter()
@@ -89,15 +80,12 @@ impl PlaceWatch {
     }
 
     /// Closes the folder again where somebody opened it: nothing else keeps others from the files in it.
-    fn look_at_mode(&self) {
-        let is_changed = |root: Metadata| root.mode() != self.mode;
-        if self.root.metadata().is_ok_and(is_changed) {
-            let mended = self
-                .root
-                .set_permissions(Permissions::from_mode(self.mode & 0o7777));
+    fn look_at_access(&self) {
+        if !acl::is_for(&self.root, self.group_id) {
+            let mended = acl::set_for(&self.root, self.group_id);
             tracing::warn!(
                 ?mended,
-                "the permissions of the root folder were changed: set back"
+                "who may use the root folder was changed, by its mode or its access control list: set back"
             );
         }
     }
@@ -156,4 +144,46 @@ fn service_files(location: &Location, robot: &str) -> impl Iterator<Item = PathB
         let name = service.name(robot).ok()?;
         Some(remains::service_file(config.as_ref()?, &name, pattern))
     })
+}
+
+#[cfg(test)]
+#[allow(
+    clippy::unwrap_used,
+    reason = "in a test a panic is the report, in its helpers, too"
+)]
+mod tests {
+    use std::fs::Permissions;
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    /// Whom nobody has to know.
+    const GROUP: u32 = 64_321;
+
+    #[test]
+    fn whoever_changes_who_may_use_the_folder_it_is_set_back_and_stays_locked() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let location = Location::new("cdcrtest_place_", &folder.path().join("root")).unwrap();
+        let instance = Instance::claim(&location, "a", None).unwrap();
+        let mut watch = instance.watch("a");
+        for group_id in [None, Some(GROUP)] {
+            watch.group_id = group_id;
+            let assert_set_back = || {
+                assert_eq!(watch.look(), Found::Whole);
+                assert!(acl::is_for(&watch.root, group_id), "{group_id:?}");
+            };
+            let open = Permissions::from_mode(0o777);
+            watch.root.set_permissions(open).unwrap();
+            assert_set_back();
+            // Of a folder with a list, the mode stays the same.
+            acl::set_for(&watch.root, Some(GROUP + 1)).unwrap();
+            assert_set_back();
+            acl::set_for(&watch.root, None).unwrap();
+            assert_set_back();
+        }
+        let another = File::open(location.root()).unwrap();
+        assert!(another.try_lock().is_err());
+        drop((instance, watch));
+        another.try_lock().unwrap();
+    }
 }

@@ -1,11 +1,12 @@
-use std::fs::{DirBuilder, Metadata, Permissions};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, PermissionsExt};
+use std::fs::{DirBuilder, File, Permissions, TryLockError};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::Path;
+use std::time::Duration;
 
 use cdcr_shared_types::Location;
-use rustix::fs::statfs;
+use rustix::fs::{FlockOperation, OFlags, flock, statfs};
 
-use super::{InstanceError, acl, file_error};
+use super::{InstanceError, acl, file_error, owner_of, runs_already};
 
 /// Write permission of group and others.
 const OPEN_TO_WRITE: u32 = 0o022;
@@ -13,19 +14,28 @@ const OPEN_TO_WRITE: u32 = 0o022;
 /// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
 const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
 
+/// How often the folder is tried that others have locked.
+const TRIES: usize = 20;
+/// Between two tries.
+const TRY_AGAIN: Duration = Duration::from_millis(10);
+
 /// Makes the root folder if it is missing, and sees that it is in memory, and was ours alone to write to, or the group's: who
 /// may write there can put files in our way, or take them away from our clients. Then closes it to all others: it alone
-/// keeps them from the files in it.
-pub(super) fn prepare(location: &Location, group_id: Option<u32>) -> Result<(), InstanceError> {
+/// keeps them from the files in it. As long as the file that it returns is open, no daemon changes who may use the folder.
+pub(super) fn prepare(
+    location: &Location,
+    robot: &str,
+    group_id: Option<u32>,
+) -> Result<File, InstanceError> {
     let root = location.root();
+    let failed = |cause| file_error(root, cause);
     DirBuilder::new()
         .recursive(true)
         .mode(0o700)
         .create(root)
-        .map_err(|cause| file_error(root, cause))?;
+        .map_err(failed)?;
     let user = rustix::process::geteuid().as_raw();
-    let read = |metadata: std::io::Result<Metadata>| metadata.map_err(|e| file_error(root, e));
-    let link = read(std::fs::symlink_metadata(root))?;
+    let link = std::fs::symlink_metadata(root).map_err(failed)?;
     if link.is_symlink() && link.uid() != user && link.uid() != 0 {
         return Err(InstanceError::ForeignLink {
             root: root.display().to_string(),
@@ -33,22 +43,15 @@ pub(super) fn prepare(location: &Location, group_id: Option<u32>) -> Result<(), 
             user,
         });
     }
-    let folder = read(std::fs::metadata(root))?;
-    if folder.uid() != user {
+    let owner = std::fs::metadata(root).map_err(failed)?.uid();
+    if owner != user {
         return Err(InstanceError::ForeignRoot {
             root: root.display().to_string(),
-            owner: folder.uid(),
+            owner,
             user,
         });
     }
-    let is_for_group = group_id.is_some_and(|group_id| acl::is_for_group(root, group_id));
-    if folder.mode() & OPEN_TO_WRITE != 0 && !is_for_group {
-        return Err(InstanceError::OpenRoot {
-            root: root.display().to_string(),
-            mode: folder.mode() & 0o7777,
-        });
-    }
-    if !is_in_memory(root).map_err(|cause| file_error(root, cause))? {
+    if !is_in_memory(root).map_err(failed)? {
         return Err(InstanceError::RootOnDisk {
             root: root.display().to_string(),
         });
@@ -56,19 +59,97 @@ pub(super) fn prepare(location: &Location, group_id: Option<u32>) -> Result<(), 
     if group_id.is_some() {
         may_share(location)?;
     }
-    let done = match group_id {
-        Some(_) if is_for_group => Ok(()),
-        Some(group_id) => share(root, group_id),
-        None => acl::close(root),
-    };
-    done.map_err(|cause| file_error(root, cause))
+    let folder = File::open(root).map_err(failed)?;
+    settle(&folder, location, robot, group_id)?;
+    Ok(folder)
 }
 
-/// Lets a group in. Nobody else is let in meanwhile.
-fn share(root: &Path, group_id: u32) -> std::io::Result<()> {
-    std::fs::set_permissions(root, Permissions::from_mode(0o700))?;
-    open_folders(root)?;
-    acl::open_to_group(root, group_id)
+/// Sees that the folder is open to the owner and the group alone, and locks it. Each daemon shares the lock for as long as it
+/// lives, and who may use the folder changes only while one daemon has the lock for itself: the files of another one that
+/// lives there have no protection but the folder's.
+fn settle(
+    folder: &File,
+    location: &Location,
+    robot: &str,
+    group_id: Option<u32>,
+) -> Result<(), InstanceError> {
+    for _ in 0..TRIES {
+        let is_shared = flock(folder, FlockOperation::NonBlockingLockShared).is_ok();
+        if is_shared && acl::is_for(folder, group_id) {
+            return Ok(());
+        }
+        if flock(folder, FlockOperation::NonBlockingLockExclusive).is_err() {
+            // A daemon lives here, or is about to; or a program that deletes old files looks.
+            std::thread::sleep(TRY_AGAIN);
+        } else if !acl::is_for(folder, group_id) {
+            change(folder, location, group_id)?;
+        }
+    }
+    Err(in_use(folder, location, robot, group_id))
+}
+
+/// Opens the folder to the group, or closes it, if nobody else can have put anything into it.
+fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(), InstanceError> {
+    let root = location.root();
+    let failed = |cause| file_error(root, cause);
+    let mode = folder.metadata().map_err(failed)?.mode() & 0o7777;
+    if mode & OPEN_TO_WRITE != 0 {
+        let root = root.display().to_string();
+        return Err(InstanceError::OpenRoot { root, mode });
+    }
+    acl::set_for(folder, None).map_err(failed)?;
+    if group_id.is_some() {
+        open_folders(root).map_err(failed)?;
+        acl::set_for(folder, group_id).map_err(failed)?;
+    }
+    Ok(())
+}
+
+/// The refusal of a daemon that would change the folder under others.
+fn in_use(folder: &File, location: &Location, robot: &str, group_id: Option<u32>) -> InstanceError {
+    if let Some(daemon) = location.presence(robot) {
+        let process = daemon.process_id.map(|id| id.to_string());
+        return runs_already(location, robot, process.unwrap_or("unknown".to_owned()));
+    }
+    let is_closed = acl::is_for(folder, None);
+    InstanceError::RootInUse {
+        root: location.root().display().to_string(),
+        access: if is_closed {
+            "closed to all but its user"
+        } else {
+            "open to others"
+        },
+        daemons: living(location),
+        group: group_id.map_or("\"\"".to_owned(), |id| id.to_string()),
+    }
+}
+
+/// The daemons in the root folder, of whatever prefix.
+fn living(location: &Location) -> String {
+    let entries = std::fs::read_dir(location.root()).into_iter().flatten();
+    let locked = entries.flatten().filter_map(|entry| {
+        let name = entry.file_name().into_string().ok()?;
+        let name = name.strip_suffix(".lock")?;
+        // Neither a link nor a pipe in its place leads anywhere.
+        let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits().cast_signed();
+        let mut options = File::options();
+        let mut file = options
+            .read(true)
+            .custom_flags(flags)
+            .open(entry.path())
+            .ok()?;
+        let Err(TryLockError::WouldBlock) = file.try_lock_shared() else {
+            return None;
+        };
+        let robot = name.strip_prefix(location.prefix()).unwrap_or(name);
+        Some(format!("\"{robot}\" (process {})", owner_of(&mut file)))
+    });
+    let mut daemons: Vec<_> = locked.collect();
+    daemons.sort();
+    if daemons.is_empty() {
+        return "another one, which only starts".to_owned();
+    }
+    daemons.join(", ")
 }
 
 /// Whether a group may be let into the root.
@@ -114,9 +195,55 @@ mod tests {
     use super::*;
     use std::fs::set_permissions;
 
-    fn prepare(root: &Path) -> Result<(), InstanceError> {
-        let location = Location::new("cdcrtest_root_", root).expect("a legal place");
-        super::prepare(&location, None)
+    /// Whom nobody has to know.
+    const GROUP: u32 = 64_321;
+
+    fn location(root: &Path) -> Location {
+        Location::new("cdcrtest_root_", root).expect("a legal place")
+    }
+
+    fn prepare(root: &Path) -> Result<File, InstanceError> {
+        super::prepare(&location(root), "a", None)
+    }
+
+    /// Wants the folder to be for `group_id` while the daemon of `robot` lives in it.
+    fn settled_beside(
+        robot: &str,
+        before: Option<u32>,
+        group_id: Option<u32>,
+    ) -> Result<(), InstanceError> {
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let location = location(folder.path());
+        let [of_it, of_another] = [0; 2].map(|_| File::open(location.root()).expect("it is there"));
+        acl::set_for(&of_it, before).expect("it is ours");
+        settle(&of_it, &location, robot, before).expect("it is right");
+        let lock = File::create(location.lock_file(robot)).expect("a lock file");
+        lock.lock().expect("locked");
+        std::fs::write(location.lock_file(robot), "17").expect("its process");
+        let settled = settle(&of_another, &location, "b", group_id);
+        assert!(acl::is_for(&of_it, before), "it is left as it is");
+        drop(of_it);
+        assert!(settle(&of_another, &location, "b", before).is_ok());
+        settled
+    }
+
+    #[test]
+    fn who_may_use_the_folder_does_not_change_under_a_daemon_that_lives_there() {
+        for (before, group_id, access, group) in [
+            (None, Some(GROUP), "closed to all but its user", "64321"),
+            (Some(GROUP), None, "open to others", "\"\""),
+            (Some(GROUP), Some(GROUP + 1), "open to others", "64322"),
+        ] {
+            let error = settled_beside("a", before, group_id).expect_err("another lives there");
+            let text = error.to_string();
+            let group = format!("transport.group = {group}");
+            for part in [access, "\"a\" (process 17)", &group, "--root"] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+            let error = settled_beside("b", before, group_id).expect_err("it runs");
+            assert!(matches!(error, InstanceError::Runs { .. }), "{error}");
+            settled_beside("a", before, before).expect("they agree");
+        }
     }
 
     #[test]

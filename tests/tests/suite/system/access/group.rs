@@ -10,17 +10,21 @@ use std::process::{Command, Output};
 
 use cdcr_shared_types::Location;
 use cdcr_tests::{PATIENT, Place, Program, binary, text, wait_until};
+use rustix::fs::{XattrFlags, getxattr, setxattr};
 use rustix::process::Signal;
 
 use super::stranger::{
     EXIT_ROOT, NOBODY, assert_says, attempts, files_below, have_a_stranger, in_view, of_stranger,
-    open_to_all,
+    open_to_all, stranger,
 };
 
 /// User and group of the daemon. Nobody has to know them.
 const DAEMON: u32 = 64_320;
 /// The group of the robot.
 const GROUP: u32 = 64_321;
+
+/// Its access control list.
+const LIST: &str = "system.posix_acl_access";
 
 /// A root folder as a service manager makes it: the daemon's, in one that is root's.
 struct Shared {
@@ -55,12 +59,23 @@ impl Shared {
 
     fn daemon(&self, root: &Path, group: &str) -> Command {
         let text = format!("{PATIENT}[transport]\ngroup = \"{group}\"\n");
-        let config = self.place.write("robot.toml", &text);
+        let config = self.place.write(&format!("robot{group}.toml"), &text);
         fs::set_permissions(&config, Permissions::from_mode(0o644)).unwrap();
         let mut command = of_stranger(&self.cdcrd, self.place.location().prefix(), root);
         command.uid(DAEMON).gid(DAEMON);
         command.args(["run", "--config"]).arg(config);
         command
+    }
+
+    /// Starts a daemon for the group, or for none, and waits until it runs.
+    fn running(&self, group: &str) -> Program {
+        let daemon = Program::start(&mut self.daemon(&self.root, group));
+        let location = Location::new(self.place.location().prefix(), &self.root).unwrap();
+        wait_until("the daemon runs", || {
+            fs::read_to_string(location.lock_file(cdcr_tests::ROBOT))
+                .is_ok_and(|text| text.trim() == daemon.id().to_string())
+        });
+        daemon
     }
 
     /// Starts the daemon for the group and waits until a member is served.
@@ -167,16 +182,69 @@ fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() 
     let refused = Program::start(&mut shared.daemon(&shared.root, "")).output();
     assert_says(&refused, EXIT_ROOT, &["mode 0770", "chmod go-rwx"]);
     fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
-    let mut daemon = Program::start(&mut shared.daemon(&shared.root, ""));
-    let lock = Location::new(shared.place.location().prefix(), &shared.root).unwrap();
-    wait_until("the daemon runs", || {
-        fs::read_to_string(lock.lock_file(cdcr_tests::ROBOT))
-            .is_ok_and(|text| text.trim() == daemon.id().to_string())
-    });
+    let mut daemon = shared.running("");
     let refusal = shared.asked(GROUP, "status");
     assert_says(&refusal, 1, &["belongs to user 64320"]);
     daemon.signal(Signal::TERM);
     assert_says(&daemon.output(), 0, &[]);
+}
+
+#[test]
+fn who_may_use_a_folder_does_not_change_under_a_daemon() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let group = GROUP.to_string();
+    let other_group = NOBODY.to_string();
+    for (first, second) in [("", &*group), (&group, ""), (&group, &other_group)] {
+        let mut daemon = shared.running(first);
+        let mode = fs::metadata(&shared.root).unwrap().mode();
+        let mut command = shared.daemon(&shared.root, second);
+        let refused = Program::start(command.args(["--robot", "other"])).output();
+        let process = format!("\"{}\" (process {})", cdcr_tests::ROBOT, daemon.id());
+        assert_says(
+            &refused,
+            EXIT_ROOT,
+            &[&process, "transport.group", "--root"],
+        );
+        assert_eq!(fs::metadata(&shared.root).unwrap().mode(), mode);
+        if first.is_empty() {
+            assert_eq!(
+                attempts(&files_below(&shared.root), GROUP),
+                Vec::<String>::new()
+            );
+        }
+        daemon.signal(Signal::TERM);
+        assert_says(&daemon.output(), 0, &[]);
+        // Nobody runs there any more, but who was in the group may have left something.
+        fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
+    }
+}
+
+#[test]
+fn a_list_that_somebody_changed_is_set_back() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let daemon = shared.started();
+    let files = files_below(&shared.root);
+    let mut list = [0; 64];
+    let length = getxattr(&shared.root, LIST, &mut list).unwrap();
+    // Another group in the place of the robot's. The mode is the same.
+    let at = list.windows(4).position(|part| part == GROUP.to_le_bytes());
+    let at = at.expect("the group is in the list");
+    list[at..at + 4].copy_from_slice(&NOBODY.to_le_bytes());
+    setxattr(&shared.root, LIST, &list[..length], XattrFlags::empty()).unwrap();
+    let readable = |group| {
+        let mut reads = stranger("/bin/ls");
+        let read = reads.gid(group).arg(&shared.root).output();
+        read.unwrap().status.success()
+    };
+    wait_until("it is set back", || !readable(NOBODY) && readable(GROUP));
+    assert_eq!(attempts(&files, NOBODY), Vec::<String>::new());
+    drop(daemon);
 }
 
 #[test]
