@@ -118,12 +118,12 @@ pub(crate) enum Task {
     Track,
     /// Stop following and keep the position
     #[command(
-        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until it is commanded to rest"
+        after_help = "Examples:\n  cdcrctl hold\n  cdcrctl hold --wait=5s      until it rests"
     )]
     Hold(WaitOptions),
     /// Move to the straight configuration
     #[command(
-        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        until the robot is there"
+        after_help = "Examples:\n  cdcrctl home\n  cdcrctl home --wait        until the robot is there and rests"
     )]
     Home(WaitOptions),
     /// Stop the robot and latch; only a reset lets it move again
@@ -180,8 +180,8 @@ pub(crate) enum Format {
 /// Options of what takes the robot some time.
 #[derive(Debug, Args)]
 pub(crate) struct WaitOptions {
-    /// Wait until it is done and the robot is commanded to rest, 60s at most or TIME; fail when it takes longer, or something
-    /// else comes between
+    /// Wait until it is done and the robot is measured to rest, 60s at most or TIME; fail when it takes longer, or something
+    /// else comes between. At rest: over 0.2 s no bend moves by more than 0.02 rad/s on average
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
         value_parser = value::curve_duration)]
     pub(crate) wait: Option<Duration>,

@@ -16,6 +16,7 @@ mod obstacle;
 mod request;
 mod settings;
 mod show_status;
+mod standstill;
 mod tip_error;
 mod value;
 mod wait;

@@ -10,6 +10,7 @@ use crate::args::Target;
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
 use crate::request;
+use crate::standstill::Standstill;
 
 /// After this long without a record the daemon counts as silent.
 const QUIET: Duration = Duration::from_secs(1);
@@ -19,8 +20,9 @@ const LOOK: Duration = Duration::from_millis(100);
 /// What a record says of the request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Progress {
-    Under,
-    Done,
+    Moves,
+    /// It is done, and the command is rest.
+    Rests,
     /// Something else came between.
     Lost,
 }
@@ -36,6 +38,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     bar.show_share(0.0);
     let begun = Instant::now();
     let (mut heard, mut first) = (begun, None);
+    let mut standstill = Standstill::default();
     while begun.elapsed() < limit {
         if interrupt.is_raised() {
             drop(bar);
@@ -56,8 +59,14 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
         let left = left(kind, &record);
         bar.show_share(1.0 - left / *first.get_or_insert(left.max(f64::MIN_POSITIVE)));
         match progress(kind, &record) {
-            Progress::Under => {}
-            Progress::Done => return done(bar, kind, &record, &response),
+            Progress::Moves => standstill = Standstill::default(),
+            Progress::Rests => {
+                standstill.note(&record);
+                if standstill.is_at_rest() {
+                    drop(bar);
+                    return done(kind, &record, &response, &standstill);
+                }
+            }
             Progress::Lost => bail!(
                 "{kind}: not done, the daemon is {} because {}; see cdcrctl status",
                 Mode::text_of(record.mode),
@@ -65,21 +74,29 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
             ),
         }
     }
+    if let Some(cycle) = standstill.commanded_cycle() {
+        let moves = standstill.rate_rad_s().map_or_else(
+            || "there are too few new measurements to tell".to_owned(),
+            |rate| format!("a bend moves by {rate:.3} rad/s"),
+        );
+        bail!(
+            "{kind}: commanded to rest since cycle {cycle}, but not measured to rest within {limit:?}: {moves}"
+        );
+    }
     bail!("{kind}: not done within {limit:?}; the robot goes on (cdcrctl hold or stop ends that)")
 }
 
 fn done(
-    bar: Bar,
     kind: RequestKind,
     record: &Telemetry,
     response: &Response,
+    standstill: &Standstill,
 ) -> anyhow::Result<Done> {
-    drop(bar);
     let took_s = (record.cycle - response.cycle) as f64 * record.period_ns as f64 * 1e-9;
     writeln!(
         std::io::stdout(),
-        "{kind}: done, commanded to rest since cycle {}, {took_s:.2} s later",
-        record.cycle
+        "{kind}: done, commanded to rest since cycle {}, measured to rest {took_s:.2} s after the request",
+        standstill.commanded_cycle().unwrap_or(record.cycle)
     )?;
     Ok(Done::Good)
 }
@@ -90,7 +107,7 @@ fn is_later(record: &Telemetry, response: &Response) -> bool {
 }
 
 fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
-    let is_done = match (kind, Mode::try_from(record.mode)) {
+    let rests = match (kind, Mode::try_from(record.mode)) {
         (RequestKind::Home, Ok(Mode::Homing)) => false,
         (RequestKind::Home, Ok(Mode::Holding)) if record.reason != Reason::HomeReached.code() => {
             return Progress::Lost;
@@ -98,10 +115,10 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
         (_, Ok(Mode::Holding)) => record.command.bend_rate_rad_s == [0.0; _],
         _ => return Progress::Lost,
     };
-    if is_done {
-        Progress::Done
+    if rests {
+        Progress::Rests
     } else {
-        Progress::Under
+        Progress::Moves
     }
 }
 
@@ -130,19 +147,19 @@ mod tests {
 
     #[test]
     fn it_is_done_when_the_robot_rests_where_it_was_asked_to() {
-        use Progress::{Done, Lost, Under};
+        use Progress::{Lost, Moves, Rests};
         use Reason::{HomeReached, MeasurementLost, Request};
         for (kind, mode, reason, rate_rad_s, is) in [
-            (RequestKind::Home, Mode::Homing, Request, 0.5, Under),
-            (RequestKind::Home, Mode::Homing, Request, 0.0, Under),
-            (RequestKind::Home, Mode::Holding, HomeReached, -0.1, Under),
-            (RequestKind::Home, Mode::Holding, HomeReached, 0.0, Done),
+            (RequestKind::Home, Mode::Homing, Request, 0.5, Moves),
+            (RequestKind::Home, Mode::Homing, Request, 0.0, Moves),
+            (RequestKind::Home, Mode::Holding, HomeReached, -0.1, Moves),
+            (RequestKind::Home, Mode::Holding, HomeReached, 0.0, Rests),
             (RequestKind::Home, Mode::Holding, Request, 0.0, Lost),
             (RequestKind::Home, Mode::Stopped, Request, 0.0, Lost),
-            (RequestKind::Hold, Mode::Holding, Request, 0.5, Under),
-            (RequestKind::Hold, Mode::Holding, Request, 0.0, Done),
+            (RequestKind::Hold, Mode::Holding, Request, 0.5, Moves),
+            (RequestKind::Hold, Mode::Holding, Request, 0.0, Rests),
             (RequestKind::Hold, Mode::Tracking, Request, 0.0, Lost),
-            (RequestKind::Reset, Mode::Holding, Request, 0.0, Done),
+            (RequestKind::Reset, Mode::Holding, Request, 0.0, Rests),
             (
                 RequestKind::Reset,
                 Mode::Faulted,

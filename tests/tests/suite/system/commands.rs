@@ -1,8 +1,14 @@
 //! What `cdcrctl` says and does for people: errors with the way out, waiting, saving, completing.
 
-use cdcr_shared_types::codes::{Mode, Reason};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_status};
+use cdcr_tests::plant::Flaws;
+use cdcr_tests::robot::DrivenRobot;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status};
 
 /// What a command that fails says.
 fn refused(daemon: &Daemon, line: &str) -> String {
@@ -169,6 +175,66 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
         "{:?}",
         status.tip_position_m
     );
+}
+
+/// How long the motors lag behind: so long after a hold they still move.
+const LAG_S: f64 = 0.4;
+
+#[test]
+fn waiting_ends_when_the_robot_is_measured_to_rest() {
+    for interface in [Interface::Position, Interface::Velocity] {
+        let daemon = Daemon::start(&format!(
+            "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
+             [motion]\nhome_rate_rad_s = 0.4\n[safety]\nfollowing_fault_rad = 10.0\n",
+            interface.text()
+        ));
+        let ending = AtomicBool::new(false);
+        let (stood, moved) = std::thread::scope(|scope| {
+            let robot = scope.spawn(|| drive_until(&daemon, interface, &ending));
+            let found = std::panic::catch_unwind(|| rest_on_the_way_home(&daemon));
+            ending.store(true, Ordering::Relaxed);
+            let stood = robot.join().unwrap();
+            let bend = found.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            (stood, (bend - stood).abs())
+        });
+        assert!((0.1..1.3).contains(&stood), "{stood} is not on the way");
+        // What motors that are found to move by 0.02 rad/s have left, and the noise; it was 0.4 rad/s when it was held.
+        assert!(moved < 0.02 * LAG_S + 0.01, "{interface:?}: {moved}");
+    }
+}
+
+/// The bend when a robot that is held on its way home is said to rest.
+fn rest_on_the_way_home(daemon: &Daemon) -> f64 {
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+    done(daemon, "home");
+    let homing = wait_mode(&mut telemetry, Mode::Homing);
+    let is_moving = |record: &Telemetry| record.cycle > homing.cycle + 100;
+    cdcr_tests::wait_record(&mut telemetry, is_moving);
+    done(daemon, "hold --wait");
+    // A new stream begins now.
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let record = cdcr_tests::wait_record(&mut telemetry, |_| true);
+    std::thread::sleep(Duration::from_secs(3));
+    record.measurement.bend_rad[0]
+}
+
+/// A robot with a long lag, from a bend of 1.2 rad on. Where it is at the end, in truth.
+fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f64 {
+    let connection = cdcr_tests::load::connect(daemon.place());
+    let mut bends = [0.0; 12];
+    bends[0] = 1.2;
+    let flaws = Flaws {
+        lag_s: LAG_S,
+        offset_m: 0.0,
+        ..Flaws::USUAL
+    };
+    let mut robot = DrivenRobot::with_flaws(&connection, interface, bends, flaws);
+    while !ending.load(Ordering::Relaxed) {
+        robot.turn();
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    robot.bend_rad()[0]
 }
 
 #[test]

@@ -41,7 +41,8 @@ pub(crate) enum SettingsAction {
         after_help = "Examples:\n  cdcrctl settings save                 print them as a configuration\n  \
         cdcrctl settings save robot.toml      change the keys in this file that differ, or make it\n\n\
         A key that the file lacks is added where the setting is not the default. The file is replaced as a \
-        whole or not at all."
+        whole or not at all; links are followed, and its owner, group and mode stay. It has to be named, because \
+        a daemon does not tell which files it was started with."
     )]
     Save {
         /// The configuration file

@@ -1,6 +1,7 @@
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
-use std::path::Path;
+use std::os::unix::fs::{MetadataExt, fchown};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -15,6 +16,9 @@ use crate::Done;
 
 /// What a daemon without a file uses.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
+
+/// As many as Linux follows.
+const LINKS_MAX: usize = 40;
 
 /// `cdcrctl settings save`
 pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Result<Done> {
@@ -145,35 +149,59 @@ fn put(document: &mut DocumentMut, table: &str, key: &str, mut value: Value) -> 
     Ok(())
 }
 
-/// Replaces a file as a whole, or not at all. A link stays one, and the rights of the file, too.
-fn replace(file: &Path, text: &str) -> io::Result<()> {
-    let file = match file.canonicalize() {
-        Err(cause) if cause.kind() == ErrorKind::NotFound => file.to_owned(),
-        found => found?,
-    };
+/// Replaces a file as a whole, or not at all, or makes it where a link leads to. Its owner, group and mode stay.
+fn replace(file: &Path, text: &str) -> anyhow::Result<()> {
+    let file = behind_links(file)?;
     let mut name = file.file_name().unwrap_or_default().to_owned();
     name.push(format!(".{}.new", std::process::id()));
     let new = file.with_file_name(name);
-    let written = write_anew(&new, &file, text).and_then(|()| fs::rename(&new, &file));
-    if written.is_err() {
+    let written = write_anew(&new, &file, text);
+    let replaced = written.and_then(|()| Ok(fs::rename(&new, &file)?));
+    if replaced.is_err() {
         // It may never have been made.
         let _ = fs::remove_file(&new);
     }
-    written
+    replaced
 }
 
-fn write_anew(new: &Path, old: &Path, text: &str) -> io::Result<()> {
+/// Where a file is, or would be made: as when it is opened, links are followed.
+fn behind_links(file: &Path) -> io::Result<PathBuf> {
+    let mut path = file.to_owned();
+    for _ in 0..LINKS_MAX {
+        match fs::read_link(&path) {
+            Ok(next) => path = path.parent().unwrap_or(Path::new("")).join(next),
+            // It is no link, or it is not there.
+            Err(cause) if matches!(cause.kind(), ErrorKind::InvalidInput | ErrorKind::NotFound) => {
+                return Ok(path);
+            }
+            Err(cause) => return Err(cause),
+        }
+    }
+    Err(io::Error::other("too many links lead to each other"))
+}
+
+fn write_anew(new: &Path, old: &Path, text: &str) -> anyhow::Result<()> {
     let mut written = File::create_new(new)?;
     if let Ok(old) = fs::metadata(old) {
+        let made = written.metadata()?;
+        if (made.uid(), made.gid()) != (old.uid(), old.gid()) {
+            fchown(&written, Some(old.uid()), Some(old.gid())).with_context(|| {
+                format!(
+                    "it belongs to user {} and group {}, which would be lost: run as that user, or save into another file",
+                    old.uid(),
+                    old.gid()
+                )
+            })?;
+        }
         written.set_permissions(old.permissions())?;
     }
     written.write_all(text.as_bytes())?;
-    written.sync_all()
+    Ok(written.sync_all()?)
 }
 
 #[cfg(test)]
 mod tests {
-    use std::os::unix::fs::{PermissionsExt, symlink};
+    use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
     use super::super::keys::Change;
     use super::*;
@@ -252,13 +280,35 @@ mod tests {
         let (file, link) = (folder.path().join("a.toml"), folder.path().join("link"));
         replace(&file, "one").expect("made");
         fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).expect("ours");
-        symlink(&file, &link).expect("made");
+        // Only root may do this.
+        let _ = chown(&file, Some(65_534), Some(65_534));
+        let owner = |file: &Path| fs::metadata(file).map(|of| (of.uid(), of.gid()));
+        let before = owner(&file).expect("there");
+        symlink("a.toml", &link).expect("made");
         replace(&link, "two").expect("replaced");
+        assert_eq!(owner(&file).expect("there"), before);
         assert_eq!(fs::read_to_string(&file).expect("there"), "two");
         let mode = fs::metadata(&file).expect("there").permissions().mode();
         assert_eq!(mode & 0o777, 0o640);
         assert!(fs::symlink_metadata(&link).expect("there").is_symlink());
         assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 2);
         assert!(replace(&folder.path().join("none/a.toml"), "x").is_err());
+    }
+
+    #[test]
+    fn a_link_that_leads_nowhere_stays_and_the_file_is_made_there() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [first, second, file] =
+            ["first", "second", "a.toml"].map(|name| folder.path().join(name));
+        symlink("second", &first).expect("made");
+        symlink(&file, &second).expect("made");
+        replace(&first, "one").expect("made");
+        assert!(fs::symlink_metadata(&first).expect("there").is_symlink());
+        assert_eq!(fs::read_to_string(&file).expect("made"), "one");
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 3);
+        fs::remove_file(&file).expect("ours");
+        symlink(&first, &file).expect("made");
+        let error = replace(&first, "two").expect_err("a circle");
+        assert!(error.to_string().contains("lead to each other"), "{error}");
     }
 }

@@ -23,6 +23,9 @@ const DAEMON: u32 = 64_320;
 /// The group of the robot.
 const GROUP: u32 = 64_321;
 
+/// Its access control list.
+const LIST: &str = "system.posix_acl_access";
+
 /// A root folder as a service manager makes it: the daemon's, in one that is root's.
 struct Shared {
     place: Place,
@@ -218,9 +221,6 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
         fs::set_permissions(&shared.root, Permissions::from_mode(0o700)).unwrap();
     }
 }
-
-/// The attribute that holds the access control list of a file.
-const LIST: &str = "system.posix_acl_access";
 
 #[test]
 fn a_list_that_somebody_changed_is_set_back() {
