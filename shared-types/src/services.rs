@@ -163,7 +163,7 @@ impl core::fmt::Display for ServiceNameError {
     fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
         write!(
             f,
-            "{:?} is no robot name: use 1 to 40 letters, digits, '-' and '_'",
+            "invalid robot name {:?}: use 1 to 40 letters, digits, '-' and '_'",
             self.robot
         )
     }
@@ -202,7 +202,7 @@ impl core::fmt::Display for LocationError {
         match self {
             Self::Prefix(prefix) => write!(
                 f,
-                "{prefix:?} is no prefix: use 1 to 40 letters, digits, '-' and '_'"
+                "invalid prefix {prefix:?}: use 1 to 40 letters, digits, '-' and '_'"
             ),
             Self::Root(root) => write!(
                 f,

@@ -13,3 +13,4 @@ mod last_word;
 mod nmpc;
 mod scenes;
 mod subnormal;
+mod tip_sensor;

@@ -224,7 +224,7 @@ pub(crate) struct IncidentsOptions {
     /// One line for each (text), or each whole as one JSON object on a line
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Only so many of those that are kept, the newest
+    /// Show only the N most recent
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..))]
     pub(crate) count: Option<u64>,
     /// Go on with each new one, until interrupted

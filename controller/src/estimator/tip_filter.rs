@@ -1,0 +1,215 @@
+use nalgebra::{Matrix3, Vector3};
+
+use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
+
+/// How far a measured tip coordinate lies beside the true one: standard deviation \[m\].
+const TIP_NOISE_M: f64 = 3e-4;
+/// How far a bend strays from what was commanded: standard deviation after a second \[rad/√s\]. With the noise above the
+/// filter averages over a tenth of a second.
+const BEND_NOISE_RAD_SQRT_S: f64 = 1e-3;
+/// What is known of a bend before anything was measured: standard deviation \[rad\]; never more than that. One that believes to
+/// know less takes noise for large bends: an S moves the tip of a straight robot as little as none.
+const UNKNOWN_RAD: f64 = 0.01;
+/// Steps of one correction at the most.
+const STEPS: usize = 12;
+/// A correction has ended when no bend changes by more than this \[rad\].
+const STEP_MIN_RAD: f64 = 1e-9;
+
+/// An iterated extended Kalman filter over the bends that takes in tip positions (Simon, *Optimal State Estimation*, §13.3.2).
+///
+/// A tip position has three numbers, and a robot of two and more sections four and more bends. The covariance remembers what
+/// earlier positions told of the others, and how well: noise of the tip that no bend explains moves none. Near the
+/// straight robot no bend moves the tip along its axis, and a step that takes every measurement for exact goes astray there.
+#[derive(Debug, Clone)]
+pub(super) struct TipFilter {
+    /// Covariance of the bends \[rad²\], symmetric.
+    covariance: Square,
+}
+
+impl TipFilter {
+    /// Nothing is known of the bends.
+    pub(super) fn new() -> Self {
+        Self::with_variance(UNKNOWN_RAD * UNKNOWN_RAD)
+    }
+
+    /// Every bend was measured.
+    pub(super) fn known() -> Self {
+        Self::with_variance(0.0)
+    }
+
+    fn with_variance(variance: f64) -> Self {
+        let row = |i| core::array::from_fn(|j| if i == j { variance } else { 0.0 });
+        Self {
+            covariance: core::array::from_fn(row),
+        }
+    }
+
+    /// `elapsed_s` have passed.
+    pub(super) fn predict(&mut self, elapsed_s: f64) {
+        let grown = BEND_NOISE_RAD_SQRT_S * BEND_NOISE_RAD_SQRT_S * elapsed_s;
+        for i in 0..COORDINATES_MAX {
+            let variance = &mut self.covariance[i][i];
+            *variance = (*variance + grown).min(UNKNOWN_RAD * UNKNOWN_RAD);
+        }
+    }
+
+    /// The configuration that `before` and a tip at `position_m` say together, weighed by how well each is known: the
+    /// smallest of (tip error / noise)² + yᵀy with bends = before + C y and P = C Cᵀ, by Levenberg's damped steps, none of which
+    /// makes it larger. Without a finite solution it is `before`.
+    pub(super) fn correct(
+        &mut self,
+        robot: &Robot,
+        before: &Configuration,
+        position_m: &Vector3<f64>,
+    ) -> Configuration {
+        let root = self.root();
+        let mut jacobian = Jacobian::default();
+        let mut damping = 0.0;
+        let mut now = Fit::at([0.0; COORDINATES_MAX], robot, before, &root, position_m);
+        for _ in 0..STEPS {
+            robot.tip_jacobian(&now.bends, &mut jacobian);
+            let by_unit = by_unit(&jacobian, &root);
+            let Some(units) = now.improved(&by_unit, damping) else {
+                break;
+            };
+            let next = Fit::at(units, robot, before, &root, position_m);
+            if next.cost < now.cost {
+                let moved_rad = next.farthest_rad(&now);
+                damping *= 0.1;
+                now = next;
+                if moved_rad < STEP_MIN_RAD {
+                    break;
+                }
+            } else {
+                damping = (damping * 10.0).max(1.0);
+            }
+        }
+        if !now.cost.is_finite() {
+            return *before;
+        }
+        robot.tip_jacobian(&now.bends, &mut jacobian);
+        self.learn(&jacobian);
+        now.bends
+    }
+
+    /// The lower triangle C with C Cᵀ = P (Cholesky); a bend that is known exactly has no column.
+    fn root(&self) -> Square {
+        let mut root = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
+        for j in 0..COORDINATES_MAX {
+            let left = |root: &Square, i: usize| {
+                let known = (0..j).map(|k| root[i][k] * root[j][k]);
+                self.covariance[i][j] - known.sum::<f64>()
+            };
+            let pivot = left(&root, j);
+            if pivot > 0.0 {
+                root[j][j] = pivot.sqrt();
+                for i in j + 1..COORDINATES_MAX {
+                    root[i][j] = left(&root, i) / root[j][j];
+                }
+            }
+        }
+        root
+    }
+
+    /// What the measurement told is known from now on: P - P Jᵀ S⁻¹ J P with S = J P Jᵀ + R.
+    fn learn(&mut self, jacobian: &Jacobian) {
+        let cross = by_unit(jacobian, &self.covariance);
+        let mut innovation = Matrix3::identity() * (TIP_NOISE_M * TIP_NOISE_M);
+        for (row, cross) in rows(jacobian).zip(&cross) {
+            innovation += row * cross.transpose();
+        }
+        let Some(cholesky) = innovation.cholesky() else {
+            return;
+        };
+        let gain = cross.map(|cross| cholesky.solve(&cross));
+        for i in 0..COORDINATES_MAX {
+            for j in 0..=i {
+                let left = self.covariance[i][j] - gain[i].dot(&cross[j]);
+                let left = if i == j { left.max(0.0) } else { left };
+                self.covariance[i][j] = left;
+                self.covariance[j][i] = left;
+            }
+        }
+    }
+}
+
+type Square = [[f64; COORDINATES_MAX]; COORDINATES_MAX];
+
+/// A configuration between what was known and what was measured.
+struct Fit {
+    /// y: how far it is from what was known, in standard deviations.
+    units: [f64; COORDINATES_MAX],
+    bends: Configuration,
+    /// From its tip to the measured one \[m\].
+    missing_m: Vector3<f64>,
+    cost: f64,
+}
+
+impl Fit {
+    fn at(
+        units: [f64; COORDINATES_MAX],
+        robot: &Robot,
+        before: &Configuration,
+        root: &Square,
+        position_m: &Vector3<f64>,
+    ) -> Self {
+        let mut bends = *before;
+        for (bend, row) in bends.as_mut_slice().iter_mut().zip(root) {
+            *bend += row.iter().zip(&units).map(|(a, b)| a * b).sum::<f64>();
+        }
+        let missing_m = position_m - robot.tip_position(&bends);
+        let cost = missing_m.norm_squared() / (TIP_NOISE_M * TIP_NOISE_M)
+            + units.iter().map(|unit| unit * unit).sum::<f64>();
+        Self {
+            units,
+            bends,
+            missing_m,
+            cost,
+        }
+    }
+
+    /// The next y: (AᵀA/R + (1 + damping) I) Δ = Aᵀ missing/R - y, where the tip moves by the columns of A for each unit. Solved with three
+    /// rows: (AᵀA/R + c I)⁻¹ v = (v - Aᵀ (A Aᵀ + c R I)⁻¹ A v) / c.
+    fn improved(
+        &self,
+        by_unit: &[Vector3<f64>; COORDINATES_MAX],
+        damping: f64,
+    ) -> Option<[f64; COORDINATES_MAX]> {
+        let variance = TIP_NOISE_M * TIP_NOISE_M;
+        let damped = 1.0 + damping;
+        let mut gram = Matrix3::identity() * (damped * variance);
+        let mut seen = Vector3::zeros();
+        let slope: [f64; COORDINATES_MAX] =
+            core::array::from_fn(|i| by_unit[i].dot(&self.missing_m) / variance - self.units[i]);
+        for (column, slope) in by_unit.iter().zip(&slope) {
+            gram += column * column.transpose();
+            seen += column * *slope;
+        }
+        let told = gram.cholesky()?.solve(&seen);
+        Some(core::array::from_fn(|i| {
+            self.units[i] + (slope[i] - by_unit[i].dot(&told)) / damped
+        }))
+    }
+
+    fn farthest_rad(&self, other: &Self) -> f64 {
+        let pairs = self.bends.as_slice().iter().zip(other.bends.as_slice());
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+    }
+}
+
+/// How the tip moves by each column of a matrix over the bends.
+fn by_unit(jacobian: &Jacobian, matrix: &Square) -> [Vector3<f64>; COORDINATES_MAX] {
+    let mut sums = [Vector3::zeros(); COORDINATES_MAX];
+    for (tip, row) in rows(jacobian).zip(matrix) {
+        for (sum, weight) in sums.iter_mut().zip(row) {
+            *sum += tip * *weight;
+        }
+    }
+    sums
+}
+
+/// How the tip moves by each bend \[m/rad\].
+fn rows(jacobian: &Jacobian) -> impl Iterator<Item = Vector3<f64>> + '_ {
+    let columns = jacobian.columns().iter();
+    columns.map(|column| Vector3::from_column_slice(&column[..3]))
+}

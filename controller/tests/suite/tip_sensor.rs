@@ -1,0 +1,117 @@
+//! Control by a tip sensor alone: three sections follow the paper's spiral (Eq. 8), and what the controller knows of the robot
+//! are noisy positions of its tip.
+
+use cdcr_controller::estimator::{Estimator, Measurement};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+use cdcr_controller::safety::{Situation, safe_command};
+use nalgebra::Vector3;
+use rand::{RngExt, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+const PERIOD_S: f64 = 0.005;
+
+/// What came of a run, without its first half second \[mm\].
+struct Errors {
+    mean_mm: f64,
+    max_mm: f64,
+}
+
+/// The bends of the spiral at its angle `t` (rad).
+fn bent(t: f64) -> Configuration {
+    Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
+}
+
+/// The estimator begins `beside_rad` beside each bend; `noise_m` is the standard deviation of each measured coordinate.
+fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let settings = NmpcSettings::default();
+    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+    let begin_s = 5_f64.to_radians();
+    let goal = |cycle: u64| robot.tip_position(&bent(begin_s + cycle as f64 * PERIOD_S));
+    let mut truth = bent(begin_s);
+    let mut assumed = truth;
+    for (i, bend) in assumed.as_mut_slice().iter_mut().enumerate() {
+        *bend += if i % 2 == 0 { beside_rad } else { -beside_rad };
+    }
+    let mut estimator = Estimator::new(assumed);
+    let mut rates = BendRates::zero(3);
+    let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
+    let mut errors_mm = Vec::new();
+    for cycle in 0..994 {
+        // Uniform numbers of the same standard deviation.
+        let width_m = noise_m * 3_f64.sqrt();
+        let noise = Vector3::from_fn(|_, _| random.random_range(-width_m..=width_m));
+        let measured = Measurement::TipPosition(robot.tip_position(&truth) + noise);
+        let estimate = *estimator.correct(&robot, &measured, 0.0);
+        let reference: Vec<_> = (1..=u64::from(settings.horizon_steps))
+            .map(|step| ReferenceSample {
+                state: ReferenceState::Inside,
+                position_m: goal(cycle + step),
+                ..ReferenceSample::default()
+            })
+            .collect();
+        let input = SolveInput {
+            configuration: &estimate,
+            previous_rates: &rates,
+            reference: &reference,
+            obstacles: &[],
+            elapsed_periods: 1,
+            seed: cycle_seed(settings.seed, cycle),
+        };
+        let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
+        let situation = Situation {
+            robot: &robot,
+            at: &estimate,
+            commanded: None,
+            previous: &rates,
+            obstacles: &[],
+            safe_distance_m: 0.01,
+            acceleration_rad_s2: 40.0,
+            period_s: PERIOD_S,
+            moving_s: PERIOD_S,
+            deceleration_rad_s2: 40.0,
+            comes_to_rest: false,
+        };
+        rates = safe_command(&situation, &wish).rates;
+        truth = truth.advanced(&rates, PERIOD_S);
+        estimator.predict(&rates, PERIOD_S);
+        let farthest_rad = truth.as_slice().iter().fold(0.0_f64, |a, b| a.max(b.abs()));
+        assert!(
+            farthest_rad < 1.5,
+            "seed {seed}, cycle {cycle}: {farthest_rad} rad"
+        );
+        if cycle >= 100 {
+            errors_mm.push(1e3 * (robot.tip_position(&truth) - goal(cycle + 1)).norm());
+        }
+    }
+    Errors {
+        mean_mm: errors_mm.iter().sum::<f64>() / errors_mm.len() as f64,
+        max_mm: errors_mm.iter().copied().fold(0.0, f64::max),
+    }
+}
+
+/// A step that believes each position went 412 mm astray here, beyond the bend limit.
+#[test]
+fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
+    for (noise_mm, beside_rad, mean_max_mm, max_max_mm) in [
+        (0.1, 0.0, 0.1, 0.5),
+        (0.1, 0.05, 0.15, 1.0),
+        (0.5, 0.0, 0.4, 2.0),
+    ] {
+        let runs: Vec<_> = (1..=5)
+            .map(|seed| follow_the_spiral(1e-3 * noise_mm, beside_rad, seed))
+            .collect();
+        let mean_mm = runs.iter().map(|run| run.mean_mm).sum::<f64>() / runs.len() as f64;
+        let max_mm = runs.iter().map(|run| run.max_mm).fold(0.0, f64::max);
+        println!(
+            "noise {noise_mm} mm, begun {beside_rad} rad beside: mean {mean_mm:.3}, max {max_mm:.3} mm"
+        );
+        assert!(
+            mean_mm < mean_max_mm && max_mm < max_max_mm,
+            "{mean_mm}, {max_mm} mm"
+        );
+    }
+}
