@@ -15,8 +15,7 @@ use crate::complete;
 use crate::value;
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use reference::{
-    Between, CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions,
-    SpiralOptions,
+    CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
 
