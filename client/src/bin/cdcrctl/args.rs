@@ -268,6 +268,7 @@ pub(crate) enum Topic {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::complete::SHELLS;
     use clap::CommandFactory;
 
     #[test]
@@ -277,8 +278,12 @@ mod tests {
 
     #[test]
     fn the_manual_is_what_the_command_line_says() {
-        cdcr_packaging::check(&Arguments::command(), "1", Some(complete::VARIABLE))
-            .expect("up to date");
+        cdcr_packaging::check(
+            &Arguments::command(),
+            "1",
+            Some((complete::VARIABLE, &SHELLS)),
+        )
+        .expect("up to date");
     }
 
     #[test]
