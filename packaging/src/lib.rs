@@ -10,7 +10,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -28,12 +28,12 @@ pub type Files = BTreeMap<PathBuf, Vec<u8>>;
 
 /// Compares what is committed for a program with what its command line says, or writes it when
 /// `CDCR_GENERATE` is set. `section` is that of the manual: 1 for what users call, 8 for daemons. A program that answers
-/// shells itself, when an environment variable is set, says which: its completions ask it.
+/// shells itself, when an environment variable is set, says which and how: its completions ask it.
 ///
 /// # Errors
 /// When a file is missing, differs, or belongs to a command that is gone.
-pub fn check(command: &Command, section: &str, variable: Option<&str>) -> Result<()> {
-    let files = generate(command, section, variable)?;
+pub fn check(command: &Command, section: &str, answers: Option<(&str, &Shells)>) -> Result<()> {
+    let files = generate(command, section, answers)?;
     let folder = Path::new(GENERATED);
     if std::env::var_os("CDCR_GENERATE").is_some() {
         return write(folder, command.get_name(), &files);
@@ -45,7 +45,11 @@ pub fn check(command: &Command, section: &str, variable: Option<&str>) -> Result
 ///
 /// # Errors
 /// When a page cannot be rendered.
-pub fn generate(command: &Command, section: &str, variable: Option<&str>) -> Result<Files> {
+pub fn generate(
+    command: &Command,
+    section: &str,
+    answers: Option<(&str, &Shells)>,
+) -> Result<Files> {
     let name = command.get_name().to_owned();
     // `help` would be a page of its own for each command.
     let mut command = command.clone().disable_help_subcommand(true);
@@ -54,17 +58,12 @@ pub fn generate(command: &Command, section: &str, variable: Option<&str>) -> Res
     add_pages(&mut files, &command, section)?;
     for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
         let mut text = Vec::new();
-        match variable {
+        match answers {
             None => clap_complete::generate(shell, &mut command, &name, &mut text),
-            Some(variable) => Shells::builtins()
+            Some((variable, shells)) => shells
                 .completer(&shell.to_string())
-                .context("a shell that clap does not know")?
+                .context("a shell that the program does not answer")?
                 .write_registration(variable, &name, &name, &name, &mut text)?,
-        }
-        if variable.is_some() && shell == Shell::Zsh {
-            // Zsh reads the file when the program is completed for the first time.
-            let call = format!("_clap_dynamic_completer_{}", name.replace('-', "_"));
-            writeln!(text, "[[ $funcstack[1] = _{name} ]] && {call}")?;
         }
         files.insert(Path::new("completions").join(shell.file_name(&name)), text);
     }

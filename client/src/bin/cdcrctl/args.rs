@@ -15,8 +15,7 @@ use crate::complete;
 use crate::value;
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use reference::{
-    Between, CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions,
-    SpiralOptions,
+    CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
 
@@ -269,6 +268,7 @@ pub(crate) enum Topic {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::complete::SHELLS;
     use clap::CommandFactory;
 
     #[test]
@@ -278,8 +278,12 @@ mod tests {
 
     #[test]
     fn the_manual_is_what_the_command_line_says() {
-        cdcr_packaging::check(&Arguments::command(), "1", Some(complete::VARIABLE))
-            .expect("up to date");
+        cdcr_packaging::check(
+            &Arguments::command(),
+            "1",
+            Some((complete::VARIABLE, &SHELLS)),
+        )
+        .expect("up to date");
     }
 
     #[test]

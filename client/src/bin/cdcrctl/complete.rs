@@ -1,8 +1,11 @@
 //! What a shell offers for a word that is being typed: robots that run, obstacles that are known, settings.
 
+mod zsh;
+
 use std::ffi::{OsStr, OsString};
 
 use clap::{CommandFactory, FromArgMatches};
+use clap_complete::env::Shells;
 use clap_complete::{CompleteEnv, CompletionCandidate};
 
 use crate::args::{Arguments, Target};
@@ -13,10 +16,18 @@ use crate::settings::{SETTINGS, Setting};
 /// from being sent.
 pub(crate) const VARIABLE: &str = "CDCRCTL_COMPLETE";
 
+/// The shells that are answered.
+pub(crate) const SHELLS: Shells = Shells(&[
+    &clap_complete::env::Bash,
+    &clap_complete::env::Fish,
+    &zsh::Zsh,
+]);
+
 /// Answers a shell and ends, if one asks.
 pub(crate) fn answer() {
     CompleteEnv::with_factory(Arguments::command)
         .var(VARIABLE)
+        .shells(SHELLS)
         .complete();
 }
 

@@ -7,12 +7,12 @@ use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
     PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
 };
-use cdcr_shared_types::codes::{Interpolation, RequestKind};
+use cdcr_shared_types::codes::RequestKind;
 
 use crate::Done;
 use crate::args::{
-    Between, CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions,
-    SpiralOptions, Target,
+    CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
+    Target,
 };
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
@@ -150,10 +150,7 @@ fn feed_options(arguments: &FeedArguments) -> FeedOptions {
     FeedOptions {
         step: arguments.step,
         lead: arguments.lead,
-        interpolation: match arguments.interpolation {
-            Between::Linear => Interpolation::Linear,
-            Between::Cubic => Interpolation::Cubic,
-        },
+        interpolation: arguments.interpolation,
         track: arguments.track,
         ..FeedOptions::default()
     }

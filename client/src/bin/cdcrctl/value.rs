@@ -3,6 +3,9 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use cdcr_shared_types::codes::Interpolation;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
 /// Three numbers `x,y,z`.
 pub(crate) type Vector = [f64; 3];
 
@@ -93,6 +96,15 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
     }
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
+}
+
+/// The name of a way to interpolate.
+pub(crate) fn interpolation() -> impl TypedValueParser<Value = Interpolation> {
+    let kinds = || Interpolation::ALL.iter().copied();
+    PossibleValuesParser::new(kinds().map(Interpolation::text)).try_map(move |name| {
+        let named = kinds().find(|kind| kind.text() == name);
+        named.ok_or("no such way")
+    })
 }
 
 #[cfg(test)]

@@ -1,7 +1,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, Subcommand, ValueEnum};
+use cdcr_shared_types::codes::Interpolation;
+use clap::{Args, Subcommand};
 
 use crate::value::{self, Vector};
 
@@ -38,9 +39,9 @@ pub(crate) struct FeedArguments {
     /// Ask for tracking as soon as the first chunk is in
     #[arg(long)]
     pub(crate) track: bool,
-    /// How the daemon interpolates between the points
-    #[arg(long, value_enum, default_value = "cubic")]
-    pub(crate) interpolation: Between,
+    /// How the daemon interpolates between the points: straight lines, or a smooth cubic curve
+    #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
+    pub(crate) interpolation: Interpolation,
     /// Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit,
     /// 2mm or 0.002m
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
@@ -62,15 +63,6 @@ pub(crate) struct CurveArguments {
     /// How long it lasts [default: as in the paper]
     #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
     pub(crate) duration: Option<Duration>,
-}
-
-/// Interpolation between points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub(crate) enum Between {
-    /// Straight lines
-    Linear,
-    /// A smooth cubic curve
-    Cubic,
 }
 
 /// Options of the spiral.
