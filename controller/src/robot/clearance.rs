@@ -137,6 +137,12 @@ impl Body {
         clearances_m
     }
 
+    /// The clearance of one section of this robot, from 0 (m).
+    pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
+        let axis = obstacle.shape().axis();
+        self.closest_of(section, obstacle, &axis).clearance_m
+    }
+
     fn tubes(&self) -> &[Tube<1>] {
         &self.tubes[..self.section_count]
     }
@@ -276,6 +282,28 @@ impl Robot {
             turn_rad += max_bend_change_rad[j];
         }
         travel_m
+    }
+
+    /// How far any point of each section lies at most (m) from where it is in another shape; 0 after the last section. Each shape
+    /// comes with its [`Self::section_frames`].
+    ///
+    /// A point of a section is o + R a. From there to o' + R' a' it is at most |o' - o| + ‖R' - R‖ ℓ + Δ ℓ/2, with the largest
+    /// singular value ‖R' - R‖ of a difference of rotations: its Frobenius norm over √2.
+    pub fn displacement_m(
+        &self,
+        (from, from_frames): (&Configuration, &[Pose; SECTIONS_MAX + 1]),
+        (to, to_frames): (&Configuration, &[Pose; SECTIONS_MAX + 1]),
+    ) -> [f64; SECTIONS_MAX] {
+        let mut displacement_m = [0.0; SECTIONS_MAX];
+        for (j, section) in self.sections().iter().enumerate() {
+            let start_m = to_frames[j].position_m - from_frames[j].position_m;
+            let turn = to_frames[j].rotation - from_frames[j].rotation;
+            let ([u, v], [to_u, to_v]) = (from.section(j), to.section(j));
+            let change =
+                turn.norm() * core::f64::consts::FRAC_1_SQRT_2 + 0.5 * (to_u - u).hypot(to_v - v);
+            displacement_m[j] = start_m.norm() + change * section.length_m;
+        }
+        displacement_m
     }
 
     /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate

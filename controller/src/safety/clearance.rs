@@ -2,12 +2,14 @@
 //! allowed.
 
 mod near;
+mod rows;
+mod way;
 
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot};
 
 use super::Limits;
 use super::projection::Region;
-use near::Near;
+use near::{Near, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 6;
@@ -110,9 +112,9 @@ impl Guard<'_> {
         if self.obstacles.is_empty() {
             return unchanged(f64::INFINITY);
         }
-        let body = self.robot.body(self.at);
-        let clearance_m = least_clearance_m(&body, self.obstacles);
-        let allowed = match self.find(&body, rates) {
+        let stance = Stance::new(self.robot, self.at);
+        let clearance_m = least_clearance_m(&stance.body, self.obstacles);
+        let allowed = match self.find(stance, rates) {
             Some(near) if near.hold(self, rates) => return unchanged(clearance_m),
             Some(near) => mend(&near),
             None => self.rest(),
@@ -125,17 +127,16 @@ impl Guard<'_> {
     }
 
     /// `None` where there are too many obstacles.
-    fn find(&self, body: &Body, rates: &BendRates) -> Option<Places> {
-        let measured = Near::find(self, self.at, body, rates)?;
+    fn find(&self, measured: Stance, rates: &BendRates) -> Option<Places> {
         let commanded = match self.commanded.filter(|commanded| *commanded != self.at) {
             Some(commanded) => {
-                let body = self.robot.body(commanded);
-                Some(Near::find(self, commanded, &body, rates)?)
+                let stance = Stance::new(self.robot, commanded);
+                Some(Near::find(self, stance, rates)?)
             }
             None => None,
         };
         Some(Places {
-            measured,
+            measured: Near::find(self, measured, rates)?,
             commanded,
         })
     }
@@ -196,12 +197,12 @@ impl Places {
     }
 
     fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
-        self.iter().all(|near| near.holds(guard, rates))
+        self.iter().all(|near| way::holds(near, guard, rates))
     }
 
-    /// [`Near::bound`] of each.
+    /// [`rows::bound`] of each.
     fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
-        let is_bounded = |near: &Near| near.bound(guard, rates, &mut *region);
+        let is_bounded = |near: &Near| rows::bound(near, guard, rates, &mut *region);
         self.iter()
             .map(is_bounded)
             .fold(false, |any, one| any | one)

@@ -58,13 +58,18 @@ impl Region {
     /// Only where normal · x ≥ bound. A normal without length bounds nothing.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
         let length = dot(normal, normal).sqrt();
-        if length > 0.0 && length.is_finite() && bound.is_finite() && self.row_count < ROWS_MAX {
+        if length > 0.0 && length.is_finite() && bound.is_finite() && self.has_room() {
             self.rows[self.row_count] = Row {
                 normal: normal.map(|component| component / length),
                 bound: bound / length,
             };
             self.row_count += 1;
         }
+    }
+
+    /// Whether another half-space has a place.
+    pub(super) fn has_room(&self) -> bool {
+        self.row_count < ROWS_MAX
     }
 
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
