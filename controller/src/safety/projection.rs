@@ -10,7 +10,7 @@ use crate::robot::COORDINATES_MAX;
 pub(super) type Vector = [f64; COORDINATES_MAX];
 
 /// Half-spaces beside the box: more are left out.
-const ROWS_MAX: usize = 128;
+const ROWS_MAX: usize = 152;
 /// Half-spaces that are taken in or let go before the search gives up.
 const STEPS_MAX: usize = 100;
 /// What counts as inside, in the unit of the point, or as a share of it where it is larger than 1.
@@ -58,18 +58,13 @@ impl Region {
     /// Only where normal · x ≥ bound. A normal without length bounds nothing.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
         let length = dot(normal, normal).sqrt();
-        if length > 0.0 && length.is_finite() && bound.is_finite() && self.has_room() {
+        if length > 0.0 && length.is_finite() && bound.is_finite() && self.row_count < ROWS_MAX {
             self.rows[self.row_count] = Row {
                 normal: normal.map(|component| component / length),
                 bound: bound / length,
             };
             self.row_count += 1;
         }
-    }
-
-    /// Whether another half-space has a place.
-    pub(super) fn has_room(&self) -> bool {
-        self.row_count < ROWS_MAX
     }
 
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
@@ -218,8 +213,15 @@ impl Active {
     }
 }
 
+/// Four sums side by side: one alone waits for each addition.
 fn dot(a: &Vector, b: &Vector) -> f64 {
-    a.iter().zip(b).map(|(a, b)| a * b).sum()
+    let mut sums = [0.0; 4];
+    for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {
+        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
+            *sum += a * b;
+        }
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
 fn add(to: &mut Vector, direction: &Vector, length: f64) {

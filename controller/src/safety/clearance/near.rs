@@ -26,15 +26,19 @@ pub(super) type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
 pub(super) type Sections = [u8; NEAR_MAX];
 
 /// The watched obstacles.
-pub(super) struct Near {
+pub(super) struct Near<'a> {
     /// The robot that stands still.
-    still: Stance,
+    still: &'a Stance,
+    /// What no section comes near to is farther than this from all of them \[m\].
+    beyond_m: f64,
     watched_count: usize,
     watched: [Option<Watched>; NEAR_MAX],
     /// What is left of [`LOOKS`].
     looks: Cell<u32>,
     /// The watched obstacle that was the last to be too near: it is looked at first.
     last_short: Cell<usize>,
+    /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
+    rows: [Cell<u8>; NEAR_MAX],
 }
 
 /// A shape, and what clearances from it take.
@@ -76,23 +80,36 @@ impl Stance {
             body: robot.body_from_frames(at, &frames),
         }
     }
+
+    /// How far each section is from where it is in another stance, at most \[m\].
+    pub(super) fn displacement_m(&self, robot: &Robot, other: &Self) -> [f64; SECTIONS_MAX] {
+        robot.displacement_m((&other.at, &other.frames), (&self.at, &self.frames))
+    }
 }
 
-impl Near {
+impl<'a> Near<'a> {
     /// Those of a robot that is in this stance. `None` when there are more than fit.
-    pub(super) fn find(guard: &Guard<'_>, still: Stance, rates: &BendRates) -> Option<Self> {
+    pub(super) fn find(
+        guard: &Guard<'_>,
+        still: &'a Stance,
+        rates: &BendRates,
+        is_ramp: bool,
+    ) -> Option<Self> {
         let travel_m = farthest_m(guard, rates);
         let time_s = guard.stopping.time_s(guard.stopping.way_s);
         let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
         let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
+        let nearest_m = travel_m.iter().copied().fold(f64::INFINITY, f64::min);
         let mut near = Self {
             still,
+            beyond_m: guard.safe_distance_m + nearest_m,
             watched_count: 0,
             watched: [None; NEAR_MAX],
             looks: Cell::new(LOOKS),
             last_short: Cell::new(0),
+            rows: [const { Cell::new(0) }; NEAR_MAX],
         };
-        let body = &near.still.body;
+        let body = &still.body;
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
             let safe_m = guard.safe_distance_m;
@@ -102,13 +119,20 @@ impl Near {
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
+            let dip_m = DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()));
+            // A ramp may end in what the command before was allowed between, and a rounding deeper.
+            let is_continued = is_ramp && speed_m_s == 0.0;
             let mut watched = Watched {
                 obstacle: *obstacle,
                 speed_m_s,
                 start_m,
-                kept_m: safe_m,
+                kept_m: if is_continued {
+                    safe_m - dip_m - ROUNDING_M
+                } else {
+                    safe_m
+                },
                 floors_m: [[0.0; SECTIONS_MAX]; 2],
-                dip_m: DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m())),
+                dip_m,
             };
             watched.floors_m = ends_s(guard).map(|way_s| {
                 let time_s = guard.stopping.time_s(way_s);
@@ -118,6 +142,20 @@ impl Near {
             near.watched_count += 1;
         }
         Some(near)
+    }
+
+    /// The least clearance of the body now \[m\], where a watched section has it; NaN where the state is not finite.
+    pub(super) fn least_clearance_m(&self) -> Option<f64> {
+        let clearances_m = self.watched().flat_map(|watched| watched.start_m);
+        let least_m = clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
+            // A NaN stays.
+            if least_m.is_nan() || clearance_m >= least_m {
+                least_m
+            } else {
+                clearance_m
+            }
+        });
+        (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
     }
 
     pub(super) fn watched(&self) -> impl Iterator<Item = &Watched> {
@@ -142,15 +180,11 @@ impl Near {
     /// Where the robot is at s = `way_s`.
     pub(super) fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64) -> Place {
         let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
-        let (from, to) = (&self.still, &stance);
-        let displacement_m = guard
-            .robot
-            .displacement_m((&from.at, &from.frames), (&to.at, &to.frames));
         Place {
             way_s,
             time_s: guard.stopping.time_s(way_s),
+            displacement_m: stance.displacement_m(guard.robot, self.still),
             stance,
-            displacement_m,
         }
     }
 
@@ -210,10 +244,7 @@ impl Near {
         if !is_exact && least_m >= watched.kept_m {
             return least_m - watched.kept_m;
         }
-        let floor_m = match ends_s(guard).iter().position(|end_s| *end_s == place.way_s) {
-            Some(end) => watched.floors_m[end][j],
-            None => watched.floor_m(j, &self.still.body, place.time_s),
-        };
+        let floor_m = self.floor_m(guard, place, watched, j);
         if !is_exact && least_m >= floor_m {
             return least_m - floor_m;
         }
@@ -224,6 +255,32 @@ impl Near {
         self.looks.set(self.looks.get().saturating_sub(looks));
         let obstacle = watched.at(place);
         place.stance.body.clearance_of(j, &obstacle) - floor_m
+    }
+
+    /// What section j must keep at a place \[m\].
+    pub(super) fn floor_m(
+        &self,
+        guard: &Guard<'_>,
+        place: &Place,
+        watched: &Watched,
+        j: usize,
+    ) -> f64 {
+        match ends_s(guard).iter().position(|end_s| *end_s == place.way_s) {
+            Some(end) => watched.floors_m[end][j],
+            None => watched.floor_m(j, &self.still.body, place.time_s),
+        }
+    }
+
+    /// The robot that stands still.
+    pub(super) fn still(&self) -> &Stance {
+        self.still
+    }
+
+    /// Whether no row was asked for yet for this section and this watched obstacle.
+    pub(super) fn is_first_row(&self, index: usize, section: usize) -> bool {
+        let rows = self.rows[index].get();
+        self.rows[index].set(rows | 1 << section);
+        rows & 1 << section == 0
     }
 
     /// Whether the time for one command is used up.

@@ -3,37 +3,45 @@
 use crate::robot::{BendRates, SECTIONS_MAX};
 
 use super::Guard;
-use super::near::{NEAR_MAX, Near, Place, Sections, Spare, ends_s, sections};
+use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
 
 /// How often a part of the way is halved before it counts as not clear.
 const DEPTH: u32 = 6;
 
 /// The way of the robot at some rates.
 struct Way<'a> {
-    near: &'a Near,
+    near: &'a Near<'a>,
     guard: &'a Guard<'a>,
     rates: &'a BendRates,
     /// What no point of each section moves faster than \[m/s\].
     travel_m_s: [f64; SECTIONS_MAX],
+    /// What none of them is accelerated by more \[m/s²\].
+    acceleration_m_s2: [f64; SECTIONS_MAX],
 }
 
 /// What is left at s = `way_s`.
 #[derive(Clone, Copy)]
 struct Left<'a> {
     way_s: f64,
+    stance: &'a Stance,
     spare_m: &'a Spare,
 }
 
 /// The rule of [`Guard::keep_clear`], from where `near` was found.
-pub(super) fn holds(near: &Near, guard: &Guard<'_>, rates: &BendRates) -> bool {
+pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bool {
     if near.is_empty() {
         return true;
     }
+    let turn_rad_s = core::array::from_fn(|j| {
+        let [u, v] = rates.section(j);
+        u.hypot(v)
+    });
     let way = Way {
         near,
         guard,
         rates,
-        travel_m_s: travel_m_s(guard, rates),
+        travel_m_s: guard.robot.travel_m(&turn_rad_s),
+        acceleration_m_s2: guard.robot.acceleration_m_s2(&turn_rad_s),
     };
     let open = near.open(guard, &way.travel_m_s);
     if open == [0; NEAR_MAX] {
@@ -41,22 +49,32 @@ pub(super) fn holds(near: &Near, guard: &Guard<'_>, rates: &BendRates) -> bool {
     }
     // What is not clear mostly is not at the end of the way.
     let [period_s, end_s] = ends_s(guard);
-    let spare_m = |way_s| {
+    let clear_at = |way_s| {
         let place = near.place(guard, rates, way_s);
-        near.spare_at(guard, &place, &open, false, |_| 0.0)
+        let spare_m = near.spare_at(guard, &place, &open, false, |_| 0.0)?;
+        Some((place, spare_m))
     };
-    let (Some(end_spare_m), Some(period_spare_m)) = (spare_m(end_s), spare_m(period_s)) else {
+    let (Some(end), Some(period)) = (clear_at(end_s), clear_at(period_s)) else {
         return false;
     };
-    let start_spare_m = near.spare_at_start(&open);
-    let [start, period, end] = [
-        (0.0, &start_spare_m),
-        (period_s, &period_spare_m),
-        (end_s, &end_spare_m),
-    ]
-    .map(|(way_s, spare_m)| Left { way_s, spare_m });
+    let start = Left {
+        way_s: 0.0,
+        stance: near.still(),
+        spare_m: &near.spare_at_start(&open),
+    };
+    let [period, end] = [&period, &end].map(|(place, spare_m)| Left::new(place, spare_m));
     way.is_clear_between(start, period, &open, DEPTH)
         && way.is_clear_between(period, end, &open, DEPTH)
+}
+
+impl<'a> Left<'a> {
+    fn new(place: &'a Place, spare_m: &'a Spare) -> Self {
+        Self {
+            way_s: place.way_s,
+            stance: &place.stance,
+            spare_m,
+        }
+    }
 }
 
 impl Way<'_> {
@@ -64,7 +82,7 @@ impl Way<'_> {
     /// not tell, by their middle. Where a moving obstacle is, is looked at once a period.
     ///
     /// [`Watched::dip_m`]: super::near::Watched::dip_m
-    fn is_clear_between(&self, from: Left, to: Left, which: &Sections, depth: u32) -> bool {
+    fn is_clear_between(&self, from: Left<'_>, to: Left<'_>, which: &Sections, depth: u32) -> bool {
         let open = self.unsettled(from, to, which);
         if open == [0; NEAR_MAX] {
             return true;
@@ -79,16 +97,16 @@ impl Way<'_> {
         else {
             return false;
         };
-        let middle = Left {
-            way_s,
-            spare_m: &spare_m,
-        };
+        let middle = Left::new(&place, &spare_m);
         self.is_clear_between(from, middle, &open, depth - 1)
             && self.is_clear_between(middle, to, &open, depth - 1)
     }
 
     /// Those that can have come nearer between.
-    fn unsettled(&self, from: Left, to: Left, which: &Sections) -> Sections {
+    ///
+    /// A point that goes from p to p' in h seconds is nowhere farther from both together than |p' - p| and twice what it leaves
+    /// the chord by: that is at most its acceleration · h²/8.
+    fn unsettled(&self, from: Left<'_>, to: Left<'_>, which: &Sections) -> Sections {
         let stopping = &self.guard.stopping;
         let time_s = stopping.time_s(to.way_s) - stopping.time_s(from.way_s);
         let obstacles = if time_s > self.guard.period_s {
@@ -96,12 +114,17 @@ impl Way<'_> {
         } else {
             0.0
         };
+        let way_s = to.way_s - from.way_s;
+        let chords_m = to.stance.displacement_m(self.guard.robot, from.stance);
+        let travel_m: [f64; SECTIONS_MAX] = core::array::from_fn(|j| {
+            let bent_m = chords_m[j] + 0.25 * self.acceleration_m_s2[j] * way_s * way_s;
+            bent_m.min(self.travel_m_s[j] * way_s)
+        });
         let mut open = [0; NEAR_MAX];
         for (index, watched) in self.near.watched().enumerate() {
             for j in sections(which[index]) {
                 // Both the clearance of the robot, and that of the one that stands still, change by its motion.
-                let travel_m = self.travel_m_s[j] * (to.way_s - from.way_s)
-                    + obstacles * watched.moves_m(time_s);
+                let travel_m = travel_m[j] + obstacles * watched.moves_m(time_s);
                 let spare_m = from.spare_m[index][j] + to.spare_m[index][j];
                 let is_settled = 0.5 * (spare_m - travel_m) >= -watched.dip_m;
                 open[index] |= u8::from(!is_settled) << j;
@@ -109,13 +132,4 @@ impl Way<'_> {
         }
         open
     }
-}
-
-/// What no point of each section moves faster than at these rates \[m/s\].
-fn travel_m_s(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
-    let change = core::array::from_fn(|j| {
-        let [u, v] = rates.section(j);
-        u.hypot(v)
-    });
-    guard.robot.travel_m(&change)
 }
