@@ -137,6 +137,12 @@ impl Body {
         clearances_m
     }
 
+    /// The clearance of one section of this robot, from 0 (m).
+    pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
+        let axis = obstacle.shape().axis();
+        self.closest_of(section, obstacle, &axis).clearance_m
+    }
+
     fn tubes(&self) -> &[Tube<1>] {
         &self.tubes[..self.section_count]
     }
@@ -276,6 +282,52 @@ impl Robot {
             turn_rad += max_bend_change_rad[j];
         }
         travel_m
+    }
+
+    /// What any point of each section is accelerated by at most (m/s²) when the bend vectors change at constant rates of these norms
+    /// (rad/s); 0 after the last section.
+    ///
+    /// The tangent at a share σ of section k turns with at most a = Σ_{i<k} rᵢ + σ rₖ, and its second derivative is at most a²:
+    /// hence Σ ℓₖ ∫ a² dσ = Σ ℓₖ (S² + S rₖ + rₖ²/3), with S = Σ_{i<k} rᵢ.
+    pub fn acceleration_m_s2(&self, rates_rad_s: &[f64; SECTIONS_MAX]) -> [f64; SECTIONS_MAX] {
+        let mut acceleration_m_s2 = [0.0; SECTIONS_MAX];
+        let (mut sum_m_s2, mut turn_rad_s) = (0.0, 0.0);
+        for (j, section) in self.sections().iter().enumerate() {
+            let rate = rates_rad_s[j];
+            sum_m_s2 += section.length_m
+                * (turn_rad_s * turn_rad_s + turn_rad_s * rate + rate * rate / 3.0);
+            acceleration_m_s2[j] = sum_m_s2;
+            turn_rad_s += rate;
+        }
+        acceleration_m_s2
+    }
+
+    /// How far any point of each section lies at most (m) from where it is in another shape; 0 after the last section. Each shape
+    /// comes with its [`Self::section_frames`].
+    ///
+    /// A point of a section is o + R a. From there to o' + R' a' it is at most |o' - o| + ‖R' - R‖ ℓ + Δ ℓ/2, with the largest
+    /// singular value ‖R' - R‖ of a difference of rotations: its Frobenius norm over √2. Nor is it farther than the farther end
+    /// of the section and what the arcs leave their chords by, together: (‖R' - R‖ θ + Δ (1 + θ)) ℓ/8.
+    pub fn displacement_m(
+        &self,
+        (from, from_frames): (&Configuration, &[Pose; SECTIONS_MAX + 1]),
+        (to, to_frames): (&Configuration, &[Pose; SECTIONS_MAX + 1]),
+    ) -> [f64; SECTIONS_MAX] {
+        let mut displacement_m = [0.0; SECTIONS_MAX];
+        for (j, section) in self.sections().iter().enumerate() {
+            let start_m = to_frames[j].position_m - from_frames[j].position_m;
+            let turn = to_frames[j].rotation - from_frames[j].rotation;
+            let ([u, v], [to_u, to_v]) = (from.section(j), to.section(j));
+            let turn = turn.norm() * core::f64::consts::FRAC_1_SQRT_2;
+            let change_rad = (to_u - u).hypot(to_v - v);
+            let bend_rad = u.hypot(v).max(to_u.hypot(to_v));
+            let end_m = to_frames[j + 1].position_m - from_frames[j + 1].position_m;
+            let (start_m, end_m) = (start_m.norm(), end_m.norm());
+            let by_start_m = start_m + (turn + 0.5 * change_rad) * section.length_m;
+            let bent = 0.125 * (turn * bend_rad + change_rad * (1.0 + bend_rad));
+            displacement_m[j] = by_start_m.min(start_m.max(end_m) + bent * section.length_m);
+        }
+        displacement_m
     }
 
     /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate

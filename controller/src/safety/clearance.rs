@@ -2,15 +2,19 @@
 //! allowed.
 
 mod near;
+mod rows;
+mod way;
 
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot};
 
 use super::Limits;
 use super::projection::Region;
-use near::Near;
+use near::{Near, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 6;
+/// A correction that leaves less than this share of the fastest component is rest.
+const STANDING: f64 = 1e-6;
 /// Halvings of the scale: the command is at most a 250th shorter than it could be.
 const HALVINGS: u32 = 8;
 
@@ -92,56 +96,59 @@ impl Guard<'_> {
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
     pub(super) fn keep_clear(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
-        self.guarded(rates, |near| self.corrected(near, limits, rates))
+        self.guarded(rates, false, |near| self.corrected(near, limits, rates))
     }
 
-    /// The same for a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
+    /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
+    ///
+    /// The ramp goes on along the stopping way of the command before it, and may end anywhere on it. So from an obstacle that
+    /// stands it keeps 1 mm less than D: what the command before was allowed, the ramp is allowed.
     pub(super) fn scale_down(&self, ramp: &BendRates) -> Guarded {
-        self.guarded(ramp, |near| self.scaled(near, ramp))
+        self.guarded(ramp, true, |near| self.scaled(near, ramp))
     }
 
     /// The rates where they hold the rule, and what `mend` makes of them elsewhere.
-    fn guarded(&self, rates: &BendRates, mend: impl FnOnce(&Places) -> BendRates) -> Guarded {
-        let unchanged = |clearance_m| Guarded {
-            rates: *rates,
-            hit: false,
-            clearance_m,
-        };
-        if self.obstacles.is_empty() {
-            return unchanged(f64::INFINITY);
-        }
-        let body = self.robot.body(self.at);
-        let clearance_m = least_clearance_m(&body, self.obstacles);
-        let allowed = match self.find(&body, rates) {
-            Some(near) if near.hold(self, rates) => return unchanged(clearance_m),
-            Some(near) => mend(&near),
-            None => self.rest(),
-        };
-        Guarded {
+    fn guarded(
+        &self,
+        rates: &BendRates,
+        is_ramp: bool,
+        mend: impl FnOnce(&Places<'_>) -> BendRates,
+    ) -> Guarded {
+        let guarded = |allowed: BendRates, clearance_m| Guarded {
             rates: allowed,
             hit: allowed != *rates,
             clearance_m,
-        }
-    }
-
-    /// `None` where there are too many obstacles.
-    fn find(&self, body: &Body, rates: &BendRates) -> Option<Places> {
-        let measured = Near::find(self, self.at, body, rates)?;
-        let commanded = match self.commanded.filter(|commanded| *commanded != self.at) {
-            Some(commanded) => {
-                let body = self.robot.body(commanded);
-                Some(Near::find(self, commanded, &body, rates)?)
-            }
-            None => None,
         };
-        Some(Places {
-            measured,
-            commanded,
-        })
+        if self.obstacles.is_empty() {
+            return guarded(*rates, f64::INFINITY);
+        }
+        let stance = Stance::new(self.robot, self.at);
+        let Some(measured) = Near::find(self, &stance, rates, is_ramp) else {
+            return guarded(self.rest(), least_clearance_m(&stance.body, self.obstacles));
+        };
+        let clearance_m = match measured.least_clearance_m() {
+            Some(clearance_m) => clearance_m,
+            None => least_clearance_m(&stance.body, self.obstacles),
+        };
+        let commanded = self.commanded.filter(|commanded| *commanded != self.at);
+        let stance = commanded.map(|commanded| Stance::new(self.robot, commanded));
+        let commanded = stance
+            .as_ref()
+            .map(|it| Near::find(self, it, rates, is_ramp));
+        let places = match &commanded {
+            None => [Some(&measured), None],
+            Some(Some(commanded)) => [Some(&measured), Some(commanded)],
+            Some(None) => return guarded(self.rest(), clearance_m),
+        };
+        let places = Places(places);
+        if places.hold(self, rates) {
+            return guarded(*rates, clearance_m);
+        }
+        guarded(mend(&places), clearance_m)
     }
 
     /// The nearest rates inside the limits that hold the rule, as far as they are found.
-    fn corrected(&self, near: &Places, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
+    fn corrected(&self, near: &Places<'_>, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
         let mut region = limits.region();
         let mut rates = *wish;
         for _ in 0..CORRECTIONS {
@@ -152,6 +159,9 @@ impl Guard<'_> {
                 break;
             };
             rates = shortened_to(nearest, fastest(wish));
+            if fastest(&rates) <= STANDING * fastest(wish) {
+                return self.rest();
+            }
             if near.hold(self, &rates) {
                 return rates;
             }
@@ -185,23 +195,20 @@ impl Guard<'_> {
 }
 
 /// What is near where the robot is, and where it is commanded to be.
-struct Places {
-    measured: Near,
-    commanded: Option<Near>,
-}
+struct Places<'a>([Option<&'a Near<'a>>; 2]);
 
-impl Places {
-    fn iter(&self) -> impl Iterator<Item = &Near> {
-        core::iter::once(&self.measured).chain(&self.commanded)
+impl Places<'_> {
+    fn iter(&self) -> impl Iterator<Item = &Near<'_>> {
+        self.0.iter().copied().flatten()
     }
 
     fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
-        self.iter().all(|near| near.holds(guard, rates))
+        self.iter().all(|near| way::holds(near, guard, rates))
     }
 
-    /// [`Near::bound`] of each.
+    /// [`rows::bound`] of each.
     fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
-        let is_bounded = |near: &Near| near.bound(guard, rates, &mut *region);
+        let is_bounded = |near: &Near<'_>| rows::bound(near, guard, rates, &mut *region);
         self.iter()
             .map(is_bounded)
             .fold(false, |any, one| any | one)

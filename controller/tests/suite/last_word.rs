@@ -4,13 +4,37 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
-use cdcr_controller::safety::{Situation, homing_rates, safe_command};
+use cdcr_controller::safety::{Situation, homing_rates, ramp_to_zero, safe_command};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 const PERIOD_S: f64 = 0.005;
 const SAFE_M: f64 = 0.01;
+
+/// How fast rates grow, and shrink on the way to rest \[rad/s²\].
+const ACCELERATION_RAD_S2: f64 = 40.0;
+
+fn situation<'a>(
+    robot: &'a Robot,
+    at: &'a Configuration,
+    previous: &'a BendRates,
+    obstacles: &'a [Obstacle],
+) -> Situation<'a> {
+    Situation {
+        robot,
+        at,
+        commanded: None,
+        previous,
+        obstacles,
+        safe_distance_m: SAFE_M,
+        acceleration_rad_s2: ACCELERATION_RAD_S2,
+        period_s: PERIOD_S,
+        moving_s: 3.0 * PERIOD_S,
+        deceleration_rad_s2: ACCELERATION_RAD_S2,
+        comes_to_rest: false,
+    }
+}
 
 /// The command that the daemon would send.
 fn command(
@@ -20,20 +44,34 @@ fn command(
     obstacles: &[Obstacle],
     desired: &BendRates,
 ) -> BendRates {
-    let situation = Situation {
-        robot,
-        at,
-        commanded: None,
-        previous,
-        obstacles,
-        safe_distance_m: SAFE_M,
-        acceleration_rad_s2: 40.0,
-        period_s: PERIOD_S,
-        moving_s: 3.0 * PERIOD_S,
-        deceleration_rad_s2: 40.0,
-        comes_to_rest: false,
-    };
-    safe_command(&situation, desired).rates
+    safe_command(&situation(robot, at, previous, obstacles), desired).rates
+}
+
+/// By how much the fastest component shrinks at most in a cycle on the way from `rates` to rest \[rad/s²\].
+fn largest_deceleration_rad_s2(
+    robot: &Robot,
+    at: &Configuration,
+    rates: &BendRates,
+    obstacles: &[Obstacle],
+) -> f64 {
+    let (mut at, mut rates, mut largest_rad_s2) = (*at, *rates, 0.0_f64);
+    while fastest(&rates) > 0.0 {
+        let desired = ramp_to_zero(&rates, ACCELERATION_RAD_S2, PERIOD_S);
+        let ramp = Situation {
+            comes_to_rest: true,
+            ..situation(robot, &at, &rates, obstacles)
+        };
+        let next = safe_command(&ramp, &desired).rates;
+        largest_rad_s2 = largest_rad_s2.max((fastest(&rates) - fastest(&next)) / PERIOD_S);
+        at = at.advanced(&next, PERIOD_S);
+        rates = next;
+    }
+    largest_rad_s2
+}
+
+fn fastest(rates: &BendRates) -> f64 {
+    let components = rates.as_slice().iter();
+    components.fold(0.0, |most, rate| rate.abs().max(most))
 }
 
 fn norm(rates: &BendRates) -> f64 {
@@ -108,7 +146,8 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
 }
 
 /// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many
-/// arrive, and how often it stood still before.
+/// arrive, and how often it stood still before. From each of them the robot could come to rest as fast as it is allowed to, and
+/// no faster.
 fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
     let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
     let mut random = Xoshiro256PlusPlus::seed_from_u64(balls as u64);
@@ -151,11 +190,16 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
         }
         blocked += 1;
         let (mut at, mut rates) = (begin, BendRates::zero(sections));
-        for _ in 0..3000 {
-            let desired = homing_rates(&robot, &at, &rates, 0.5, 40.0 * PERIOD_S, PERIOD_S);
+        for cycle in 0..3000 {
+            let change_rad_s = ACCELERATION_RAD_S2 * PERIOD_S;
+            let desired = homing_rates(&robot, &at, &rates, 0.5, change_rad_s, PERIOD_S);
             rates = command(&robot, &at, &rates, &obstacles, &desired);
             at = at.advanced(&rates, PERIOD_S);
             assert!(clear(&at) >= SAFE_M.min(clear(&begin)));
+            if cycle % 10 == 3 {
+                let found_rad_s2 = largest_deceleration_rad_s2(&robot, &at, &rates, &obstacles);
+                assert!(found_rad_s2 <= ACCELERATION_RAD_S2 * (1.0 + 1e-9));
+            }
         }
         let is_home = at.as_slice().iter().all(|bend| bend.abs() < 1e-3);
         arrived += u32::from(is_home);

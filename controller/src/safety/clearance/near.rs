@@ -1,310 +1,342 @@
-//! The obstacles that the body can get too near to, section by section, and whether it does.
+//! The obstacles that the body can get too near to, section by section, and what is left of their clearances at a place.
 
 use core::cell::Cell;
 
-use crate::robot::{BendRates, Body, COORDINATES_MAX, Configuration, Obstacle, SECTIONS_MAX};
-use crate::safety::projection::Region;
+use crate::robot::{BendRates, Body, Configuration, Obstacle, Pose, Robot, SECTIONS_MAX, Shape};
 
 use super::{Guard, fastest};
 
 /// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
 pub(super) const NEAR_MAX: usize = 64;
-/// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
-const MARGIN_M: f64 = 1e-9;
 /// What is not looked for between two places of the way \[m\], at most: half of what lies between the axes at distance D, if
 /// that is less, so that no thin section jumps through a thin obstacle.
 const DIP_M: f64 = 1e-3;
-/// Obstacles that are looked at in all places of one command, before what is not known to be clear counts as not clear.
-const LOOKS: u32 = 6000;
-/// How often a part of the way is halved before it counts as not clear.
-const DEPTH: u32 = 6;
+/// What a bound on a clearance allows for rounding \[m\], with obstacles of any size.
+const ROUNDING_M: f64 = 1e-6;
+/// Exact clearances from spheres that are computed for one command, before what is not known to be clear counts as not clear.
+const LOOKS: u32 = 36_000;
+/// How many of them a capsule takes the time of.
+const CAPSULE_LOOKS: u32 = 8;
 
-/// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections: infinite where
-/// nothing is watched, NaN where the state is not finite.
-type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
+/// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: infinite
+/// where nothing is watched, NaN where the state is not finite.
+pub(super) type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
+
+/// Sections of each watched obstacle, a bit each.
+pub(super) type Sections = [u8; NEAR_MAX];
 
 /// The watched obstacles.
-pub(super) struct Near {
-    at: Configuration,
-    /// The robot that stands still there.
-    still: Body,
-    watched_count: u32,
+pub(super) struct Near<'a> {
+    /// The robot that stands still.
+    still: &'a Stance,
+    /// What no section comes near to is farther than this from all of them \[m\].
+    beyond_m: f64,
+    watched_count: usize,
+    watched: [Option<Watched>; NEAR_MAX],
     /// What is left of [`LOOKS`].
     looks: Cell<u32>,
-    watched: [Option<Watched>; NEAR_MAX],
+    /// The watched obstacle that was the last to be too near: it is looked at first.
+    last_short: Cell<usize>,
+    /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
+    rows: [Cell<u8>; NEAR_MAX],
+}
+
+/// A shape, and what clearances from it take.
+pub(super) struct Stance {
+    pub(super) at: Configuration,
+    frames: [Pose; SECTIONS_MAX + 1],
+    pub(super) body: Body,
 }
 
 #[derive(Clone, Copy)]
-struct Watched {
+pub(super) struct Watched {
     obstacle: Obstacle,
     speed_m_s: f64,
-    /// A section that is farther than this at one place of the way keeps clear along all of it \[m\]; -∞ for one that is not
-    /// watched.
-    reach_m: [f64; SECTIONS_MAX],
+    /// The clearance of each section now \[m\]: infinite for one that is not watched.
+    start_m: [f64; SECTIONS_MAX],
+    /// D, or what counts instead \[m\].
+    kept_m: f64,
     /// What each section must keep at the ends of [`ends_s`] \[m\].
     floors_m: [[f64; SECTIONS_MAX]; 2],
     /// As [`DIP_M`].
-    dip_m: f64,
+    pub(super) dip_m: f64,
 }
 
-/// A place of the way: bend + s q̇.
-struct Place {
-    way_s: f64,
-    spare_m: Spare,
+/// Where the robot is at s = `way_s`: bend + s q̇.
+pub(super) struct Place {
+    pub(super) way_s: f64,
+    time_s: f64,
+    pub(super) stance: Stance,
+    /// How far each section is from where it is now, at most \[m\].
+    displacement_m: [f64; SECTIONS_MAX],
 }
 
-impl Near {
-    /// Those of a robot that is `at` a configuration, with this `body`. `None` when there are more than fit.
+impl Stance {
+    pub(super) fn new(robot: &Robot, at: &Configuration) -> Self {
+        let frames = robot.section_frames(at);
+        Self {
+            at: *at,
+            frames,
+            body: robot.body_from_frames(at, &frames),
+        }
+    }
+
+    /// How far each section is from where it is in another stance, at most \[m\].
+    pub(super) fn displacement_m(&self, robot: &Robot, other: &Self) -> [f64; SECTIONS_MAX] {
+        robot.displacement_m((&other.at, &other.frames), (&self.at, &self.frames))
+    }
+}
+
+impl<'a> Near<'a> {
+    /// Those of a robot that is in this stance. `None` when there are more than fit.
     pub(super) fn find(
         guard: &Guard<'_>,
-        at: &Configuration,
-        body: &Body,
+        still: &'a Stance,
         rates: &BendRates,
+        is_ramp: bool,
     ) -> Option<Self> {
-        let (way_s, safe_m) = (guard.stopping.way_s, guard.safe_distance_m);
         let travel_m = farthest_m(guard, rates);
-        let time_s = guard.stopping.time_s(way_s);
+        let time_s = guard.stopping.time_s(guard.stopping.way_s);
+        let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
+        let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
+        let nearest_m = travel_m.iter().copied().fold(f64::INFINITY, f64::min);
         let mut near = Self {
-            at: *at,
-            still: *body,
+            still,
+            beyond_m: guard.safe_distance_m + nearest_m,
             watched_count: 0,
-            looks: Cell::new(LOOKS),
             watched: [None; NEAR_MAX],
+            looks: Cell::new(LOOKS),
+            last_short: Cell::new(0),
+            rows: [const { Cell::new(0) }; NEAR_MAX],
         };
-        let thinnest_m = guard
-            .robot
-            .sections()
-            .iter()
-            .map(|section| section.body_radius_m);
-        let thinnest_m = thinnest_m.fold(f64::INFINITY, f64::min);
+        let body = &still.body;
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
+            let safe_m = guard.safe_distance_m;
             let speed_m_s = obstacle.velocity_m_s().norm();
             let reach_m = travel_m.map(|travel_m| safe_m + travel_m + 2.0 * time_s * speed_m_s);
-            if !body.reaches(obstacle, reach_m.into_iter().fold(0.0, f64::max)) {
+            let start_m = body.clearances_in_reach(obstacle, &reach_m);
+            if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
-            let sections = body.sections_in_reach(obstacle, &reach_m);
-            if sections != 0 {
-                let mut watched = Watched {
-                    obstacle: *obstacle,
-                    speed_m_s,
-                    reach_m: core::array::from_fn(|j| {
-                        let is_watched = sections & (1 << j) != 0;
-                        if is_watched {
-                            reach_m[j]
-                        } else {
-                            f64::NEG_INFINITY
-                        }
-                    }),
-                    floors_m: [[0.0; SECTIONS_MAX]; 2],
-                    dip_m: DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m())),
-                };
-                watched.floors_m = if speed_m_s == 0.0 {
-                    [watched.floor_m(guard, body, 0.0); 2]
+            let dip_m = DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()));
+            // A ramp may end in what the command before was allowed between, and a rounding deeper.
+            let is_continued = is_ramp && speed_m_s == 0.0;
+            let mut watched = Watched {
+                obstacle: *obstacle,
+                speed_m_s,
+                start_m,
+                kept_m: if is_continued {
+                    safe_m - dip_m - ROUNDING_M
                 } else {
-                    ends_s(guard).map(|way_s| watched.floor_m(guard, body, way_s))
-                };
-                *slots.next()? = Some(watched);
-                near.watched_count += 1;
-            }
+                    safe_m
+                },
+                floors_m: [[0.0; SECTIONS_MAX]; 2],
+                dip_m,
+            };
+            watched.floors_m = ends_s(guard).map(|way_s| {
+                let time_s = guard.stopping.time_s(way_s);
+                core::array::from_fn(|j| watched.floor_m(j, body, time_s))
+            });
+            *slots.next()? = Some(watched);
+            near.watched_count += 1;
         }
         Some(near)
     }
 
-    fn watched(&self) -> impl Iterator<Item = &Watched> {
+    /// The least clearance of the body now \[m\], where a watched section has it; NaN where the state is not finite.
+    pub(super) fn least_clearance_m(&self) -> Option<f64> {
+        let clearances_m = self.watched().flat_map(|watched| watched.start_m);
+        let least_m = clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
+            // A NaN stays.
+            if least_m.is_nan() || clearance_m >= least_m {
+                least_m
+            } else {
+                clearance_m
+            }
+        });
+        (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
+    }
+
+    pub(super) fn watched(&self) -> impl Iterator<Item = &Watched> {
         self.watched.iter().map_while(Option::as_ref)
     }
 
-    /// The rule of [`Guard::keep_clear`].
-    pub(super) fn holds(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
-        if self.watched_count == 0 {
-            return true;
-        }
-        if self.looks.get() == 0 {
-            return false;
-        }
-        let all = u64::MAX;
-        let is_clear = |place: &Place| {
-            place
-                .spare_m
-                .iter()
-                .flatten()
-                .all(|spare_m| *spare_m >= 0.0)
-        };
-        let [period_s, end_s] = ends_s(guard);
-        let period = self.place(guard, rates, period_s, all);
-        if !is_clear(&period) {
-            return false;
-        }
-        let end = self.place(guard, rates, end_s, all);
-        if !is_clear(&end) {
-            return false;
-        }
-        let start = self.place(guard, rates, 0.0, all);
-        let way = Way {
-            near: self,
-            guard,
-            rates,
-            travel_m_s: travel_m_s(guard, rates),
-        };
-        way.is_clear_between(&start, &period, all, DEPTH)
-            && way.is_clear_between(&period, &end, all, DEPTH)
-    }
-
-    /// Bounds `region` to where the clearances that are too small at these rates are as large as they must be, to first order.
-    /// Whether there were some.
-    pub(super) fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
-        let mut is_bounded = false;
-        for way_s in ends_s(guard) {
-            let place = self.place(guard, rates, way_s, u64::MAX);
-            let next = self.at.advanced(rates, place.way_s);
-            let body = guard.robot.body(&next);
-            for (watched, spare_m) in self.watched().zip(&place.spare_m) {
-                for (section, spare_m) in spare_m.iter().enumerate() {
-                    if *spare_m < 0.0 {
-                        let obstacle = watched.at(guard, place.way_s);
-                        let nearest = body.nearest_of(section, &obstacle);
-                        let mut columns = [[0.0; 3]; COORDINATES_MAX];
-                        guard
-                            .robot
-                            .body_point_jacobian(&next, section, nearest.s, &mut columns);
-                        let d = &nearest.direction;
-                        let slope =
-                            columns.map(|[x, y, z]| place.way_s * (d.x * x + d.y * y + d.z * z));
-                        let gained_m: f64 = rates
-                            .as_slice()
-                            .iter()
-                            .zip(slope)
-                            .map(|(rate, slope)| rate * slope)
-                            .sum();
-                        region.bound(&slope, gained_m + MARGIN_M - spare_m);
-                        is_bounded = true;
-                    }
-                }
-            }
-        }
-        is_bounded
-    }
-
-    /// The place at s = `way_s`, with the spare of the watched obstacles whose bits are in `which`.
-    fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64, which: u64) -> Place {
-        let looks = which.count_ones().min(self.watched_count);
-        self.looks.set(self.looks.get().saturating_sub(looks));
-        let body = guard.robot.body(&self.at.advanced(rates, way_s));
-        let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
-        for (index, watched) in self.watched().enumerate() {
-            if which & (1 << index) != 0 {
-                spare_m[index] = watched.spare_m(guard, &self.still, &body, way_s);
-            }
-        }
-        Place { way_s, spare_m }
-    }
-}
-
-impl Watched {
-    /// Where it is when the robot has come to s = `way_s`.
-    fn at(&self, guard: &Guard<'_>, way_s: f64) -> Obstacle {
-        if self.speed_m_s == 0.0 {
-            return self.obstacle;
-        }
-        self.obstacle.moved(guard.stopping.time_s(way_s))
-    }
-
-    /// What is left to `body`, where the robot is at s = `way_s`.
-    fn spare_m(
-        &self,
-        guard: &Guard<'_>,
-        still: &Body,
-        body: &Body,
-        way_s: f64,
-    ) -> [f64; SECTIONS_MAX] {
-        let floor_m = match ends_s(guard).iter().position(|end_s| *end_s == way_s) {
-            Some(end) => self.floors_m[end],
-            None if self.speed_m_s == 0.0 => self.floors_m[0],
-            None => self.floor_m(guard, still, way_s),
-        };
-        let clearances_m = body.clearances_in_reach(&self.at(guard, way_s), &self.reach_m);
-        core::array::from_fn(|j| clearances_m[j] - floor_m[j])
-    }
-
-    /// What each section must keep at s = `way_s`: min(D, what is left to the robot that stands still). A NaN gives D, which
-    /// no NaN reaches.
-    fn floor_m(&self, guard: &Guard<'_>, still: &Body, way_s: f64) -> [f64; SECTIONS_MAX] {
-        let safe_m = guard.safe_distance_m;
-        let standing_m = still.clearances_in_reach(&self.at(guard, way_s), &[safe_m; SECTIONS_MAX]);
-        standing_m.map(|clearance_m| clearance_m.min(safe_m))
-    }
-}
-
-/// Where the rule holds exactly: after the period, and after the stopping way.
-fn ends_s(guard: &Guard<'_>) -> [f64; 2] {
-    [guard.period_s, guard.stopping.way_s]
-}
-
-/// The way of the robot at these rates.
-struct Way<'a> {
-    near: &'a Near,
-    guard: &'a Guard<'a>,
-    rates: &'a BendRates,
-    /// What no point of each section moves faster than \[m/s\].
-    travel_m_s: [f64; SECTIONS_MAX],
-}
-
-impl Way<'_> {
-    /// Whether no spare falls below -[`Watched::dip_m`] between two places: by what can be travelled between them, and where that does
-    /// not tell, by their middle. Where a moving obstacle is, is looked at once a period.
-    fn is_clear_between(&self, from: &Place, to: &Place, which: u64, depth: u32) -> bool {
-        let open = self.unsettled(from, to, which);
-        if open == 0 {
-            return true;
-        }
-        let way_s = 0.5 * (from.way_s + to.way_s);
-        if depth == 0 || self.near.looks.get() == 0 {
-            return false;
-        }
-        let middle = self.near.place(self.guard, self.rates, way_s, open);
-        let is_clear = |(watched, spare_m): (&Watched, &[f64; SECTIONS_MAX])| {
-            spare_m.iter().all(|spare_m| *spare_m >= -watched.dip_m)
-        };
-        self.near.watched().zip(&middle.spare_m).all(is_clear)
-            && self.is_clear_between(from, &middle, open, depth - 1)
-            && self.is_clear_between(&middle, to, open, depth - 1)
-    }
-
-    /// The bits of those that can have come nearer between.
-    fn unsettled(&self, from: &Place, to: &Place, which: u64) -> u64 {
-        let stopping = &self.guard.stopping;
-        let time_s = stopping.time_s(to.way_s) - stopping.time_s(from.way_s);
-        let obstacles = if time_s > self.guard.period_s {
-            2.0
-        } else {
-            0.0
-        };
-        let mut open = 0;
-        for (index, watched) in self.near.watched().enumerate() {
-            let is_open = |j: usize| {
-                // Both the clearance of the robot, and that of the one that stands still, change by its motion.
-                let travel_m = self.travel_m_s[j] * (to.way_s - from.way_s)
-                    + obstacles * watched.speed_m_s * time_s;
-                let least_m = 0.5 * (from.spare_m[index][j] + to.spare_m[index][j] - travel_m);
-                least_m < -watched.dip_m
-            };
-            if which & (1 << index) != 0 && (0..SECTIONS_MAX).any(is_open) {
-                open |= 1 << index;
+    /// The sections that can come below what is kept along the way, when no point of theirs is faster than `travel_m_s`.
+    pub(super) fn open(&self, guard: &Guard<'_>, travel_m_s: &[f64; SECTIONS_MAX]) -> Sections {
+        let way_s = guard.stopping.way_s;
+        let time_s = guard.stopping.time_s(way_s);
+        let mut open = [0; NEAR_MAX];
+        for (open, watched) in open.iter_mut().zip(self.watched()) {
+            let moved_m = watched.speed_m_s * time_s + ROUNDING_M;
+            for (j, start_m) in watched.start_m.iter().enumerate() {
+                let is_clear = start_m - travel_m_s[j] * way_s - moved_m >= watched.kept_m;
+                *open |= u8::from(!is_clear) << j;
             }
         }
         open
     }
+
+    /// Where the robot is at s = `way_s`.
+    pub(super) fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64) -> Place {
+        let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
+        Place {
+            way_s,
+            time_s: guard.stopping.time_s(way_s),
+            displacement_m: stance.displacement_m(guard.robot, self.still),
+            stance,
+        }
+    }
+
+    /// The spare of the sections in `which` at the start of the way.
+    pub(super) fn spare_at_start(&self, which: &Sections) -> Spare {
+        let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
+        for (index, watched) in self.watched().enumerate() {
+            for j in sections(which[index]) {
+                spare_m[index][j] = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
+            }
+        }
+        spare_m
+    }
+
+    /// The spare of the sections in `which` at a place; `None` if one is less than -`lack_m` of its obstacle, and nothing is
+    /// known any more. Where `is_exact` does not ask for more, a bound is enough.
+    pub(super) fn spare_at(
+        &self,
+        guard: &Guard<'_>,
+        place: &Place,
+        which: &Sections,
+        is_exact: bool,
+        lack_m: impl Fn(&Watched) -> f64,
+    ) -> Option<Spare> {
+        let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
+        let last = self.last_short.get();
+        let order = core::iter::once(last).chain((0..self.watched_count).filter(|i| *i != last));
+        for index in order {
+            let Some(watched) = &self.watched[index] else {
+                continue;
+            };
+            for j in sections(which[index]) {
+                let spare = self.spare_m(guard, place, watched, j, is_exact);
+                // A NaN is too little, too.
+                let is_enough = spare >= -lack_m(watched);
+                if !is_enough {
+                    self.last_short.set(index);
+                    return None;
+                }
+                spare_m[index][j] = spare;
+            }
+        }
+        Some(spare_m)
+    }
+
+    /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
+    pub(super) fn spare_m(
+        &self,
+        guard: &Guard<'_>,
+        place: &Place,
+        watched: &Watched,
+        j: usize,
+        is_exact: bool,
+    ) -> f64 {
+        let moved_m = place.displacement_m[j] + watched.speed_m_s * place.time_s + ROUNDING_M;
+        let least_m = watched.start_m[j] - moved_m;
+        if !is_exact && least_m >= watched.kept_m {
+            return least_m - watched.kept_m;
+        }
+        let floor_m = self.floor_m(guard, place, watched, j);
+        if !is_exact && least_m >= floor_m {
+            return least_m - floor_m;
+        }
+        let looks = match watched.obstacle.shape() {
+            Shape::Sphere { .. } => 1,
+            Shape::Capsule { .. } => CAPSULE_LOOKS,
+        };
+        self.looks.set(self.looks.get().saturating_sub(looks));
+        let obstacle = watched.at(place);
+        place.stance.body.clearance_of(j, &obstacle) - floor_m
+    }
+
+    /// What section j must keep at a place \[m\].
+    pub(super) fn floor_m(
+        &self,
+        guard: &Guard<'_>,
+        place: &Place,
+        watched: &Watched,
+        j: usize,
+    ) -> f64 {
+        match ends_s(guard).iter().position(|end_s| *end_s == place.way_s) {
+            Some(end) => watched.floors_m[end][j],
+            None => watched.floor_m(j, &self.still.body, place.time_s),
+        }
+    }
+
+    /// The robot that stands still.
+    pub(super) fn still(&self) -> &Stance {
+        self.still
+    }
+
+    /// Whether no row was asked for yet for this section and this watched obstacle.
+    pub(super) fn is_first_row(&self, index: usize, section: usize) -> bool {
+        let rows = self.rows[index].get();
+        self.rows[index].set(rows | 1 << section);
+        rows & 1 << section == 0
+    }
+
+    /// Whether the time for one command is used up.
+    pub(super) fn is_out_of_looks(&self) -> bool {
+        self.looks.get() == 0
+    }
+
+    /// Whether nothing is near.
+    pub(super) fn is_empty(&self) -> bool {
+        self.watched_count == 0
+    }
 }
 
-/// What no point of each section moves faster than at these rates \[m/s\].
-fn travel_m_s(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
-    let change = core::array::from_fn(|j| {
-        let [u, v] = rates.section(j);
-        u.hypot(v)
-    });
-    guard.robot.travel_m(&change)
+impl Watched {
+    /// Where it is when the robot has come to a place.
+    pub(super) fn at(&self, place: &Place) -> Obstacle {
+        if self.speed_m_s == 0.0 {
+            return self.obstacle;
+        }
+        self.obstacle.moved(place.time_s)
+    }
+
+    /// Those that can come too near.
+    pub(super) fn sections(&self) -> u8 {
+        let bit = |j: usize| u8::from(self.start_m[j] != f64::INFINITY) << j;
+        (0..SECTIONS_MAX).map(bit).sum()
+    }
+
+    /// How far it moves at most \[m\].
+    pub(super) fn moves_m(&self, time_s: f64) -> f64 {
+        self.speed_m_s * time_s
+    }
+
+    /// What section j must keep after `time_s`: min(D, what is left to the robot that stands still). A NaN gives D, which
+    /// no NaN reaches.
+    fn floor_m(&self, j: usize, still: &Body, time_s: f64) -> f64 {
+        let start_m = self.start_m[j];
+        if self.speed_m_s == 0.0 || start_m == f64::INFINITY {
+            return start_m.min(self.kept_m);
+        }
+        if start_m - self.moves_m(time_s) - ROUNDING_M >= self.kept_m {
+            return self.kept_m;
+        }
+        let moved = self.obstacle.moved(time_s);
+        still.clearance_of(j, &moved).min(self.kept_m)
+    }
+}
+
+/// The sections of a bit set.
+pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
+    (0..SECTIONS_MAX).filter(move |j| bits & (1 << j) != 0)
+}
+
+/// Where the rule holds exactly: after the period, and after the stopping way.
+pub(super) fn ends_s(guard: &Guard<'_>) -> [f64; 2] {
+    [guard.period_s, guard.stopping.way_s]
 }
 
 /// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are

@@ -46,7 +46,7 @@ impl Moment {
     }
 
     /// What is left of the clearances beyond what must be, at a place of the way \[m\]: and of what may be missing `between`.
-    fn spare_m(&self, rates: &BendRates, way_s: f64, between: bool) -> f64 {
+    fn spare_m(&self, rates: &BendRates, way_s: f64, between: bool, is_ramp: bool) -> f64 {
         let next = self.at.advanced(rates, way_s);
         let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
         let mut least_m = f64::INFINITY;
@@ -61,7 +61,9 @@ impl Moment {
             };
             for (now_m, standing_m) in now.into_iter().zip(standing) {
                 if standing_m.is_finite() {
-                    let floor_m = standing_m.min(self.safe_distance_m) - may_lack_m;
+                    let is_continued = is_ramp && obstacle.velocity_m_s().norm() == 0.0;
+                    let less_m = if is_continued { 1.001e-3 } else { 0.0 };
+                    let floor_m = standing_m.min(self.safe_distance_m - less_m) - may_lack_m;
                     least_m = least_m.min(now_m - floor_m);
                 }
             }
@@ -69,15 +71,15 @@ impl Moment {
         least_m
     }
 
-    /// The rule of [`Guard::keep_clear`], looked at in many places.
-    fn keeps(&self, rates: &BendRates) -> bool {
-        let is_exact = |way_s| self.spare_m(rates, way_s, false) >= 0.0;
+    /// The rule of [`Guard::keep_clear`], or of [`Guard::scale_down`], looked at in many places.
+    fn keeps(&self, rates: &BendRates, is_ramp: bool) -> bool {
+        let is_exact = |way_s| self.spare_m(rates, way_s, false, is_ramp) >= 0.0;
         let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
         is_exact(PERIOD_S)
             && is_exact(STOPPING.way_s)
             && places
                 .into_iter()
-                .all(|way_s| self.spare_m(rates, way_s, true) >= 0.0)
+                .all(|way_s| self.spare_m(rates, way_s, true, is_ramp) >= 0.0)
     }
 }
 
@@ -171,13 +173,13 @@ proptest! {
     #[test]
     fn what_leaves_keeps_clear_and_inside_the_limits(moment in moments()) {
         let guarded = moment.guard();
-        prop_assert!(moment.keeps(&guarded.rates));
+        prop_assert!(moment.keeps(&guarded.rates, false));
         let ramp = moment.guard_ramp();
-        prop_assert!(moment.keeps(&ramp.rates));
+        prop_assert!(moment.keeps(&ramp.rates, true));
         for (rate, wish) in ramp.rates.as_slice().iter().zip(moment.wish.as_slice()) {
             prop_assert!(rate.abs() <= wish.abs() && rate * wish >= 0.0);
         }
-        prop_assert!(guarded.hit || moment.keeps(&moment.wish));
+        prop_assert!(guarded.hit || moment.keeps(&moment.wish, false));
         let again = limit(&moment.robot, &moment.at, &guarded.rates, STOPPING.way_s);
         for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
             prop_assert!((rate - limited).abs() < 1e-9);

@@ -43,6 +43,32 @@ proptest! {
     }
 
     #[test]
+    fn no_point_is_displaced_further_or_leaves_its_chord_by_more_than_the_bounds(
+        (robot, shape) in robots_and_shapes(), largest_rad in 1e-4..1.0_f64,
+        rates in prop::array::uniform12(-1.0..1.0_f64),
+    ) {
+        let [mut middle, mut moved] = [shape; 2];
+        for (i, rate) in rates.iter().enumerate().take(robot.coordinate_count()) {
+            middle.as_mut_slice()[i] += 0.5 * largest_rad * rate;
+            moved.as_mut_slice()[i] += largest_rad * rate;
+        }
+        let frames = [&shape, &moved].map(|shape| robot.section_frames(shape));
+        let displacement_m = robot.displacement_m((&shape, &frames[0]), (&moved, &frames[1]));
+        // A second from one shape to the other.
+        let rates_rad_s = core::array::from_fn(|j| largest_rad * rates[2 * j].hypot(rates[2 * j + 1]));
+        let acceleration_m_s2 = robot.acceleration_m_s2(&rates_rad_s);
+        for j in 0..robot.section_count() {
+            for part in 0..=20 {
+                let point_m = |shape| robot.body_point(shape, j, f64::from(part) / 20.0);
+                let [begin_m, middle_m, end_m] = [&shape, &middle, &moved].map(point_m);
+                prop_assert!((end_m - begin_m).norm() <= displacement_m[j] + 1e-12);
+                let beside_m = (middle_m - 0.5 * (begin_m + end_m)).norm();
+                prop_assert!(beside_m <= acceleration_m_s2[j] / 8.0 + 1e-12);
+            }
+        }
+    }
+
+    #[test]
     fn no_point_moves_further_than_the_travel_and_no_section_out_of_reach_comes_near(
         (robot, shape) in robots_and_shapes(), place in places(), safe_m in 0.0..0.1_f64,
         changes in prop::array::uniform6((0.0..1.0_f64, -PI..PI, prop::bool::weighted(0.3))),

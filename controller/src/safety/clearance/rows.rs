@@ -1,0 +1,105 @@
+//! The half-spaces of rates in which clearances that are too small become as large as they must be.
+
+use crate::robot::{BendRates, COORDINATES_MAX};
+use crate::safety::projection::Region;
+
+use super::Guard;
+use super::near::{Near, Place, Watched, ends_s, sections};
+
+/// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
+const MARGIN_M: f64 = 1e-9;
+/// Rows that are taken at once, at most.
+const ROWS_MAX: usize = 64;
+
+/// A clearance that is too small.
+#[derive(Clone, Copy)]
+struct Short<'a> {
+    spare_m: f64,
+    place: &'a Place,
+    watched: &'a Watched,
+    index: usize,
+    section: usize,
+}
+
+/// Bounds `region` to where the clearances that are too small at these rates are as large as they must be, to first order.
+/// Whether there were some. Of very many the smallest are left out.
+pub(super) fn bound(
+    near: &Near<'_>,
+    guard: &Guard<'_>,
+    rates: &BendRates,
+    region: &mut Region,
+) -> bool {
+    let places = ends_s(guard).map(|way_s| near.place(guard, rates, way_s));
+    let mut least = Least {
+        rows: [None; ROWS_MAX],
+        count: 0,
+    };
+    for place in &places {
+        for (index, watched) in near.watched().enumerate() {
+            for section in sections(watched.sections()) {
+                let spare_m = near.spare_m(guard, place, watched, section, false);
+                if spare_m < 0.0 {
+                    least.insert(Short {
+                        spare_m,
+                        place,
+                        watched,
+                        index,
+                        section,
+                    });
+                }
+            }
+        }
+    }
+    for short in least.rows.iter().flatten() {
+        short.bound(near, guard, rates, region);
+    }
+    least.count > 0
+}
+
+/// Those with the least spare, in its order.
+struct Least<'a> {
+    rows: [Option<Short<'a>>; ROWS_MAX],
+    count: usize,
+}
+
+impl<'a> Least<'a> {
+    fn insert(&mut self, short: Short<'a>) {
+        let is_before = |row: &Option<Short<'_>>| row.is_some_and(|r| r.spare_m <= short.spare_m);
+        let place = self.rows.partition_point(is_before);
+        if place < ROWS_MAX {
+            self.count = (self.count + 1).min(ROWS_MAX);
+            self.rows[place..self.count].rotate_right(1);
+            self.rows[place] = Some(short);
+        }
+    }
+}
+
+impl Short<'_> {
+    /// To first order around the robot that stands still, where each clearance is as large as it must be, so that there is a
+    /// region; around `rates` where that was not enough.
+    fn bound(&self, near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) {
+        let is_first = near.is_first_row(self.index, self.section);
+        let (stance, margin_m) = if is_first {
+            (near.still(), 0.0)
+        } else {
+            (&self.place.stance, MARGIN_M)
+        };
+        let nearest = stance
+            .body
+            .nearest_of(self.section, &self.watched.at(self.place));
+        let mut columns = [[0.0; 3]; COORDINATES_MAX];
+        guard
+            .robot
+            .body_point_jacobian(&stance.at, self.section, nearest.s, &mut columns);
+        let d = &nearest.direction;
+        let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
+        let rates = rates.as_slice().iter();
+        let gained_m: f64 = if is_first {
+            0.0
+        } else {
+            rates.zip(slope).map(|(rate, slope)| rate * slope).sum()
+        };
+        let floor_m = near.floor_m(guard, self.place, self.watched, self.section);
+        region.bound(&slope, gained_m + margin_m + floor_m - nearest.clearance_m);
+    }
+}

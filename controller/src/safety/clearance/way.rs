@@ -1,0 +1,135 @@
+//! Whether a command keeps clear along its whole way: at its ends exactly, and between by what can be travelled.
+
+use crate::robot::{BendRates, SECTIONS_MAX};
+
+use super::Guard;
+use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
+
+/// How often a part of the way is halved before it counts as not clear.
+const DEPTH: u32 = 6;
+
+/// The way of the robot at some rates.
+struct Way<'a> {
+    near: &'a Near<'a>,
+    guard: &'a Guard<'a>,
+    rates: &'a BendRates,
+    /// What no point of each section moves faster than \[m/s\].
+    travel_m_s: [f64; SECTIONS_MAX],
+    /// What none of them is accelerated by more \[m/s²\].
+    acceleration_m_s2: [f64; SECTIONS_MAX],
+}
+
+/// What is left at s = `way_s`.
+#[derive(Clone, Copy)]
+struct Left<'a> {
+    way_s: f64,
+    stance: &'a Stance,
+    spare_m: &'a Spare,
+}
+
+/// The rule of [`Guard::keep_clear`], from where `near` was found.
+pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bool {
+    if near.is_empty() {
+        return true;
+    }
+    let turn_rad_s = core::array::from_fn(|j| {
+        let [u, v] = rates.section(j);
+        u.hypot(v)
+    });
+    let way = Way {
+        near,
+        guard,
+        rates,
+        travel_m_s: guard.robot.travel_m(&turn_rad_s),
+        acceleration_m_s2: guard.robot.acceleration_m_s2(&turn_rad_s),
+    };
+    let open = near.open(guard, &way.travel_m_s);
+    if open == [0; NEAR_MAX] {
+        return true;
+    }
+    // What is not clear mostly is not at the end of the way.
+    let [period_s, end_s] = ends_s(guard);
+    let clear_at = |way_s| {
+        let place = near.place(guard, rates, way_s);
+        let spare_m = near.spare_at(guard, &place, &open, false, |_| 0.0)?;
+        Some((place, spare_m))
+    };
+    let (Some(end), Some(period)) = (clear_at(end_s), clear_at(period_s)) else {
+        return false;
+    };
+    let start = Left {
+        way_s: 0.0,
+        stance: near.still(),
+        spare_m: &near.spare_at_start(&open),
+    };
+    let [period, end] = [&period, &end].map(|(place, spare_m)| Left::new(place, spare_m));
+    way.is_clear_between(start, period, &open, DEPTH)
+        && way.is_clear_between(period, end, &open, DEPTH)
+}
+
+impl<'a> Left<'a> {
+    fn new(place: &'a Place, spare_m: &'a Spare) -> Self {
+        Self {
+            way_s: place.way_s,
+            stance: &place.stance,
+            spare_m,
+        }
+    }
+}
+
+impl Way<'_> {
+    /// Whether no spare falls below -[`Watched::dip_m`] between two places: by what can be travelled between them, and where that does
+    /// not tell, by their middle. Where a moving obstacle is, is looked at once a period.
+    ///
+    /// [`Watched::dip_m`]: super::near::Watched::dip_m
+    fn is_clear_between(&self, from: Left<'_>, to: Left<'_>, which: &Sections, depth: u32) -> bool {
+        let open = self.unsettled(from, to, which);
+        if open == [0; NEAR_MAX] {
+            return true;
+        }
+        if depth == 0 || self.near.is_out_of_looks() {
+            return false;
+        }
+        let way_s = 0.5 * (from.way_s + to.way_s);
+        let place: Place = self.near.place(self.guard, self.rates, way_s);
+        let (near, guard) = (self.near, self.guard);
+        let Some(spare_m) = near.spare_at(guard, &place, &open, true, |watched| watched.dip_m)
+        else {
+            return false;
+        };
+        let middle = Left::new(&place, &spare_m);
+        self.is_clear_between(from, middle, &open, depth - 1)
+            && self.is_clear_between(middle, to, &open, depth - 1)
+    }
+
+    /// Those that can have come nearer between.
+    ///
+    /// A point that goes from p to p' in h seconds is nowhere farther from both together than |p' - p| and twice what it leaves
+    /// the chord by: that is at most its acceleration · h²/8.
+    fn unsettled(&self, from: Left<'_>, to: Left<'_>, which: &Sections) -> Sections {
+        let stopping = &self.guard.stopping;
+        let time_s = stopping.time_s(to.way_s) - stopping.time_s(from.way_s);
+        let obstacles = if time_s > self.guard.period_s {
+            2.0
+        } else {
+            0.0
+        };
+        let way_s = to.way_s - from.way_s;
+        let chords_m = to.stance.displacement_m(self.guard.robot, from.stance);
+        let travel_m: [f64; SECTIONS_MAX] = core::array::from_fn(|j| {
+            let bent_m = chords_m[j] + 0.25 * self.acceleration_m_s2[j] * way_s * way_s;
+            bent_m.min(self.travel_m_s[j] * way_s)
+        });
+        let mut open = [0; NEAR_MAX];
+        for (index, watched) in self.near.watched().enumerate() {
+            for j in sections(which[index]) {
+                // Both the clearance of the robot, and that of the one that stands still, change by its motion.
+                let travel_m = travel_m[j] + obstacles * watched.moves_m(time_s);
+                let spare_m = from.spare_m[index][j] + to.spare_m[index][j];
+                let is_settled = 0.5 * (spare_m - travel_m) >= -watched.dip_m;
+                open[index] |= u8::from(!is_settled) << j;
+            }
+        }
+        open
+    }
+}
