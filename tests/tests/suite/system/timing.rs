@@ -160,22 +160,32 @@ fn kept(connection: &Connection) -> Vec<Incident> {
     kept
 }
 
+/// Stalls that are made, each of which newer ones of the machine may push out.
+const STALLS_MAX: usize = 20;
+
 #[test]
 fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
-    freeze(&daemon, Duration::from_millis(200));
-    let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
-    let late = daemon.connect();
-    let mut stream = late.incidents().unwrap();
-    let incident = loop {
-        let incident = stream.next_within(PATIENCE).unwrap().expect("it is kept");
-        if incident.telemetry.cycle == bad.cycle {
-            break incident;
-        }
-    };
+    // On a bad machine more than are kept may be late before somebody asks: then it is another stall's turn.
+    let (bad, incident, late) = (0..STALLS_MAX)
+        .find_map(|_| {
+            freeze(&daemon, Duration::from_millis(200));
+            let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
+            let late = daemon.connect();
+            let mut stream = late.incidents().unwrap();
+            loop {
+                let incident = stream.next_within(PATIENCE).unwrap().expect("it is kept");
+                if incident.telemetry.cycle == bad.cycle {
+                    break Some((bad, incident, late));
+                } else if incident.telemetry.cycle > bad.cycle {
+                    break None;
+                }
+            }
+        })
+        .expect("one of them is kept");
     assert_eq!(incident.telemetry.header, bad.header);
     let cause = LateCause::try_from(incident.telemetry.scheduling.late_cause).unwrap();
     assert_ne!(cause, LateCause::None);
