@@ -55,10 +55,12 @@ pub(super) fn have_a_stranger() -> bool {
     }
 }
 
-/// A copy that any user may run: the build may lie in a folder that is closed to others.
+/// A copy that any user may run: the build may lie in a folder that is closed to others. Another process makes it: what
+/// this one holds open to write, another test's child may still hold when it is run ("text file busy").
 pub(super) fn open_to_all(place: &Place, program: &Path) -> PathBuf {
     let copy = place.folder().join(program.file_name().unwrap());
-    fs::copy(program, &copy).unwrap();
+    let copied = Command::new("cp").args([program, &copy]).status().unwrap();
+    assert!(copied.success());
     fs::set_permissions(&copy, Permissions::from_mode(0o755)).unwrap();
     copy
 }
