@@ -41,6 +41,8 @@ struct Active {
     rows: [Row; COORDINATES_MAX],
     multipliers: Vector,
     count: usize,
+    /// Cholesky's factor of Nᵀ N, with the normals as N: row by row, as they are taken in.
+    factor: [Vector; COORDINATES_MAX],
 }
 
 impl Region {
@@ -111,21 +113,38 @@ impl Region {
     /// What is violated most at `at`; a NaN violates nothing.
     fn most_violated(&self, at: &Vector) -> Option<Row> {
         let (mut most, mut found) = (INSIDE, None);
-        let mut look = |row: Row, lack: f64| {
-            let lack = lack / (1.0 + row.bound.abs());
+        let mut look = |side: Side, bound: f64, lack: f64| {
+            let lack = lack / (1.0 + bound.abs());
             if lack > most {
-                (most, found) = (lack, Some(row));
+                (most, found) = (lack, Some(side));
             }
         };
-        for row in &self.rows[..self.row_count] {
-            look(*row, row.bound - dot(&row.normal, at));
+        for (index, row) in self.rows[..self.row_count].iter().enumerate() {
+            look(
+                Side::Row(index),
+                row.bound,
+                row.bound - dot(&row.normal, at),
+            );
         }
         for i in 0..self.dimensions {
-            look(Row::axis(i, 1.0, self.lower[i]), self.lower[i] - at[i]);
-            look(Row::axis(i, -1.0, -self.upper[i]), at[i] - self.upper[i]);
+            let (lower, upper) = (self.lower[i], self.upper[i]);
+            look(Side::Lower(i), lower, lower - at[i]);
+            look(Side::Upper(i), upper, at[i] - upper);
         }
-        found
+        found.map(|side| match side {
+            Side::Row(index) => self.rows[index],
+            Side::Lower(i) => Row::axis(i, 1.0, self.lower[i]),
+            Side::Upper(i) => Row::axis(i, -1.0, -self.upper[i]),
+        })
     }
+}
+
+/// A half-space of a region, by its number or its coordinate.
+#[derive(Debug, Clone, Copy)]
+enum Side {
+    Row(usize),
+    Lower(usize),
+    Upper(usize),
 }
 
 impl Row {
@@ -149,33 +168,42 @@ impl Active {
         rows: [Row::ZERO; COORDINATES_MAX],
         multipliers: [0.0; COORDINATES_MAX],
         count: 0,
+        factor: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
     };
 
-    /// How much of each held normal there is in `normal`: the least-squares solution of N r = normal, by Cholesky's
-    /// factorisation of Nᵀ N.
+    /// How much of each held normal there is in `normal`: the least-squares solution of N r = normal. `None` where the held
+    /// ones depend on each other.
     fn shares(&self, normal: &Vector) -> Option<Vector> {
-        let mut factor = [[0.0; COORDINATES_MAX]; COORDINATES_MAX];
-        let mut shares = [0.0; COORDINATES_MAX];
-        for i in 0..self.count {
-            for j in 0..=i {
-                let known: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
-                let rest = dot(&self.rows[i].normal, &self.rows[j].normal) - known;
-                factor[i][j] = if i > j {
-                    rest / factor[j][j]
-                } else if rest > 0.0 {
-                    rest.sqrt()
-                } else {
-                    return None;
-                };
-            }
-            let known: f64 = (0..i).map(|k| factor[i][k] * shares[k]).sum();
-            shares[i] = (dot(&self.rows[i].normal, normal) - known) / factor[i][i];
+        if (0..self.count).any(|i| self.factor[i][i] == 0.0) {
+            return None;
         }
+        let mut shares = self.solved_forward(self.count, normal);
         for i in (0..self.count).rev() {
-            let known: f64 = (i + 1..self.count).map(|k| factor[k][i] * shares[k]).sum();
-            shares[i] = (shares[i] - known) / factor[i][i];
+            let known: f64 = (i + 1..self.count)
+                .map(|k| self.factor[k][i] * shares[k])
+                .sum();
+            shares[i] = (shares[i] - known) / self.factor[i][i];
         }
         Some(shares)
+    }
+
+    /// The first half of that, with the first `count` of those held.
+    fn solved_forward(&self, count: usize, normal: &Vector) -> Vector {
+        let mut solved = [0.0; COORDINATES_MAX];
+        for i in 0..count {
+            let known: f64 = (0..i).map(|k| self.factor[i][k] * solved[k]).sum();
+            solved[i] = (dot(&self.rows[i].normal, normal) - known) / self.factor[i][i];
+        }
+        solved
+    }
+
+    /// The row of the factor that belongs to the i-th of those held: zero on the diagonal where it depends on those before.
+    fn factorise(&mut self, i: usize) {
+        let normal = self.rows[i].normal;
+        let mut row = self.solved_forward(i, &normal);
+        let known: f64 = row[..i].iter().map(|share| share * share).sum();
+        row[i] = (dot(&normal, &normal) - known).max(0.0).sqrt();
+        self.factor[i] = row;
     }
 
     /// What of `normal` the held ones do not span.
@@ -202,6 +230,7 @@ impl Active {
     fn push(&mut self, row: Row, multiplier: f64) {
         self.rows[self.count] = row;
         self.multipliers[self.count] = multiplier;
+        self.factorise(self.count);
         self.count += 1;
     }
 
@@ -210,6 +239,9 @@ impl Active {
         self.rows.copy_within(i + 1..=self.count, i);
         self.multipliers.copy_within(i + 1..=self.count, i);
         self.multipliers[self.count] = 0.0;
+        for later in i..self.count {
+            self.factorise(later);
+        }
     }
 }
 
