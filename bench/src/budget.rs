@@ -18,17 +18,13 @@ use crate::experiment::{Solver, Task};
 use crate::scene::Scene;
 use crate::solver::Size;
 
-/// Budgets that are measured \[µs\].
 pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
 
 /// One line: one case with one budget.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// Name of the case.
     pub case: &'static str,
-    /// Budget of a solve \[µs\].
     pub budget_us: u64,
-    /// Solves.
     pub solves: u64,
     /// Share of the solves that the budget ended; the others had nothing left to do.
     pub ended_by_budget_share: f64,
@@ -43,11 +39,8 @@ pub struct Row {
 /// How much later than a budget something ended \[µs\]; 0 where it ended earlier.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Overrun {
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
-    /// Largest.
     pub max: f64,
 }
 
@@ -73,9 +66,6 @@ pub struct Case {
 
 /// The cases: the default, the paper's swarm for an orientation of the tip, and many particles and steps
 /// among obstacles.
-///
-/// # Errors
-/// Never with these sizes.
 pub fn cases() -> Result<Vec<Case>> {
     let default = Size::paper(Task::Spiral { sections: 3 }, Solver::KpsoRefined);
     let line = Task::Line {
@@ -108,9 +98,6 @@ impl Case {
 
     /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left; the way begins anew at its end.
-    ///
-    /// # Errors
-    /// When a plan costs more than the warm start.
     pub fn measure(&self, budget_us: u64, solves: u64) -> Result<Row> {
         let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
         let mut closed = ClosedLoop::new(&self.scene, self.settings);
@@ -186,7 +173,6 @@ impl Runner {
         self.bare_over_ns.saturating_record(over.as_nanos() as u64);
     }
 
-    /// Solves within the budget.
     fn solve(&mut self, input: &SolveInput) {
         self.nmpc.forget_plan();
         let begin = Instant::now();

@@ -21,14 +21,11 @@ pub struct ClosedLoop<'a> {
     inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,
 }
 
-/// What one cycle led to.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// End of the cycle \[s\].
     pub time_s: f64,
     /// Where the tip should be then \[m\].
     pub reference_m: Vector3<f64>,
-    /// Where it is.
     pub tip: Pose,
     /// How the robot is bent then.
     pub configuration: Configuration,
@@ -36,7 +33,6 @@ pub struct Sample {
     pub rates: BendRates,
     /// Clearance of the whole body then \[m\]; infinite without obstacles.
     pub clearance_m: f64,
-    /// Time of the solve \[ns\].
     pub solve_ns: u64,
 }
 
@@ -53,7 +49,6 @@ impl Sample {
 }
 
 impl<'a> ClosedLoop<'a> {
-    /// The scene at its start.
     pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Self {
         let reference_at = |time_s| ReferenceSample {
             state: ReferenceState::Inside,
@@ -71,7 +66,6 @@ impl<'a> ClosedLoop<'a> {
         Self { scene, inner }
     }
 
-    /// Whether all cycles are done.
     pub fn is_over(&self) -> bool {
         self.inner.cycle() >= self.scene.cycles
     }
@@ -117,9 +111,6 @@ fn orientation(scene: &Scene, time_s: f64) -> Orientation {
 }
 
 /// Runs the scene with one controller and tells of every cycle.
-///
-/// # Errors
-/// When the settings are out of range.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let mut closed = ClosedLoop::new(scene, settings);
@@ -140,9 +131,6 @@ pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
 }
 
 /// Solve times from 1 ns to a minute, three digits.
-///
-/// # Errors
-/// Never with these bounds.
 pub fn histogram() -> Result<Histogram<u64>> {
     Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
 }

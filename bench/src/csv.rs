@@ -13,9 +13,6 @@ enum Value {
 }
 
 /// One line for each row under the names of all columns. A field that a row lacks stays empty.
-///
-/// # Errors
-/// When a row is no object of numbers, texts, booleans and objects.
 pub fn csv<T: Serialize>(rows: &[T]) -> Result<String> {
     let mut columns: Vec<String> = Vec::new();
     let mut lines = Vec::new();

@@ -30,28 +30,17 @@ const CIRCLE_BLOCKS: u32 = 0;
 /// detour is up to a tenth wider.
 const CIRCLE_REFINEMENTS: u32 = 6;
 
-/// A simulation of the paper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
     /// The spiral of the last section.
-    Spiral {
-        /// Sections of the robot.
-        sections: usize,
-    },
+    Spiral { sections: usize },
     /// The line of three sections with a vertical tip.
-    Line {
-        /// Limit on the rates \[rad/s\].
-        rate_limit_rad_s: f64,
-    },
+    Line { rate_limit_rad_s: f64 },
     /// The circle of one section around an obstacle.
-    Circle {
-        /// Safe distance D \[m\].
-        safe_distance_m: f64,
-    },
+    Circle { safe_distance_m: f64 },
 }
 
 impl Task {
-    /// All, in the paper's order.
     pub fn all() -> Vec<Self> {
         let spirals = (1..=3).map(|sections| Self::Spiral { sections });
         let lines = LINE_RATES_RAD_S.map(|rate_limit_rad_s| Self::Line { rate_limit_rad_s });
@@ -59,7 +48,6 @@ impl Task {
         spirals.chain(lines).chain(circles).collect()
     }
 
-    /// Name of the curve.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Spiral { .. } => "spiral",
@@ -68,10 +56,6 @@ impl Task {
         }
     }
 
-    /// Robot, start, curve and obstacles.
-    ///
-    /// # Errors
-    /// When there is no such robot.
     pub fn scene(&self) -> Result<Scene> {
         match *self {
             Self::Spiral { sections } => Scene::spiral(sections),
@@ -80,7 +64,6 @@ impl Task {
         }
     }
 
-    /// What the paper states.
     pub fn paper(&self) -> PaperFigures {
         let (mean_error_mm, mean_solve_ms) = match self {
             Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
@@ -96,17 +79,14 @@ impl Task {
     }
 }
 
-/// What the paper states.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperFigures {
     /// Mean error \[mm\], where it states one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_error_mm: Option<f64>,
-    /// Mean computation time \[ms\].
     pub mean_solve_ms: f64,
 }
 
-/// The solvers that are compared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Solver {
@@ -114,14 +94,11 @@ pub enum Solver {
     Kpso,
     /// The swarm with Eq. 6 as printed.
     KpsoVerbatim,
-    /// Gauss-Newton steps alone.
     GaussNewton,
-    /// Gauss-Newton steps after the swarm.
     KpsoRefined,
 }
 
 impl Solver {
-    /// All of them.
     pub const ALL: [Self; 4] = [
         Self::Kpso,
         Self::KpsoVerbatim,
@@ -129,7 +106,6 @@ impl Solver {
         Self::KpsoRefined,
     ];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kpso => "kpso",
@@ -139,7 +115,6 @@ impl Solver {
         }
     }
 
-    /// The settings with this solver.
     #[must_use]
     pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
         let (solver, velocity_rule) = match self {
@@ -159,11 +134,8 @@ impl Solver {
 /// One simulation with one solver in one kind of coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Experiment {
-    /// The simulation.
     pub task: Task,
-    /// The solver.
     pub solver: Solver,
-    /// The coordinates of its controls.
     pub coordinates: Coordinates,
 }
 

@@ -6,19 +6,13 @@ use serde::Serialize;
 use crate::experiment::Solver;
 use crate::solver::Case;
 
-/// What can grow.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Quantity {
-    /// Sections of the robot.
     Section,
-    /// Prediction steps.
     Step,
-    /// Particles.
     Particle,
-    /// Swarm iterations.
     Iteration,
-    /// Obstacles within reach.
     Obstacle,
 }
 
@@ -31,7 +25,6 @@ impl Quantity {
         Self::Obstacle,
     ];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Section => "section",
@@ -50,17 +43,11 @@ impl Quantity {
 /// The growth of one solver with one quantity.
 #[derive(Debug, Clone, Serialize)]
 pub struct Growth {
-    /// Solver.
     pub solver: Solver,
-    /// What grows.
     pub per: Quantity,
-    /// Smallest that was measured.
     pub from: usize,
-    /// Largest.
     pub to: usize,
-    /// Median at the smallest \[µs\].
     pub p50_us_from: f64,
-    /// Median at the largest \[µs\].
     pub p50_us_to: f64,
     /// Slope of the line through all medians \[µs for one more\].
     pub us_per_unit: f64,
@@ -131,7 +118,6 @@ fn of(cases: &[&Case], solver: Solver, per: Quantity) -> Option<Growth> {
     })
 }
 
-/// Slope of the least-squares line.
 fn slope(points: &[(f64, f64)]) -> f64 {
     let count = points.len() as f64;
     let (mean_x, mean_y) = points

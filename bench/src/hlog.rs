@@ -15,9 +15,6 @@ use crate::section::Recording;
 const NS_PER_US: f64 = 1e3;
 
 /// The log of one benchmark, whose run began at `started`; none when it recorded nothing.
-///
-/// # Errors
-/// When a tag holds a space, a comma or a line feed.
 pub fn log(started: SystemTime, recordings: &[Recording<'_>]) -> Result<Option<String>> {
     if recordings.is_empty() {
         return Ok(None);

@@ -15,9 +15,6 @@ static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 const LOOK: Duration = Duration::from_millis(50);
 
 /// From now on a signal does not end the process but raises the flag, which every wait looks at.
-///
-/// # Errors
-/// When the system refuses.
 pub fn catch() -> Result<()> {
     let flag = RAISED.get_or_init(Arc::default);
     for signal in [SIGINT, SIGTERM, SIGHUP] {
@@ -26,7 +23,6 @@ pub fn catch() -> Result<()> {
     Ok(())
 }
 
-/// Whether a signal came.
 pub fn is_raised() -> bool {
     RAISED
         .get()
@@ -34,9 +30,6 @@ pub fn is_raised() -> bool {
 }
 
 /// An error once a signal came, so that `?` leads out of any measurement.
-///
-/// # Errors
-/// When a signal came.
 pub fn check() -> Result<()> {
     if is_raised() {
         bail!("interrupted: nothing was written");
@@ -44,10 +37,6 @@ pub fn check() -> Result<()> {
     Ok(())
 }
 
-/// Sleeps, unless a signal comes.
-///
-/// # Errors
-/// When a signal came.
 pub fn sleep(duration: Duration) -> Result<()> {
     let end = Instant::now() + duration;
     loop {

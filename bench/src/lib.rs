@@ -25,6 +25,12 @@
 //! granted. All others run the controller in this process, without a daemon and without real time: a time there
 //! says how long a solve takes on this machine, back to back, nothing else.
 
+#![allow(
+    missing_docs,
+    clippy::missing_errors_doc,
+    reason = "the library of a program: nobody reads its rustdoc, and a comment that repeats a name helps nobody"
+)]
+
 pub mod budget;
 mod chart;
 pub mod closed_loop;

@@ -9,19 +9,15 @@ pub struct Metric {
     pub name: String,
     /// Its unit, like `µs`; empty for a ratio.
     pub unit: String,
-    /// Which way is better.
     pub better: Better,
     /// Its value in each round; finite.
     pub rounds: Vec<f64>,
 }
 
-/// Which way is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Better {
-    /// Less is better.
     Lower,
-    /// More is better.
     Higher,
 }
 

@@ -60,7 +60,6 @@ impl Progress {
         self.begin("begins");
     }
 
-    /// What begins now, in words.
     pub fn begin(&mut self, what: &str) {
         let what = format!("{}{what}", self.part);
         match &self.bar {

@@ -6,18 +6,12 @@ use serde::Serialize;
 
 use crate::closed_loop::quantile_us;
 
-/// Of latencies \[µs\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Quantiles {
-    /// Smallest.
     pub min: f64,
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
-    /// 99.9th percentile.
     pub p999: f64,
-    /// Largest.
     pub max: f64,
 }
 

@@ -12,31 +12,20 @@ pub trait Section {
     /// Name of the command, and of the files.
     fn name(&self) -> &'static str;
 
-    /// Heading in the report.
     fn heading(&self) -> &'static str;
 
     /// What was done and how to read it: paragraphs of HTML.
     fn explanation(&self) -> &'static str;
 
     /// The whole result: one JSON object.
-    ///
-    /// # Errors
-    /// Never with numbers and texts.
     fn json(&self) -> Result<serde_json::Value>;
 
     /// Tables for people, the most important first.
     fn tables(&self) -> Vec<Table>;
 
     /// Tables for programs, the most important first.
-    ///
-    /// # Errors
-    /// Never with numbers and texts.
     fn sheets(&self) -> Result<Vec<Sheet>>;
 
-    /// Plots.
-    ///
-    /// # Errors
-    /// Never into memory.
     fn pictures(&self) -> Result<Vec<Figure>>;
 
     /// What another run can be compared by.
@@ -48,7 +37,6 @@ pub trait Section {
     }
 }
 
-/// One table as CSV.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sheet {
     /// Name of its file, without an ending.
@@ -64,8 +52,6 @@ pub struct Recording<'a> {
     pub tag: &'a str,
     /// When it began, after the start of the run \[s\].
     pub start_s: f64,
-    /// How long it lasted \[s\].
     pub duration_s: f64,
-    /// The latencies \[ns\].
     pub histogram: &'a Histogram<u64>,
 }

@@ -13,16 +13,11 @@ use crate::metric::median;
 use crate::scene::Scene;
 use crate::zone::Zone;
 
-/// Times of one solver \[µs\].
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct SolveTimes {
-    /// Mean.
     pub mean: f64,
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
-    /// Largest.
     pub max: f64,
 }
 
@@ -38,21 +33,16 @@ impl SolveTimes {
     }
 }
 
-/// What only the line has.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct LineFigures {
     /// Largest |Θ| of all samples and runs \[rad\].
     pub max_theta_rad: f64,
-    /// Largest |Ψ| \[rad\].
     pub max_psi_rad: f64,
-    /// Limit on the rates \[rad/s\].
     pub rate_limit_rad_s: f64,
 }
 
-/// What only the circle has.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct CircleFigures {
-    /// Safe distance D \[mm\].
     pub safe_distance_mm: f64,
     /// Smallest clearance of the whole body in all samples and runs \[mm\].
     pub min_clearance_mm: f64,
@@ -65,50 +55,33 @@ pub struct CircleFigures {
     pub peak_error_mm: Option<f64>,
 }
 
-/// One row: one experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct Simulation {
-    /// Name of the curve.
     pub name: &'static str,
-    /// Sections of the robot.
     pub sections: usize,
-    /// Solver.
     pub solver: Solver,
-    /// Coordinates of the controls.
     pub coordinates: Coordinates,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Samples of a run.
     pub samples: u64,
-    /// Runs, each with another seed.
     pub seeds: u64,
     /// Median over the seeds of the mean error \[mm\].
     pub mean_error_mm: f64,
     /// Largest error of all runs \[mm\].
     pub max_error_mm: f64,
-    /// Solve times of all runs.
     pub solve_us: SolveTimes,
-    /// What the paper states.
     pub paper: PaperFigures,
-    /// The line's own.
     #[serde(flatten)]
     pub line: Option<LineFigures>,
-    /// The circle's own.
     #[serde(flatten)]
     pub circle: Option<CircleFigures>,
 }
 
 /// An experiment, its row, and its first run for the figures.
 pub struct Outcome {
-    /// What was run.
     pub experiment: Experiment,
-    /// Where.
     pub scene: Scene,
-    /// The row.
     pub row: Simulation,
     /// The run with the first seed.
     pub first: Vec<Sample>,
@@ -116,16 +89,13 @@ pub struct Outcome {
     pub runs: Vec<Run>,
 }
 
-/// What one run came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
-    /// Mean error \[mm\].
     pub mean_error_mm: f64,
     /// Median of the solve times \[µs\].
     pub solve_p50_us: f64,
 }
 
-/// How much is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
     /// Runs of each experiment, each with another seed.
@@ -138,7 +108,6 @@ pub struct Effort {
 const CLEARANCE_SEEDS: u64 = 20;
 
 impl Effort {
-    /// Runs of this experiment.
     pub fn runs(&self, experiment: &Experiment) -> u64 {
         match (experiment.task, experiment.solver) {
             (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS),
@@ -166,9 +135,6 @@ pub(crate) fn work(experiment: &Experiment) -> u64 {
 }
 
 /// Runs one experiment with every seed.
-///
-/// # Errors
-/// When its controller cannot be built.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let mut summary = Summary::new(&experiment)?;

@@ -29,7 +29,6 @@ const SIZE_TIME: Duration = Duration::from_millis(1200);
 const WARM_UP: u64 = 10;
 /// Cycles of a case, at least.
 const CYCLES_MIN: u64 = 2 * WARM_UP;
-/// Radius of an obstacle \[m\].
 const OBSTACLE_RADIUS_M: f64 = 0.01;
 /// What the obstacles leave between themselves and the straight body, beyond the safe distance \[m\]: so
 /// little that each is within reach, so much that the robot can do its task.
@@ -40,25 +39,16 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 /// One line: one solver on one path, at one size.
 #[derive(Debug, Clone, Serialize)]
 pub struct Case {
-    /// Solver.
     pub solver: Solver,
     /// Name of the curve; the line asks for an orientation.
     pub curve: &'static str,
-    /// Path of the swarm.
     pub path: Path,
-    /// Sections of the robot.
     pub sections: usize,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Obstacles within reach.
     pub obstacles: usize,
-    /// Median \[µs\].
     pub p50_us: f64,
-    /// 99th percentile \[µs\].
     pub p99_us: f64,
     /// Median of the scalar path over the median of this one, in the same run.
     pub speedup_vs_scalar: f64,
@@ -69,15 +59,10 @@ pub struct Case {
 pub struct Size {
     /// The curve, its robot and the settings that belong to it.
     pub task: Task,
-    /// Solver.
     pub solver: Solver,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Obstacles within reach.
     pub obstacles: usize,
 }
 
@@ -112,7 +97,6 @@ pub fn sizes() -> Vec<Size> {
 }
 
 impl Size {
-    /// As in the paper.
     pub(crate) fn paper(task: Task, solver: Solver) -> Self {
         let settings = experiment(task, solver).settings();
         Self {
@@ -186,9 +170,6 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
 type Runner = (Path, Nmpc, Histogram<u64>);
 
 /// Measures one size on every path.
-///
-/// # Errors
-/// When a controller cannot be built, or two paths disagree.
 pub fn measure(size: &Size) -> Result<Vec<Case>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();

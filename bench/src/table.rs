@@ -15,10 +15,8 @@ const SENTENCE: usize = 32;
 
 /// Cells under heads; the first columns are words, the rest numbers.
 pub struct Table {
-    /// What it shows.
     pub title: String,
     heads: Vec<String>,
-    /// Columns of words.
     words: usize,
     rows: Vec<Vec<String>>,
 }
@@ -40,7 +38,6 @@ impl Table {
         }
     }
 
-    /// In columns of equal width.
     pub fn text(&self) -> String {
         let width = |column: usize| {
             let cells = self.rows.iter().map(|row| row[column].chars().count());
@@ -65,7 +62,6 @@ impl Table {
         text
     }
 
-    /// As a table of HTML.
     pub fn html(&self) -> String {
         let class = |column| {
             if column < self.words {
@@ -215,7 +211,6 @@ fn names(row: &Simulation) -> Vec<String> {
     vec![row.solver.name().into(), coordinates(row).into()]
 }
 
-/// As in JSON.
 pub fn coordinates(row: &Simulation) -> &'static str {
     match row.coordinates {
         Coordinates::BendVector => "bend-vector",
@@ -278,7 +273,6 @@ pub fn cases(cases: &[Case]) -> Table {
     )
 }
 
-/// How the times grow.
 pub fn growth(growths: &[Growth]) -> Table {
     let cells = |growth: &Growth| {
         let factor = growth.factor_per_doubling;
@@ -308,7 +302,6 @@ pub fn growth(growths: &[Growth]) -> Table {
     )
 }
 
-/// All budgets of all cases.
 pub fn budgets(rows: &[budget::Row]) -> Table {
     let cells = |row: &budget::Row| {
         let (over, bare) = (row.over_us, row.bare_over_us);

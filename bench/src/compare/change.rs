@@ -12,7 +12,6 @@ pub const ROUNDS_MIN: usize = 3;
 /// A smaller change of the median is of no account, however small the spread \[%\].
 pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
 
-/// What became of a number.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Verdict {
@@ -33,7 +32,6 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// In words.
     pub fn words(self) -> &'static str {
         match self {
             Self::Worse | Self::OneValueWorse => "worse",
@@ -44,12 +42,10 @@ impl Verdict {
         }
     }
 
-    /// Whether it changed beyond noise.
     pub fn is_changed(self) -> bool {
         matches!(self, Self::Worse | Self::Better)
     }
 
-    /// Whether two single values differ.
     pub fn is_one_value_other(self) -> bool {
         matches!(self, Self::OneValueWorse | Self::OneValueBetter)
     }
@@ -60,21 +56,15 @@ impl Verdict {
     }
 }
 
-/// The rounds of one run.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
-    /// Median.
     pub median: f64,
-    /// Smallest.
     pub min: f64,
-    /// Largest.
     pub max: f64,
-    /// How many.
     pub rounds: usize,
 }
 
 impl Spread {
-    /// Of at least one round.
     fn of(rounds: &[f64]) -> Option<Self> {
         let (min, max) = range(rounds)?;
         Some(Self {
@@ -90,22 +80,16 @@ impl Spread {
     }
 }
 
-/// One number before and after.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Change {
-    /// What it is.
     pub name: String,
     /// Its unit; empty for a ratio.
     pub unit: String,
-    /// Which way is better.
     pub better: Better,
-    /// Before.
     pub before: Spread,
-    /// After.
     pub after: Spread,
     /// Of the median \[%\]; none from zero.
     pub change_percent: Option<f64>,
-    /// What became of it.
     pub verdict: Verdict,
     /// When the rounds of the two runs are apart: how probable that is if nothing changed.
     pub chance: Option<f64>,

@@ -12,20 +12,14 @@ use crate::metric::Metric;
 /// What the comparison needs of a result, of one benchmark or of all.
 #[derive(Debug, Clone, Deserialize)]
 pub struct Input {
-    /// The machine.
     pub environment: Environment,
     /// What was asked for; none in a file of an older version.
     #[serde(default)]
     pub options: Option<Options>,
-    /// The single numbers.
     pub metrics: Vec<Metric>,
 }
 
 impl Input {
-    /// Reads a file.
-    ///
-    /// # Errors
-    /// When it cannot be read, or is no result; the error names it.
     pub fn read(file: &Path) -> Result<Self> {
         let name = file.display();
         let text = fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;

@@ -21,12 +21,9 @@ use crate::metric::Metric;
 /// Chance has a spread of its own: so many more may get worse.
 const WORSE_MARGIN: usize = 2;
 
-/// Two runs beside each other.
 #[derive(Debug, Clone, Serialize)]
 pub struct Comparison {
-    /// The run before.
     pub before: Environment,
-    /// The run after.
     pub after: Environment,
     /// Why the two cannot be compared as they are.
     pub warnings: Vec<String>,
@@ -41,7 +38,6 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Of two runs.
     pub fn of(before: &Input, after: &Input) -> Self {
         let (old, new) = (by_name(&before.metrics), by_name(&after.metrics));
         let mut metrics: Vec<Change> = old
@@ -78,7 +74,6 @@ impl Comparison {
 /// A name, and the unit in which it is told: another unit is another number.
 type Key<'a> = (&'a str, &'a str);
 
-/// Those that have a value.
 fn by_name(metrics: &[Metric]) -> BTreeMap<Key<'_>, &Metric> {
     let known = metrics.iter().filter(|metric| !metric.rounds.is_empty());
     known

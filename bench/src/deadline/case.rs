@@ -12,45 +12,32 @@ use crate::load::{Done, Load};
 use crate::metric::median;
 use crate::quantiles::Quantiles;
 
-/// Which measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key {
     /// How the threads were set up.
     pub setup: Setup,
-    /// What else the machine did.
     pub load: Load,
-    /// What was measured.
     pub subject: Subject,
 }
 
-/// One round of a case.
 #[derive(Debug)]
 pub struct Round {
     /// When it began, after the start of the run \[s\].
     pub start_s: f64,
-    /// What was measured.
     pub segment: Segment,
 }
 
 /// All rounds of one subject under one load.
 #[derive(Debug)]
 pub struct Case {
-    /// Which.
     pub key: Key,
-    /// Its rounds, in order.
     pub rounds: Vec<Round>,
-    /// All rounds together.
     pub total: Tally,
 }
 
-/// All cases, by key.
 pub type Cases = BTreeMap<Key, Case>;
 
 impl Case {
-    /// Without a round.
-    ///
-    /// # Errors
-    /// Never.
     pub fn new(key: Key) -> Result<Self> {
         Ok(Self {
             key,
@@ -59,10 +46,6 @@ impl Case {
         })
     }
 
-    /// Adds a round.
-    ///
-    /// # Errors
-    /// Never.
     pub fn push(&mut self, round: Round) -> Result<()> {
         self.total.add(&round.segment.tally)?;
         self.rounds.push(round);
@@ -77,7 +60,6 @@ impl Case {
             .collect()
     }
 
-    /// The row of JSON.
     pub fn row(&self) -> Row {
         let shares = self.rounds.iter().filter_map(|r| r.segment.tracking_share);
         let budget_hits = self.rounds.iter().map(|round| round.segment.budget_hits);
@@ -107,29 +89,23 @@ pub struct Row {
     #[serde(flatten)]
     times: TimeQuantiles,
     median_of_rounds: Medians,
-    /// The least of all rounds.
     pub(super) tracking_share: Option<f64>,
     rounds: Vec<RoundRow>,
 }
 
-/// Medians of the rounds \[µs\].
 #[allow(
     clippy::struct_field_names,
     reason = "the keys of the JSON end with their unit"
 )]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Medians {
-    /// Median wake-up.
     pub wake_p50_us: Option<f64>,
-    /// 99th percentile of the wake-up.
     pub wake_p99_us: Option<f64>,
-    /// 99th percentile of the response.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub response_p99_us: Option<f64>,
     /// Median of release → command in the client's hands.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub command_p50_us: Option<f64>,
-    /// Its 99th percentile.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub command_p99_us: Option<f64>,
 }

@@ -47,7 +47,6 @@ pub enum Setup {
 }
 
 impl Setup {
-    /// In a word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Realtime => "realtime",
@@ -56,14 +55,11 @@ impl Setup {
     }
 }
 
-/// What is to be measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     /// Measured time of each subject under each load, all rounds together.
     pub duration: Duration,
-    /// Rounds, at least 1.
     pub rounds: u32,
-    /// Loads with real time.
     pub loads: Vec<Load>,
     /// Loads without real time, a case of its own.
     pub ordinary_loads: Vec<Load>,
@@ -98,7 +94,6 @@ impl Options {
         }
     }
 
-    /// Measured time of one stretch.
     pub fn segment(&self) -> Duration {
         self.duration / self.rounds.max(1)
     }
@@ -123,10 +118,6 @@ pub fn expected_s(options: &Options) -> f64 {
     segment_s * loads as f64 * f64::from(options.rounds)
 }
 
-/// Measures.
-///
-/// # Errors
-/// When a process or a load fails twice in one stretch, the configuration is bad, or a signal comes.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     ensure!(options.rounds > 0, "at least one round is needed");
     for load in options.loads.iter().chain(&options.ordinary_loads) {
@@ -151,7 +142,6 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     Ok(Report::new(run, options))
 }
 
-/// A measurement under way.
 struct Run<'a> {
     begin: Instant,
     runner: Runner<'a>,

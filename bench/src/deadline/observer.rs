@@ -31,11 +31,9 @@ const SILENCE_NS: u64 = 2_000_000_000;
 /// What was observed between two moments.
 #[derive(Debug)]
 pub struct Observed {
-    /// Counts and latencies.
     pub tally: Tally,
     /// Share of the cycles in which the robot followed its reference.
     pub tracking_share: f64,
-    /// Solves that the budget ended.
     pub budget_hits: u64,
 }
 
@@ -50,9 +48,6 @@ pub struct Observer {
 
 impl Observer {
     /// Watches the daemon at `location` from `core`; with `realtime` before all ordinary tasks.
-    ///
-    /// # Errors
-    /// When there is no thread.
     pub fn start(location: &Location, core: usize, realtime: bool) -> Result<Self> {
         let begin_ns = Arc::new(AtomicU64::new(u64::MAX));
         let ending = Arc::new(AtomicBool::new(false));
@@ -76,7 +71,6 @@ impl Observer {
         })
     }
 
-    /// From now on cycles count.
     pub fn begin(&self) {
         self.begin_ns.store(monotonic_ns(), Ordering::Relaxed);
     }
@@ -86,10 +80,6 @@ impl Observer {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Ends the observation.
-    ///
-    /// # Errors
-    /// When the daemon was silent.
     pub fn finish(mut self) -> Result<Observed> {
         self.ending.store(true, Ordering::Relaxed);
         let thread = self.thread.take().context("it was finished before")?;

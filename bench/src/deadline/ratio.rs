@@ -16,17 +16,13 @@ const SIGNIFICANCE: f64 = 0.05;
 /// One load: the daemon over the bare loop, round by round.
 #[derive(Debug, Clone, Serialize)]
 pub struct Ratio {
-    /// What else the machine did.
     pub load: Load,
-    /// Whether the threads were real-time.
     pub realtime: bool,
     /// Median wake-up of the daemon over that of the bare loop: median of the rounds.
     pub wake_p50: Option<f64>,
     /// The same of the 99th percentile.
     pub wake_p99: Option<f64>,
-    /// Smallest and largest round.
     pub wake_p50_range: Option<(f64, f64)>,
-    /// Smallest and largest round.
     pub wake_p99_range: Option<(f64, f64)>,
     /// Misses of the daemon beyond those of the bare loop \[per million cycles\]; negative: it missed less often.
     pub misses_beyond_bare: f64,
@@ -45,12 +41,9 @@ pub struct Ratio {
     pub rounds: Rounds,
 }
 
-/// Ratios of each round.
 #[derive(Debug, Clone, Default)]
 pub struct Rounds {
-    /// Of the median wake-up.
     pub wake_p50: Vec<f64>,
-    /// Of its 99th percentile.
     pub wake_p99: Vec<f64>,
     /// Of the median command, less the median wake-up \[µs\].
     pub command_beyond_wake: Vec<f64>,

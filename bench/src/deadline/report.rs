@@ -20,12 +20,10 @@ use crate::quantiles::Quantiles;
 use crate::section::{Recording, Section, Sheet};
 use crate::table::Table;
 
-/// Height of a plot.
 const PLOT_HEIGHT: u32 = 520;
 /// The wake-ups of a plot begin here \[µs\].
 const SHORTEST_US: f64 = 0.1;
 
-/// What was measured.
 #[derive(Debug)]
 pub struct Report {
     cases: Cases,
@@ -38,7 +36,6 @@ pub struct Report {
     tags: Vec<Tag>,
 }
 
-/// Where a recording comes from.
 #[derive(Debug)]
 struct Tag {
     text: String,

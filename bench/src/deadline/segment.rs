@@ -18,20 +18,17 @@ use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 
-/// What is measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Subject {
     /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
     Bare,
-    /// The daemon, tracking.
     Daemon,
     /// cyclictest of rt-tests, with the daemon's period and priority.
     Cyclictest,
 }
 
 impl Subject {
-    /// As in JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Bare => "bare",
@@ -41,20 +38,16 @@ impl Subject {
     }
 }
 
-/// One stretch of one subject.
 #[derive(Debug)]
 pub struct Segment {
-    /// Counts and latencies.
     pub tally: Tally,
     /// What the load did meanwhile, its warm-up included.
     pub load: Done,
     /// Share of the daemon's cycles in which the robot followed its reference.
     pub tracking_share: Option<f64>,
-    /// Solves that the budget ended.
     pub budget_hits: u64,
 }
 
-/// Who runs the segments.
 #[derive(Debug)]
 pub struct Runner<'a> {
     options: &'a Options,
@@ -67,9 +60,6 @@ pub struct Runner<'a> {
 
 impl<'a> Runner<'a> {
     /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
-    ///
-    /// # Errors
-    /// When the daemon does not start with it.
     pub fn new(options: &'a Options, cores: Cores) -> Result<Self> {
         let launch = launch(options);
         let daemon = Daemon::start(&launch, &cores)?;
@@ -119,15 +109,10 @@ impl<'a> Runner<'a> {
         subjects
     }
 
-    /// The period of the daemon.
     pub fn period(&self) -> Duration {
         self.period
     }
 
-    /// Measures one stretch.
-    ///
-    /// # Errors
-    /// When a process or the load fails.
     pub fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Segment> {
         match subject {
             Subject::Daemon => self.daemon(load, setup),

@@ -15,7 +15,6 @@ use crate::subject::cyclictest::Latencies;
 pub struct Causes {
     /// The timer or the processor itself came late: hypervisor, firmware.
     pub platform: u64,
-    /// Another task had the core.
     pub load: u64,
     /// The computation took too long: ours.
     pub compute: u64,
@@ -49,7 +48,6 @@ impl Causes {
 /// The latencies of a stretch \[ns\].
 #[derive(Debug, Clone)]
 pub struct Times {
-    /// Release to start.
     pub wake: Histogram<u64>,
     /// Start to hand-over of the command; empty for what does not compute.
     pub compute: Histogram<u64>,
@@ -69,7 +67,6 @@ impl Times {
         })
     }
 
-    /// Each with its name.
     pub fn named(&self) -> [(&'static str, &Histogram<u64>); 4] {
         [
             ("wake", &self.wake),
@@ -88,20 +85,14 @@ impl Times {
     }
 }
 
-/// Counts of a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Counts {
-    /// Cycles that ran.
     pub cycles: u64,
-    /// Cycles that started late.
     pub late_starts: u64,
-    /// Cycles that missed their deadline.
     pub deadline_misses: u64,
     /// Of these, those that are ours: the computation took too long, or a page was missing.
     pub own_misses: u64,
-    /// Releases without a cycle.
     pub skipped_periods: u64,
-    /// Late cycles by cause.
     pub causes: Causes,
     /// Records that never reached the observer.
     pub lost_records: u64,
@@ -131,17 +122,11 @@ impl Counts {
 /// What one stretch of cycles comes to.
 #[derive(Debug, Clone)]
 pub struct Tally {
-    /// Counts.
     pub counts: Counts,
-    /// Latencies.
     pub times: Times,
 }
 
 impl Tally {
-    /// Nothing yet.
-    ///
-    /// # Errors
-    /// Never.
     pub fn new() -> Result<Self> {
         Ok(Self {
             counts: Counts::default(),
@@ -150,9 +135,6 @@ impl Tally {
     }
 
     /// Of cycles; `computes` says whether what they handed over was computed.
-    ///
-    /// # Errors
-    /// Never.
     pub fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
         let mut tally = Self::new()?;
         let mut after_miss = false;
@@ -164,9 +146,6 @@ impl Tally {
     }
 
     /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
-    ///
-    /// # Errors
-    /// Never.
     pub fn of_cyclictest(latencies: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
         let mut tally = Self::new()?;
         tally.times.wake.add(&latencies.histogram_ns)?;
@@ -200,10 +179,6 @@ impl Tally {
         }
     }
 
-    /// Both together.
-    ///
-    /// # Errors
-    /// Never.
     pub fn add(&mut self, other: &Self) -> Result<()> {
         self.counts.add(&other.counts);
         self.times.add(&other.times)
@@ -227,7 +202,6 @@ impl Tally {
 )]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TimeQuantiles {
-    /// Release to start.
     pub wake_us: Option<Quantiles>,
     /// Start to hand-over of the command.
     pub compute_us: Option<Quantiles>,

@@ -12,7 +12,6 @@ const ISOLATING: [&str; 3] = ["isolcpus=", "nohz_full=", "rcu_nocbs="];
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Kernel {
-    /// Release, like `6.12.0`.
     pub release: String,
     /// Version: number of the build and what it was built with.
     pub version: String,
@@ -26,7 +25,6 @@ pub struct Kernel {
     pub huge_pages: Option<String>,
     /// Time that real-time threads may have of each period \[µs\]; -1: all of it.
     pub rt_runtime_us: Option<i64>,
-    /// That period \[µs\].
     pub rt_period_us: Option<i64>,
 }
 

@@ -31,31 +31,24 @@ const CAP_IPC_LOCK: u32 = 14;
 pub struct Environment {
     /// When the run began, in UTC, like `2026-11-21T12:00:00Z`.
     pub started_utc: String,
-    /// Version of cdcr.
     pub cdcr_version: String,
     /// Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
     pub commit: Option<String>,
     /// Built without optimisation: times of such a program say nothing.
     pub debug_build: bool,
-    /// Processor.
     pub processor: Processor,
     /// Whether a hypervisor may halt the cores at any time, as the processor tells; none where it does not.
     pub virtual_machine: Option<bool>,
     /// Which one, when it can be read.
     pub hypervisor: Option<String>,
-    /// Kernel.
     pub kernel: Kernel,
-    /// Memory \[MB of 10⁶ bytes\].
     pub memory_mb: Option<u64>,
     /// Load average of the last minute before the start; 1 is one busy core.
     pub load_average: Option<f64>,
-    /// What this process may do.
     pub privileges: Privileges,
-    /// The cores of the measurement.
     pub cores: UsedCores,
 }
 
-/// What the process may do.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Privileges {
@@ -71,15 +64,11 @@ pub struct Privileges {
 pub struct UsedCores {
     /// The core of the daemon's real-time threads.
     pub realtime: usize,
-    /// Those of clients and loads.
     pub others: Vec<usize>,
 }
 
 impl Environment {
     /// This machine now. To be asked before any thread of this process is pinned.
-    ///
-    /// # Errors
-    /// When the system does not tell which cores this process may use.
     pub fn find() -> Result<Self> {
         let cores = Cores::find()?;
         let used = UsedCores {
@@ -114,7 +103,6 @@ impl Environment {
         }
     }
 
-    /// A row for each property.
     pub fn table(&self) -> Table {
         let rows = [
             ("started", self.started_utc.clone()),
@@ -199,7 +187,6 @@ pub(crate) fn granted(is_granted: bool) -> String {
     if is_granted { "granted" } else { "refused" }.to_owned()
 }
 
-/// A time as in [`Environment::started_utc`].
 pub fn utc(time: SystemTime) -> String {
     humantime::format_rfc3339_seconds(time).to_string()
 }

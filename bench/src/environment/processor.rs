@@ -10,17 +10,13 @@ const CPUINFO: &str = "/proc/cpuinfo";
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Processor {
-    /// Its name.
     pub model: String,
-    /// Who made it.
     pub vendor: Option<String>,
-    /// Cores that are online.
     pub cores: usize,
     /// Caches of the core, like `L1 Data 32K`.
     pub caches: Vec<String>,
     /// Frequency, as told at the start \[MHz\].
     pub frequency_mhz: Option<f64>,
-    /// Who chooses the frequency.
     pub governor: Option<String>,
 }
 
@@ -57,7 +53,6 @@ fn folder(core: usize) -> String {
     format!("/sys/devices/system/cpu/cpu{core}")
 }
 
-/// From a list like `0-3,5`.
 fn online(system: &System) -> usize {
     let list = system.read("/sys/devices/system/cpu/online");
     let count = |part: &str| {

@@ -3,19 +3,16 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where `/proc` and `/sys` are.
 #[derive(Debug, Clone)]
 pub(super) struct System {
     root: PathBuf,
 }
 
 impl System {
-    /// That of this machine.
     pub(super) fn real() -> Self {
         Self::below(Path::new("/"))
     }
 
-    /// Another one.
     pub(super) fn below(root: &Path) -> Self {
         Self {
             root: root.to_owned(),

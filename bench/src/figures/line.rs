@@ -10,7 +10,6 @@ use crate::closed_loop::Sample;
 use crate::experiment::{LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::Outcome;
 
-/// Shapes that are drawn.
 const SHAPES: usize = 6;
 
 fn title(rate_limit_rad_s: f64) -> String {

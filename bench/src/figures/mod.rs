@@ -12,13 +12,10 @@ use cdcr_controller::nmpc::Coordinates;
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
-/// One figure.
 pub struct Figure {
     /// Name of its file, without an ending.
     pub name: &'static str,
-    /// What it shows.
     pub caption: String,
-    /// The picture.
     pub svg: String,
 }
 
@@ -33,9 +30,6 @@ impl Figure {
 }
 
 /// All figures, in three groups: spiral, line and circle.
-///
-/// # Errors
-/// When an experiment that is drawn is not among the outcomes.
 pub fn figures(outcomes: &[Outcome]) -> Result<[Vec<Figure>; 3]> {
     Ok([
         spiral::figures(outcomes)?,
@@ -56,7 +50,6 @@ fn find(outcomes: &[Outcome], task: Task, solver: Solver) -> Result<&Outcome> {
     .with_context(|| format!("no outcome of {task:?} with {}", solver.name()))
 }
 
-/// The outcomes of all solvers.
 fn find_all(outcomes: &[Outcome], task: Task) -> Result<Vec<&Outcome>> {
     let solvers = Solver::ALL.iter();
     solvers
@@ -64,7 +57,6 @@ fn find_all(outcomes: &[Outcome], task: Task) -> Result<Vec<&Outcome>> {
         .collect()
 }
 
-/// With their names.
 fn named<'a>(outcomes: &[&'a Outcome]) -> Vec<(String, &'a Outcome)> {
     let all = outcomes.iter();
     all.map(|outcome| (outcome.row.solver.name().to_owned(), *outcome))

@@ -170,7 +170,6 @@ pub(super) fn times(title: String, runs: &[&Outcome]) -> Panel {
     }
 }
 
-/// Every solver has one.
 pub(super) fn colour(solver: Solver) -> RGBColor {
     match solver {
         Solver::Kpso => SKY,
@@ -180,7 +179,6 @@ pub(super) fn colour(solver: Solver) -> RGBColor {
     }
 }
 
-/// A linear panel over time.
 pub(super) fn panel(title: String, y: &'static str, curves: Vec<Curve>) -> Panel {
     Panel {
         title,

@@ -2,13 +2,9 @@
 
 use std::fmt::Write as _;
 
-/// One line of the picture.
 pub(super) struct Bar {
-    /// What it is.
     pub(super) label: String,
-    /// Without a client \[%\].
     pub(super) idle_percent: f64,
-    /// With one \[%\].
     pub(super) tracking_percent: f64,
 }
 

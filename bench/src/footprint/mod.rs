@@ -41,7 +41,6 @@ pub struct Options {
 }
 
 impl Options {
-    /// About 80 s.
     pub fn full() -> Self {
         Self {
             rounds: 5,
@@ -72,9 +71,6 @@ pub fn expected_s(options: &Options) -> f64 {
 }
 
 /// Measures one daemon after the other.
-///
-/// # Errors
-/// When a daemon does not start or does not follow, or a signal came.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let cores = Cores::find()?;
     cores.stay_off();

@@ -18,9 +18,7 @@ use crate::table::Table;
 /// What the daemons of some rounds took.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Report {
-    /// Whether they had real time.
     pub realtime: bool,
-    /// One daemon each.
     pub rounds: Vec<Round>,
     /// The programs as they lie there.
     pub programs: Vec<Program>,
@@ -29,9 +27,7 @@ pub struct Report {
 /// A program, with its debug information, as it was built.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Program {
-    /// Its name.
     pub name: &'static str,
-    /// Length of its file \[bytes\].
     pub bytes: u64,
 }
 

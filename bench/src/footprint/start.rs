@@ -34,9 +34,6 @@ pub struct Start {
 
 impl Start {
     /// Starts a daemon that a client looks for from the beginning, measures how long that takes, and ends it.
-    ///
-    /// # Errors
-    /// When it does not start; the error says what it said.
     pub(super) fn measure(launch: &Launch, cores: &Cores) -> Result<Self> {
         let (daemon, manager, begin_ns) = spawn(launch, cores)?;
         let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
@@ -52,9 +49,6 @@ impl Start {
 }
 
 /// Starts a daemon and waits for its `READY=1`: no client has connected yet.
-///
-/// # Errors
-/// When it does not start; the error says what it said.
 pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
     let (daemon, manager, _) = spawn(launch, cores)?;
     match manager.ready_ns() {
@@ -82,7 +76,6 @@ fn with_last_words(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
     error.context(format!("the daemon does not start{words}"))
 }
 
-/// What a client found.
 struct Found {
     /// When the first cycle of the daemon was released \[ns\].
     release_ns: u64,
@@ -113,7 +106,6 @@ fn first_record(daemon: &Daemon) -> Result<Found> {
 
 /// A service manager that waits for a `READY=1`.
 struct Manager {
-    /// Where its socket lies.
     _folder: TempDir,
     thread: JoinHandle<Result<u64>>,
 }
@@ -130,7 +122,6 @@ impl Manager {
         })
     }
 
-    /// When it came \[ns\].
     fn ready_ns(self) -> Result<u64> {
         let heard = self.thread.join();
         heard.map_err(|_| anyhow!("the service manager panicked"))?

@@ -44,9 +44,6 @@ pub(super) struct Answer {
 impl Asker {
     /// Opens the service that the daemon made. It asks in the name of `sender_id`, which a lease is bound
     /// to.
-    ///
-    /// # Errors
-    /// When the daemon does not live.
     pub(super) fn open(location: &Location, sender_id: u64) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
         let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
@@ -79,9 +76,6 @@ impl Asker {
     }
 
     /// Sends a request; one at a time.
-    ///
-    /// # Errors
-    /// When iceoryx2 cannot.
     pub(super) fn ask(&mut self, kind: RequestKind) -> Result<()> {
         ensure!(
             self.waiting.is_none(),
@@ -109,9 +103,6 @@ impl Asker {
     }
 
     /// The answer, if it has come meanwhile.
-    ///
-    /// # Errors
-    /// When none came for too long.
     pub(super) fn look(&mut self) -> Result<Option<Answer>> {
         let Some(asked) = &self.waiting else {
             return Ok(None);

@@ -33,7 +33,6 @@ use crate::system::cores::Cores;
 use crate::system::process::Process;
 use crate::system::thread::pin;
 
-/// Messages before one counts.
 const WARM_UP: usize = 200;
 /// From one message to the next \[ns\].
 const GAP_NS: u64 = 200_000;
@@ -50,10 +49,6 @@ pub(super) fn expected_s(samples: usize) -> f64 {
     0.5 + 2.0 * (WARM_UP + samples) as f64 * GAP_NS as f64 * 1e-9
 }
 
-/// Measures `samples` of each leg.
-///
-/// # Errors
-/// When the peer cannot be started, or does not answer.
 pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
     // Dropped last.
     let place = Place::new()?;
@@ -88,12 +83,9 @@ fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
-/// What the peer is told.
 #[derive(Debug, Clone)]
 pub struct PeerOptions {
-    /// Where it meets its parent.
     pub location: Location,
-    /// Its core.
     pub core: usize,
     /// Its parent, with which it ends.
     pub parent: u32,
@@ -102,9 +94,6 @@ pub struct PeerOptions {
 }
 
 /// The peer: answers until it is told to end, or its parent has ended. To be called from the main thread.
-///
-/// # Errors
-/// When shared memory cannot be used.
 pub fn peer(options: &PeerOptions) -> Result<()> {
     // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry. Caught before
     // the kernel is asked, so that no signal finds the peer without a handler.
@@ -151,7 +140,6 @@ fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
     }
 }
 
-/// The three services.
 struct Services {
     there: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
     back: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
@@ -159,7 +147,6 @@ struct Services {
 }
 
 impl Services {
-    /// Whoever comes first makes them.
     fn open(location: &Location) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
         let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
@@ -187,7 +174,6 @@ fn topic(
         .map_err(|cause| anyhow!("the service {name}: {cause:?}"))
 }
 
-/// The ends of the peer.
 struct Far {
     there: Subscriber<ipc::Service, Command, ()>,
     back: Publisher<ipc::Service, Command, ()>,
@@ -217,7 +203,6 @@ impl Far {
         })
     }
 
-    /// Answers what is there.
     fn look(&self) -> Result<()> {
         let failed = |cause: &dyn std::fmt::Debug| anyhow!("the peer cannot answer: {cause:?}");
         if let Some(sample) = self.there.receive().map_err(|cause| failed(&cause))? {
@@ -238,7 +223,6 @@ impl Far {
     }
 }
 
-/// Our ends.
 struct Near {
     there: Publisher<ipc::Service, Command, ()>,
     back: Subscriber<ipc::Service, Command, ()>,
@@ -339,7 +323,6 @@ impl Near {
         Ok(())
     }
 
-    /// Messages there and back.
     fn play(&self, samples: usize, round: &mut Round) -> Result<()> {
         for index in 0..WARM_UP + samples {
             let sequence = index as u64 + 1;
@@ -358,7 +341,6 @@ impl Near {
         Ok(())
     }
 
-    /// Requests and answers.
     fn ask(&self, samples: usize, round: &mut Round) -> Result<()> {
         for index in 0..WARM_UP + samples {
             let header = Header {

@@ -32,7 +32,6 @@ const REMEMBERED: usize = 1024;
 /// Records from which the lead of the gather is learned.
 const LEAD_RECORDS: usize = 20;
 
-/// The grid of a daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub(super) struct Grid {
@@ -65,7 +64,6 @@ pub(super) trait Errand {
         grid.early_ns()
     }
 
-    /// When it acts next \[ns, `CLOCK_MONOTONIC`\].
     fn due_ns(&self) -> u64;
 
     /// Acts: its time has come. `newest` is the newest command.
@@ -75,7 +73,6 @@ pub(super) trait Errand {
     /// `release_ns` can have taken.
     fn look(&mut self, release_ns: u64) -> Result<bool>;
 
-    /// A cycle has told everything.
     fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()>;
 
     /// Whether it has what it came for.
@@ -101,7 +98,6 @@ pub struct Looks {
     pub late: u64,
 }
 
-/// The client.
 pub(super) struct Hands {
     pub(super) connection: Connection,
     pub(super) status: Status,
@@ -117,9 +113,6 @@ pub(super) struct Hands {
 
 impl Hands {
     /// Connects. To be called on the thread that watches.
-    ///
-    /// # Errors
-    /// When the daemon does not live.
     pub(super) fn open(location: &Location) -> Result<Self> {
         let connection = Connection::open_within(location, ROBOT, PATIENCE)?;
         let status = connection.status(PATIENCE)?;
@@ -151,9 +144,6 @@ impl Hands {
     }
 
     /// Watches until the errand is done.
-    ///
-    /// # Errors
-    /// When it is not done in its time, or what it does fails.
     pub(super) fn run(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
         self.forget()?;
         let turns = errand.turns();
@@ -180,7 +170,6 @@ impl Hands {
         Ok(())
     }
 
-    /// One release.
     fn turn(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
         interrupt::check()?;
         let release_ns = self.grid.release_ns(self.next);

@@ -22,37 +22,27 @@ const AWAKE_TURNS: u64 = 2000;
 /// What was sent so long ago and has shown no effect never will \[ns\].
 const FORGOTTEN_NS: u64 = 1_000_000_000;
 
-/// What is sent.
 pub(super) enum Source {
     /// A reference chunk that replaces the one before.
     Reference {
-        /// Its port.
         feed: ReferenceFeed,
         /// How long the robot is \[m\].
         length_m: f64,
     },
     /// A small sphere that nobody comes near to.
     Obstacle {
-        /// Its port.
         sender: ObstacleSender,
         /// How long the robot is \[m\].
         length_m: f64,
     },
     /// Where the newest command brought the robot.
-    Measurement {
-        /// Its ports.
-        driver: Box<Driver>,
-        /// Sections of the robot.
-        sections: u32,
-    },
+    Measurement { driver: Box<Driver>, sections: u32 },
 }
 
-/// Something that was sent.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     sequence: u64,
     stamp_ns: u64,
-    /// It counts.
     counts: bool,
 }
 
@@ -311,7 +301,6 @@ impl Awakening {
         }
     }
 
-    /// Its source, for what follows.
     pub(super) fn into_source(self) -> Source {
         self.source
     }

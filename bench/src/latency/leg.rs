@@ -7,15 +7,12 @@
 
 use serde::Serialize;
 
-/// One way of a message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(into = "&'static str")]
 pub enum Leg {
     /// Two processes and iceoryx2, nothing else: one way.
     BareOneWay,
-    /// There and back.
     BareRoundTrip,
-    /// A request and its answer.
     BareRequest,
     /// A command from the release of its cycle.
     CommandRelease,
@@ -23,41 +20,32 @@ pub enum Leg {
     CommandHandover,
     /// A command from the stamp in its header.
     CommandHop,
-    /// A reference chunk, whole.
     ReferenceCommand,
     /// The part of it that waits for the grid.
     ReferenceGrid,
-    /// The rest of it.
     ReferenceMachinery,
-    /// An obstacle update, whole.
     ObstacleCommand,
     /// The part of it that waits for the grid.
     ObstacleGrid,
-    /// The rest of it.
     ObstacleMachinery,
-    /// A measurement, whole.
     MeasurementCommand,
     /// The part of it that waits for the grid.
     MeasurementGrid,
-    /// The rest of it.
     MeasurementMachinery,
     /// A renewal of the lease, whole: the exchange answers it.
     LeaseAnswer,
     /// The part of it that waits for the grid.
     LeaseGrid,
-    /// The rest of it.
     LeaseMachinery,
     /// A request to track, whole: the cycle decides it.
     TrackAnswer,
     /// The part of it that waits for the grid.
     TrackGrid,
-    /// The rest of it.
     TrackMachinery,
     /// A stop until the first command of mode stopped.
     StopCommand,
     /// The part of it that waits for the grid.
     StopGrid,
-    /// The rest of it.
     StopMachinery,
     /// A stop until zero rates are handed over, without the ramp.
     StopZeroHandover,
@@ -128,7 +116,6 @@ impl Leg {
         }
     }
 
-    /// From which stamp to which.
     pub fn definition(self) -> (&'static str, &'static str) {
         const GATHER: &str = "start of the gather that takes it";
         // The last look, too, takes requests.
@@ -199,11 +186,8 @@ impl From<Leg> for &'static str {
 /// The three legs of something that waits for a gather.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Way {
-    /// All of it.
     pub(super) whole: Leg,
-    /// Until the gather.
     pub(super) grid: Leg,
-    /// From there on.
     pub(super) machinery: Leg,
 }
 

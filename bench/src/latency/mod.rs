@@ -67,7 +67,6 @@ const AROUND_S: f64 = 1.0;
 /// Period of the default configuration \[s\].
 const PERIOD_S: f64 = 5e-3;
 
-/// What is to be measured.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Options {
     /// Rounds; in each, everything is measured once.
@@ -92,7 +91,6 @@ impl Default for Options {
 }
 
 impl Options {
-    /// A quick look.
     pub const QUICK: (usize, usize) = (2, 40);
 
     fn stops(&self) -> usize {
@@ -104,7 +102,6 @@ impl Options {
         self.samples * BARE_PER_SAMPLE
     }
 
-    /// The daemon with this robot.
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
@@ -143,10 +140,6 @@ fn seconds(options: &Options) -> [f64; 3] {
     ]
 }
 
-/// Measures.
-///
-/// # Errors
-/// When a daemon or the peer does not start or does not answer, or a signal came.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let bench = Bench {
         options,
@@ -208,7 +201,6 @@ impl Told {
     }
 }
 
-/// A run.
 struct Bench<'a> {
     options: &'a Options,
     cores: Cores,
@@ -216,7 +208,6 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// References, obstacles, requests and stops.
     fn simulated(&self, round: &mut Round) -> Result<Told> {
         let samples = self.options.samples;
         self.with_daemon("simulated", |location| {
@@ -245,7 +236,6 @@ impl Bench<'_> {
         })
     }
 
-    /// Measurements.
     fn driven(&self, round: &mut Round) -> Result<Told> {
         let samples = self.options.samples;
         self.with_daemon("driver", |location| {

@@ -22,44 +22,32 @@ use crate::table::Table;
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
-/// How a run was made.
 #[derive(Debug, Clone, Serialize)]
 pub struct Setting {
-    /// Rounds.
     pub rounds: usize,
     /// Samples of each kind in each round.
     pub samples: usize,
-    /// Stops in each round.
     pub stops: usize,
-    /// Period of the daemon \[µs\].
     pub period_us: f64,
     /// How long before a release the daemon gathers, as its records show \[µs\].
     pub gather_lead_us: f64,
-    /// The daemons had `SCHED_FIFO`.
     pub realtime: bool,
-    /// The client had it, too.
     pub client_realtime: bool,
-    /// Core of the daemon.
     pub realtime_core: usize,
-    /// Core of the client.
     pub client_core: usize,
     /// How often the client was late itself.
     pub looks: Looks,
 }
 
-/// What is compared with what.
 const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHop, Leg::BareOneWay),
     (Leg::CommandHandover, Leg::BareOneWay),
     (Leg::LeaseMachinery, Leg::BareRequest),
 ];
 
-/// The result.
 #[derive(Debug, Clone)]
 pub struct Report {
-    /// How it was made.
     pub setting: Setting,
-    /// Every leg.
     pub rows: Vec<Row>,
     rounds: Vec<Round>,
 }

@@ -67,7 +67,6 @@ impl Requests {
 }
 
 impl Errand for Requests {
-    /// The gather answers, too.
     fn awake_before_ns(&self, grid: &Grid) -> u64 {
         grid.lead_ns + grid.early_ns()
     }

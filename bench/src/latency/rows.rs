@@ -11,36 +11,24 @@ use crate::quantiles::Quantiles;
 
 /// Values without which a 99th percentile is no more than the largest of them.
 pub(super) const VALUES_OF_P99: u64 = 100;
-/// The same of a 99.9th.
 pub(super) const VALUES_OF_P999: u64 = 1000;
 
-/// One leg, all rounds together.
 #[derive(Debug, Clone, Serialize)]
 pub struct Row {
-    /// Which leg.
     pub leg: Leg,
-    /// From which stamp.
     pub from: &'static str,
-    /// To which.
     pub to: &'static str,
-    /// Samples.
     pub samples: u64,
-    /// Of all samples.
     pub latency_us: Quantiles,
-    /// Medians over the rounds.
     pub rounds_us: Middle,
 }
 
-/// Medians over the rounds \[µs\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Middle {
-    /// Of the median.
     pub p50: f64,
-    /// Of the 99th percentile.
     pub p99: f64,
 }
 
-/// One leg in one round.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct RoundRow {
     pub(super) round: usize,
@@ -52,28 +40,21 @@ pub(super) struct RoundRow {
 /// A leg of the daemon beside one of iceoryx2 alone, each round by itself.
 #[derive(Debug, Clone, Serialize)]
 pub struct Ratio {
-    /// Which leg.
     pub leg: Leg,
-    /// Beside which.
     pub to: Leg,
     /// Ratio of the medians: its median over the rounds.
     pub p50: f64,
-    /// In each round.
     pub rounds: Vec<f64>,
 }
 
 /// A bound that a leg shall keep at the 99th percentile.
 #[derive(Debug, Clone, Serialize)]
 pub struct Target {
-    /// Which leg.
     pub leg: Leg,
     /// Values of which the percentile is.
     pub samples: u64,
-    /// The bound \[µs\].
     pub limit_us: f64,
-    /// What was found \[µs\].
     pub p99_us: f64,
-    /// Whether it was kept.
     pub kept: bool,
 }
 
@@ -102,7 +83,6 @@ pub(super) fn supported(percentile: String, count: u64, least: u64) -> String {
     }
 }
 
-/// None without samples.
 pub(super) fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
     let all = pooled(leg, rounds)?;
     let of = |quantile| {

@@ -23,25 +23,20 @@ use super::scene;
 pub(super) const DECELERATION_RAD_S2: f64 = 20.0;
 /// A robot is at speed at this part of its largest rate.
 const AT_SPEED: f64 = 0.4;
-/// Stops before one counts.
 const WARM_UP: usize = 1;
 /// Releases that one stop may take at most: it needs 15 to 40.
 const TURNS_OF_A_STOP: u64 = 200;
 /// A robot that is not at speed after so many releases is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
 
-/// What happens next.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Step {
     /// A new reference, and out of the stop before.
     Reset,
-    /// Follow it.
     Track,
     /// Wait until it is fast; so many releases were waited for.
     SpeedUp(u32),
-    /// At its time.
     Stop,
-    /// Down the ramp.
     Rest,
 }
 
@@ -78,10 +73,6 @@ pub(super) struct Stops {
 }
 
 impl Stops {
-    /// `samples` that count.
-    ///
-    /// # Errors
-    /// When the robot has no sections.
     pub(super) fn new(
         hands: &Hands,
         feed: ReferenceFeed,
@@ -155,13 +146,11 @@ impl Stops {
         }
     }
 
-    /// This stop does not count.
     fn spoil(&mut self, round: &mut Round) {
         self.spoilt += 1;
         round.unmeasured.spoilt_stops += 1;
     }
 
-    /// The robot rests.
     fn end(&mut self, round: &mut Round) {
         let records = mem::take(&mut self.records);
         match judge(&records, self.sent_ns) {

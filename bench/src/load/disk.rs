@@ -13,11 +13,9 @@ use rustix::fs::{Advice, fadvise};
 use super::Done;
 use super::task::Signals;
 
-/// Written and read at once.
 const BLOCK_BYTES: usize = 1 << 20;
 /// Blocks of the file; then it begins again at its start.
 const BLOCKS: u64 = 64;
-/// Blocks between two syncs.
 const SYNC_EVERY: u64 = 4;
 
 /// Writes until the end. The file has no name, so nothing is left of it, however we end.

@@ -20,13 +20,9 @@ pub struct Done {
     pub written_bytes: u64,
     /// Bytes that were read from it.
     pub read_bytes: u64,
-    /// Clients that connected and left.
     pub clients: u64,
-    /// Clients that could not connect.
     pub failed_clients: u64,
-    /// Reference chunks that were sent.
     pub chunks: u64,
-    /// Obstacle updates that were sent.
     pub updates: u64,
     /// Operations of stress-ng, as it counts them.
     pub stress_operations: u64,

@@ -14,7 +14,6 @@ use super::rate::every;
 use super::task::Signals;
 use crate::subject::place::ROBOT;
 
-/// 10 kHz.
 const PERIOD: Duration = Duration::from_micros(100);
 /// How long a client tries to connect.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);

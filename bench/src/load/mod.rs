@@ -96,9 +96,6 @@ impl Load {
     }
 
     /// Whether it can be had here.
-    ///
-    /// # Errors
-    /// When it needs a program that is not installed.
     pub fn is_available(self) -> Result<()> {
         match self {
             Self::StressNg => stress_ng::program().map(|_| ()),
@@ -121,9 +118,6 @@ impl Running {
     /// Starts it, and waits until every one of its threads works. To be called from a thread of ordinary
     /// priority, which the threads inherit. `target` is the daemon of a load that [needs
     /// one](Load::needs_daemon).
-    ///
-    /// # Errors
-    /// When a thread does not get to work, when a program or the daemon is missing, or when a signal comes.
     pub fn start(load: Load, cores: &Cores, target: Option<&Location>) -> Result<Self> {
         let tasks = task::tasks(load, cores, target)?;
         let count = tasks.len();
@@ -157,10 +151,6 @@ impl Running {
     }
 
     /// Ends it, and says what it did.
-    ///
-    /// # Errors
-    /// When one of its threads failed meanwhile, or it did not do [all that it
-    /// should](Done::missing): then the load is not what its name says.
     pub fn stop(mut self) -> Result<Done> {
         let done = self.end()?;
         let missing = done.missing(self.load);

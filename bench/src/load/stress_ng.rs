@@ -16,7 +16,6 @@ use crate::system::process::{Process, folder, on_path, that_ends_with_us};
 /// How often the end of the load is looked for.
 const LOOK: Duration = Duration::from_millis(20);
 
-/// Where it is.
 pub(super) fn program() -> Result<PathBuf> {
     on_path("stress-ng").context(
         "stress-ng is not installed; on Debian and Ubuntu: sudo apt install stress-ng, on Fedora: \

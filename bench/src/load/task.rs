@@ -9,10 +9,8 @@ use cdcr_shared_types::Location;
 use super::{Done, Load, disk, flood, memory, processor, stress_ng, visitors};
 use crate::system::cores::Cores;
 
-/// One thread of a load.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Task {
-    /// What it does.
     pub(super) job: Job,
     /// The core that it is pinned to; none: it sees to that itself.
     pub(super) core: Option<usize>,
@@ -21,19 +19,16 @@ pub(super) struct Task {
 /// What a thread does until the load ends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Job {
-    /// Computes.
     Spin,
     /// Copies a buffer of so many bytes into another.
-    Copy { bytes: usize },
+    Copy {
+        bytes: usize,
+    },
     /// Writes, syncs and reads a file.
     Disk,
-    /// Connects and leaves.
     Visit(Location),
-    /// Sends references without the lease.
     References(Location),
-    /// Sends obstacles out of reach.
     Obstacles(Location),
-    /// Minds stress-ng.
     StressNg(Cores),
 }
 
@@ -74,7 +69,6 @@ pub(super) struct Signals {
 }
 
 impl Signals {
-    /// The load is to end.
     pub(super) fn end(&self) {
         self.ending.store(true, Ordering::Relaxed);
     }
@@ -89,23 +83,19 @@ impl Signals {
         self.ready.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Threads that work.
     pub(super) fn ready(&self) -> usize {
         self.ready.load(Ordering::Relaxed)
     }
 
-    /// The first failure counts.
     pub(super) fn fail(&self, why: String) {
         let _ = self.failure.set(why);
     }
 
-    /// The first failure.
     pub(super) fn failure(&self) -> Option<&str> {
         self.failure.get().map(String::as_str)
     }
 }
 
-/// The threads of a load.
 pub(super) fn tasks(load: Load, cores: &Cores, target: Option<&Location>) -> Result<Vec<Task>> {
     let target = || {
         let name = load.name();

@@ -14,7 +14,6 @@ pub struct Page {
 }
 
 impl Page {
-    /// With its title as heading.
     pub fn new(title: &str) -> Self {
         let title = escape(title);
         Self {
@@ -27,7 +26,6 @@ impl Page {
         }
     }
 
-    /// Paragraphs that are HTML already.
     pub fn text(&mut self, html: &str) {
         self.html.push_str(html);
         self.html.push('\n');
@@ -53,7 +51,6 @@ impl Page {
         self.html.push_str("</ul></nav>\n");
     }
 
-    /// What went wrong, in words.
     pub fn failure(&mut self, words: &str) {
         let _ = writeln!(self.html, "<p class=\"failed\">{}</p>", escape(words));
     }
@@ -83,7 +80,6 @@ impl Page {
         );
     }
 
-    /// The whole page.
     pub fn end(self) -> String {
         self.html + "</body>\n</html>\n"
     }

@@ -20,7 +20,6 @@ const BODY_RADIUS_M: f64 = 0.015;
 const POST_RADIUS_M: f64 = 0.02;
 /// What the gap leaves on either side of the body and its safe distance \[m\].
 const GAP_SLACK_M: f64 = 0.004;
-/// Where the gap is \[m\].
 const GAP_X_M: f64 = 0.26;
 /// Radius of the ball of the crossing \[m\].
 const BALL_RADIUS_M: f64 = 0.03;
@@ -53,7 +52,6 @@ pub enum Course {
 }
 
 impl Course {
-    /// All, the paper's first.
     pub const ALL: [Self; 6] = [
         Self::Spiral,
         Self::Line,
@@ -63,7 +61,6 @@ impl Course {
         Self::Jump,
     ];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Spiral => "spiral",
@@ -75,10 +72,6 @@ impl Course {
         }
     }
 
-    /// Robot, start, curve and obstacles.
-    ///
-    /// # Errors
-    /// Never with these numbers.
     pub fn scene(self) -> Result<Scene> {
         match self {
             Self::Spiral => Ok(Scene::spiral(3)?.at_most(150)),

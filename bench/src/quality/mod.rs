@@ -42,27 +42,21 @@ const CONTEST_S: f64 = 0.5;
 /// What sizing the swarms of a course takes, about \[s\].
 const SIZING_S: f64 = 0.2;
 
-/// How much is run.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Runs of each variant, each with another seed.
     pub rounds: u32,
-    /// The courses.
     pub courses: Vec<Course>,
     /// Cycles of a course at most.
     pub cycles_max: u64,
-    /// Budgets \[µs\].
     pub budgets_us: Vec<u64>,
-    /// Swarms: particles and iterations.
     pub swarms: Vec<(u32, u32)>,
-    /// Prediction steps.
     pub horizons: Vec<u32>,
     /// Random problems of each field in each round.
     pub restarts: u32,
 }
 
 impl Options {
-    /// Everything.
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -110,10 +104,8 @@ impl Options {
     }
 }
 
-/// Several rounds of one variant.
 #[derive(Debug, Clone)]
 pub struct Case {
-    /// The variant.
     pub variant: Variant,
     /// What came of it in each round.
     pub rounds: Vec<Figures>,
@@ -140,9 +132,6 @@ fn run_s(variant: &Variant, scene: &Scene) -> f64 {
 }
 
 /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
-///
-/// # Errors
-/// When a signal came.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let mut courses = Vec::new();
     for &course in &options.courses {

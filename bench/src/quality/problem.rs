@@ -15,15 +15,11 @@ use crate::experiment::Solver;
 /// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
 /// is so thin that it could be passed between two steps.
 pub(super) const PERIOD_S: f64 = 0.03;
-/// Steps: 0.9 s.
 const HORIZON_STEPS: u32 = 30;
-/// Control blocks.
 const BLOCKS: u32 = 5;
 /// Particles and iterations of one solve.
 const SWARM: (u32, u32) = (32, 40);
-/// Gauss-Newton steps of one solve.
 const REFINEMENTS: u32 = 25;
-/// Sections of the robot.
 pub(super) const SECTIONS: usize = 3;
 /// Largest bend of a section of a random shape \[rad\].
 const BEND_MAX_RAD: f64 = 1.2;
@@ -33,7 +29,6 @@ const APART_M: std::ops::Range<f64> = 0.25..0.6;
 const SAFE_DISTANCE_M: f64 = 0.01;
 /// Start and target shape keep so many of it.
 const CLEAR_DISTANCES: f64 = 1.5;
-/// Radius of the ball \[m\].
 const BALL_RADIUS_M: f64 = 0.05;
 /// Radius of a post, and half its length \[m\].
 const POST_M: (f64, f64) = (0.015, 0.2);
@@ -46,7 +41,6 @@ const DRAWS_MAX: u32 = 10_000;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Field {
-    /// Nothing.
     Free,
     /// A ball in the middle of the straight way.
     Ball,
@@ -55,10 +49,8 @@ pub enum Field {
 }
 
 impl Field {
-    /// All of them.
     pub const ALL: [Self; 3] = [Self::Free, Self::Ball, Self::Posts];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Free => "free",
@@ -106,7 +98,6 @@ impl Way {
     }
 }
 
-/// Numbers that a seed decides.
 pub(super) struct Numbers {
     seed: u64,
     drawn: u64,
@@ -142,10 +133,6 @@ pub(super) struct Problem {
 }
 
 impl Problem {
-    /// The problem of a seed.
-    ///
-    /// # Errors
-    /// When none is found in ten thousand draws.
     pub(super) fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
@@ -212,7 +199,6 @@ impl Problem {
     }
 }
 
-/// Settings of one solve.
 pub(super) fn settings(solver: Solver) -> NmpcSettings {
     solver.of(NmpcSettings {
         horizon_steps: HORIZON_STEPS,

@@ -17,14 +17,10 @@ use crate::table::Table;
 /// Errors below this are equal to people who compare two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
 
-/// All runs.
 #[derive(Debug)]
 pub struct Report {
-    /// Rounds.
     pub rounds: u32,
-    /// Every variant, course by course.
     pub cases: Vec<Case>,
-    /// The endings of every round.
     pub endings: Vec<Vec<Ending>>,
 }
 
@@ -32,12 +28,9 @@ pub struct Report {
 /// all of them.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Row {
-    /// What was varied.
     #[serde(flatten)]
     pub variant: Variant,
-    /// Rounds.
     pub rounds: usize,
-    /// What came of them.
     #[serde(flatten)]
     pub figures: Figures,
 }
@@ -45,11 +38,8 @@ pub struct Row {
 /// One contender in one field, over all rounds.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct StuckRow {
-    /// What stood in the way.
     pub field: Field,
-    /// Who.
     pub contender: Contender,
-    /// Random problems.
     pub problems: usize,
     /// Share that ended more than 1 % above the best known cost.
     pub stuck_share: f64,
@@ -57,7 +47,6 @@ pub struct StuckRow {
     pub missed_share: f64,
     /// Median excess over the best known cost, as a share of that.
     pub excess_share_p50: f64,
-    /// Largest.
     pub excess_share_max: f64,
     /// Median time to the end \[ms\].
     pub time_ms_p50: f64,
@@ -73,7 +62,6 @@ struct Document<'a> {
 }
 
 impl Case {
-    /// One value of each round.
     pub(super) fn values(&self, value: impl Fn(&Figures) -> Option<f64>) -> Vec<f64> {
         self.rounds.iter().filter_map(value).collect()
     }
@@ -126,12 +114,10 @@ impl StuckRow {
 }
 
 impl Report {
-    /// All variants.
     pub fn rows(&self) -> Vec<Row> {
         self.cases.iter().map(Case::row).collect()
     }
 
-    /// All contenders in all fields.
     pub fn stuck_rows(&self) -> Vec<StuckRow> {
         let mut rows = Vec::new();
         for field in Field::ALL {

@@ -32,18 +32,14 @@ const RANDOM_RATE_RAD_S: f64 = 2.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Contender {
-    /// The swarm alone.
     Kpso,
-    /// Gauss-Newton alone, from rest.
     GaussNewton,
     /// Gauss-Newton from rest and from three random plans; the best of the four.
     GaussNewtonRestarted,
-    /// The swarm, then Gauss-Newton.
     KpsoRefined,
 }
 
 impl Contender {
-    /// All of them.
     pub const ALL: [Self; 4] = [
         Self::Kpso,
         Self::GaussNewton,
@@ -51,7 +47,6 @@ impl Contender {
         Self::KpsoRefined,
     ];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Kpso => "kpso",
@@ -73,21 +68,15 @@ impl Contender {
 /// How one contender ended in one problem.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ending {
-    /// What stood in the way.
     pub field: Field,
     /// Seed of the problem, and of the swarms.
     pub seed: u64,
-    /// Who.
     pub contender: Contender,
-    /// Cost of its best plan.
     pub cost: f64,
-    /// Best cost of all contenders.
     pub best_cost: f64,
     /// From the end of its plan to the target \[mm\].
     pub end_error_mm: f64,
-    /// Solves that it took.
     pub solves: u32,
-    /// Time that it took \[ms\].
     pub time_ms: f64,
 }
 
@@ -109,9 +98,6 @@ impl Ending {
 }
 
 /// Lets every contender solve the problem of this seed.
-///
-/// # Errors
-/// When there is no such problem.
 pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;
@@ -145,7 +131,6 @@ pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
     Ok(endings)
 }
 
-/// One contender at one problem.
 struct Attempt<'a> {
     problem: &'a Problem,
     nmpc: Nmpc,

@@ -12,7 +12,6 @@ use crate::closed_loop::ClosedLoop;
 use crate::experiment::Solver;
 use crate::metric::median;
 
-/// Iterations that are timed.
 const ITERATIONS: u32 = 8;
 /// One cycle in so many is timed.
 const EVERY: u64 = 8;
@@ -28,9 +27,6 @@ pub struct Sizing {
 
 impl Sizing {
     /// Drives the course with Gauss-Newton and times the swarm on the way.
-    ///
-    /// # Errors
-    /// Never with the settings of a course.
     pub fn measure(course: Course) -> Result<Self> {
         let scene = course.scene()?;
         let driving = Solver::GaussNewton.of(course.settings());

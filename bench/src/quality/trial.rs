@@ -20,7 +20,6 @@ const ROUNDING_M: f64 = 1e-9;
 pub struct Figures {
     /// Mean distance of the tip from the reference \[mm\].
     pub mean_error_mm: f64,
-    /// Largest \[mm\].
     pub max_error_mm: f64,
     /// Smallest clearance of the body \[mm\]; none without obstacles.
     pub min_clearance_mm: Option<f64>,
@@ -34,14 +33,9 @@ pub struct Figures {
     pub guarded_share: f64,
     /// Median time of a solve \[µs\].
     pub solve_p50_us: f64,
-    /// Its 99th percentile \[µs\].
     pub solve_p99_us: f64,
 }
 
-/// Drives the course once.
-///
-/// # Errors
-/// When the settings are out of range.
 pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     let mut sums = Sums::new()?;
     let settings = variant.settings(seed);

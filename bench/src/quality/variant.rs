@@ -7,13 +7,10 @@ use super::course::Course;
 use super::sizing::Sizing;
 use crate::experiment::Solver;
 
-/// Solvers that are compared.
 pub const SOLVERS: [Solver; 3] = [Solver::Kpso, Solver::GaussNewton, Solver::KpsoRefined];
-/// Budgets of a solve \[µs\].
 pub const BUDGETS_US: [u64; 9] = [10, 20, 50, 100, 200, 500, 1000, 2000, 4000];
 /// Swarms, particles and iterations: the paper's is the second.
 pub const SWARMS: [(u32, u32); 5] = [(6, 10), (6, 30), (12, 30), (24, 30), (24, 60)];
-/// Prediction steps.
 pub const HORIZONS: [u32; 5] = [1, 2, 4, 8, 16];
 /// Particles where the budget ends a solve.
 pub(super) const BUDGET_SWARM: u32 = 64;
@@ -22,7 +19,6 @@ const BUDGET_ITERATIONS: u32 = 1000;
 /// Gauss-Newton steps, where the budget ends a solve: as many as are allowed.
 const BUDGET_REFINEMENTS: u32 = 50;
 
-/// What varies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Axis {
@@ -35,10 +31,8 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All of them.
     pub const ALL: [Self; 3] = [Self::Budget, Self::Swarm, Self::Horizon];
 
-    /// As in tables and JSON.
     pub fn name(self) -> &'static str {
         match self {
             Self::Budget => "budget",
@@ -48,24 +42,16 @@ impl Axis {
     }
 }
 
-/// One way to solve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Variant {
-    /// What varies.
     pub axis: Axis,
-    /// The scene.
     pub course: Course,
-    /// The solver.
     pub solver: Solver,
     /// Budget of a solve \[µs\]; none: as much as it takes.
     pub budget_us: Option<u64>,
-    /// Particles; none of `gauss-newton`.
     pub swarm: u32,
-    /// Swarm iterations at most.
     pub iterations: u32,
-    /// Gauss-Newton steps at most.
     pub refinements: u32,
-    /// Prediction steps.
     pub horizon: u32,
     /// Control blocks; 0: one for each step, as far as that goes.
     pub blocks: u32,
@@ -133,7 +119,6 @@ impl Variant {
         }
     }
 
-    /// The settings of the controller.
     pub fn settings(&self, seed: u64) -> NmpcSettings {
         let base = self.solver.of(self.course.settings());
         NmpcSettings {

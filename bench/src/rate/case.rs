@@ -24,11 +24,9 @@ const SPIN_SHARE: f64 = 0.25;
 /// A robot, and how its control problem is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Case {
-    /// Sections of the robot.
     pub sections: usize,
     /// How the control problem is solved.
     pub solver: Solver,
-    /// Steps N of the horizon.
     pub horizon_steps: u32,
 }
 
@@ -55,7 +53,6 @@ impl Case {
         all
     }
 
-    /// In words.
     pub fn name(&self) -> String {
         let plural = if self.sections == 1 { "" } else { "s" };
         format!(
@@ -80,9 +77,7 @@ impl Case {
 /// What all daemons of a run have in common.
 #[derive(Debug)]
 pub struct Stage {
-    /// Where they run.
     pub cores: Cores,
-    /// Whether they get real time.
     pub realtime: bool,
     /// How long before a release they wake up to spin \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
@@ -91,10 +86,6 @@ pub struct Stage {
 }
 
 impl Stage {
-    /// Writes the configurations.
-    ///
-    /// # Errors
-    /// When the folder for temporary files cannot be written.
     pub fn new(cores: Cores, realtime: bool, spin_us: f64) -> Result<Self> {
         let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
         let folder = folder.context("a folder for temporary files")?;

@@ -18,13 +18,11 @@ const LOST_MAX: f64 = 1e-3;
 pub struct Figures {
     /// How long it was measured \[s\].
     pub duration_s: f64,
-    /// Cycles that ran.
     pub cycles: u64,
     /// Of them, those that started late.
     pub late_starts: u64,
     /// Of them, those that missed their deadline, the end of the period.
     pub deadline_misses: u64,
-    /// Releases that got no cycle.
     pub skipped_periods: u64,
     /// Late cycles by what made them late.
     pub causes: Causes,
@@ -34,9 +32,7 @@ pub struct Figures {
     pub stale_input_share: f64,
     /// Records that were lost inside the daemon.
     pub dropped_records: u64,
-    /// Release to start.
     pub wake_us: Quantiles,
-    /// The solver.
     pub solve_us: Quantiles,
     /// Start to hand-over of the command.
     pub compute_us: Quantiles,
@@ -50,7 +46,6 @@ pub struct Figures {
     pub tracking_share: f64,
     /// Distance of the tip from its reference, as the client's records say: median \[mm\].
     pub error_p50_mm: f64,
-    /// The same: 99th percentile \[mm\].
     pub error_p99_mm: f64,
 }
 
@@ -59,18 +54,14 @@ pub struct Figures {
 pub struct Causes {
     /// The timer came late, or the hypervisor had the core.
     pub platform: u64,
-    /// Another task had the core.
     pub load: u64,
-    /// Memory was not there.
     pub page_fault: u64,
-    /// The processor stood still.
     pub stall: u64,
     /// The cycle computed for too long.
     pub compute: u64,
 }
 
 impl Causes {
-    /// As the daemon counted them.
     pub fn told(statistics: &Statistics) -> Self {
         let of = |cause: LateCause| statistics.causes[cause.code() as usize];
         Self {
@@ -87,7 +78,6 @@ impl Causes {
         self.page_fault + self.compute
     }
 
-    /// All late cycles.
     pub fn all(&self) -> u64 {
         self.own() + self.platform + self.load + self.stall
     }
@@ -112,7 +102,6 @@ impl Causes {
 /// What a trial says about its period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It holds.
     Holds,
     /// A cycle was late by the daemon's own doing. Nothing excuses that.
     Own,
@@ -150,7 +139,6 @@ impl Figures {
         }
     }
 
-    /// Releases that were due.
     pub fn due(&self) -> u64 {
         self.cycles + self.skipped_periods
     }

@@ -32,7 +32,6 @@ use case::Stage;
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
 /// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
 const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
-/// Where the search begins.
 const FIRST_GUESS: usize = 4;
 /// Trials that the search for one case takes, about: the border from both sides, and a repetition.
 const TRIALS: f64 = 3.2;
@@ -44,7 +43,6 @@ pub struct Options {
     pub rounds: u32,
     /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
-    /// How long a trial is.
     pub length: Length,
     /// Whose shortest period is looked for.
     pub cases: Vec<Case>,
@@ -55,7 +53,6 @@ pub struct Options {
 }
 
 impl Options {
-    /// Everything, about five minutes.
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -91,7 +88,6 @@ impl Options {
 /// The shortest period of one case.
 #[derive(Debug, Clone)]
 pub struct Shortest {
-    /// Whose.
     pub case: Case,
     /// The trial with the shortest period that held; none when not even the longest did.
     pub held: Option<Trial>,
@@ -125,12 +121,9 @@ impl Shortest {
     }
 }
 
-/// Trials with one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Those that held.
     pub held: usize,
-    /// All of them.
     pub trials: usize,
 }
 
@@ -146,9 +139,7 @@ impl Tally {
 /// The default with one period, round by round.
 #[derive(Debug, Clone)]
 pub struct Step {
-    /// The period \[ms\].
     pub period_ms: f64,
-    /// One trial for each round.
     pub rounds: Vec<Trial>,
 }
 
@@ -166,9 +157,6 @@ fn search_s(options: &Options) -> f64 {
 }
 
 /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
-///
-/// # Errors
-/// When a daemon does not start, or a signal came.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let cores = Cores::find()?;
     cores.stay_off();
@@ -213,12 +201,10 @@ fn search_case(
     })
 }
 
-/// A measurement under way.
 struct Run<'a> {
     options: &'a Options,
     stage: Stage,
     progress: &'a mut Progress,
-    /// All trials of the search.
     trials: Vec<Trial>,
 }
 

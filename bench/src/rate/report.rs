@@ -15,7 +15,6 @@ use crate::metric::Metric;
 use crate::section::{Recording, Section, Sheet};
 use crate::table::Table;
 
-/// Columns of the default.
 const STEP_HEADS: [&str; 20] = [
     "rate",
     "held in rounds",
@@ -39,7 +38,6 @@ const STEP_HEADS: [&str; 20] = [
     "error p99 mm",
 ];
 
-/// Columns of the shortest periods.
 const SHORTEST_HEADS: [&str; 16] = [
     "solver",
     "what ends it",
@@ -66,11 +64,8 @@ pub struct Report {
     pub realtime: bool,
     /// How long they spun before each release \[µs\], at most a quarter of the period.
     pub spin_us: f64,
-    /// When the run began \[ns, `CLOCK_MONOTONIC`\].
     pub begin_ns: u64,
-    /// The default, longest period first.
     pub steps: Vec<Step>,
-    /// One for each case.
     pub shortest: Vec<Shortest>,
     /// All trials of the search, in their order.
     pub trials: Vec<Trial>,

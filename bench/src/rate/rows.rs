@@ -17,10 +17,8 @@ pub(super) struct ShortestRow<'a> {
     pub(super) rate_hz: Option<f64>,
     pub(super) trials_held: usize,
     pub(super) trials: usize,
-    /// The trial that held.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub(super) held: Option<&'a Trial>,
-    /// With the next shorter period.
     pub(super) failed_period_ms: Option<f64>,
     pub(super) failed_trials_held: usize,
     pub(super) failed_trials: usize,
@@ -44,7 +42,6 @@ pub(super) struct StepRow {
     pub(super) budget_hit_share: f64,
     pub(super) stale_input_share: f64,
     pub(super) error_p99_mm: f64,
-    /// Sums over the rounds.
     pub(super) cycles: u64,
     pub(super) own_misses: u64,
     pub(super) late_cycles: u64,

@@ -35,9 +35,7 @@ const AROUND_S: f64 = 1.0;
 /// How long a trial measures: the longer of both.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Length {
-    /// At least so long \[s\].
     pub least_s: f64,
-    /// At least so many periods.
     pub least_periods: u32,
 }
 
@@ -54,24 +52,19 @@ impl Length {
     }
 }
 
-/// A trial that is over.
 #[derive(Debug, Clone, Serialize)]
 pub struct Trial {
-    /// What ran.
     #[serde(flatten)]
     pub case: Case,
-    /// Its period \[ms\].
     pub period_ms: f64,
     /// How long before each release it spun \[µs\].
     pub spin_us: f64,
-    /// Whether the period held.
     pub holds: bool,
     /// What failed, and what is worth knowing.
     pub remarks: String,
     /// What was measured; none when the robot did not follow its reference all the time.
     #[serde(flatten)]
     pub figures: Option<Figures>,
-    /// Name of its responses.
     #[serde(skip)]
     pub tag: String,
     /// Responses of the cycles whose records a client got \[ns\].
@@ -84,10 +77,6 @@ pub struct Trial {
 
 impl Trial {
     /// Starts a daemon, lets it track, and measures.
-    ///
-    /// # Errors
-    /// When the daemon does not start, ends by itself or does not tell what it did, or a signal came, or the robot
-    /// does not follow with a long period. With a short one that is a result.
     pub fn run(stage: &Stage, case: Case, period_ms: f64, length: Length) -> Result<Self> {
         let daemon = Daemon::start(&stage.launch(&case, period_ms), &stage.cores)?;
         let begin_ns = monotonic_ns();
@@ -140,7 +129,6 @@ fn did_not_follow(error: &anyhow::Error) -> bool {
     })
 }
 
-/// An error in a table.
 fn one_line(error: &anyhow::Error) -> String {
     let text = format!("{error:#}");
     text.lines().next().unwrap_or_default().to_owned()

@@ -60,9 +60,6 @@ impl Request {
     }
 
     /// Runs the benchmarks. One that fails is part of the report and does not keep the others from running.
-    ///
-    /// # Errors
-    /// When a signal comes.
     pub fn run(&self, start: Start, progress: &mut Progress) -> Result<Report> {
         let asked = Benchmark::ALL
             .into_iter()

@@ -13,7 +13,6 @@ latency says little; the ratio to the bare loop, taken in turns with it, says wh
 numbers are in <code>report.json</code>, for <code>cdcr-bench compare</code>, each case in a CSV, and every \
 latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n";
 
-/// One result.
 pub(super) fn of_section(start: &Start, section: &dyn Section) -> Result<String> {
     let mut page = Page::new(section.heading());
     result(&mut page, section)?;

@@ -31,19 +31,13 @@ const QUICK: &str =
 /// When a run began, and on what machine.
 #[derive(Debug, Clone)]
 pub struct Start {
-    /// When.
     pub time: SystemTime,
-    /// The machine then.
     pub environment: Environment,
-    /// What was asked for.
     pub options: Options,
 }
 
 impl Start {
     /// Now. To be asked before any thread of this process is pinned.
-    ///
-    /// # Errors
-    /// When the system does not tell which cores this process may use.
     pub fn now() -> Result<Self> {
         Ok(Self {
             time: SystemTime::now(),
@@ -53,32 +47,23 @@ impl Start {
     }
 }
 
-/// How much was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Extent {
-    /// A quick look only.
     pub quick: bool,
     /// Rounds, where another number than the usual one was asked for.
     pub rounds: Option<u32>,
 }
 
-/// What came of one benchmark.
 pub struct Part {
-    /// Its name.
     pub name: &'static str,
-    /// When it began.
     pub started: SystemTime,
-    /// How long it took \[s\].
     pub took_s: f64,
     /// Its result, or why there is none.
     pub result: Result<Box<dyn Section + Send>, String>,
 }
 
-/// What came of several benchmarks.
 pub struct Report {
-    /// When and where.
     pub start: Start,
-    /// How much was asked for.
     pub extent: Extent,
     /// The daemon had its default configuration.
     pub default_config: bool,
@@ -87,7 +72,6 @@ pub struct Report {
 }
 
 impl Report {
-    /// The results that there are.
     pub fn sections(&self) -> impl Iterator<Item = &dyn Section> {
         let results = self
             .parts
@@ -102,16 +86,12 @@ impl Report {
         parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
     }
 
-    /// All single numbers.
     pub fn metrics(&self) -> Vec<Metric> {
         self.sections().flat_map(Section::metrics).collect()
     }
 
     /// What was asked of the project, and what was found; without rows when nothing of it was measured, or
     /// not under the conditions of the figures.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn targets(&self) -> Result<Vec<Target>> {
         if self.not_judged().is_some() {
             return Ok(Vec::new());
@@ -136,10 +116,6 @@ impl Report {
         }
     }
 
-    /// The whole as text.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn text(&self) -> Result<String> {
         let mut texts = vec![self.summary()?];
         for part in &self.parts {
@@ -152,9 +128,6 @@ impl Report {
     }
 
     /// The machine, the targets, and what failed, as text.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn summary(&self) -> Result<String> {
         let mut texts = vec![self.start.environment.table().text()];
         if self.extent.quick {
@@ -172,17 +145,10 @@ impl Report {
     }
 
     /// The whole as JSON, with a line feed at the end.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn json(&self) -> Result<String> {
         document::of_report(self)
     }
 
-    /// Every file of the report.
-    ///
-    /// # Errors
-    /// When a result cannot be written in one of the formats, or two files have one name.
     pub fn bundle(&self) -> Result<Bundle> {
         let mut bundle = Bundle::default();
         bundle.add("report.html", html::of_report(self)?)?;
@@ -207,9 +173,6 @@ impl Report {
 }
 
 /// One result as JSON, with a line feed at the end.
-///
-/// # Errors
-/// When it cannot be written as JSON.
 pub fn section_json(start: &Start, section: &dyn Section) -> Result<String> {
     document::of_section(start, section)
 }
@@ -220,10 +183,6 @@ pub fn section_text(section: &dyn Section) -> String {
     tables.join("\n")
 }
 
-/// Every file of one result.
-///
-/// # Errors
-/// When it cannot be written in one of the formats, or two files have one name.
 pub fn section_bundle(start: &Start, section: &dyn Section) -> Result<Bundle> {
     let (name, mut bundle) = (section.name(), Bundle::default());
     let machine = start.environment.table().text();
@@ -237,7 +196,6 @@ pub fn section_bundle(start: &Start, section: &dyn Section) -> Result<Bundle> {
     Ok(bundle)
 }
 
-/// Sheets, pictures and histograms.
 fn add_data(bundle: &mut Bundle, started: SystemTime, section: &dyn Section) -> Result<()> {
     let name = section.name();
     for sheet in section.sheets()? {

@@ -23,14 +23,11 @@ const CHANCE: f64 = 0.05;
 /// What a stop may take beyond one period \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
 
-/// One figure to reach.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
-    /// What.
     pub what: &'static str,
     /// What it should be, in words.
     pub target: &'static str,
-    /// What it is.
     pub found: f64,
     /// Its unit; empty for a ratio or a count.
     pub unit: &'static str,
@@ -39,7 +36,6 @@ pub struct Target {
     pub range: Option<(f64, f64)>,
     /// Which case it comes from, or how much was measured; empty when nothing needs to be said.
     pub of: String,
-    /// Whether it is reached.
     pub reached: bool,
 }
 
@@ -52,7 +48,6 @@ struct Wanted {
     reached: fn(f64) -> bool,
 }
 
-/// What a run found.
 struct Found<'a> {
     metrics: &'a [Metric],
     results: &'a Map<String, Value>,
@@ -177,7 +172,6 @@ pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> 
     WANTED.iter().filter_map(target).collect()
 }
 
-/// The figures for people.
 pub(super) fn table(targets: &[Target]) -> Table {
     let row = |target: &Target| {
         vec![
@@ -309,7 +303,6 @@ fn due(case: &Value) -> Option<u64> {
     Some(case["cycles"].as_u64()? + case["skipped_periods"].as_u64()?)
 }
 
-/// One value has no range.
 fn range_of_rounds(metric: &Metric) -> Option<(f64, f64)> {
     range(&metric.rounds).filter(|_| metric.rounds.len() > 1)
 }
@@ -319,7 +312,6 @@ fn counts((misses, due): (u64, u64)) -> String {
     format!("{} of {}", grouped(misses), grouped(due))
 }
 
-/// Digits in groups of three.
 fn grouped(count: u64) -> String {
     let digits = count.to_string();
     let mut text = String::new();

@@ -24,19 +24,12 @@ pub struct Bare {
 
 impl Bare {
     /// Starts `cdcrd bare` with this configuration.
-    ///
-    /// # Errors
-    /// When there is no `cdcrd`.
     pub fn start(launch: &Launch, cores: &Cores, duration: Duration) -> Result<Self> {
         let command = command(launch, duration)?;
         let process = cores.with_all(|| Process::start("cdcrd bare", command))?;
         Ok(Self { process, duration })
     }
 
-    /// Waits until it is over.
-    ///
-    /// # Errors
-    /// When it fails, with what it said, or when a signal comes.
     pub fn wait(mut self) -> Result<Vec<Cycle>> {
         let cycles = cycles(&self.process.wait(2 * self.duration + PATIENCE)?)?;
         let words = || self.process.last_words();

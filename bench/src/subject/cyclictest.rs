@@ -18,7 +18,6 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// printed. So much longer than asked for it runs, for a main thread that is held up just there.
 const SPARE: Duration = Duration::from_millis(100);
 
-/// An installed cyclictest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cyclictest {
     program: PathBuf,
@@ -47,9 +46,6 @@ impl Cyclictest {
     /// thread that outlives it.
     ///
     /// It refuses to run, also without a priority, for a user who may not have real-time threads.
-    ///
-    /// # Errors
-    /// When the period is no whole number of microseconds, or cyclictest cannot be started.
     pub fn start(
         &self,
         period: Duration,
@@ -127,9 +123,6 @@ pub struct Running {
 
 impl Running {
     /// Waits until it has made its cycles.
-    ///
-    /// # Errors
-    /// When it fails, with what it said, or when a signal comes.
     pub fn wait(mut self) -> Result<Latencies> {
         let duration_s = self.period.as_secs_f64() * self.cycles as f64;
         let limit = Duration::from_secs_f64(2.0 * duration_s) + PATIENCE;
@@ -158,11 +151,8 @@ impl Drop for Running {
 /// How late its cycles woke up.
 #[derive(Debug, Clone)]
 pub struct Latencies {
-    /// All of them \[ns\].
     pub histogram_ns: Histogram<u64>,
-    /// One after the other \[ns\].
     pub each_ns: Vec<u64>,
-    /// Cycles.
     pub cycles: u64,
     /// Releases without a cycle: it sleeps on to the first release that is still ahead, as the daemon does.
     pub skipped_periods: u64,
@@ -190,9 +180,6 @@ impl Latencies {
     }
 
     /// Without its first cycles: those of the warm-up, which cyclictest itself cannot leave out.
-    ///
-    /// # Errors
-    /// When no cycle is left.
     pub fn without_first(mut self, cycles: u64) -> Result<Self> {
         ensure!(
             cycles < self.cycles,
@@ -212,7 +199,6 @@ impl Latencies {
     }
 }
 
-/// `cyclictest V 2.40` → `2.40`.
 fn version_in(help: &str) -> Option<String> {
     let mut lines = help.lines();
     let version = lines.find_map(|line| line.strip_prefix("cyclictest V "))?;
@@ -260,7 +246,6 @@ mod tests {
     use crate::system::thread::may_be_realtime;
 
     const PERIOD: Duration = Duration::from_millis(1);
-    /// As version 2.40 prints it.
     const SAID: &str = "Using 1 cpus.\nMax CPUs = 2\nThread 0 using cpu 1.\nThread 0 Interval: 1500\n\
                         # /dev/cpu_dma_latency set to 0us\n\
                         \u{20}      0:       0:   85045\n       0:       1: 3081684\n\

@@ -27,7 +27,6 @@ pub const PATIENT: [(&str, &str); 3] = [
     ("reference.lease_ms", "60000"),
 ];
 
-/// How a daemon is started.
 #[derive(Debug, Clone, Default)]
 pub struct Launch {
     /// Its configuration file; none: the default.
@@ -64,9 +63,6 @@ impl Launch {
     }
 
     /// `cdcrd SUBCOMMAND` with this configuration, whatever the environment says.
-    ///
-    /// # Errors
-    /// When there is no `cdcrd`.
     pub fn command(&self, subcommand: &str) -> Result<Command> {
         let mut command = Command::new(program("cdcrd")?);
         for (name, _) in std::env::vars_os() {
@@ -93,9 +89,6 @@ impl Launch {
 }
 
 /// A program of ours: in the folder of this one, or, for a test, in the folder above it.
-///
-/// # Errors
-/// When it is not there.
 pub fn program(name: &str) -> Result<PathBuf> {
     let ourselves = std::env::current_exe().context("cannot tell where this program lies")?;
     let beside = ourselves.with_file_name(name);
@@ -119,23 +112,16 @@ pub struct Daemon {
     /// Before its place, which goes when it has ended.
     process: Process,
     place: Place,
-    /// How it was started.
     pub launch: Launch,
 }
 
 impl Daemon {
     /// Starts one and waits until it controls its robot. To be called from a thread that outlives it.
-    ///
-    /// # Errors
-    /// When it does not; the error says what it said.
     pub fn start(launch: &Launch, cores: &Cores) -> Result<Self> {
         Self::start_with(launch, cores, |_| ())?.when_ready()
     }
 
     /// Starts one and waits for nothing. `change` has a last look at its command.
-    ///
-    /// # Errors
-    /// When there is no program.
     pub fn start_with(
         launch: &Launch,
         cores: &Cores,
@@ -156,9 +142,6 @@ impl Daemon {
     }
 
     /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
-    ///
-    /// # Errors
-    /// As [`start`](Self::start).
     pub fn when_ready(mut self) -> Result<Self> {
         let deadline = Instant::now() + START_TIMEOUT;
         let mut last = "it did not begin to control its robot".to_owned();
@@ -183,33 +166,23 @@ impl Daemon {
         )
     }
 
-    /// Where it is.
     pub fn location(&self) -> &Location {
         self.place.location()
     }
 
-    /// Its place.
     pub fn place(&self) -> &Place {
         &self.place
     }
 
-    /// Its process.
     pub fn id(&self) -> u32 {
         self.process.id()
     }
 
-    /// A new connection to it.
-    ///
-    /// # Errors
-    /// When it does not live.
     pub fn connect(&self) -> Result<Connection> {
         Ok(Connection::open(self.location(), ROBOT)?)
     }
 
     /// Ends it and waits for it.
-    ///
-    /// # Errors
-    /// When it had ended by itself, or did not end.
     pub fn stop(mut self) -> Result<()> {
         ensure!(
             !self.process.has_ended()?,

@@ -17,9 +17,7 @@ pub struct Cycle {
     pub wake_ns: u64,
     /// From there to the hand-over of its command \[ns\].
     pub response_ns: u64,
-    /// It started late.
     pub late_start: bool,
-    /// It missed its deadline.
     pub deadline_miss: bool,
     /// Releases before it that got no cycle.
     pub skipped_periods: u32,

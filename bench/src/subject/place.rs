@@ -34,9 +34,6 @@ pub struct Place {
 
 impl Place {
     /// A fresh one. Places of this user whose process is gone are removed first.
-    ///
-    /// # Errors
-    /// When the folder for temporary files or shared memory cannot be written, or a name is too long.
     pub fn new() -> Result<Self> {
         remove_abandoned();
         let folder = tempfile::Builder::new()
@@ -55,7 +52,6 @@ impl Place {
         })
     }
 
-    /// Where daemon and clients meet.
     pub fn location(&self) -> &Location {
         &self.location
     }

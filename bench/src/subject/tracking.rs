@@ -54,9 +54,6 @@ pub struct Tracking {
 
 impl Tracking {
     /// Begins to feed from a thread on `core`, and waits until the robot follows.
-    ///
-    /// # Errors
-    /// When it does not.
     pub fn start(location: &Location, core: usize) -> Result<Self> {
         let ending = Arc::new(AtomicBool::new(false));
         let follows = Arc::new(AtomicBool::new(false));
@@ -89,10 +86,6 @@ impl Tracking {
         Ok(tracking)
     }
 
-    /// Ends the feed.
-    ///
-    /// # Errors
-    /// When the feed failed meanwhile: then the robot did not follow all the time.
     pub fn stop(mut self) -> Result<()> {
         self.end()
     }

@@ -3,7 +3,6 @@
 use anyhow::{Context, Result};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
-/// The cores of a measurement.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Cores {
     /// The core of the daemon's real-time threads: the last one, as the daemon itself would choose.
@@ -15,9 +14,6 @@ pub struct Cores {
 
 impl Cores {
     /// Those that this process may use. To be asked before any of its threads is pinned.
-    ///
-    /// # Errors
-    /// When the system does not tell.
     pub fn find() -> Result<Self> {
         let ids = core_affinity::get_core_ids().context("the system does not tell its cores")?;
         let mut ids: Vec<usize> = ids.iter().map(|core| core.id).collect();
@@ -39,7 +35,6 @@ impl Cores {
         self.others.contains(&self.realtime)
     }
 
-    /// Where client and observer run.
     pub fn client(&self) -> usize {
         self.others[0]
     }

@@ -7,11 +7,9 @@ use std::time::Duration;
 /// One thread of a process, as the kernel counts it since its start.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThreadCounts {
-    /// Its id.
     pub id: u32,
     /// Its name, at most 15 bytes.
     pub name: String,
-    /// Time on a core \[ns\].
     pub on_core_ns: u64,
     /// Time that it was ready and another had the core \[ns\].
     pub run_delay_ns: u64,

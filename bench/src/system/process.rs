@@ -33,17 +33,11 @@ pub struct Process {
 impl Process {
     /// Starts it, in a process group of its own: Ctrl-C reaches us alone, and we end it in order. What it
     /// says goes into files, so that it never waits for a reader.
-    ///
-    /// # Errors
-    /// When it cannot be started, or there is no folder for temporary files.
     pub fn start(name: &'static str, command: Command) -> Result<Self> {
         Self::start_in(folder(name)?, name, command)
     }
 
     /// The same with a folder that the command knows, and that is removed with the process.
-    ///
-    /// # Errors
-    /// As [`start`](Self::start).
     pub fn start_in(folder: TempDir, name: &'static str, mut command: Command) -> Result<Self> {
         let file = |what: &str| File::create(folder.path().join(what)).context("its output");
         let child = command
@@ -61,28 +55,20 @@ impl Process {
         })
     }
 
-    /// Its id.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
 
-    /// The folder of its files.
     pub fn folder(&self) -> &Path {
         self.folder.path()
     }
 
     /// Whether it has ended by itself; what is left of its group then is killed.
-    ///
-    /// # Errors
-    /// When the system does not tell.
     pub fn has_ended(&mut self) -> Result<bool> {
         Ok(self.look()?.is_some())
     }
 
     /// Waits until it ends by itself, and hands over what it wrote to its standard output.
-    ///
-    /// # Errors
-    /// When it fails, when it takes longer than `limit`, or when a signal comes.
     pub fn wait(&mut self, limit: Duration) -> Result<String> {
         let Some(status) = self.ended_within(limit, interrupt::check)? else {
             let seconds = limit.as_secs();
@@ -105,9 +91,6 @@ impl Process {
 
     /// Asks it to end, and waits for it; kills it when it does not. What is left of its group when it has ended, also
     /// by itself, is killed.
-    ///
-    /// # Errors
-    /// When it had to be killed.
     pub fn end(&mut self) -> Result<()> {
         if self.has_ended()? {
             return Ok(());
@@ -185,9 +168,6 @@ const SAID: &str = "stdout";
 const COMPLAINED: &str = "stderr";
 
 /// A folder for the files of a program.
-///
-/// # Errors
-/// When the folder for temporary files cannot be written.
 pub fn folder(name: &str) -> Result<TempDir> {
     tempfile::Builder::new()
         .prefix(&format!("cdcr-bench-{}-", name.replace(' ', "-")))

@@ -25,10 +25,8 @@ work waits for the same budget in the same way: what that loop is late by is the
 solver's. No plan may cost more than the warm start. Times are medians of the rounds, the largest of all \
 rounds.</p>\n";
 
-/// How much is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Options {
-    /// Rounds, at least 1.
     pub rounds: u32,
     /// Solves of each case with each budget in each round.
     pub solves: u64,
@@ -44,7 +42,6 @@ impl Default for Options {
 }
 
 impl Options {
-    /// A look.
     pub fn quick() -> Self {
         Self {
             rounds: 1,
@@ -65,9 +62,6 @@ fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
 }
 
 /// Measures every case with every budget, round by round.
-///
-/// # Errors
-/// When a plan costs more than the warm start, or a signal comes.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let cases = budget::cases()?;
     let mut rounds = Vec::new();
@@ -86,12 +80,10 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     Report::of(rounds)
 }
 
-/// All cases with all budgets.
 #[derive(Debug)]
 pub struct Report {
     /// The rows of each round, in the same order.
     rounds: Vec<Vec<Row>>,
-    /// What they come to together.
     rows: Vec<Row>,
 }
 

@@ -41,7 +41,6 @@ const WORK_S: f64 = 2.5e-4;
 /// Cycles of a whole simulation, about.
 const CYCLES: u64 = 1000;
 
-/// How much is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Options {
     /// Seeds, and cycles of a run.
@@ -77,10 +76,6 @@ pub fn expected_s(options: &Options) -> f64 {
     options.effort.all_work() as f64 * WORK_S * share
 }
 
-/// Runs every simulation.
-///
-/// # Errors
-/// When a controller cannot be built, or a signal comes.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let effort = options.effort;
     let unit_s = expected_s(options) / effort.all_work() as f64;
@@ -97,7 +92,6 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     Ok(Report::of(outcomes))
 }
 
-/// All simulations.
 pub struct Report {
     outcomes: Vec<Outcome>,
 }
@@ -160,7 +154,6 @@ impl Section for Report {
     }
 }
 
-/// Curve and size, coordinates, solver.
 fn path(outcome: &Outcome) -> String {
     let task = outcome.experiment.task;
     let size = match task {

@@ -25,12 +25,9 @@ time. Every path of the processor gives the same bits; in each cycle all paths s
 after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
 median of the rounds, and a round goes through all sizes. First solves are not counted.</p>\n";
 
-/// What is measured.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// Rounds, at least 1.
     pub rounds: u32,
-    /// Sizes.
     pub sizes: Vec<Size>,
 }
 
@@ -59,9 +56,6 @@ pub fn expected_s(options: &Options) -> f64 {
 }
 
 /// Measures all sizes on every path, round by round.
-///
-/// # Errors
-/// When a controller cannot be built, two paths disagree, or a signal comes.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     let mut rounds = Vec::new();
     for round in 1..=options.rounds {
@@ -77,12 +71,10 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     Report::of(rounds)
 }
 
-/// All cases.
 #[derive(Debug)]
 pub struct Report {
     /// The cases of each round, in the same order.
     rounds: Vec<Vec<Case>>,
-    /// The medians.
     cases: Vec<Case>,
     growth: Vec<Growth>,
 }
