@@ -2,14 +2,13 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use cdcr_client::Orientation as Wanted;
 use cdcr_controller::closed_loop;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
-use hdrhistogram::Histogram;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::scene::Scene;
@@ -125,12 +124,27 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
-/// A quantile of times in nanoseconds \[µs\].
-pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
-    times_ns.value_at_quantile(quantile) as f64 * 1e-3
-}
+/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
+pub struct Judge(Nmpc);
 
-/// Solve times from 1 ns to a minute, three digits.
-pub fn histogram() -> Result<Histogram<u64>> {
-    Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
+impl Judge {
+    /// Judges plans that were made with these settings.
+    pub fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
+        let settings = NmpcSettings {
+            solver: SolverKind::GaussNewton,
+            refinement_steps: 0,
+            ..settings
+        };
+        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+        Ok(Self(nmpc))
+    }
+
+    pub fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
+        self.0.restore_plan(plan);
+        let input = SolveInput {
+            elapsed_periods: 0,
+            ..*input
+        };
+        self.0.solve(&input, &mut Budget::unlimited()).1.warm_cost
+    }
 }

@@ -5,6 +5,7 @@ use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
 use serde::Serialize;
 
+use crate::named::named;
 use crate::scene::Scene;
 
 /// Limits on the rates of the line \[rad/s\]. The paper names none.
@@ -87,34 +88,18 @@ pub struct PaperFigures {
     pub mean_solve_ms: f64,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Solver {
-    /// The swarm with an inertia weight.
-    Kpso,
-    /// The swarm with Eq. 6 as printed.
-    KpsoVerbatim,
-    GaussNewton,
-    KpsoRefined,
+named! {
+    pub enum Solver {
+        /// The swarm with an inertia weight.
+        Kpso = "kpso",
+        /// The swarm with Eq. 6 as printed.
+        KpsoVerbatim = "kpso-verbatim",
+        GaussNewton = "gauss-newton",
+        KpsoRefined = "kpso-refined",
+    }
 }
 
 impl Solver {
-    pub const ALL: [Self; 4] = [
-        Self::Kpso,
-        Self::KpsoVerbatim,
-        Self::GaussNewton,
-        Self::KpsoRefined,
-    ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Kpso => "kpso",
-            Self::KpsoVerbatim => "kpso-verbatim",
-            Self::GaussNewton => "gauss-newton",
-            Self::KpsoRefined => "kpso-refined",
-        }
-    }
-
     #[must_use]
     pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
         let (solver, velocity_rule) = match self {

@@ -3,38 +3,33 @@
 
 use serde::Serialize;
 
+use crate::dataset::{Column, fixed, plain, word};
 use crate::experiment::Solver;
+use crate::named::named;
 use crate::solver::Case;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Quantity {
-    Section,
-    Step,
-    Particle,
-    Iteration,
-    Obstacle,
+named! {
+    pub enum Quantity {
+        Section = "section",
+        Step = "step",
+        Particle = "particle",
+        Iteration = "iteration",
+        Obstacle = "obstacle",
+    }
 }
 
+pub(crate) const COLUMNS: [Column; 8] = [
+    word("solver", "solver"),
+    word("per", "per"),
+    plain("from", "from"),
+    plain("to", "to"),
+    fixed("first µs", "p50_us_from", 2),
+    fixed("last µs", "p50_us_to", 2),
+    fixed("µs for one more", "us_per_unit", 3),
+    fixed("for twice as many", "factor_per_doubling", 2),
+];
+
 impl Quantity {
-    const ALL: [Self; 5] = [
-        Self::Section,
-        Self::Step,
-        Self::Particle,
-        Self::Iteration,
-        Self::Obstacle,
-    ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Section => "section",
-            Self::Step => "step",
-            Self::Particle => "particle",
-            Self::Iteration => "iteration",
-            Self::Obstacle => "obstacle",
-        }
-    }
-
     fn of(self, size: &[usize; 5]) -> usize {
         size[self as usize]
     }

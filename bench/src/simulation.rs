@@ -1,36 +1,25 @@
 //! One experiment, run with several seeds, and the row that sums it up.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
 use cdcr_controller::robot::{Shape, ZyxAngles};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{self, Sample, quantile_us};
+use crate::closed_loop::{self, Sample};
 use crate::experiment::{Experiment, PaperFigures, Solver, Task};
 use crate::metric::median;
+use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 use crate::zone::Zone;
 
+/// Of one solver \[µs\].
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct SolveTimes {
     pub mean: f64,
-    pub p50: f64,
-    pub p99: f64,
-    pub max: f64,
-}
-
-impl SolveTimes {
-    fn of(times_ns: &Histogram<u64>) -> Self {
-        let us = |quantile| quantile_us(times_ns, quantile);
-        Self {
-            mean: times_ns.mean() * 1e-3,
-            p50: us(0.5),
-            p99: us(0.99),
-            max: us(1.0),
-        }
-    }
+    #[serde(flatten)]
+    pub quantiles: Quantiles,
 }
 
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -150,7 +139,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
         progress();
     }
     Ok(Outcome {
-        row: summary.row(&experiment, &scene),
+        row: summary.row(&experiment, &scene)?,
         experiment,
         scene,
         first: first.unwrap_or_default(),
@@ -175,7 +164,7 @@ impl Summary {
     fn new(experiment: &Experiment) -> Result<Self> {
         Ok(Self {
             task: experiment.task,
-            solve_ns: closed_loop::histogram()?,
+            solve_ns: histogram()?,
             runs: Vec::new(),
             max_mm: 0.0,
             max_theta_rad: 0.0,
@@ -208,10 +197,10 @@ impl Summary {
         }
     }
 
-    fn row(&self, experiment: &Experiment, scene: &Scene) -> Simulation {
+    fn row(&self, experiment: &Experiment, scene: &Scene) -> Result<Simulation> {
         let settings = experiment.settings();
-        let means_mm: Vec<f64> = self.runs.iter().map(|run| run.mean_error_mm).collect();
-        Simulation {
+        let means_mm = self.runs.iter().map(|run| run.mean_error_mm);
+        Ok(Simulation {
             name: experiment.task.name(),
             sections: scene.robot.section_count(),
             solver: experiment.solver,
@@ -221,13 +210,16 @@ impl Summary {
             iterations: settings.swarm_iterations,
             samples: scene.cycles,
             seeds: self.runs.len() as u64,
-            mean_error_mm: median(&means_mm).unwrap_or(f64::NAN),
+            mean_error_mm: median(means_mm).unwrap_or(f64::NAN),
             max_error_mm: self.max_mm,
-            solve_us: SolveTimes::of(&self.solve_ns),
+            solve_us: SolveTimes {
+                mean: self.solve_ns.mean() * 1e-3,
+                quantiles: Quantiles::of(&self.solve_ns).context("no cycle")?,
+            },
             paper: experiment.task.paper(),
             line: self.line(),
             circle: self.circle(),
-        }
+        })
     }
 
     fn line(&self) -> Option<LineFigures> {
@@ -249,7 +241,7 @@ impl Summary {
         Some(CircleFigures {
             safe_distance_mm: 1e3 * safe_distance_m,
             min_clearance_mm: 1e3 * self.min_clearance_m,
-            mean_error_outside_mm: all(&self.mean_outside_mm).and_then(|values| median(&values)),
+            mean_error_outside_mm: all(&self.mean_outside_mm).and_then(median),
             peak_error_mm: all(&self.peak_mm).map(|values| values.into_iter().fold(0.0, f64::max)),
         })
     }
@@ -265,6 +257,6 @@ pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
 
 /// The median time of a solve in one run.
 fn solve_p50_us(samples: &[Sample]) -> f64 {
-    let times_us: Vec<f64> = samples.iter().map(|s| s.solve_ns as f64 * 1e-3).collect();
-    median(&times_us).unwrap_or(f64::NAN)
+    let times_us = samples.iter().map(|s| s.solve_ns as f64 * 1e-3);
+    median(times_us).unwrap_or(f64::NAN)
 }

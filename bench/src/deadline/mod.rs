@@ -16,16 +16,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-pub use case::{Case, Cases, Key, Round, Row};
+pub use case::{Case, Cases, Key, Round};
 pub use observer::{Observed, Observer};
 pub use ratio::{Ratio, misses_p_value, ratios};
-pub use report::Report;
 pub use segment::{Runner, Segment, Subject};
-use serde::Serialize;
-pub use tally::{Causes, Counts, Tally, Times};
+pub use tally::{Counts, Tally, Times};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::load::Load;
+use crate::named::named;
 use crate::progress::Progress;
 use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
@@ -36,22 +36,13 @@ pub const WARM_UP: Duration = Duration::from_secs(1);
 /// What a stretch takes beside its cycles and its warm-up \[s\]: processes start and end.
 const AROUND_S: f64 = 1.2;
 
-/// How the threads were set up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Setup {
-    /// `SCHED_FIFO`, a core of their own, locked memory.
-    Realtime,
-    /// None of it: what an ordinary process gets.
-    Ordinary,
-}
-
-impl Setup {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Realtime => "realtime",
-            Self::Ordinary => "ordinary",
-        }
+named! {
+    /// How the threads were set up.
+    pub enum Setup {
+        /// `SCHED_FIFO`, a core of their own, locked memory.
+        Realtime = "realtime",
+        /// None of it: what an ordinary process gets.
+        Ordinary = "ordinary",
     }
 }
 
@@ -118,7 +109,7 @@ pub fn expected_s(options: &Options) -> f64 {
     segment_s * loads as f64 * f64::from(options.rounds)
 }
 
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     ensure!(options.rounds > 0, "at least one round is needed");
     for load in options.loads.iter().chain(&options.ordinary_loads) {
         load.is_available()?;
@@ -139,7 +130,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
             run.stretch(key, round, options.rounds)?;
         }
     }
-    Ok(Report::new(run, options))
+    report::dataset(run, options)
 }
 
 struct Run<'a> {

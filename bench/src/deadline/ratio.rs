@@ -17,6 +17,7 @@ const SIGNIFICANCE: f64 = 0.05;
 #[derive(Debug, Clone, Serialize)]
 pub struct Ratio {
     pub load: Load,
+    pub set_up: Setup,
     pub realtime: bool,
     /// Median wake-up of the daemon over that of the bare loop: median of the rounds.
     pub wake_p50: Option<f64>,
@@ -87,17 +88,18 @@ impl Ratio {
         );
         Self {
             load: daemon.key.load,
+            set_up: daemon.key.setup,
             realtime: daemon.key.setup == Setup::Realtime,
-            wake_p50: median(&rounds.wake_p50),
-            wake_p99: median(&rounds.wake_p99),
-            wake_p50_range: range(&rounds.wake_p50),
-            wake_p99_range: range(&rounds.wake_p99),
+            wake_p50: median(rounds.wake_p50.iter().copied()),
+            wake_p99: median(rounds.wake_p99.iter().copied()),
+            wake_p50_range: range(rounds.wake_p50.iter().copied()),
+            wake_p99_range: range(rounds.wake_p99.iter().copied()),
             misses_beyond_bare: per_million(ours) - per_million(theirs),
             misses_p_value: p_value,
             misses_more: p_value < SIGNIFICANCE,
             own_misses: ours.own_misses,
-            command_beyond_wake_p50_us: median(&rounds.command_beyond_wake),
-            response_p99_to_unloaded: median(&rounds.response_p99_to_unloaded),
+            command_beyond_wake_p50_us: median(rounds.command_beyond_wake.iter().copied()),
+            response_p99_to_unloaded: median(rounds.response_p99_to_unloaded.iter().copied()),
             rounds,
         }
     }

@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use serde::Serialize;
 
 use super::observer::{Observed, Observer};
 use super::tally::Tally;
 use super::{Options, Setup, WARM_UP};
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
+use crate::named::named;
 use crate::subject::bare::Bare;
 use crate::subject::cyclictest::Cyclictest;
 use crate::subject::daemon::{Daemon, Launch};
@@ -18,23 +18,13 @@ use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Subject {
-    /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
-    Bare,
-    Daemon,
-    /// cyclictest of rt-tests, with the daemon's period and priority.
-    Cyclictest,
-}
-
-impl Subject {
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Bare => "bare",
-            Self::Daemon => "daemon",
-            Self::Cyclictest => "cyclictest",
-        }
+named! {
+    pub enum Subject {
+        /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
+        Bare = "bare",
+        Daemon = "daemon",
+        /// cyclictest of rt-tests, with the daemon's period and priority.
+        Cyclictest = "cyclictest",
     }
 }
 

@@ -5,45 +5,10 @@ use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::closed_loop::histogram;
-use crate::quantiles::Quantiles;
+use crate::causes::Causes;
+use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
-
-/// Cycles that were late, missed their deadline or skipped releases, by what made them so.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Causes {
-    /// The timer or the processor itself came late: hypervisor, firmware.
-    pub platform: u64,
-    pub load: u64,
-    /// The computation took too long: ours.
-    pub compute: u64,
-    /// A page of memory was not there: ours.
-    pub fault: u64,
-    /// The processor stood still in the middle of a computation, or nothing is known.
-    pub other: u64,
-}
-
-impl Causes {
-    fn count(&mut self, cause: LateCause) {
-        let counter = match cause {
-            LateCause::Platform => &mut self.platform,
-            LateCause::Load => &mut self.load,
-            LateCause::Compute => &mut self.compute,
-            LateCause::PageFault => &mut self.fault,
-            LateCause::Stall | LateCause::None => &mut self.other,
-        };
-        *counter += 1;
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.platform += other.platform;
-        self.load += other.load;
-        self.compute += other.compute;
-        self.fault += other.fault;
-        self.other += other.other;
-    }
-}
 
 /// The latencies of a stretch \[ns\].
 #[derive(Debug, Clone)]
@@ -67,12 +32,13 @@ impl Times {
         })
     }
 
-    pub fn named(&self) -> [(&'static str, &Histogram<u64>); 4] {
+    /// Each with its name.
+    pub fn named(self) -> [(&'static str, Histogram<u64>); 4] {
         [
-            ("wake", &self.wake),
-            ("compute", &self.compute),
-            ("response", &self.response),
-            ("command", &self.command),
+            ("wake", self.wake),
+            ("compute", self.compute),
+            ("response", self.response),
+            ("command", self.command),
         ]
     }
 
@@ -111,7 +77,7 @@ impl Counts {
         self.deadline_misses += other.deadline_misses;
         self.own_misses += other.own_misses;
         self.skipped_periods += other.skipped_periods;
-        self.causes.add(&other.causes);
+        self.causes += other.causes;
         self.lost_records += other.lost_records;
         self.lost_commands += other.lost_commands;
         self.steal_ms += other.steal_ms;
@@ -213,11 +179,6 @@ pub struct TimeQuantiles {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     fn cycle(wake_us: u64, response_us: u64, cause: LateCause) -> Cycle {

@@ -3,9 +3,10 @@ use plotters::style::RGBColor;
 
 use super::shape::View;
 use super::signals::{cables, duration_s, over_time, times};
-use super::{Figure, find, find_all};
+use super::{find, find_all, plot};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
 use crate::closed_loop::Sample;
+use crate::dataset::Plot;
 use crate::experiment::{CIRCLE_DISTANCES_M, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
 
@@ -24,7 +25,7 @@ impl Detour<'_> {
     }
 }
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
+pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let mut detours = Vec::new();
     let mut cable_panels = Vec::new();
     let mut time_panels = Vec::new();
@@ -49,29 +50,29 @@ pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
         .map(|(view, title)| path(*view, title, &detours))
         .collect();
     Ok(vec![
-        Figure::new(
+        plot(
             "circle-path",
             "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
              the robot where it is nearest to the obstacle.",
             sheet(&paths, 2, 900)?,
         ),
-        Figure::new(
+        plot(
             "circle-errors",
             "Distance of the tip from the reference: the approach from the straight robot, then the \
              detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
             sheet(&[error_panel(&detours)], 1, 640)?,
         ),
-        Figure::new(
+        plot(
             "circle-clearance",
             "Clearance between the whole body and the obstacle, and the safe distances.",
             sheet(&[clearance_panel(&detours)], 1, 640)?,
         ),
-        Figure::new(
+        plot(
             "circle-cables",
             "Lengths of the cables (Fig. 13).",
             sheet(&cable_panels, 1, 520)?,
         ),
-        Figure::new(
+        plot(
             "circle-times",
             "Computation time of every cycle (Fig. 14).",
             sheet(&time_panels, 1, 560)?,

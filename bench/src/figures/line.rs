@@ -4,9 +4,10 @@ use plotters::style::RGBColor;
 
 use super::shape::View;
 use super::signals::{angles, cables, controls, distances, duration_s, errors, over_time, times};
-use super::{Figure, find, find_all, named};
+use super::{find, find_all, named, plot};
 use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
 use crate::closed_loop::Sample;
+use crate::dataset::Plot;
 use crate::experiment::{LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::Outcome;
 
@@ -16,7 +17,7 @@ fn title(rate_limit_rad_s: f64) -> String {
     format!("Line, rates up to {rate_limit_rad_s} rad/s")
 }
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
+pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let task = |rate_limit_rad_s| Task::Line { rate_limit_rad_s };
     let mut shape_panels = Vec::new();
     let mut angle_panels = Vec::new();
@@ -40,39 +41,39 @@ pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
     }
     error_panels.extend(tilt_panels);
     Ok(vec![
-        Figure::new(
+        plot(
             "line-shapes",
             "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
             sheet(&shape_panels, 2, 1050)?,
         ),
-        Figure::new(
+        plot(
             "line-angles",
             "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
              against them make an S. Any vertical plane will do for it.",
             sheet(&angle_panels, 2, 600)?,
         ),
-        Figure::new(
+        plot(
             "line-controls",
             "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
             sheet(&control_panels, 2, 620)?,
         ),
-        Figure::new(
+        plot(
             "line-errors",
             "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
              its axis, so the first samples are late.",
             sheet(&error_panels, 1, 560)?,
         ),
-        Figure::new(
+        plot(
             "line-solvers",
             "Distance of the tip from the reference with every solver.",
             sheet(&solver_panels, 1, 560)?,
         ),
-        Figure::new(
+        plot(
             "line-cables",
             "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
             sheet(&cable_panels, 1, 600)?,
         ),
-        Figure::new(
+        plot(
             "line-times",
             "Computation time of every cycle (Fig. 11).",
             sheet(&time_panels, 1, 560)?,

@@ -9,33 +9,16 @@ mod spiral;
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::Coordinates;
 
+use crate::dataset::Plot;
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
-pub struct Figure {
-    /// Name of its file, without an ending.
-    pub name: &'static str,
-    pub caption: String,
-    pub svg: String,
-}
-
-impl Figure {
-    fn new(name: &'static str, caption: impl Into<String>, svg: String) -> Self {
-        Self {
-            name,
-            caption: caption.into(),
-            svg,
-        }
-    }
-}
-
-/// All figures, in three groups: spiral, line and circle.
-pub fn figures(outcomes: &[Outcome]) -> Result<[Vec<Figure>; 3]> {
-    Ok([
-        spiral::figures(outcomes)?,
-        line::figures(outcomes)?,
-        circle::figures(outcomes)?,
-    ])
+/// All figures: spiral, line and circle.
+pub fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+    let mut all = spiral::figures(outcomes)?;
+    all.extend(line::figures(outcomes)?);
+    all.extend(circle::figures(outcomes)?);
+    Ok(all)
 }
 
 /// The outcome of a task with bend vectors.
@@ -61,4 +44,8 @@ fn named<'a>(outcomes: &[&'a Outcome]) -> Vec<(String, &'a Outcome)> {
     let all = outcomes.iter();
     all.map(|outcome| (outcome.row.solver.name().to_owned(), *outcome))
         .collect()
+}
+
+fn plot(name: &'static str, caption: &'static str, svg: String) -> Plot {
+    Plot { name, caption, svg }
 }

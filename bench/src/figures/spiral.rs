@@ -2,8 +2,9 @@ use anyhow::Result;
 
 use super::shape::View;
 use super::signals::{cables, controls, distances, errors, times};
-use super::{Figure, find, find_all, named};
+use super::{find, find_all, named, plot};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, sheet};
+use crate::dataset::Plot;
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
@@ -14,7 +15,7 @@ fn title(sections: usize) -> String {
     format!("Spiral, {sections} section{plural}")
 }
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
+pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let mut refined = Vec::new();
     let mut all = Vec::new();
     for sections in SECTIONS {
@@ -35,29 +36,29 @@ pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
     let time_panels: Vec<_> = each_all().map(|(n, runs)| times(title(*n), runs)).collect();
     Ok(vec![
         path(&refined)?,
-        Figure::new(
+        plot(
             "spiral-errors",
             "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
             sheet(&error_panels, 1, 560)?,
         ),
-        Figure::new(
+        plot(
             "spiral-solvers",
             "Distance of the tip from the reference with every solver.",
             sheet(&solver_panels, 1, 560)?,
         ),
-        Figure::new(
+        plot(
             "spiral-controls",
             "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
              commanded, right the same in the paper's angles, where a section is bent by more than \
              1e-3 rad.",
             sheet(&control_panels, 2, 620)?,
         ),
-        Figure::new(
+        plot(
             "spiral-cables",
             "Lengths of the cables with kpso-refined, with several sections less the length at the straight robot; Lji is cable i of section j.",
             sheet(&cable_panels, 1, 600)?,
         ),
-        Figure::new(
+        plot(
             "spiral-times",
             "Computation time of every cycle (Fig. 5).",
             sheet(&time_panels, 1, 560)?,
@@ -65,7 +66,7 @@ pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
     ])
 }
 
-fn path(runs: &[&Outcome]) -> Result<Figure> {
+fn path(runs: &[&Outcome]) -> Result<Plot> {
     let colours = [BLUE, ORANGE, GREEN];
     let (mut above, mut side) = (Vec::new(), Vec::new());
     for (run, colour) in runs.iter().zip(colours) {
@@ -92,7 +93,7 @@ fn path(runs: &[&Outcome]) -> Result<Figure> {
         View::ABOVE.panel("Spiral from above", above),
         View::SIDE.panel("From the side, robots at the end", side),
     ];
-    Ok(Figure::new(
+    Ok(plot(
         "spiral-path",
         "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
          with one, two and three sections at the end.",

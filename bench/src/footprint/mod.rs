@@ -5,7 +5,6 @@
 //! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
 //! from `/proc/PID/status`.
 
-mod bars;
 mod memory;
 mod quantity;
 mod report;
@@ -17,10 +16,10 @@ use std::time::Duration;
 use anyhow::Result;
 
 pub use memory::{Files, Memory};
-pub use report::{Program, Report};
 pub use round::{Round, ThreadUse};
 pub use start::Start;
 
+use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
@@ -71,7 +70,7 @@ pub fn expected_s(options: &Options) -> f64 {
 }
 
 /// Measures one daemon after the other.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let cores = Cores::find()?;
     cores.stay_off();
     let realtime = may_be_realtime();
@@ -87,9 +86,5 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         )?);
         progress.advance(options.round_s());
     }
-    Ok(Report {
-        realtime,
-        rounds,
-        programs: Program::all(),
-    })
+    report::dataset(&rounds, realtime)
 }

@@ -256,7 +256,7 @@ fn learn_lead_ns(telemetry: &mut TelemetryStream) -> Result<u64> {
             .context("the daemon sends no telemetry")?;
         leads_ns.extend(lead_ns(&record).map(|lead_ns| lead_ns as f64));
     }
-    Ok(median(&leads_ns).unwrap_or(0.0) as u64)
+    Ok(median(leads_ns).unwrap_or(0.0) as u64)
 }
 
 /// How long before the release that its cycle slept for a record's inputs were gathered; an old gather says

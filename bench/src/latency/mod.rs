@@ -23,12 +23,10 @@ mod asker;
 mod hands;
 mod inputs;
 mod leg;
-mod panels;
 mod phase;
 mod report;
 mod requests;
 mod round;
-mod rows;
 mod scene;
 mod stops;
 
@@ -41,6 +39,7 @@ use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, realtime};
 
+use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
@@ -50,10 +49,9 @@ use hands::Hands;
 pub use hands::Looks;
 use inputs::{Awakening, Inputs, Source};
 pub use leg::Leg;
-pub use report::{Report, Setting};
+pub use report::Setting;
 use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
-pub use rows::{Ratio, Row, Target};
 use stops::Stops;
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
@@ -140,7 +138,7 @@ fn seconds(options: &Options) -> [f64; 3] {
     ]
 }
 
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let bench = Bench {
         options,
         cores: Cores::find()?,
@@ -170,7 +168,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         })?;
         rounds.push(round);
     }
-    Ok(Report::new(bench.setting(&told), rounds))
+    report::dataset(&bench.setting(&told), &rounds)
 }
 
 /// What the daemons told of themselves, and how the client did.

@@ -8,7 +8,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::leg::{Leg, Way};
-use crate::closed_loop::histogram;
+use crate::quantiles::histogram;
 
 /// The latencies of one leg in one round.
 #[derive(Debug, Clone)]

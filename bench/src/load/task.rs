@@ -159,11 +159,6 @@ fn every_core(cores: &Cores) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use crate::subject::place::Place;
 

@@ -6,10 +6,10 @@ use anyhow::Result;
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
-use serde::Serialize;
 
 use super::legs::Legs;
 use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
+use crate::named::named;
 use crate::scene::{PERIOD_S, Scene};
 
 /// Safe distance of the gap and the crossing \[m\].
@@ -32,46 +32,26 @@ const CIRCLE_CYCLES: u64 = 380;
 /// How far the reference jumps \[m\].
 const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
 
-/// A scene, and settings that suit it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Course {
-    /// The paper's spiral with three sections.
-    Spiral,
-    /// The paper's line with the tip's axis, rates up to 2 rad/s.
-    Line,
-    /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
-    Circle,
-    /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
-    /// in the gap.
-    Gap,
-    /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
-    Crossing,
-    /// The reference jumps by 0.15 m, and back: the rates saturate.
-    Jump,
+named! {
+    /// A scene, and settings that suit it.
+    pub enum Course {
+        /// The paper's spiral with three sections.
+        Spiral = "spiral",
+        /// The paper's line with the tip's axis, rates up to 2 rad/s.
+        Line = "line",
+        /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
+        Circle = "circle",
+        /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
+        /// in the gap.
+        Gap = "gap",
+        /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
+        Crossing = "crossing",
+        /// The reference jumps by 0.15 m, and back: the rates saturate.
+        Jump = "jump",
+    }
 }
 
 impl Course {
-    pub const ALL: [Self; 6] = [
-        Self::Spiral,
-        Self::Line,
-        Self::Circle,
-        Self::Gap,
-        Self::Crossing,
-        Self::Jump,
-    ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Spiral => "spiral",
-            Self::Line => "line",
-            Self::Circle => "circle",
-            Self::Gap => "gap",
-            Self::Crossing => "crossing",
-            Self::Jump => "jump",
-        }
-    }
-
     pub fn scene(self) -> Result<Scene> {
         match self {
             Self::Spiral => Ok(Scene::spiral(3)?.at_most(150)),
@@ -208,11 +188,6 @@ fn jump() -> Result<Scene> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

@@ -24,8 +24,8 @@ pub mod variant;
 use anyhow::Result;
 
 pub use problem::Field;
-pub use report::{Report, Row, StuckRow};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -132,7 +132,7 @@ fn run_s(variant: &Variant, scene: &Scene) -> f64 {
 }
 
 /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let mut courses = Vec::new();
     for &course in &options.courses {
         interrupt::check()?;
@@ -155,11 +155,8 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         }
         endings.push(contest_all(options.restarts, round, progress)?);
     }
-    Ok(Report {
-        rounds: options.rounds,
-        cases: courses.into_iter().flat_map(|(_, cases)| cases).collect(),
-        endings,
-    })
+    let cases: Vec<Case> = courses.into_iter().flat_map(|(_, cases)| cases).collect();
+    report::dataset(&cases, &endings)
 }
 
 /// One round of every variant of a course.

@@ -8,9 +8,9 @@ use cdcr_controller::optimizer::cycle_seed;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, Shape};
 use nalgebra::Vector3;
-use serde::Serialize;
 
 use crate::experiment::Solver;
+use crate::named::named;
 
 /// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
 /// is so thin that it could be passed between two steps.
@@ -37,28 +37,18 @@ const BESIDE_M: f64 = 0.06;
 /// Draws after which a problem is given up.
 const DRAWS_MAX: u32 = 10_000;
 
-/// What stands between the tip and its target.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Field {
-    Free,
-    /// A ball in the middle of the straight way.
-    Ball,
-    /// Three posts beside the straight way or on it.
-    Posts,
+named! {
+    /// What stands between the tip and its target.
+    pub enum Field {
+        Free = "free",
+        /// A ball in the middle of the straight way.
+        Ball = "ball",
+        /// Three posts beside the straight way or on it.
+        Posts = "posts",
+    }
 }
 
 impl Field {
-    pub const ALL: [Self; 3] = [Self::Free, Self::Ball, Self::Posts];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Free => "free",
-            Self::Ball => "ball",
-            Self::Posts => "posts",
-        }
-    }
-
     fn obstacles(self, way: &Way, numbers: &mut Numbers) -> Result<Vec<Obstacle>> {
         let still = Vector3::zeros();
         let mut obstacles = Vec::new();
@@ -213,11 +203,6 @@ pub(super) fn settings(solver: Solver) -> NmpcSettings {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use cdcr_controller::robot::RobotParameters;
 

@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::problem::{Field, Numbers, PERIOD_S, Problem, SECTIONS, settings};
 use crate::experiment::Solver;
+use crate::named::named;
 
 /// More than this share above the best cost is stuck.
 pub const STUCK_SHARE: f64 = 0.01;
@@ -28,34 +29,18 @@ const RANDOM_PLANS: u64 = 3;
 /// Rates of a random plan, either way \[rad/s\].
 const RANDOM_RATE_RAD_S: f64 = 2.0;
 
-/// Who looks for the best plan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Contender {
-    Kpso,
-    GaussNewton,
-    /// Gauss-Newton from rest and from three random plans; the best of the four.
-    GaussNewtonRestarted,
-    KpsoRefined,
+named! {
+    /// Who looks for the best plan.
+    pub enum Contender {
+        Kpso = "kpso",
+        GaussNewton = "gauss-newton",
+        /// Gauss-Newton from rest and from three random plans; the best of the four.
+        GaussNewtonRestarted = "gauss-newton-restarted",
+        KpsoRefined = "kpso-refined",
+    }
 }
 
 impl Contender {
-    pub const ALL: [Self; 4] = [
-        Self::Kpso,
-        Self::GaussNewton,
-        Self::GaussNewtonRestarted,
-        Self::KpsoRefined,
-    ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Kpso => "kpso",
-            Self::GaussNewton => "gauss-newton",
-            Self::GaussNewtonRestarted => "gauss-newton-restarted",
-            Self::KpsoRefined => "kpso-refined",
-        }
-    }
-
     pub(super) fn solver(self) -> Solver {
         match self {
             Self::Kpso => Solver::Kpso,
@@ -185,11 +170,6 @@ impl<'a> Attempt<'a> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

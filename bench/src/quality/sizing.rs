@@ -55,7 +55,7 @@ impl Sizing {
             closed.advance(&wish);
         }
         Ok(Self {
-            iteration_us: median(&times_us).unwrap_or(1.0),
+            iteration_us: median(times_us).unwrap_or(1.0),
         })
     }
 

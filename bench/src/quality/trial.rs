@@ -3,13 +3,14 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use cdcr_controller::nmpc::Nmpc;
 use cdcr_controller::optimizer::Budget;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::variant::Variant;
-use crate::closed_loop::{ClosedLoop, histogram, quantile_us};
+use crate::closed_loop::{ClosedLoop, Judge};
+use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
 /// What the guard lets through may be nearer than the safe distance by rounding \[m\].
@@ -58,33 +59,6 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
         sums.add(&closed, settings.safe_distance_m);
     }
     Ok(sums.figures(scene))
-}
-
-/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
-struct Judge {
-    nmpc: Nmpc,
-}
-
-impl Judge {
-    fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
-        let settings = NmpcSettings {
-            solver: SolverKind::GaussNewton,
-            refinement_steps: 0,
-            ..settings
-        };
-        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-        Ok(Self { nmpc })
-    }
-
-    fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
-        self.nmpc.restore_plan(plan);
-        let input = SolveInput {
-            elapsed_periods: 0,
-            ..*input
-        };
-        let (_, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
-        report.warm_cost
-    }
 }
 
 /// What is summed up over a run.
@@ -146,11 +120,6 @@ impl Sums {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use crate::experiment::Solver;
     use crate::quality::course::Course;

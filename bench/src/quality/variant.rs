@@ -6,6 +6,7 @@ use serde::Serialize;
 use super::course::Course;
 use super::sizing::Sizing;
 use crate::experiment::Solver;
+use crate::named::named;
 
 pub const SOLVERS: [Solver; 3] = [Solver::Kpso, Solver::GaussNewton, Solver::KpsoRefined];
 pub const BUDGETS_US: [u64; 9] = [10, 20, 50, 100, 200, 500, 1000, 2000, 4000];
@@ -19,26 +20,14 @@ const BUDGET_ITERATIONS: u32 = 1000;
 /// Gauss-Newton steps, where the budget ends a solve: as many as are allowed.
 const BUDGET_REFINEMENTS: u32 = 50;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Axis {
-    /// The time of a solve, on the clock.
-    Budget,
-    /// Particles and iterations; as much time as they take.
-    Swarm,
-    /// Prediction steps; as much time as they take.
-    Horizon,
-}
-
-impl Axis {
-    pub const ALL: [Self; 3] = [Self::Budget, Self::Swarm, Self::Horizon];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Budget => "budget",
-            Self::Swarm => "swarm",
-            Self::Horizon => "horizon",
-        }
+named! {
+    pub enum Axis {
+        /// The time of a solve, on the clock.
+        Budget = "budget",
+        /// Particles and iterations; as much time as they take.
+        Swarm = "swarm",
+        /// Prediction steps; as much time as they take.
+        Horizon = "horizon",
     }
 }
 

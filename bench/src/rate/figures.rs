@@ -1,9 +1,8 @@
 //! What one trial measured, and whether its period held.
 
-use cdcr_shared_types::Statistics;
-use cdcr_shared_types::codes::LateCause;
 use serde::Serialize;
 
+use crate::causes::Causes;
 use crate::quantiles::Quantiles;
 
 /// From this share of a core on, the system may halt real-time threads: Linux leaves them 95 %.
@@ -47,56 +46,6 @@ pub struct Figures {
     /// Distance of the tip from its reference, as the client's records say: median \[mm\].
     pub error_p50_mm: f64,
     pub error_p99_mm: f64,
-}
-
-/// Late cycles by what made them late.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Causes {
-    /// The timer came late, or the hypervisor had the core.
-    pub platform: u64,
-    pub load: u64,
-    pub page_fault: u64,
-    pub stall: u64,
-    /// The cycle computed for too long.
-    pub compute: u64,
-}
-
-impl Causes {
-    pub fn told(statistics: &Statistics) -> Self {
-        let of = |cause: LateCause| statistics.causes[cause.code() as usize];
-        Self {
-            platform: of(LateCause::Platform),
-            load: of(LateCause::Load),
-            page_fault: of(LateCause::PageFault),
-            stall: of(LateCause::Stall),
-            compute: of(LateCause::Compute),
-        }
-    }
-
-    /// Those that are the daemon's own doing.
-    pub fn own(&self) -> u64 {
-        self.page_fault + self.compute
-    }
-
-    pub fn all(&self) -> u64 {
-        self.own() + self.platform + self.load + self.stall
-    }
-
-    /// In words, without those that did not happen.
-    fn words(self) -> String {
-        let all = [
-            (self.platform, "platform"),
-            (self.load, "another task"),
-            (self.page_fault, "page fault"),
-            (self.stall, "stall"),
-            (self.compute, "compute"),
-        ];
-        let there = all.iter().filter(|(count, _)| *count > 0);
-        let words: Vec<_> = there
-            .map(|(count, name)| format!("{count} {name}"))
-            .collect();
-        words.join(", ")
-    }
 }
 
 /// What a trial says about its period.
@@ -269,7 +218,7 @@ pub(super) mod tests {
             skipped_periods: 40,
             causes: Causes {
                 platform: 2,
-                stall: 1,
+                other: 1,
                 ..Causes::default()
             },
             ..quiet()
@@ -291,7 +240,7 @@ pub(super) mod tests {
                 ..Causes::default()
             },
             Causes {
-                page_fault: 1,
+                fault: 1,
                 platform: 10,
                 ..Causes::default()
             },

@@ -11,17 +11,16 @@
 mod case;
 mod figures;
 mod report;
-mod rows;
 mod search;
 mod trial;
 
 use anyhow::Result;
 
 pub use case::Case;
-pub use figures::{Causes, Figures, Verdict};
-pub use report::Report;
+pub use figures::{Figures, Verdict};
 pub use trial::{Length, Trial};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::system::cores::Cores;
@@ -83,6 +82,22 @@ impl Options {
             ..Self::full()
         }
     }
+}
+
+/// How the default does with each of its periods, and the shortest period of each case.
+#[derive(Debug)]
+pub struct Measured {
+    /// Whether the daemons had real time.
+    pub realtime: bool,
+    /// How long they spun before each release \[µs\], at most a quarter of the period.
+    pub spin_us: f64,
+    /// When the run began \[ns, `CLOCK_MONOTONIC`\].
+    pub begin_ns: u64,
+    /// The default, longest period first.
+    pub steps: Vec<Step>,
+    pub shortest: Vec<Shortest>,
+    /// All trials of the search, in their order.
+    pub trials: Vec<Trial>,
 }
 
 /// The shortest period of one case.
@@ -157,7 +172,12 @@ fn search_s(options: &Options) -> f64 {
 }
 
 /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+    report::dataset(measure(options, progress)?)
+}
+
+/// The same as it was measured.
+pub fn measure(options: &Options, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();
     let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
@@ -170,7 +190,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     };
     let steps = run.steps()?;
     let shortest = run.search_all()?;
-    Ok(Report {
+    Ok(Measured {
         realtime: run.stage.realtime,
         spin_us: options.spin_us,
         begin_ns,
@@ -262,13 +282,9 @@ impl Run<'_> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
-    use crate::closed_loop::histogram;
+    use crate::causes::Causes;
+    use crate::quantiles::histogram;
 
     /// A trial that holds, or in which the machine or the loop lost releases.
     fn trial(period_ms: f64, verdict: Verdict) -> Trial {

@@ -10,10 +10,10 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::case::{Case, Stage};
-use super::figures::{Causes, Figures, Verdict};
-use crate::closed_loop::histogram;
+use super::figures::{Figures, Verdict};
+use crate::causes::Causes;
 use crate::interrupt;
-use crate::quantiles::Quantiles;
+use crate::quantiles::{Quantiles, histogram};
 use crate::subject::daemon::Daemon;
 use crate::subject::tracking::Tracking;
 use crate::system::counts::{core_share, threads};

@@ -81,11 +81,6 @@ fn cycle(row: &Row) -> Result<Cycle> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::fs;
 
     use super::*;

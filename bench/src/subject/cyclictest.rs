@@ -9,7 +9,7 @@ use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
 use rustix::thread::{sched_getaffinity, sched_setaffinity};
 
-use crate::closed_loop::histogram;
+use crate::quantiles::histogram;
 use crate::system::process::{Process, on_path, that_ends_with_us};
 
 /// What start, end and a slow machine may add to the duration.
@@ -234,11 +234,6 @@ fn latency(line: &str) -> Option<(u64, u64)> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use cdcr_test_skip::{Need, skip};
 
     use super::*;

@@ -198,11 +198,6 @@ pub fn that_ends_with_us(program: &Path) -> Command {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use cdcr_test_skip::{Need, skip};
     use rustix::process::test_kill_process;
 

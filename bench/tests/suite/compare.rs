@@ -58,7 +58,7 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let options = "asked for with another value of rounds: 6.1 before, 6.2 after";
     assert!(text.contains(options), "{text}");
     assert!(
-        text.contains("another kernel: 6.1 before, 6.2 after"),
+        text.contains("another kernel release: \"6.1\" before, \"6.2\" after"),
         "{text}"
     );
 

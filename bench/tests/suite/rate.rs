@@ -3,10 +3,9 @@ use std::process::Command;
 
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Length, Options, Report, Trial, Verdict};
-use cdcr_bench::section::Section;
+use cdcr_bench::rate::{self, Case, Length, Measured, Options, Trial, Verdict};
 
-fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Report {
+fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     let options = Options {
         rounds: 1,
         length: Length {
@@ -18,7 +17,7 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Report {
         steps_ms: steps_ms.to_vec(),
         ..Options::quick()
     };
-    rate::run(&options, &mut Progress::silent()).unwrap()
+    rate::measure(&options, &mut Progress::silent()).unwrap()
 }
 
 /// Whatever the machine did meanwhile: the figures belong together.
@@ -84,10 +83,6 @@ fn the_border_lies_between_what_held_and_what_failed() {
     for trial in report.trials.iter().chain(&step.rounds) {
         assert_consistent(trial);
     }
-    let json = report.json().unwrap();
-    assert_eq!(json["shortest"][0]["solver"], "gauss-newton");
-    assert_eq!(json["default_rounds"][0]["period_ms"], 5.0);
-    assert_eq!(report.histograms().len(), 1);
 }
 
 #[test]

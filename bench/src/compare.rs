@@ -1,0 +1,537 @@
+//! What changed between two runs beyond the noise of their rounds.
+//!
+//! The rounds of a run are taken in turns with its baselines, so their range shows what the machine does to a
+//! number that nobody touched. A number is called changed when the ranges of the two runs are apart and their
+//! medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are told apart.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
+use crate::environment::{Environment, Options};
+use crate::metric::{Better, Metric, median, range};
+use crate::named::named;
+
+/// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
+pub const ROUNDS_MIN: usize = 3;
+/// A smaller change of the median is of no account, however small the spread \[%\].
+pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
+/// Chance has a spread of its own: so many more may get worse.
+const WORSE_MARGIN: usize = 2;
+/// More names than this are not listed.
+const NAMES_MAX: usize = 12;
+
+/// What the comparison needs of a result, of one benchmark or of all.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Input {
+    pub environment: Environment,
+    /// What was asked for; none in a file of an older version.
+    #[serde(default)]
+    pub options: Option<Options>,
+    pub metrics: Vec<Metric>,
+}
+
+impl Input {
+    /// Reads what an earlier run wrote.
+    pub fn read(file: &Path) -> Result<Self> {
+        let name = file.display();
+        let text = fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;
+        serde_json::from_str(&text).with_context(|| {
+            format!(
+                "{name} is no result of cdcr-bench: expected is one JSON object with \"environment\" and \
+                 \"metrics\", as --format json prints it and --out writes it"
+            )
+        })
+    }
+}
+
+named! {
+    /// What became of a number. One value: each run has a single one, and no chance can be told.
+    pub enum Verdict {
+        Worse = "worse",
+        Better = "better",
+        OneValueWorse = "one-value-worse",
+        OneValueBetter = "one-value-better",
+        WithinNoise = "within-noise",
+        TooFewRounds = "too-few-rounds",
+        OneValueAlike = "one-value-alike",
+    }
+}
+
+/// The rounds of one run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    pub median: f64,
+    pub range: (f64, f64),
+    pub rounds: usize,
+}
+
+impl Spread {
+    fn of(rounds: &[f64]) -> Option<Self> {
+        Some(Self {
+            median: median(rounds.iter().copied())?,
+            range: range(rounds.iter().copied())?,
+            rounds: rounds.len(),
+        })
+    }
+
+    fn is_apart_from(&self, other: &Self) -> bool {
+        self.range.1 < other.range.0 || other.range.1 < self.range.0
+    }
+}
+
+/// One number before and after.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Change {
+    pub name: String,
+    pub unit: String,
+    pub better: Better,
+    pub before: Spread,
+    pub after: Spread,
+    /// Of the median \[%\]; none from zero.
+    pub change_percent: Option<f64>,
+    pub verdict: Verdict,
+    /// When the rounds of the two runs are apart: how probable that is if nothing changed.
+    pub chance: Option<f64>,
+}
+
+impl Change {
+    /// Of a number that both runs measured at least once.
+    fn of(old: &Metric, new: &Metric) -> Option<Self> {
+        let (before, after) = (Spread::of(&old.rounds)?, Spread::of(&new.rounds)?);
+        let difference = after.median - before.median;
+        let change_percent =
+            (before.median != 0.0).then(|| 100.0 * difference / before.median.abs());
+        let is_small = change_percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
+        let is_same = is_small || !before.is_apart_from(&after);
+        let is_better = (new.better == Better::Lower) == (difference < 0.0);
+        let is_one_value = (before.rounds, after.rounds) == (1, 1);
+        let is_few = before.rounds.min(after.rounds) < ROUNDS_MIN;
+        let verdict = match (is_one_value, is_few, is_same, is_better) {
+            (true, _, true, _) => Verdict::OneValueAlike,
+            (true, _, false, true) => Verdict::OneValueBetter,
+            (true, _, false, false) => Verdict::OneValueWorse,
+            (false, true, _, _) => Verdict::TooFewRounds,
+            (false, false, true, _) => Verdict::WithinNoise,
+            (false, false, false, true) => Verdict::Better,
+            (false, false, false, false) => Verdict::Worse,
+        };
+        let is_apart = !is_one_value && before.is_apart_from(&after);
+        Some(Self {
+            name: new.name.clone(),
+            unit: new.unit.clone(),
+            better: new.better,
+            change_percent,
+            verdict,
+            chance: is_apart.then(|| chance_apart(before.rounds, after.rounds)),
+            before,
+            after,
+        })
+    }
+
+    /// How probable it is that this number is called changed though nothing changed.
+    fn false_alarm(&self) -> f64 {
+        match self.verdict {
+            Verdict::Worse | Verdict::Better | Verdict::WithinNoise => {
+                chance_apart(self.before.rounds, self.after.rounds)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// By which the larger ones come first; from zero, every change is large.
+    fn size(&self) -> f64 {
+        if self.verdict >= Verdict::WithinNoise {
+            return 0.0;
+        }
+        self.change_percent.map_or(f64::INFINITY, f64::abs)
+    }
+}
+
+/// Probability that `before` and `after` values of one source lie apart: 2 · n! · m! / (n + m)!, the two-sided
+/// rank test at its extreme.
+fn chance_apart(before: usize, after: usize) -> f64 {
+    let ways = (1..=after).fold(1.0, |ways, i| ways * (before + i) as f64 / i as f64);
+    // With none on one side, and for one value each, they are always apart.
+    (2.0 / ways).min(1.0)
+}
+
+/// Two runs beside each other.
+#[derive(Debug, Clone, Serialize)]
+pub struct Comparison {
+    pub before: Environment,
+    pub after: Environment,
+    /// Why the two cannot be compared as they are.
+    pub warnings: Vec<String>,
+    /// Every number that both runs have: changed ones first, the worst of them before the others.
+    pub metrics: Vec<Change>,
+    /// Numbers that would be called changed if nothing had changed, on average.
+    pub changed_by_chance: f64,
+    pub only_before: Vec<String>,
+    pub only_after: Vec<String>,
+}
+
+impl Comparison {
+    pub fn of(before: &Input, after: &Input) -> Self {
+        let (old, new) = (by_name(&before.metrics), by_name(&after.metrics));
+        let both = old
+            .iter()
+            .filter_map(|(key, metric)| Change::of(metric, new.get(key)?));
+        let mut metrics: Vec<Change> = both.collect();
+        metrics.sort_by(|one, other| {
+            let by_verdict = one.verdict.cmp(&other.verdict);
+            by_verdict
+                .then(other.size().total_cmp(&one.size()))
+                .then(one.name.cmp(&other.name))
+        });
+        let missing = |these: &Named<'_>, others: &Named<'_>| {
+            let lone = these.keys().filter(|key| !others.contains_key(*key));
+            lone.map(|(name, _)| (*name).to_owned()).collect()
+        };
+        Self {
+            warnings: warnings(before, after),
+            changed_by_chance: metrics.iter().map(Change::false_alarm).sum(),
+            metrics,
+            only_before: missing(&old, &new),
+            only_after: missing(&new, &old),
+            before: before.environment.clone(),
+            after: after.environment.clone(),
+        }
+    }
+
+    /// How many numbers may get worse before more than chance is behind it: half of those that chance alone
+    /// calls changed, rounded up, and two more.
+    pub fn worse_by_chance(&self) -> usize {
+        // Chance calls as many better as worse.
+        (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
+    }
+
+    pub fn count(&self, verdict: Verdict) -> usize {
+        let all = self.metrics.iter();
+        all.filter(|change| change.verdict == verdict).count()
+    }
+
+    /// Changed numbers in tables, all others as counts.
+    pub fn text(&self) -> Result<String> {
+        let mut text = format!(
+            "before: {}\nafter:  {}\n",
+            self.before.run(),
+            self.after.run()
+        );
+        for warning in &self.warnings {
+            writeln!(text, "warning: {warning}")?;
+        }
+        let table = |verdicts: [Verdict; 2], title: String| {
+            let all = self.metrics.iter();
+            let rows: Vec<_> = all.filter(|c| verdicts.contains(&c.verdict)).collect();
+            let sheet = Sheet::new(&rows)?.table(title, &COLUMNS);
+            anyhow::Ok((!rows.is_empty()).then(|| format!("\n{}", sheet.text())))
+        };
+        let apart = format!(
+            "Changed beyond noise: the rounds of the two runs are apart, and their medians differ by more than \
+             {LEAST_CHANGE_PERCENT} %"
+        );
+        let changed = table([Verdict::Worse, Verdict::Better], apart)?;
+        text += &changed.unwrap_or_else(|| "\nNothing changed beyond noise.\n".to_owned());
+        let single = format!(
+            "One value each: they differ by more than {LEAST_CHANGE_PERCENT} %, which is a change only where the \
+             number is exact"
+        );
+        let single = table([Verdict::OneValueWorse, Verdict::OneValueBetter], single)?;
+        text += &single.unwrap_or_default();
+        self.counts(&mut text)?;
+        Ok(text)
+    }
+
+    fn counts(&self, text: &mut String) -> Result<()> {
+        let [worse, better, one_worse, one_better, within, few, alike] =
+            Verdict::ALL.map(|verdict| self.count(verdict));
+        write!(
+            text,
+            "\n{worse} worse, {better} better, {within} within noise"
+        )?;
+        if few > 0 {
+            write!(
+                text,
+                ", {few} with fewer than {ROUNDS_MIN} rounds in one of the runs"
+            )?;
+        }
+        text.push_str(".\n");
+        let others = one_worse + one_better;
+        if others + alike > 0 {
+            let least = LEAST_CHANGE_PERCENT;
+            writeln!(
+                text,
+                "One value each: {others} differ by more than {least} %, {alike} do not."
+            )?;
+        }
+        if self.changed_by_chance > 0.0 {
+            writeln!(
+                text,
+                "Without any change up to {:.1} of these would be called changed, by chance alone; more rounds \
+                 make it rarer (5 in each run: 1 of 126).",
+                self.changed_by_chance
+            )?;
+        }
+        for (when, names) in [("before", &self.only_before), ("after", &self.only_after)] {
+            if !names.is_empty() {
+                let shown = names[..names.len().min(NAMES_MAX)].join(", ");
+                let more = if names.len() > NAMES_MAX { ", …" } else { "" };
+                writeln!(
+                    text,
+                    "{} only in the run {when}: {shown}{more}",
+                    names.len()
+                )?;
+            }
+        }
+        Ok(())
+    }
+}
+
+const COLUMNS: [Column; 9] = [
+    word("metric", "name"),
+    word("unit", "unit"),
+    word("", "verdict"),
+    signed("change %", "change_percent"),
+    shorted("before", "before_median"),
+    shorted("rounds", "before_range"),
+    shorted("after", "after_median"),
+    shorted("rounds", "after_range"),
+    fixed("by chance", "chance", 3),
+];
+
+/// By name and unit: another unit is another number.
+type Named<'a> = BTreeMap<(&'a str, &'a str), &'a Metric>;
+
+fn by_name(metrics: &[Metric]) -> Named<'_> {
+    let known = metrics.iter().filter(|metric| !metric.rounds.is_empty());
+    known
+        .map(|metric| ((&*metric.name, &*metric.unit), metric))
+        .collect()
+}
+
+/// Why two runs are no measure of each other.
+fn warnings(before: &Input, after: &Input) -> Vec<String> {
+    let differing = before.environment.differing(&after.environment).into_iter();
+    let mut warnings: Vec<String> = differing
+        .map(|(what, old, new)| format!("another {what}: {old} before, {new} after"))
+        .collect();
+    if !warnings.is_empty() {
+        let hint = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
+                    each run measured itself, can";
+        warnings.push(hint.to_owned());
+    }
+    match (&before.options, &after.options) {
+        (Some(old), Some(new)) => {
+            let differing = old.differing(new);
+            warnings.extend(differing.iter().map(|(name, old, new)| {
+                format!("asked for with another value of {name}: {old} before, {new} after")
+            }));
+            if !differing.is_empty() {
+                let hint = "numbers may differ for this reason alone, ratios too";
+                warnings.push(hint.to_owned());
+            }
+        }
+        (None, None) => {}
+        (old, _) => {
+            let when = if old.is_none() { "before" } else { "after" };
+            warnings.push(format!(
+                "the run {when} does not say what it was asked for: it may have measured something else"
+            ));
+        }
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lower<const N: usize>(name: impl Into<String>, unit: &str, rounds: [f64; N]) -> Metric {
+        Metric::new(name, unit, Better::Lower, rounds)
+    }
+
+    fn change(better: Better, before: &[f64], after: &[f64]) -> Change {
+        let metric = |rounds: &[f64]| Metric {
+            name: "a".to_owned(),
+            unit: "µs".to_owned(),
+            better,
+            rounds: rounds.to_vec(),
+        };
+        Change::of(&metric(before), &metric(after)).expect("both have values")
+    }
+
+    #[test]
+    fn ranges_that_touch_are_noise() {
+        let found = change(Better::Lower, &[1.0, 2.0, 3.0], &[3.0, 4.0, 5.0]);
+        assert_eq!((found.verdict, found.chance), (Verdict::WithinNoise, None));
+        assert_eq!(found.change_percent, Some(100.0));
+    }
+
+    #[test]
+    fn apart_is_changed_and_the_metric_says_which_way_is_better() {
+        let (low, high) = ([1.0, 2.0, 3.0], [3.1, 4.0, 5.0]);
+        for (better, before, after, expected) in [
+            (Better::Lower, low, high, Verdict::Worse),
+            (Better::Lower, high, low, Verdict::Better),
+            (Better::Higher, low, high, Verdict::Better),
+            (Better::Higher, high, low, Verdict::Worse),
+        ] {
+            assert_eq!(change(better, &before, &after).verdict, expected);
+        }
+    }
+
+    #[test]
+    fn a_change_of_two_percent_is_of_no_account() {
+        let found = change(
+            Better::Lower,
+            &[100.0, 100.1, 100.2],
+            &[101.9, 102.0, 102.05],
+        );
+        assert_eq!(found.verdict, Verdict::WithinNoise);
+        assert!(found.chance.is_some(), "though the rounds are apart");
+    }
+
+    #[test]
+    fn from_zero_every_change_counts() {
+        let found = change(Better::Lower, &[0.0, 0.0, 0.0], &[4.0, 5.0, 6.0]);
+        assert_eq!(
+            (found.verdict, found.change_percent),
+            (Verdict::Worse, None)
+        );
+        let same = change(Better::Lower, &[0.0, 0.0, 0.0], &[0.0, 0.0, 0.0]);
+        assert_eq!(same.verdict, Verdict::WithinNoise);
+    }
+
+    #[test]
+    fn two_rounds_prove_nothing() {
+        let found = change(Better::Lower, &[1.0, 1.0], &[9.0, 9.0, 9.0]);
+        assert_eq!(found.verdict, Verdict::TooFewRounds);
+    }
+
+    #[test]
+    fn single_values_are_compared_directly_and_prove_nothing_of_chance() {
+        for (before, after, verdict) in [
+            (100.0, 102.0, Verdict::OneValueAlike),
+            (100.0, 103.0, Verdict::OneValueWorse),
+            (100.0, 97.0, Verdict::OneValueBetter),
+            (0.0, 0.0, Verdict::OneValueAlike),
+            (0.0, 1e-9, Verdict::OneValueWorse),
+        ] {
+            let found = change(Better::Lower, &[before], &[after]);
+            assert_eq!(
+                (found.verdict, found.chance),
+                (verdict, None),
+                "{before}, {after}"
+            );
+            assert_eq!(found.false_alarm(), 0.0);
+        }
+        let found = change(Better::Lower, &[1.0], &[9.0, 9.0, 9.0]);
+        assert_eq!(found.verdict, Verdict::TooFewRounds);
+    }
+
+    #[test]
+    fn the_chance_is_that_of_the_rank_test() {
+        for (before, after, expected) in [
+            (3, 3, 0.1),
+            (1, 1, 1.0),
+            (5, 5, 2.0 / 252.0),
+            (3, 6, 2.0 / 84.0),
+        ] {
+            let found = chance_apart(before, after);
+            assert!(
+                (found - expected).abs() < 1e-12,
+                "{before}, {after}: {found}"
+            );
+            assert!((chance_apart(after, before) - expected).abs() < 1e-12);
+        }
+    }
+
+    fn input(metrics: Vec<Metric>) -> Input {
+        Input {
+            environment: Environment::default(),
+            options: None,
+            metrics,
+        }
+    }
+
+    #[test]
+    fn every_number_is_in_one_list() {
+        let before = input(vec![
+            lower("same", "µs", [1.0, 1.1, 1.2]),
+            lower("worse", "µs", [1.0, 1.1, 1.2]),
+            lower("gone", "µs", [1.0]),
+            lower("other unit", "µs", [1.0]),
+            lower("empty", "µs", []),
+        ]);
+        let after = input(vec![
+            lower("same", "µs", [1.1, 1.1, 1.3]),
+            lower("worse", "µs", [2.0, 2.1, 2.2]),
+            lower("new", "µs", [1.0]),
+            lower("other unit", "ms", [1.0]),
+            lower("empty", "µs", [1.0]),
+        ]);
+        let found = Comparison::of(&before, &after);
+        let names: Vec<&str> = found.metrics.iter().map(|change| &*change.name).collect();
+        assert_eq!(names, ["worse", "same"], "changed ones first");
+        assert_eq!(
+            (found.count(Verdict::Worse), found.count(Verdict::Better)),
+            (1, 0)
+        );
+        assert_eq!(found.only_before, ["gone", "other unit"]);
+        assert_eq!(found.only_after, ["empty", "new", "other unit"]);
+        assert!(found.warnings.is_empty());
+        // 2 of the 20 ways to deal six rounds leave three and three apart.
+        assert!((found.changed_by_chance - 0.2).abs() < 1e-12, "{found:?}");
+    }
+
+    #[test]
+    fn another_machine_is_told() {
+        let before = input(Vec::new());
+        let mut after = input(Vec::new());
+        after.environment.kernel.release = "7.0".to_owned();
+        after.environment.privileges.realtime = true;
+        let warnings = Comparison::of(&before, &after).warnings;
+        assert_eq!(warnings.len(), 3, "{warnings:?}");
+        assert!(
+            warnings[1].contains("another privileges realtime: false before, true after"),
+            "{warnings:?}"
+        );
+        assert!(warnings[2].contains("bare loop"), "{warnings:?}");
+    }
+
+    #[test]
+    fn other_options_are_told() {
+        let asked = |json: &str| Input {
+            options: serde_json::from_str(json).expect("options"),
+            ..input(Vec::new())
+        };
+        let (few, many) = (asked(r#"{"rounds":"3"}"#), asked(r#"{"rounds":"6"}"#));
+        assert!(Comparison::of(&few, &few).warnings.is_empty());
+        let warnings = Comparison::of(&few, &many).warnings;
+        assert_eq!(warnings.len(), 2, "{warnings:?}");
+        let expected = "asked for with another value of rounds: 3 before, 6 after";
+        assert_eq!(warnings[0], expected);
+        let warnings = Comparison::of(&few, &input(Vec::new())).warnings;
+        assert!(
+            warnings[0].contains("the run after does not say"),
+            "{warnings:?}"
+        );
+    }
+
+    #[test]
+    fn some_may_get_worse_by_chance() {
+        let many = |from: f64| {
+            let metric = |i| lower(format!("a/{i}"), "µs", [from, from + 1.0, from + 2.0]);
+            input((0..31).map(metric).collect())
+        };
+        let found = Comparison::of(&many(10.0), &many(10.0));
+        // 31 numbers, 10 % of which chance moves: half of 3.1, rounded up, and two.
+        assert_eq!(found.worse_by_chance(), 4);
+    }
+}
