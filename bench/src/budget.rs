@@ -51,10 +51,8 @@ const COLUMNS: [Column; 11] = [
     plain("worse than warm start", "worse_than_warm_start"),
 ];
 
-/// How much is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Options {
-    /// At least 1.
     pub rounds: u32,
     /// Solves of each case with each budget in each round.
     pub solves: u64,
@@ -71,7 +69,6 @@ impl Options {
     };
 }
 
-/// About how long it takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, options.solves));
     f64::from(options.rounds) * CASES as f64 * budgets.sum::<f64>()

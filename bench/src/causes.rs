@@ -10,7 +10,6 @@ use serde::Serialize;
 pub struct Causes {
     /// The timer or the processor itself came late: hypervisor, firmware.
     pub platform: u64,
-    /// Another task had the core.
     pub load: u64,
     /// The computation took too long: ours.
     pub compute: u64,
@@ -21,7 +20,6 @@ pub struct Causes {
 }
 
 impl Causes {
-    /// As a daemon counted them.
     pub fn told(statistics: &Statistics) -> Self {
         let of = |cause: LateCause| statistics.causes[cause.code() as usize];
         Self {
@@ -43,12 +41,10 @@ impl Causes {
         } += 1;
     }
 
-    /// Those that are the daemon's own doing.
     pub fn own(&self) -> u64 {
         self.fault + self.compute
     }
 
-    /// All late cycles.
     pub fn all(&self) -> u64 {
         self.own() + self.platform + self.load + self.other
     }

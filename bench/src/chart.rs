@@ -64,7 +64,6 @@ impl Curve {
         }
     }
 
-    /// A level from start to end.
     pub(crate) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
         Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
     }
@@ -300,7 +299,6 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
-/// A little room below and above.
 fn widened(low: f64, high: f64) -> Range<f64> {
     let room = 0.05 * (high - low);
     low - room..high + room
@@ -314,20 +312,6 @@ fn decades(low: f64, high: f64) -> Range<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_short() {
-        for (value, text) in [
-            (0.300_000_000_000_000_04, "0.3"),
-            (-5e-17, "0"),
-            (900.0, "900"),
-        ] {
-            assert_eq!(number(value), text);
-        }
-        for (value, text) in [(1e-9, "1e-9"), (2.5e-5, "2.5e-5"), (100.0, "100")] {
-            assert_eq!(power(value), text);
-        }
-    }
 
     #[test]
     fn a_panel_without_points_can_be_drawn() {

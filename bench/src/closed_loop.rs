@@ -23,12 +23,9 @@ pub struct ClosedLoop<'a> {
 #[derive(Debug, Clone)]
 pub struct Sample {
     pub time_s: f64,
-    /// Where the tip should be then \[m\].
     pub reference_m: Vector3<f64>,
     pub tip: Pose,
-    /// How the robot is bent then.
     pub configuration: Configuration,
-    /// The command of the cycle \[rad/s\].
     pub rates: BendRates,
     /// Clearance of the whole body then \[m\]; infinite without obstacles.
     pub clearance_m: f64,
@@ -36,7 +33,6 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// From the reference to the tip \[mm\].
     pub fn offset_mm(&self) -> Vector3<f64> {
         1e3 * (self.tip.position_m - self.reference_m)
     }

@@ -37,7 +37,6 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads what an earlier run wrote.
     pub fn read(file: &Path) -> Result<Self> {
         let name = file.display();
         let text = fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;
@@ -63,7 +62,12 @@ named! {
     }
 }
 
-/// The rounds of one run.
+impl Verdict {
+    fn is_change(self) -> bool {
+        self < Self::WithinNoise
+    }
+}
+
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Spread {
     pub median: f64,
@@ -85,7 +89,6 @@ impl Spread {
     }
 }
 
-/// One number before and after.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Change {
     pub name: String,
@@ -146,10 +149,12 @@ impl Change {
 
     /// By which the larger ones come first; from zero, every change is large.
     fn size(&self) -> f64 {
-        if self.verdict >= Verdict::WithinNoise {
-            return 0.0;
+        let percent = self.change_percent.map_or(f64::INFINITY, f64::abs);
+        if self.verdict.is_change() {
+            percent
+        } else {
+            0.0
         }
-        self.change_percent.map_or(f64::INFINITY, f64::abs)
     }
 }
 
@@ -161,7 +166,6 @@ fn chance_apart(before: usize, after: usize) -> f64 {
     (2.0 / ways).min(1.0)
 }
 
-/// Two runs beside each other.
 #[derive(Debug, Clone, Serialize)]
 pub struct Comparison {
     pub before: Environment,
@@ -216,80 +220,43 @@ impl Comparison {
         all.filter(|change| change.verdict == verdict).count()
     }
 
-    /// Changed numbers in tables, all others as counts.
+    /// Numbers that changed in a table, all others as counts.
     pub fn text(&self) -> Result<String> {
-        let mut text = format!(
-            "before: {}\nafter:  {}\n",
-            self.before.run(),
-            self.after.run()
-        );
+        let (before, after) = (self.before.run(), self.after.run());
+        let mut text = format!("before: {before}\nafter:  {after}\n");
         for warning in &self.warnings {
             writeln!(text, "warning: {warning}")?;
         }
-        let table = |verdicts: [Verdict; 2], title: String| {
-            let all = self.metrics.iter();
-            let rows: Vec<_> = all.filter(|c| verdicts.contains(&c.verdict)).collect();
-            let sheet = Sheet::new(&rows)?.table(title, &COLUMNS);
-            anyhow::Ok((!rows.is_empty()).then(|| format!("\n{}", sheet.text())))
-        };
-        let apart = format!(
-            "Changed beyond noise: the rounds of the two runs are apart, and their medians differ by more than \
-             {LEAST_CHANGE_PERCENT} %"
-        );
-        let changed = table([Verdict::Worse, Verdict::Better], apart)?;
-        text += &changed.unwrap_or_else(|| "\nNothing changed beyond noise.\n".to_owned());
-        let single = format!(
-            "One value each: they differ by more than {LEAST_CHANGE_PERCENT} %, which is a change only where the \
-             number is exact"
-        );
-        let single = table([Verdict::OneValueWorse, Verdict::OneValueBetter], single)?;
-        text += &single.unwrap_or_default();
-        self.counts(&mut text)?;
-        Ok(text)
-    }
-
-    fn counts(&self, text: &mut String) -> Result<()> {
-        let [worse, better, one_worse, one_better, within, few, alike] =
-            Verdict::ALL.map(|verdict| self.count(verdict));
-        write!(
-            text,
-            "\n{worse} worse, {better} better, {within} within noise"
-        )?;
-        if few > 0 {
+        let all = self.metrics.iter();
+        let rows: Vec<_> = all.filter(|change| change.verdict.is_change()).collect();
+        if rows.iter().all(|change| change.chance.is_none()) {
+            text.push_str("\nNothing changed beyond noise.\n");
+        }
+        if !rows.is_empty() {
+            let title = format!(
+                "Worse or better: the rounds of the two runs are apart, and their medians differ by more than \
+                 {LEAST_CHANGE_PERCENT} %. With one value each, a change only where the number is exact"
+            );
             write!(
                 text,
-                ", {few} with fewer than {ROUNDS_MIN} rounds in one of the runs"
+                "\n{}",
+                Sheet::new(&rows)?.table(title, &COLUMNS).text()
             )?;
         }
-        text.push_str(".\n");
-        let others = one_worse + one_better;
-        if others + alike > 0 {
-            let least = LEAST_CHANGE_PERCENT;
-            writeln!(
-                text,
-                "One value each: {others} differ by more than {least} %, {alike} do not."
-            )?;
-        }
-        if self.changed_by_chance > 0.0 {
-            writeln!(
-                text,
-                "Without any change up to {:.1} of these would be called changed, by chance alone; more rounds \
-                 make it rarer (5 in each run: 1 of 126).",
-                self.changed_by_chance
-            )?;
-        }
+        let counts = Verdict::ALL.map(|verdict| (self.count(verdict), verdict.name()));
+        let counts = counts.map(|(count, verdict)| format!("{count} {verdict}"));
+        writeln!(
+            text,
+            "\n{}.\nWithout any change up to {:.1} of these would be called worse or better, by chance alone; more \
+             rounds make it rarer (5 in each run: 1 of 126).",
+            counts.join(", "),
+            self.changed_by_chance
+        )?;
         for (when, names) in [("before", &self.only_before), ("after", &self.only_after)] {
-            if !names.is_empty() {
-                let shown = names[..names.len().min(NAMES_MAX)].join(", ");
-                let more = if names.len() > NAMES_MAX { ", …" } else { "" };
-                writeln!(
-                    text,
-                    "{} only in the run {when}: {shown}{more}",
-                    names.len()
-                )?;
-            }
+            let shown = names[..names.len().min(NAMES_MAX)].join(", ");
+            writeln!(text, "{} only in the run {when}: {shown}", names.len())?;
         }
-        Ok(())
+        Ok(text)
     }
 }
 

@@ -3,7 +3,7 @@
 //! A row is whatever serde makes an object of. Text, Markdown, HTML, CSV and JSON of it are made here and nowhere
 //! else; a column names the value that it shows by the keys that lead to it, joined by `_`, as CSV does.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write as _;
 
 use anyhow::Result;
@@ -27,24 +27,19 @@ pub struct Dataset {
     pub explanation: &'static str,
     /// Keys of the JSON beside those of the sheets.
     pub facts: Map<String, Value>,
-    /// The most important first.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
-    /// What another run can be compared by.
     pub metrics: Vec<Metric>,
     /// All latencies that were measured, so that others can compute other percentiles.
     pub recordings: Vec<Recording>,
 }
 
-/// A picture with its caption.
 pub struct Plot {
-    /// Name of its file, without an ending.
     pub name: &'static str,
     pub caption: &'static str,
     pub svg: String,
 }
 
-/// Latencies of one stretch of time.
 #[derive(Debug)]
 pub struct Recording {
     /// What was measured where: words joined by dots, like `none.daemon.response`.
@@ -62,12 +57,10 @@ impl Dataset {
             .push(Metric::new(name, unit, Better::Lower, rounds));
     }
 
-    /// Adds something that is said once.
     pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
         self.facts.insert(key.to_owned(), value.into());
     }
 
-    /// The whole result.
     pub fn json(&self) -> Map<String, Value> {
         let mut json = self.facts.clone();
         for sheet in &self.sheets {
@@ -78,7 +71,6 @@ impl Dataset {
         json
     }
 
-    /// The sheets that people read.
     pub fn tables(&self) -> impl Iterator<Item = &Sheet> {
         self.sheets.iter().filter(|sheet| !sheet.columns.is_empty())
     }
@@ -111,7 +103,6 @@ pub struct Sheet {
 }
 
 impl Sheet {
-    /// Rows that nobody gets yet.
     pub fn new(rows: &[impl Serialize]) -> Result<Self> {
         let rows = rows.iter().map(serde_json::to_value);
         Ok(Self {
@@ -129,7 +120,6 @@ impl Sheet {
         .table(title, columns)
     }
 
-    /// A list in the JSON.
     #[must_use]
     pub fn key(mut self, key: &'static str) -> Self {
         self.key = Some(key);
@@ -143,7 +133,6 @@ impl Sheet {
         self
     }
 
-    /// A table for people.
     #[must_use]
     pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
         self.title = title.into();
@@ -159,7 +148,6 @@ impl Sheet {
         self.rows.iter().map(cells).collect()
     }
 
-    /// In columns of equal width.
     pub fn text(&self) -> String {
         let heads = self.columns.iter().map(|c| c.head.to_owned()).collect();
         let mut lines = vec![heads];
@@ -223,14 +211,16 @@ impl Sheet {
     /// Every value of the rows: those that the table shows first, in its order.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
-        let has = |key: &str| rows.iter().any(|row| row.contains_key(key));
+        let known = rows.iter().flatten().filter(|(_, value)| !value.is_null());
+        let known: BTreeSet<&str> = known.map(|(key, _)| key.as_str()).collect();
         let shown = self.columns.iter().map(|column| column.key);
-        let mut heads: Vec<&str> = shown.filter(|key| has(key)).collect();
-        for key in rows.iter().flat_map(BTreeMap::keys) {
-            if !heads.contains(&&**key) {
-                heads.push(key);
-            }
-        }
+        let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
+        heads.extend(
+            known
+                .iter()
+                .filter(|key| !heads.contains(key))
+                .collect::<Vec<_>>(),
+        );
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&heads)?;
         for row in &rows {
@@ -261,10 +251,8 @@ pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
     values
 }
 
-/// One column of a table.
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
-    /// With the unit, if there is one.
     head: &'static str,
     key: &'static str,
     show: Show,
@@ -279,9 +267,7 @@ enum Show {
     Short,
     Fixed(usize),
     Signed,
-    /// Two digits and a power of ten.
     Power,
-    /// A share with so many digits.
     Percent(usize),
 }
 

@@ -33,12 +33,17 @@ const CIRCLE_REFINEMENTS: u32 = 6;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
-    /// The spiral of the last section.
-    Spiral { sections: usize },
+    Spiral {
+        sections: usize,
+    },
     /// The line of three sections with a vertical tip.
-    Line { rate_limit_rad_s: f64 },
+    Line {
+        rate_limit_rad_s: f64,
+    },
     /// The circle of one section around an obstacle.
-    Circle { safe_distance_m: f64 },
+    Circle {
+        safe_distance_m: f64,
+    },
 }
 
 impl Task {
@@ -82,7 +87,6 @@ impl Task {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperFigures {
-    /// Mean error \[mm\], where it states one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_error_mm: Option<f64>,
     pub mean_solve_ms: f64,
@@ -90,9 +94,7 @@ pub struct PaperFigures {
 
 named! {
     pub enum Solver {
-        /// The swarm with an inertia weight.
         Kpso = "kpso",
-        /// The swarm with Eq. 6 as printed.
         KpsoVerbatim = "kpso-verbatim",
         GaussNewton = "gauss-newton",
         KpsoRefined = "kpso-refined",

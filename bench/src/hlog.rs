@@ -43,7 +43,6 @@ pub fn log(started: SystemTime, recordings: &[Recording]) -> Result<Option<Strin
     Ok(Some(String::from_utf8(bytes)?))
 }
 
-/// Zero for what is no time.
 fn seconds(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }

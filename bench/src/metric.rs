@@ -14,7 +14,6 @@ pub struct Metric {
     pub rounds: Vec<f64>,
 }
 
-/// Which way is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Better {

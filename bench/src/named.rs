@@ -12,7 +12,6 @@ macro_rules! named {
         impl $type {
             pub const ALL: [Self; [$($name),+].len()] = [$(Self::$variant),+];
 
-            /// As in tables and JSON.
             pub fn name(self) -> &'static str {
                 match self {
                     $(Self::$variant => $name,)+

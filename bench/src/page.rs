@@ -14,7 +14,6 @@ latency says little; the ratio to the bare loop, taken in turns with it, says wh
 numbers are in <code>report.json</code>, for <code>cdcr-bench compare</code>, each case in a CSV, and every \
 latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n";
 
-/// One result.
 pub(crate) fn of_dataset(start: &Start, dataset: &Dataset) -> String {
     let mut html = String::new();
     add(&mut html, dataset);

@@ -79,7 +79,6 @@ const CIRCLE: [Column; 11] = [
     plain("paper's mean ms", "paper_mean_solve_ms"),
 ];
 
-/// As results are published.
 pub const FULL: Effort = Effort {
     seeds: 10,
     cycles_max: u64::MAX,
@@ -90,13 +89,11 @@ pub const QUICK: Effort = Effort {
     cycles_max: 50,
 };
 
-/// About how long it takes \[s\].
 pub fn expected_s(effort: &Effort) -> f64 {
     let share = effort.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
     effort.all_work() as f64 * WORK_S * share
 }
 
-/// Runs every simulation.
 pub fn run(effort: &Effort, progress: &mut Progress) -> Result<Dataset> {
     let unit_s = expected_s(effort) / effort.all_work() as f64;
     let mut outcomes = Vec::new();
@@ -151,7 +148,6 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
     Ok(dataset)
 }
 
-/// Curve and size, coordinates, solver.
 fn path(outcome: &Outcome) -> Result<String> {
     let Experiment {
         task,

@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use crate::metric::{median, range};
 
-/// Of latencies \[µs\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Quantiles {
     pub min: f64,
@@ -18,7 +17,6 @@ pub struct Quantiles {
 }
 
 impl Quantiles {
-    /// None of an empty histogram.
     pub fn of(times_ns: &Histogram<u64>) -> Option<Self> {
         (!times_ns.is_empty()).then(|| Self {
             min: times_ns.min() as f64 * 1e-3,
@@ -54,7 +52,6 @@ impl Quantiles {
     }
 }
 
-/// A quantile of times in nanoseconds \[µs\].
 pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
     times_ns.value_at_quantile(quantile) as f64 * 1e-3
 }

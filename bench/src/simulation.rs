@@ -14,7 +14,6 @@ use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 use crate::zone::Zone;
 
-/// Of one solver \[µs\].
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct SolveTimes {
     pub mean: f64,
@@ -57,7 +56,6 @@ pub struct Simulation {
     pub seeds: u64,
     /// Median over the seeds of the mean error \[mm\].
     pub mean_error_mm: f64,
-    /// Largest error of all runs \[mm\].
     pub max_error_mm: f64,
     pub solve_us: SolveTimes,
     pub paper: PaperFigures,
@@ -72,16 +70,13 @@ pub struct Outcome {
     pub experiment: Experiment,
     pub scene: Scene,
     pub row: Simulation,
-    /// The run with the first seed.
     pub first: Vec<Sample>,
-    /// What each run came to, by seed.
     pub runs: Vec<Run>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
     pub mean_error_mm: f64,
-    /// Median of the solve times \[µs\].
     pub solve_p50_us: f64,
 }
 
@@ -89,7 +84,6 @@ pub struct Run {
 pub struct Effort {
     /// Runs of each experiment, each with another seed.
     pub seeds: u64,
-    /// Cycles of a run at most.
     pub cycles_max: u64,
 }
 
@@ -123,7 +117,6 @@ pub(crate) fn work(experiment: &Experiment) -> u64 {
     u64::from(settings.horizon_steps * swarm)
 }
 
-/// Runs one experiment with every seed.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let mut summary = Summary::new(&experiment)?;
@@ -247,7 +240,6 @@ impl Summary {
     }
 }
 
-/// The point of the circle's scene \[m\].
 pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
     match scene.obstacles.first().map(|obstacle| *obstacle.shape()) {
         Some(Shape::Sphere { centre_m }) => centre_m,

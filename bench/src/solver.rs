@@ -25,7 +25,6 @@ use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
-/// Cycles of one case, at most.
 const CYCLES_MAX: u64 = 400;
 /// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
 /// within reach and beside its way.
@@ -34,13 +33,11 @@ const OBSTACLE_CYCLES_MAX: u64 = 200;
 const SIZE_TIME: Duration = Duration::from_millis(1200);
 /// Cycles at the start of a case that are not counted.
 const WARM_UP: u64 = 10;
-/// Cycles of a case, at least.
 const CYCLES_MIN: u64 = 2 * WARM_UP;
 const OBSTACLE_RADIUS_M: f64 = 0.01;
 /// What the obstacles leave between themselves and the straight body, beyond the safe distance \[m\]: so
 /// little that each is within reach, so much that the robot can do its task.
 const OBSTACLE_GAP_M: f64 = 0.016;
-/// Length of a capsule's axis \[m\].
 const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// Time of one size, about \[s\].
@@ -66,10 +63,8 @@ const COLUMNS: [Column; 11] = [
     fixed("speed-up", "speedup_vs_scalar", 1),
 ];
 
-/// What is measured.
 #[derive(Debug, Clone)]
 pub struct Options {
-    /// At least 1.
     pub rounds: u32,
     pub sizes: Vec<Size>,
 }
@@ -82,7 +77,6 @@ impl Options {
         }
     }
 
-    /// One round over the shortest robot.
     pub fn quick() -> Self {
         let mut sizes = sizes();
         sizes.retain(|size| size.task == Task::Spiral { sections: 1 });
@@ -90,7 +84,6 @@ impl Options {
     }
 }
 
-/// About how long it takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     f64::from(options.rounds) * options.sizes.len() as f64 * SIZE_S
 }
@@ -336,10 +329,8 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
     Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
-/// One path, its controller and its times.
 type Runner = (Path, Nmpc, Histogram<u64>);
 
-/// Measures one size on every path.
 pub fn measure(size: &Size) -> Result<Vec<Case>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();

@@ -13,7 +13,6 @@ use crate::quantiles::Quantiles;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key {
-    /// How the threads were set up.
     pub setup: Setup,
     pub load: Load,
     pub subject: Subject,
@@ -87,7 +86,6 @@ impl Case {
         }
     }
 
-    /// A row for each round.
     pub fn round_rows(&self) -> Vec<RoundRow> {
         let rounds = self.rounds.iter().enumerate();
         let row = |(index, round): (usize, &Round)| {
@@ -119,7 +117,6 @@ pub struct Row {
     #[serde(flatten)]
     times: TimeQuantiles,
     median_of_rounds: TimeQuantiles,
-    /// The least of all rounds.
     tracking_share: Option<f64>,
     rounds: Vec<RoundRow>,
 }

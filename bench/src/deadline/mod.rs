@@ -37,7 +37,6 @@ pub const WARM_UP: Duration = Duration::from_secs(1);
 const AROUND_S: f64 = 1.2;
 
 named! {
-    /// How the threads were set up.
     pub enum Setup {
         /// `SCHED_FIFO`, a core of their own, locked memory.
         Realtime = "realtime",
@@ -97,7 +96,6 @@ impl Options {
     }
 }
 
-/// About how long a measurement takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     let realtime = if may_be_realtime() {
         2 + usize::from(Cyclictest::find().is_some())
@@ -139,7 +137,6 @@ struct Run<'a> {
     is_realtime: bool,
     progress: &'a mut Progress,
     cases: Cases,
-    /// Stretches that failed and were measured again.
     failures: Vec<String>,
 }
 

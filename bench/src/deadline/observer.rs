@@ -28,7 +28,6 @@ const INCIDENTS_WAIT: Duration = Duration::from_millis(300);
 /// How long a daemon may be silent before the observation is given up \[ns\].
 const SILENCE_NS: u64 = 2_000_000_000;
 
-/// What was observed between two moments.
 #[derive(Debug)]
 pub struct Observed {
     pub tally: Tally,
@@ -112,11 +111,9 @@ struct Watch {
     /// What the daemon found out later about a bad cycle.
     causes: HashMap<u64, LateCause>,
     last_record_ns: u64,
-    /// After the ports, which must go first.
     _connection: Connection,
 }
 
-/// What is kept of a telemetry record.
 #[derive(Debug, Clone, Copy)]
 struct Record {
     number: u64,

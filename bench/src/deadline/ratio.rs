@@ -21,7 +21,6 @@ pub struct Ratio {
     pub realtime: bool,
     /// Median wake-up of the daemon over that of the bare loop: median of the rounds.
     pub wake_p50: Option<f64>,
-    /// The same of the 99th percentile.
     pub wake_p99: Option<f64>,
     pub wake_p50_range: Option<(f64, f64)>,
     pub wake_p99_range: Option<(f64, f64)>,

@@ -78,7 +78,6 @@ const TIMES: [Column; 9] = [
     fixed("max", "max", 1),
 ];
 
-/// One latency of one case.
 #[derive(Serialize)]
 struct TimeRow {
     load: Load,

@@ -90,7 +90,6 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// What can be measured with this set-up.
     pub fn subjects(&self, setup: Setup) -> Vec<Subject> {
         let mut subjects = vec![Subject::Bare, Subject::Daemon];
         if setup == Setup::Realtime && self.cyclictest.is_some() {
@@ -191,7 +190,6 @@ impl<'a> Runner<'a> {
         Daemon::start(&launch, &cores)
     }
 
-    /// What came, and the steal meanwhile \[ms\].
     fn bare(&self, setup: Setup) -> Result<(Tally, f64)> {
         let duration = WARM_UP + self.options.segment();
         let bare = Bare::start(&self.launch(setup), &self.cores, duration)?;

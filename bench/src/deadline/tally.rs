@@ -10,7 +10,6 @@ use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-/// The latencies of a stretch \[ns\].
 #[derive(Debug, Clone)]
 pub struct Times {
     pub wake: Histogram<u64>,
@@ -32,7 +31,6 @@ impl Times {
         })
     }
 
-    /// Each with its name.
     pub fn named(self) -> [(&'static str, Histogram<u64>); 4] {
         [
             ("wake", self.wake),
@@ -85,7 +83,6 @@ impl Counts {
     }
 }
 
-/// What one stretch of cycles comes to.
 #[derive(Debug, Clone)]
 pub struct Tally {
     pub counts: Counts,
@@ -150,7 +147,6 @@ impl Tally {
         self.times.add(&other.times)
     }
 
-    /// The latencies in five numbers each \[µs\].
     pub fn quantiles(&self) -> TimeQuantiles {
         TimeQuantiles {
             wake_us: Quantiles::of(&self.times.wake),
@@ -169,9 +165,7 @@ impl Tally {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TimeQuantiles {
     pub wake_us: Option<Quantiles>,
-    /// Start to hand-over of the command.
     pub compute_us: Option<Quantiles>,
-    /// Release to hand-over of the command.
     pub response_us: Option<Quantiles>,
     /// Release to the command in the client's hands.
     pub command_us: Option<Quantiles>,

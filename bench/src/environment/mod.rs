@@ -51,7 +51,6 @@ pub struct Environment {
     pub processor: Processor,
     /// Whether a hypervisor may halt the cores at any time, as the processor tells; none where it does not.
     pub virtual_machine: Option<bool>,
-    /// Which one, when it can be read.
     pub hypervisor: Option<String>,
     pub kernel: Kernel,
     pub memory_mb: Option<u64>,
@@ -70,11 +69,9 @@ pub struct Privileges {
     pub lock_memory: bool,
 }
 
-/// Which cores were used for what.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct UsedCores {
-    /// The core of the daemon's real-time threads.
     pub realtime: usize,
     pub others: Vec<usize>,
 }
@@ -88,7 +85,6 @@ pub struct Processor {
     pub cores: usize,
     /// Caches of the core, like `L1 Data 32K`.
     pub caches: Vec<String>,
-    /// Frequency, as told at the start \[MHz\].
     pub frequency_mhz: Option<f64>,
     pub governor: Option<String>,
 }
@@ -104,7 +100,6 @@ pub struct Kernel {
     pub preemption: Option<String>,
     /// `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
     pub isolation: Vec<String>,
-    /// What it reads the time from.
     pub clock_source: Option<String>,
     /// Transparent huge pages: `always`, `madvise` or `never`.
     pub huge_pages: Option<String>,
@@ -155,7 +150,6 @@ impl Environment {
         values.map(|(key, value)| (key.replace('_', " "), value))
     }
 
-    /// A row for each property.
     pub fn table(&self) -> Sheet {
         let row = |(property, value)| json!({ "property": property, "value": value });
         let columns = [word("property", "property"), word("value", "value")];
@@ -189,7 +183,6 @@ impl Environment {
         )
     }
 
-    /// Which run this was.
     pub(crate) fn run(&self) -> String {
         let commit = self.commit.as_ref().map(|commit| format!(" ({commit})"));
         format!(

@@ -66,7 +66,6 @@ impl System {
         }
     }
 
-    /// As it is seen from one core.
     pub(super) fn processor(&self, core: usize) -> Processor {
         let field = |key| self.field(CPUINFO, key);
         let model = field("model name")
@@ -167,7 +166,6 @@ fn isolation(command_line: &str) -> Vec<String> {
         .collect()
 }
 
-/// A folder with these files, for tests.
 #[cfg(test)]
 pub(super) fn fake(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");

@@ -9,11 +9,12 @@ mod spiral;
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::Coordinates;
 
+use crate::chart::{Panel, sheet};
 use crate::dataset::Plot;
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
-/// All figures: spiral, line and circle.
+/// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let mut all = spiral::figures(outcomes)?;
     all.extend(line::figures(outcomes)?);
@@ -21,31 +22,48 @@ pub fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     Ok(all)
 }
 
-/// The outcome of a task with bend vectors.
-fn find(outcomes: &[Outcome], task: Task, solver: Solver) -> Result<&Outcome> {
-    let mut all = outcomes.iter();
-    all.find(|outcome| {
-        let experiment = &outcome.experiment;
-        experiment.task == task
-            && experiment.solver == solver
-            && experiment.coordinates == Coordinates::BendVector
-    })
-    .with_context(|| format!("no outcome of {task:?} with {}", solver.name()))
+struct Drawn<'a> {
+    title: String,
+    all: Vec<&'a Outcome>,
+    /// That of `kpso-refined`.
+    run: &'a Outcome,
 }
 
-fn find_all(outcomes: &[Outcome], task: Task) -> Result<Vec<&Outcome>> {
-    let solvers = Solver::ALL.iter();
-    solvers
-        .map(|solver| find(outcomes, task, *solver))
-        .collect()
+impl<'a> Drawn<'a> {
+    fn new(outcomes: &'a [Outcome], task: Task, title: String) -> Result<Self> {
+        let find = |solver: Solver| {
+            let is_it = |outcome: &&Outcome| {
+                let found = &outcome.experiment;
+                let what = (found.task, found.solver, found.coordinates);
+                what == (task, solver, Coordinates::BendVector)
+            };
+            let missing = || format!("no outcome of {task:?} with {}", solver.name());
+            outcomes.iter().find(is_it).with_context(missing)
+        };
+        let all = Solver::ALL.into_iter().map(find);
+        Ok(Self {
+            title,
+            all: all.collect::<Result<_>>()?,
+            run: find(Solver::KpsoRefined)?,
+        })
+    }
 }
 
-fn named<'a>(outcomes: &[&'a Outcome]) -> Vec<(String, &'a Outcome)> {
-    let all = outcomes.iter();
-    all.map(|outcome| (outcome.row.solver.name().to_owned(), *outcome))
-        .collect()
+/// The panels of every task on one sheet.
+fn each<'a, P: IntoIterator<Item = Panel>>(
+    tasks: &[Drawn<'a>],
+    panels: impl Fn(&Drawn<'a>) -> P,
+) -> Vec<Panel> {
+    tasks.iter().flat_map(panels).collect()
 }
 
-fn plot(name: &'static str, caption: &'static str, svg: String) -> Plot {
-    Plot { name, caption, svg }
+/// So many panels beside each other, each so high.
+fn plot(
+    name: &'static str,
+    caption: &'static str,
+    (columns, height): (usize, u32),
+    panels: &[Panel],
+) -> Result<Plot> {
+    let svg = sheet(panels, columns, height)?;
+    Ok(Plot { name, caption, svg })
 }

@@ -6,7 +6,6 @@ use nalgebra::Vector3;
 use crate::chart::{Curve, Panel, Point, Scale};
 use crate::closed_loop::Sample;
 
-/// Points of the backbone of each section.
 const POINTS: u32 = 24;
 
 /// Two axes of the base frame, across and up.
@@ -22,7 +21,6 @@ impl View {
     pub(super) const SIDE: Self = Self { axes: [0, 2] };
     pub(super) const FRONT: Self = Self { axes: [1, 2] };
 
-    /// Where a point is seen \[mm\].
     pub(super) fn point(self, p_m: &Vector3<f64>) -> Point {
         (1e3 * p_m[self.axes[0]], 1e3 * p_m[self.axes[1]])
     }

@@ -22,7 +22,6 @@ pub struct Memory {
     pub shared_bytes: u64,
     /// Faults that needed no disk, since its start.
     pub minor_faults: u64,
-    /// Faults that did, since its start.
     pub major_faults: u64,
     /// Open files and sockets; none where this user may not look.
     pub descriptors: Option<u64>,

@@ -30,12 +30,10 @@ const IDLE_SHARE: f64 = 0.4;
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 2.3;
 
-/// What is measured, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Daemons that are measured one after the other.
     pub rounds: u32,
-    /// How long each of them tracks.
     pub tracking: Duration,
 }
 
@@ -69,7 +67,6 @@ pub fn expected_s(options: &Options) -> f64 {
     f64::from(options.rounds) * options.round_s()
 }
 
-/// Measures one daemon after the other.
 pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let cores = Cores::find()?;
     cores.stay_off();

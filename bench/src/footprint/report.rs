@@ -53,7 +53,6 @@ struct Program {
     mb: f64,
 }
 
-/// Those that lie beside this one.
 fn programs() -> Vec<Program> {
     let length = |name| {
         let bytes = fs::metadata(program(name).ok()?).ok()?.len();
@@ -67,7 +66,6 @@ fn programs() -> Vec<Program> {
     names.into_iter().filter_map(length).collect()
 }
 
-/// A number with its spread.
 #[derive(Serialize)]
 struct Row {
     what: &'static str,

@@ -18,7 +18,6 @@ use crate::system::counts::{core_share, threads};
 const SETTLE: Duration = Duration::from_millis(500);
 /// How long the daemon may take to send its status.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
-/// The threads of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -32,9 +31,7 @@ pub struct Round {
     /// When it said `READY=1`; no client had connected yet.
     pub after_start: Memory,
     pub before_client: Memory,
-    /// When its robot followed a client's reference.
     pub before_tracking: Memory,
-    /// At the end of the tracking.
     pub after_tracking: Memory,
     /// Its files in shared memory, those of the tracking client among them.
     pub shared_memory: Files,
@@ -48,7 +45,6 @@ pub struct ThreadUse {
     pub name: String,
     /// While the robot held its position, without any client \[%\].
     pub idle_percent: f64,
-    /// While the robot followed a reference \[%\].
     pub tracking_percent: f64,
 }
 

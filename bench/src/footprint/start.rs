@@ -16,12 +16,10 @@ use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::place::ROBOT;
 use crate::system::cores::Cores;
 
-/// How long a start may take.
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a client looks whether there is a daemon.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Times from the start of the process.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Start {
     /// To the first release of its grid \[ms\].
@@ -79,7 +77,6 @@ fn with_last_words(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
 struct Found {
     /// When the first cycle of the daemon was released \[ns\].
     release_ns: u64,
-    /// When a first record was there \[ns\].
     record_ns: u64,
 }
 

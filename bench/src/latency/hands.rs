@@ -19,13 +19,11 @@ use crate::metric::median;
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
-/// How long a daemon may be silent.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
 const EARLY_NS: u64 = 200_000;
 /// So long after the release it looks without a rest \[ns\]: a thread that never rests is halted.
 const RESTLESS_NS: u64 = 500_000;
-/// Its rest from then on \[ns\].
 const REST_NS: u64 = 20_000;
 /// Commands that are remembered until their telemetry comes.
 const REMEMBERED: usize = 1024;
@@ -46,7 +44,6 @@ impl Grid {
         self.origin_ns + cycle * self.period_ns
     }
 
-    /// The newest cycle whose release has passed.
     pub(super) fn cycle_at(&self, time_ns: u64) -> u64 {
         time_ns.saturating_sub(self.origin_ns) / self.period_ns
     }
@@ -57,7 +54,6 @@ impl Grid {
     }
 }
 
-/// What the client does beside watching.
 pub(super) trait Errand {
     /// How long before each release it has to be awake \[ns\].
     fn awake_before_ns(&self, grid: &Grid) -> u64 {
@@ -75,7 +71,6 @@ pub(super) trait Errand {
 
     fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()>;
 
-    /// Whether it has what it came for.
     fn is_done(&self) -> bool;
 
     /// Releases after which it must be done: more than it needs, and what a stall may take.
@@ -89,10 +84,8 @@ pub(super) struct Seen<'a> {
     pub(super) received_ns: Option<u64>,
 }
 
-/// How often the client itself was late.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Looks {
-    /// Releases that it woke up for.
     pub all: u64,
     /// The command was there before its first look.
     pub late: u64,
@@ -105,7 +98,6 @@ pub(super) struct Hands {
     pub(super) looks: Looks,
     commands: CommandStream,
     telemetry: TelemetryStream,
-    /// The cycle that is watched next.
     next: u64,
     newest: Option<Command>,
     received: VecDeque<(u64, u64)>,
@@ -136,14 +128,12 @@ impl Hands {
         })
     }
 
-    /// How long the robot is \[m\].
     pub(super) fn length_m(&self) -> f64 {
         cdcr_client::section_lengths_m(&self.status.robot)
             .iter()
             .sum()
     }
 
-    /// Watches until the errand is done.
     pub(super) fn run(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
         self.forget()?;
         let turns = errand.turns();

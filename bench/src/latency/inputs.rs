@@ -26,17 +26,17 @@ pub(super) enum Source {
     /// A reference chunk that replaces the one before.
     Reference {
         feed: ReferenceFeed,
-        /// How long the robot is \[m\].
         length_m: f64,
     },
     /// A small sphere that nobody comes near to.
     Obstacle {
         sender: ObstacleSender,
-        /// How long the robot is \[m\].
         length_m: f64,
     },
-    /// Where the newest command brought the robot.
-    Measurement { driver: Box<Driver>, sections: u32 },
+    Measurement {
+        driver: Box<Driver>,
+        sections: u32,
+    },
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -57,7 +57,6 @@ struct Line {
 /// Sends from each source in turn, each second period, at phases spread over the period.
 pub(super) struct Inputs {
     lines: Vec<Line>,
-    /// Periods from one sending to the next.
     gap: u64,
     grid: Grid,
     sender_id: u64,
@@ -267,7 +266,6 @@ impl Errand for Inputs {
     }
 }
 
-/// The way of the command itself.
 fn record_command(cycle: &Seen<'_>, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
         round.unmeasured.without_command += 1;

@@ -158,8 +158,5 @@ mod tests {
             let same = Leg::ALL.iter().filter(|other| other.name() == leg.name());
             assert_eq!(same.count(), 1, "{}", leg.name());
         }
-        for leg in Leg::ALL {
-            assert_eq!(leg.is_grid(), leg.name().contains("grid"), "{}", leg.name());
-        }
     }
 }

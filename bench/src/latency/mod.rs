@@ -30,6 +30,7 @@ mod round;
 mod scene;
 mod stops;
 
+use std::fmt::Debug;
 use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
@@ -54,6 +55,17 @@ use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
 use stops::Stops;
 
+/// An error of iceoryx2 has a name, and no text.
+trait OrTold<T> {
+    fn or_told(self, what: &str) -> Result<T>;
+}
+
+impl<T, E: Debug> OrTold<T> for Result<T, E> {
+    fn or_told(self, what: &str) -> Result<T> {
+        self.map_err(|cause| anyhow!("{what}: {cause:?}"))
+    }
+}
+
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
 /// What a stop takes, with the way to its speed \[s\].
@@ -62,7 +74,6 @@ const STOP_S: f64 = 0.25;
 const BARE_PER_SAMPLE: usize = 8;
 /// What a daemon takes to start and to end \[s\].
 const AROUND_S: f64 = 1.0;
-/// Period of the default configuration \[s\].
 const PERIOD_S: f64 = 5e-3;
 
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -17,7 +17,6 @@ use crate::quantiles::{Quantiles, quantile_us};
 const STOP_MARGIN_US: f64 = 100.0;
 /// Values without which a 99th percentile is no more than the largest of them.
 const VALUES_OF_P99: u64 = 100;
-/// The same of a 99.9th.
 const VALUES_OF_P999: u64 = 1000;
 
 const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
@@ -30,7 +29,6 @@ const EXPLANATION: &str = "<p>A client on another core sends references, obstacl
          measured in the same rounds.</p>\
          <p>A stop is told without the ramp, which the configured deceleration makes.</p>";
 
-/// What is compared with what.
 const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHop, Leg::BareOneWay),
     (Leg::CommandHandover, Leg::BareOneWay),
@@ -52,7 +50,6 @@ const COLUMNS: [Column; 9] = [
 #[derive(Debug, Clone, Serialize)]
 pub struct Setting {
     pub rounds: usize,
-    /// Samples of each kind in each round.
     pub samples: usize,
     pub stops: usize,
     pub period_us: f64,
@@ -62,28 +59,21 @@ pub struct Setting {
     pub client_realtime: bool,
     pub realtime_core: usize,
     pub client_core: usize,
-    /// How often the client was late itself.
     pub looks: Looks,
 }
 
-/// One leg, all rounds together.
 #[derive(Debug, Clone, Serialize)]
 struct Row {
     leg: Leg,
-    /// From which stamp.
     from: &'static str,
-    /// To which.
     to: &'static str,
     samples: u64,
     latency_us: Quantiles,
-    /// Medians over the rounds.
     rounds_us: Quantiles,
-    /// In the round that has the fewest.
     #[serde(skip)]
     fewest: u64,
 }
 
-/// One leg in one round.
 #[derive(Debug, Clone, Serialize)]
 struct RoundRow {
     round: usize,
@@ -111,7 +101,6 @@ struct Target {
     kept: bool,
 }
 
-/// Something found, in words.
 #[derive(Serialize)]
 struct Remark {
     what: String,
@@ -201,7 +190,6 @@ impl Setting {
     }
 }
 
-/// None without samples.
 fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
     let all = pooled(leg, rounds)?;
     let of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);

@@ -47,9 +47,7 @@ pub struct Round {
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub(super) struct Passage {
     pub(super) sent_ns: u64,
-    /// Start of the gather that took it.
     pub(super) gather_ns: u64,
-    /// The effect is in the client's hands.
     pub(super) received_ns: u64,
 }
 

@@ -40,7 +40,6 @@ enum Step {
     Rest,
 }
 
-/// What is kept of a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Kept {
     sequence: u64,
@@ -54,7 +53,6 @@ struct Kept {
     speed_rad_s: f64,
 }
 
-/// Stops the robot again and again.
 pub(super) struct Stops {
     asker: Asker,
     feed: ReferenceFeed,
@@ -102,7 +100,6 @@ impl Stops {
         })
     }
 
-    /// Begins again, towards the other side.
     fn begin(&mut self) {
         self.turn += 1;
         self.step = Step::Reset;
@@ -256,10 +253,8 @@ impl Kept {
     }
 }
 
-/// A stop that was carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stopped {
-    /// Until the first command of mode stopped.
     first: Passage,
     /// From sending to the first zero rates handed over, less the ramp \[ns\].
     zero_handover_ns: u64,

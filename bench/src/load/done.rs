@@ -14,17 +14,14 @@ pub struct Done {
     pub seconds: f64,
     /// Rounds of 100 000 steps that the spinning threads made.
     pub spins: u64,
-    /// Bytes of memory that were copied.
     pub copied_bytes: u64,
     /// Bytes that were written to a file and synced.
     pub written_bytes: u64,
-    /// Bytes that were read from it.
     pub read_bytes: u64,
     pub clients: u64,
     pub failed_clients: u64,
     pub chunks: u64,
     pub updates: u64,
-    /// Operations of stress-ng, as it counts them.
     pub stress_operations: u64,
 }
 
@@ -38,7 +35,6 @@ impl Done {
             .collect()
     }
 
-    /// The counts that belong to a load.
     fn of(&self, load: Load) -> Vec<(&'static str, u64)> {
         match load {
             Load::None => Vec::new(),

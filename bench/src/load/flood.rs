@@ -15,7 +15,6 @@ use super::task::Signals;
 use crate::subject::place::ROBOT;
 
 const PERIOD: Duration = Duration::from_micros(100);
-/// How long a client tries to connect.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
 /// Obstacles of the flood. A few: what is to be measured is what messages cost, and not a crowded scene, which
 /// costs the solver and the guard about 0.3 µs for each obstacle, wherever it is.

@@ -24,7 +24,6 @@ pub(super) enum Job {
     Copy {
         bytes: usize,
     },
-    /// Writes, syncs and reads a file.
     Disk,
     Visit(Location),
     References(Location),
@@ -46,7 +45,6 @@ impl Job {
         }
     }
 
-    /// Does it until the load ends.
     pub(super) fn run(self, signals: &Signals) -> Result<Done> {
         match self {
             Self::Spin => Ok(processor::spin(signals)),
@@ -73,7 +71,6 @@ impl Signals {
         self.ending.store(true, Ordering::Relaxed);
     }
 
-    /// Whether the load is to end.
     pub(super) fn is_ending(&self) -> bool {
         self.ending.load(Ordering::Relaxed)
     }

@@ -9,7 +9,6 @@ use cdcr_test_skip::{Need, skip};
 use super::*;
 use crate::subject::daemon::{Daemon, Launch};
 
-/// How long a load runs here.
 const MOMENT: Duration = Duration::from_millis(500);
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -35,16 +34,6 @@ fn prove(load: Load, cores: &Cores, target: Option<&Location>) -> Done {
         }
         moment *= 4;
     }
-}
-
-#[test]
-fn the_names_are_those_of_the_command_line_and_of_json() {
-    for load in Load::value_variants() {
-        let option = load.to_possible_value().unwrap();
-        assert_eq!(option.get_name(), load.name());
-        assert_eq!(serde_json::to_value(load).unwrap(), load.name());
-    }
-    assert_eq!(Load::value_variants().len(), Load::OWN.len() + 1);
 }
 
 #[test]

@@ -32,7 +32,6 @@ pub(super) fn come_and_go(target: &Location, signals: &Signals) -> Done {
     done
 }
 
-/// Whether all of it was granted.
 fn visit(target: &Location, with_telemetry: bool) -> bool {
     let Ok(connection) = Connection::open(target, ROBOT) else {
         return false;

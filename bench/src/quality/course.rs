@@ -14,7 +14,6 @@ use crate::scene::{PERIOD_S, Scene};
 
 /// Safe distance of the gap and the crossing \[m\].
 const SAFE_DISTANCE_M: f64 = 0.01;
-/// Radius of the paper's robot's body \[m\].
 const BODY_RADIUS_M: f64 = 0.015;
 /// Radius of a post of the gap \[m\].
 const POST_RADIUS_M: f64 = 0.02;
@@ -23,19 +22,15 @@ const GAP_SLACK_M: f64 = 0.004;
 const GAP_X_M: f64 = 0.26;
 /// Radius of the ball of the crossing \[m\].
 const BALL_RADIUS_M: f64 = 0.03;
-/// Its speed across the robot's plane \[m/s\].
 const BALL_M_S: f64 = 0.2;
 /// Bend of one section on the paper's circle \[rad\].
 const CIRCLE_BEND_RAD: f64 = 75.0 * PI / 180.0;
 /// Cycles of the circle: the tip is past the point, which it meets after 314.
 const CIRCLE_CYCLES: u64 = 380;
-/// How far the reference jumps \[m\].
 const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
 
 named! {
-    /// A scene, and settings that suit it.
     pub enum Course {
-        /// The paper's spiral with three sections.
         Spiral = "spiral",
         /// The paper's line with the tip's axis, rates up to 2 rad/s.
         Line = "line",

@@ -47,7 +47,6 @@ pub struct Options {
     /// Runs of each variant, each with another seed.
     pub rounds: u32,
     pub courses: Vec<Course>,
-    /// Cycles of a course at most.
     pub cycles_max: u64,
     pub budgets_us: Vec<u64>,
     pub swarms: Vec<(u32, u32)>,
@@ -107,11 +106,9 @@ impl Options {
 #[derive(Debug, Clone)]
 pub struct Case {
     pub variant: Variant,
-    /// What came of it in each round.
     pub rounds: Vec<Figures>,
 }
 
-/// About how long a run takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     let rounds = f64::from(options.rounds);
     let contests = rounds * f64::from(options.restarts) * Field::ALL.len() as f64;

@@ -12,12 +12,10 @@ use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
 use crate::dataset::Plot;
 use crate::experiment::Solver;
 
-/// Errors below this are drawn here \[mm\].
 const ERROR_FLOOR_MM: f64 = 1e-9;
 /// Less above the best cost is drawn here \[%\].
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
-/// All plots that there is something for.
 pub(super) fn plots(rows: &[Row], endings: &[Ending]) -> Result<Vec<Plot>> {
     let timed = |row: &&Row| row.variant.axis == Axis::Budget;
     let rows: Vec<&Row> = rows.iter().filter(timed).collect();

@@ -17,15 +17,12 @@ use crate::named::named;
 pub(super) const PERIOD_S: f64 = 0.03;
 const HORIZON_STEPS: u32 = 30;
 const BLOCKS: u32 = 5;
-/// Particles and iterations of one solve.
 const SWARM: (u32, u32) = (32, 40);
 const REFINEMENTS: u32 = 25;
 pub(super) const SECTIONS: usize = 3;
 /// Largest bend of a section of a random shape \[rad\].
 const BEND_MAX_RAD: f64 = 1.2;
-/// Distance between tip and target \[m\].
 const APART_M: std::ops::Range<f64> = 0.25..0.6;
-/// Distance that is kept from obstacles \[m\].
 const SAFE_DISTANCE_M: f64 = 0.01;
 /// Start and target shape keep so many of it.
 const CLEAR_DISTANCES: f64 = 1.5;
@@ -76,7 +73,6 @@ impl Field {
     }
 }
 
-/// The straight way of the tip.
 struct Way {
     from_m: Vector3<f64>,
     to_m: Vector3<f64>,

@@ -77,7 +77,6 @@ fn title(axis: Axis) -> &'static str {
 pub(super) struct Row {
     #[serde(flatten)]
     pub variant: Variant,
-    /// What varies, in words.
     pub value: String,
     pub rounds: usize,
     #[serde(flatten)]
@@ -97,7 +96,6 @@ pub(super) struct StuckRow {
     /// Median excess over the best known cost, as a share of that.
     pub excess_share_p50: f64,
     pub excess_share_max: f64,
-    /// Median time to the end \[ms\].
     pub time_ms_p50: f64,
 }
 

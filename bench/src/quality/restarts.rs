@@ -18,7 +18,6 @@ pub const STUCK_SHARE: f64 = 0.01;
 pub const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
 /// A plan that ends further from the target has not arrived \[mm\].
 pub const ARRIVED_MM: f64 = 10.0;
-/// Solves of one start at most.
 const SOLVES_MAX: u32 = 20;
 /// Solves without progress after which a solver has ended: its swarm draws other numbers in each.
 const PATIENCE: u32 = 2;
@@ -30,7 +29,6 @@ const RANDOM_PLANS: u64 = 3;
 const RANDOM_RATE_RAD_S: f64 = 2.0;
 
 named! {
-    /// Who looks for the best plan.
     pub enum Contender {
         Kpso = "kpso",
         GaussNewton = "gauss-newton",
@@ -50,7 +48,6 @@ impl Contender {
     }
 }
 
-/// How one contender ended in one problem.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ending {
     pub field: Field,
@@ -76,7 +73,6 @@ impl Ending {
         self.cost > self.best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
     }
 
-    /// Whether its plan leads to the target.
     pub fn arrives(&self) -> bool {
         self.end_error_mm <= ARRIVED_MM
     }
@@ -138,7 +134,6 @@ impl<'a> Attempt<'a> {
         })
     }
 
-    /// Begins again from a random plan.
     fn restart(&mut self, seed: u64) {
         let mut numbers = Numbers::new(seed);
         let mut rate = || numbers.between(-RANDOM_RATE_RAD_S, RANDOM_RATE_RAD_S);

@@ -13,15 +13,12 @@ use crate::experiment::Solver;
 use crate::metric::median;
 
 const ITERATIONS: u32 = 8;
-/// One cycle in so many is timed.
 const EVERY: u64 = 8;
-/// Iterations of a swarm at most.
 const ITERATIONS_MAX: f64 = 1000.0;
 
 /// What an iteration of [`BUDGET_SWARM`] particles takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sizing {
-    /// The median over the course \[µs\].
     pub iteration_us: f64,
 }
 

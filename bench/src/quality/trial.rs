@@ -32,7 +32,6 @@ pub struct Figures {
     pub cut_short_share: f64,
     /// Share of the cycles in which the clearance guard changed the command.
     pub guarded_share: f64,
-    /// Median time of a solve \[µs\].
     pub solve_p50_us: f64,
     pub solve_p99_us: f64,
 }
@@ -61,7 +60,6 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     Ok(sums.figures(scene))
 }
 
-/// What is summed up over a run.
 struct Sums {
     cycles: u64,
     error_mm: f64,

@@ -13,7 +13,6 @@ pub const BUDGETS_US: [u64; 9] = [10, 20, 50, 100, 200, 500, 1000, 2000, 4000];
 /// Swarms, particles and iterations: the paper's is the second.
 pub const SWARMS: [(u32, u32); 5] = [(6, 10), (6, 30), (12, 30), (24, 30), (24, 60)];
 pub const HORIZONS: [u32; 5] = [1, 2, 4, 8, 16];
-/// Particles where the budget ends a solve.
 pub(super) const BUDGET_SWARM: u32 = 64;
 /// Iterations of the swarm alone, where the budget ends a solve: as many as are allowed.
 const BUDGET_ITERATIONS: u32 = 1000;
@@ -90,7 +89,6 @@ impl Variant {
         }
     }
 
-    /// With so many particles and iterations.
     pub fn swarm(course: Course, solver: Solver, (swarm, iterations): (u32, u32)) -> Self {
         Self {
             swarm,
@@ -122,7 +120,6 @@ impl Variant {
         }
     }
 
-    /// The value that varies, in words.
     pub fn value(&self) -> String {
         match (self.axis, self.budget_us) {
             (Axis::Budget, Some(us)) => format!("{us} µs"),
@@ -131,7 +128,6 @@ impl Variant {
         }
     }
 
-    /// The same as part of a name.
     pub fn key(&self) -> String {
         let value = match (self.axis, self.budget_us) {
             (Axis::Budget, Some(us)) => format!("{us}-us"),

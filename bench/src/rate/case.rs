@@ -25,13 +25,11 @@ const SPIN_SHARE: f64 = 0.25;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Case {
     pub sections: usize,
-    /// How the control problem is solved.
     pub solver: Solver,
     pub horizon_steps: u32,
 }
 
 impl Case {
-    /// What the daemon does by default.
     pub const DEFAULT: Self = Self {
         sections: 3,
         solver: Solver::KpsoRefined,
@@ -63,7 +61,6 @@ impl Case {
         )
     }
 
-    /// For the name of a metric.
     pub fn key(&self) -> String {
         format!(
             "{}-sections/{}/n{}",
@@ -81,7 +78,6 @@ pub struct Stage {
     pub realtime: bool,
     /// How long before a release they wake up to spin \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
-    /// Where the configurations of the robots lie.
     folder: TempDir,
 }
 
@@ -133,7 +129,6 @@ fn file_name(sections: usize) -> String {
     format!("robot-{sections}.toml")
 }
 
-/// The paper's robot with so many sections.
 fn robot(sections: usize) -> String {
     let section = |index: usize| {
         let offset_rad = (40.0 * index as f64).to_radians();

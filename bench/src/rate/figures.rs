@@ -15,27 +15,21 @@ const LOST_MAX: f64 = 1e-3;
 /// What the daemon did in one trial, in its own statistics, unless something else is said.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
-    /// How long it was measured \[s\].
     pub duration_s: f64,
     pub cycles: u64,
-    /// Of them, those that started late.
     pub late_starts: u64,
     /// Of them, those that missed their deadline, the end of the period.
     pub deadline_misses: u64,
     pub skipped_periods: u64,
-    /// Late cycles by what made them late.
     pub causes: Causes,
     /// Share of the cycles whose solve was cut short by the end of its time.
     pub budget_hit_share: f64,
     /// Share of the cycles that used the inputs of the one before again.
     pub stale_input_share: f64,
-    /// Records that were lost inside the daemon.
     pub dropped_records: u64,
     pub wake_us: Quantiles,
     pub solve_us: Quantiles,
-    /// Start to hand-over of the command.
     pub compute_us: Quantiles,
-    /// Release to hand-over of the command.
     pub response_us: Quantiles,
     /// Share of its core that the cycle thread used, by the kernel's count.
     pub cycle_core_share: f64,
@@ -157,7 +151,6 @@ impl Figures {
 pub(super) mod tests {
     use super::*;
 
-    /// Of a trial in which nothing happened.
     pub(in crate::rate) fn quiet() -> Figures {
         let us = |p50: f64| Quantiles {
             min: 0.5 * p50,

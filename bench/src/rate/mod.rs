@@ -35,7 +35,6 @@ const FIRST_GUESS: usize = 4;
 /// Trials that the search for one case takes, about: the border from both sides, and a repetition.
 const TRIALS: f64 = 3.2;
 
-/// What is measured, and for how long.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// How often the default is measured with each of its periods.
@@ -43,7 +42,6 @@ pub struct Options {
     /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
     pub length: Length,
-    /// Whose shortest period is looked for.
     pub cases: Vec<Case>,
     /// The periods that are tried, longest first \[ms\].
     pub periods_ms: Vec<f64>,
@@ -87,20 +85,17 @@ impl Options {
 /// How the default does with each of its periods, and the shortest period of each case.
 #[derive(Debug)]
 pub struct Measured {
-    /// Whether the daemons had real time.
     pub realtime: bool,
     /// How long they spun before each release \[µs\], at most a quarter of the period.
     pub spin_us: f64,
     /// When the run began \[ns, `CLOCK_MONOTONIC`\].
     pub begin_ns: u64,
-    /// The default, longest period first.
     pub steps: Vec<Step>,
     pub shortest: Vec<Shortest>,
     /// All trials of the search, in their order.
     pub trials: Vec<Trial>,
 }
 
-/// The shortest period of one case.
 #[derive(Debug, Clone)]
 pub struct Shortest {
     pub case: Case,
@@ -110,7 +105,6 @@ pub struct Shortest {
     pub held_tally: Tally,
     /// The last trial with the next shorter period; none when there is no shorter one.
     pub failed: Option<Trial>,
-    /// The same of the next shorter period.
     pub failed_tally: Tally,
 }
 
@@ -176,7 +170,6 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     report::dataset(measure(options, progress)?)
 }
 
-/// The same as it was measured.
 pub fn measure(options: &Options, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();

@@ -24,7 +24,6 @@ const EXPLANATION: &str = "<p>A period holds when, of a daemon that really track
          shorter period costs. Core % is what the cycle and the exchange use together of their core; Linux \
          halts real-time threads beyond 95 %.</p>";
 
-/// Of the default.
 const STEPS: [Column; 20] = [
     plain("rate Hz", "rate_hz"),
     word("held in rounds", "held_in"),
@@ -48,7 +47,6 @@ const STEPS: [Column; 20] = [
     power("error p99 mm", "error_p99_mm"),
 ];
 
-/// Of the shortest periods.
 const SHORTEST: [Column; 16] = [
     word("solver", "solver"),
     word("what ends it", "ended_by"),
@@ -236,7 +234,6 @@ struct StepRow {
     late_cycles: u64,
     deadline_misses: u64,
     skipped_periods: u64,
-    /// Of all releases of all rounds.
     lost_share: f64,
     dropped_records: u64,
     tracking_share_least: f64,
@@ -245,7 +242,6 @@ struct StepRow {
 }
 
 impl Shortest {
-    /// The shortest period that held \[ms\].
     pub fn period_ms(&self) -> Option<f64> {
         self.held.as_ref().map(|trial| trial.period_ms)
     }
@@ -345,7 +341,6 @@ fn rate_hz(period_ms: f64) -> f64 {
 }
 
 impl Tally {
-    /// How many of the trials held.
     fn words(self) -> String {
         match self.trials {
             0 => String::new(),

@@ -60,7 +60,6 @@ pub struct Trial {
     /// How long before each release it spun \[µs\].
     pub spin_us: f64,
     pub holds: bool,
-    /// What failed, and what is worth knowing.
     pub remarks: String,
     /// What was measured; none when the robot did not follow its reference all the time.
     #[serde(flatten)]
@@ -157,7 +156,6 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures,
     Ok((figures, records))
 }
 
-/// What the records of the cycles say.
 struct Records {
     begin_ns: u64,
     responses: Histogram<u64>,

@@ -26,7 +26,6 @@ impl Bundle {
         Ok(())
     }
 
-    /// The names of all files, in order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.files.keys().map(String::as_str)
     }

@@ -42,7 +42,6 @@ const OUR_KEYS: [&str; 8] = [
 pub struct Start {
     pub time: SystemTime,
     pub environment: Environment,
-    /// What was asked for.
     pub options: Options,
 }
 
@@ -57,7 +56,6 @@ impl Start {
     }
 }
 
-/// How much was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Extent {
     pub quick: bool,
@@ -65,7 +63,6 @@ pub struct Extent {
     pub rounds: Option<u32>,
 }
 
-/// What came of one benchmark.
 pub struct Part {
     pub name: &'static str,
     pub started: SystemTime,
@@ -74,11 +71,9 @@ pub struct Part {
     pub result: Result<Dataset, String>,
 }
 
-/// What came of several benchmarks.
 pub struct Report {
     pub start: Start,
     pub extent: Extent,
-    /// The daemon had its default configuration.
     pub default_config: bool,
     /// One for each benchmark that was asked for, in their order.
     pub parts: Vec<Part>,
@@ -173,7 +168,6 @@ impl Report {
         document(&self.start, all, &self.metrics())
     }
 
-    /// Every file of the report.
     pub fn bundle(&self) -> Result<Bundle> {
         let mut bundle = Bundle::default();
         let page = page::of_report(self, self.target_sheet()?.as_ref());
@@ -228,7 +222,6 @@ pub fn dataset_json(start: &Start, dataset: &Dataset) -> Result<String> {
     document(start, dataset.json(), &dataset.metrics)
 }
 
-/// Every file of one result.
 pub fn dataset_bundle(start: &Start, dataset: &Dataset) -> Result<Bundle> {
     let (name, mut bundle) = (dataset.name, Bundle::default());
     let machine = start.environment.table();
@@ -240,7 +233,6 @@ pub fn dataset_bundle(start: &Start, dataset: &Dataset) -> Result<Bundle> {
     Ok(bundle)
 }
 
-/// Rows, plots and histograms.
 fn add_data(bundle: &mut Bundle, started: SystemTime, dataset: &Dataset) -> Result<()> {
     let name = dataset.name;
     for (file, csv) in dataset.csv() {

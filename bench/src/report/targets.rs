@@ -27,7 +27,6 @@ const STOP_MARGIN_US: f64 = 100.0;
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
     pub what: &'static str,
-    /// What it should be, in words.
     pub target: &'static str,
     pub found: f64,
     /// Its unit; empty for a ratio or a count.
@@ -40,7 +39,6 @@ pub struct Target {
     pub reached: bool,
 }
 
-/// How one figure is found and judged.
 struct Wanted {
     what: &'static str,
     target: &'static str,
@@ -54,7 +52,6 @@ struct Found<'a> {
     results: &'a Map<String, Value>,
 }
 
-/// A value, and where it is from.
 struct Worst {
     value: f64,
     range: Option<(f64, f64)>,
@@ -173,7 +170,6 @@ pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> 
     WANTED.iter().filter_map(target).collect()
 }
 
-/// For people.
 pub(super) fn sheet(targets: &[Target]) -> Result<Sheet> {
     let columns = [
         word("figure", "what"),
@@ -204,7 +200,6 @@ impl Found<'_> {
         values.max_by(|one, other| one.value.total_cmp(&other.value))
     }
 
-    /// The least round of one metric.
     fn least(&self, name: &str) -> Option<Worst> {
         let metric = self.metrics.iter().find(|metric| metric.name == name)?;
         let (value, _) = range(metric.rounds.iter().copied())?;
@@ -281,21 +276,8 @@ fn range_of_rounds(metric: &Metric) -> Option<(f64, f64)> {
     range(metric.rounds.iter().copied()).filter(|_| metric.rounds.len() > 1)
 }
 
-/// Misses of due cycles in words.
 fn counts((misses, due): (u64, u64)) -> String {
-    format!("{} of {}", grouped(misses), grouped(due))
-}
-
-fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(' ');
-        }
-        text.push(digit);
-    }
-    text
+    format!("{misses} of {due}")
 }
 
 /// Whether a name is as the pattern says; a `*` stands for one of its words.
@@ -380,7 +362,7 @@ mod tests {
         assert_eq!(found.len(), 2, "{found:?}");
         assert_eq!((found[0].found, found[0].reached), (2.0, false));
         assert_eq!(found[0].of, "3.0 min");
-        assert_eq!(found[1].of, "4 of 24 000 against 4 of 24 000");
+        assert_eq!(found[1].of, "4 of 24000 against 4 of 24000");
         assert!(found[1].reached && found[1].found > 0.5, "{found:?}");
     }
 
@@ -391,18 +373,6 @@ mod tests {
             let found = targets(&metrics, &Map::new());
             assert_eq!(found.len(), 1, "{found:?}");
             assert_eq!(found[0].reached, reached);
-        }
-    }
-
-    #[test]
-    fn digits_stand_in_groups() {
-        for (count, text) in [
-            (0, "0"),
-            (999, "999"),
-            (96_012, "96 012"),
-            (1_000_000, "1 000 000"),
-        ] {
-            assert_eq!(grouped(count), text);
         }
     }
 

@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::path::PathBuf;
-use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use anyhow::{Context, Result, ensure};
@@ -28,17 +27,6 @@ impl Cyclictest {
     pub fn find() -> Option<Self> {
         let program = on_path("cyclictest")?;
         Some(Self { program })
-    }
-
-    /// Its version, like `2.40`, as its help says.
-    pub fn version(&self) -> Option<String> {
-        let output = Command::new(&self.program)
-            .arg("--help")
-            .stdin(Stdio::null())
-            .output()
-            .ok()?;
-        let said = [output.stdout, output.stderr].concat();
-        version_in(&String::from_utf8_lossy(&said))
     }
 
     /// Starts one thread on `core` that sleeps to `cycles` releases, `period` apart, with `SCHED_FIFO` at
@@ -113,7 +101,6 @@ fn with_core<R>(core: usize, start: impl FnOnce() -> R) -> R {
     result
 }
 
-/// A running cyclictest. Dropping it ends it.
 #[derive(Debug)]
 pub struct Running {
     process: Process,
@@ -122,7 +109,6 @@ pub struct Running {
 }
 
 impl Running {
-    /// Waits until it has made its cycles.
     pub fn wait(mut self) -> Result<Latencies> {
         let duration_s = self.period.as_secs_f64() * self.cycles as f64;
         let limit = Duration::from_secs_f64(2.0 * duration_s) + PATIENCE;
@@ -148,7 +134,6 @@ impl Drop for Running {
     }
 }
 
-/// How late its cycles woke up.
 #[derive(Debug, Clone)]
 pub struct Latencies {
     pub histogram_ns: Histogram<u64>,
@@ -199,12 +184,6 @@ impl Latencies {
     }
 }
 
-fn version_in(help: &str) -> Option<String> {
-    let mut lines = help.lines();
-    let version = lines.find_map(|line| line.strip_prefix("cyclictest V "))?;
-    Some(version.trim().to_owned())
-}
-
 /// The lines `thread: cycle: latency` among all that `-v` prints. A cycle that is not the next one shows
 /// that we read something else.
 fn latencies_in(said: &str) -> Result<Vec<u64>> {
@@ -246,7 +225,6 @@ mod tests {
                         \u{20}      0:       0:   85045\n       0:       1: 3081684\n\
                         \u{20}      0:       2:   36681\n";
 
-    /// What is installed and may run.
     fn usable() -> Option<Cyclictest> {
         if !may_be_realtime() {
             skip(Need::Realtime, "cyclictest refuses to run without");
@@ -281,20 +259,10 @@ mod tests {
     }
 
     #[test]
-    fn a_version_is_found_in_the_help() {
-        assert_eq!(
-            version_in("cyclictest V 2.40\nUsage:\n").as_deref(),
-            Some("2.40")
-        );
-        assert_eq!(version_in("something else"), None);
-    }
-
-    #[test]
     fn the_real_one_tells_of_every_cycle() {
         let Some(cyclictest) = usable() else {
             return;
         };
-        assert!(cyclictest.version().is_some());
         let cores = Cores::find().unwrap();
         for priority in [Some(80), None] {
             // From a thread like that of a measurement, which keeps off the core.

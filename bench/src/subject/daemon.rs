@@ -182,7 +182,6 @@ impl Daemon {
         Ok(Connection::open(self.location(), ROBOT)?)
     }
 
-    /// Ends it and waits for it.
     pub fn stop(mut self) -> Result<()> {
         ensure!(
             !self.process.has_ended()?,
@@ -192,7 +191,6 @@ impl Daemon {
         self.process.end()
     }
 
-    /// What it said, for an error message.
     pub fn last_words(&self) -> String {
         self.process.last_words()
     }

@@ -13,13 +13,11 @@ use cdcr_shared_types::codes::LateCause;
 pub struct Cycle {
     /// The release that it slept for \[ns, `CLOCK_MONOTONIC`\].
     pub due_ns: u64,
-    /// From there to its start \[ns\].
     pub wake_ns: u64,
     /// From there to the hand-over of its command \[ns\].
     pub response_ns: u64,
     pub late_start: bool,
     pub deadline_miss: bool,
-    /// Releases before it that got no cycle.
     pub skipped_periods: u32,
     /// What made it late, or made it skip.
     pub cause: LateCause,

@@ -14,7 +14,6 @@ use rustix::fs::OFlags;
 use rustix::process::geteuid;
 use tempfile::TempDir;
 
-/// Name of the robot of every measurement.
 pub const ROBOT: &str = "bench";
 
 /// What the names of all places begin with.
@@ -80,7 +79,6 @@ impl Drop for Place {
 #[derive(Debug)]
 struct Lock {
     path: PathBuf,
-    /// Holds the lock until it is closed.
     #[cfg_attr(not(test), expect(dead_code))]
     file: File,
 }

@@ -8,7 +8,6 @@ use std::time::Duration;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ThreadCounts {
     pub id: u32,
-    /// Its name, at most 15 bytes.
     pub name: String,
     pub on_core_ns: u64,
     /// Time that it was ready and another had the core \[ns\].

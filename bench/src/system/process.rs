@@ -110,7 +110,6 @@ impl Process {
         bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
     }
 
-    /// What it said, for an error message.
     pub fn last_words(&self) -> String {
         let text = |what: &str| fs::read_to_string(self.folder().join(what)).unwrap_or_default();
         // A program that reports an error on its standard output does so in few words.

@@ -142,28 +142,3 @@ fn assert_files(folder: &Path) {
     let log = std::fs::read_to_string(folder.join("histograms/deadline.hlog")).expect("a log");
     assert!(log.contains("flood") && log.contains("HIST"), "{log}");
 }
-
-#[test]
-fn what_makes_no_sense_is_refused_before_anything_is_measured() {
-    for (arguments, part) in [
-        (
-            &["--duration=2s", "--rounds=9", "--setup=ordinary"][..],
-            "less than a second",
-        ),
-        (&["--load=nonsense"], "nonsense"),
-        (
-            &["--setup=ordinary", "--config=/no/such/file.toml"],
-            "/no/such/file.toml",
-        ),
-        (&["--setup=ordinary", "--period=1ns"], "cycle.period_ms"),
-        (&["--rounds=0"], "1..=1000"),
-    ] {
-        let output = run(arguments);
-        assert!(!output.status.success(), "{arguments:?}");
-        assert!(
-            says(&output).contains(part),
-            "{arguments:?}: {}",
-            says(&output)
-        );
-    }
-}

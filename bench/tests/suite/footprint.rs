@@ -89,23 +89,3 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
     let sum = used("cdcr-cycle") + used("cdcr-exchange");
     assert!((figure("core_tracking_percent") - sum).abs() < 1e-9);
 }
-
-#[test]
-fn what_cannot_be_measured_is_refused_at_once() {
-    let folder = tempfile::tempdir().unwrap();
-    for (args, said) in [
-        (&["footprint", "--duration", "1ms"][..], "100ms to 1h"),
-        (&["footprint", "--rounds", "0"], "1..=100"),
-        (
-            &["footprint", "--quick", "--rounds", "2"],
-            "cannot be used with",
-        ),
-    ] {
-        let (_, output) = bench(folder.path(), args);
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(
-            !output.status.success() && errors.contains(said),
-            "{args:?}: {errors}"
-        );
-    }
-}

@@ -99,31 +99,6 @@ fn the_program_prints_csv_and_takes_another_period() {
     assert_eq!(rows.len(), Leg::ALL.len());
 }
 
-#[test]
-fn what_cannot_be_measured_is_refused_with_a_reason() {
-    for (arguments, word) in [
-        (vec!["--samples", "1"], "5..=10000"),
-        (vec!["--quick", "--rounds", "3"], "cannot be used with"),
-        (vec!["--period", "soon"], "--period"),
-        (
-            vec![
-                "--rounds",
-                "1",
-                "--samples",
-                "5",
-                "--config",
-                "/no/such/file.toml",
-            ],
-            "/no/such/file.toml",
-        ),
-    ] {
-        let output = program().arg("latency").args(&arguments).output().unwrap();
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success(), "{arguments:?}");
-        assert!(errors.contains(word), "{arguments:?}: {errors}");
-    }
-}
-
 /// A peer at `place` whose parent is, so it is told, the process `parent`.
 fn start_peer(place: &Place, parent: &str) -> Child {
     program()
