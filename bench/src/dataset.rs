@@ -72,7 +72,7 @@ impl Dataset {
     }
 
     pub fn tables(&self) -> impl Iterator<Item = &Sheet> {
-        self.sheets.iter().filter(|sheet| !sheet.columns.is_empty())
+        self.sheets.iter().filter(|sheet| !sheet.title.is_empty())
     }
 
     pub fn text(&self) -> String {
@@ -136,6 +136,12 @@ impl Sheet {
     #[must_use]
     pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
         self.title = title.into();
+        self.order(columns)
+    }
+
+    /// Which columns of the CSV come first.
+    #[must_use]
+    pub fn order(mut self, columns: &[Column]) -> Self {
         self.columns = columns.to_vec();
         self
     }

@@ -11,10 +11,7 @@
 //! | [`solver`], [`growth`] | solve times on every path, and how they grow |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
-//! | [`load`] | what else the machine does meanwhile |
-//! | [`subject`] | what is measured: a daemon, a bare loop, cyclictest as processes |
-//! | [`system`] | cores, threads, counts of the kernel, other programs |
-//! | [`interrupt`], [`progress`] | signals, and how far a run is |
+//! | [`progress`] | how far a run is |
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
 //! | [`report`], `page`, `chart`, [`hlog`] | results as documents, one page, plots, raw latencies |
 //! | [`environment`] | the machine that a result comes from |
@@ -50,9 +47,7 @@ pub mod figures;
 pub mod footprint;
 pub mod growth;
 pub mod hlog;
-pub mod interrupt;
 pub mod latency;
-pub mod load;
 pub mod metric;
 mod named;
 mod page;
@@ -65,6 +60,6 @@ pub mod report;
 pub mod scene;
 pub mod simulation;
 pub mod solver;
-pub mod subject;
-pub mod system;
 pub mod zone;
+
+use cdcr_testbed::{interrupt, load, subject, system};

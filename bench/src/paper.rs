@@ -127,7 +127,10 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
             "Simulation 3: circle around an obstacle, 1 section",
             &CIRCLE,
         ),
-        Ok(Sheet::new(&all)?.key("simulations").file("paper")),
+        Ok(Sheet::new(&all)?
+            .key("simulations")
+            .file("paper")
+            .order(&SPIRAL)),
     ];
     let mut dataset = Dataset {
         name: "paper",

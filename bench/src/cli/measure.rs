@@ -5,11 +5,11 @@ use std::time::Duration;
 
 use anyhow::{Result, ensure};
 use cdcr_bench::latency::bare;
-use cdcr_bench::load::Load;
 use cdcr_bench::simulation::Effort;
-use cdcr_bench::system::thread::may_be_realtime;
 use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
 use cdcr_shared_types::Location;
+use cdcr_testbed::load::Load;
+use cdcr_testbed::system::thread::may_be_realtime;
 use clap::ValueEnum;
 
 use super::output::Output;

@@ -6,9 +6,9 @@ use std::sync::OnceLock;
 
 use anyhow::{Context, Result};
 use cdcr_bench::dataset::Dataset;
-use cdcr_bench::interrupt;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::{Bundle, Start, dataset_bundle, dataset_json};
+use cdcr_testbed::interrupt;
 use clap::ValueEnum;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]

@@ -110,7 +110,7 @@ pub(super) fn dataset(run: Run<'_>, options: &Options) -> Result<Dataset> {
                 &COUNTS,
             ),
             Sheet::new(&times)?.table("Latencies of all rounds together, µs", &TIMES),
-            Sheet::new(&each)?.file("deadline"),
+            Sheet::new(&each)?.file("deadline").order(&COUNTS),
         ],
         plots: plots(&cases)?,
         ..Dataset::default()

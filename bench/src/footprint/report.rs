@@ -119,7 +119,10 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
                     "Programs, as they were built, with line tables for backtraces",
                     &[word("program", "name"), shorted("MB", "mb")],
                 ),
-            Sheet::new(&rows)?.key("figures").file("footprint"),
+            Sheet::new(&rows)?
+                .key("figures")
+                .file("footprint")
+                .order(&FIGURES),
             Sheet::new(rounds)?.key("rounds"),
         ],
         plots: vec![Plot {

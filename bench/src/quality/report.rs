@@ -215,9 +215,12 @@ pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset>
             &STUCK,
         );
     dataset.sheets.insert(1, restarts);
-    dataset
-        .sheets
-        .push(Sheet::new(&rows)?.key("cases").file("quality"));
+    dataset.sheets.push(
+        Sheet::new(&rows)?
+            .key("cases")
+            .file("quality")
+            .order(&columns(Axis::Budget)),
+    );
     let problems = Sheet::new(&endings)?
         .key("problems")
         .file("quality-problems");

@@ -20,7 +20,7 @@ fn says(output: &Output) -> String {
 
 /// Whether this user may have real-time threads; if not, only a part can be measured.
 fn is_realtime() -> bool {
-    let granted = cdcr_bench::system::thread::may_be_realtime();
+    let granted = cdcr_testbed::system::thread::may_be_realtime();
     if !granted {
         skip(Need::Realtime, "without it, only a part can be measured");
     }

@@ -2,8 +2,8 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use cdcr_bench::system::counts;
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::system::counts;
 use serde_json::Value;
 
 fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {

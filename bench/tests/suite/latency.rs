@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use cdcr_bench::latency::bare::PEER;
 use cdcr_bench::latency::{Leg, Options, run};
 use cdcr_bench::progress::Progress;
-use cdcr_bench::subject::place::Place;
+use cdcr_testbed::subject::place::Place;
 
 /// How long a process may take: machines stall.
 const PATIENCE: Duration = Duration::from_secs(20);

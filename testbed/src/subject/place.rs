@@ -17,9 +17,9 @@ use tempfile::TempDir;
 pub const ROBOT: &str = "bench";
 
 /// What the names of all places begin with.
-pub(crate) const PREFIX: &str = "cdcr-bench-";
+pub const PREFIX: &str = "cdcr-bench-";
 /// What the name of a place's root folder ends with.
-pub(crate) const ROOT: &str = "root";
+pub const ROOT: &str = "root";
 /// What the name of a place's lock ends with.
 const LOCK: &str = "lock";
 

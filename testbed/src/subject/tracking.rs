@@ -18,6 +18,8 @@ use crate::system::thread::pin;
 
 /// How long the robot may take to follow.
 const FOLLOW_TIMEOUT: Duration = Duration::from_secs(10);
+/// How the error begins when the robot does not begin to follow.
+pub const DOES_NOT_FOLLOW: &str = "the robot does not follow the reference";
 /// Longer than any measurement, and as long as a fed curve may be \[s\].
 const FOR_EVER_S: f64 = 86_400.0;
 /// What a stall of the machine may take of the reference without any effect.
@@ -79,7 +81,7 @@ impl Tracking {
             }
             if Instant::now() >= deadline {
                 let seconds = FOLLOW_TIMEOUT.as_secs();
-                bail!("the robot does not follow the reference within {seconds} s");
+                bail!("{DOES_NOT_FOLLOW} within {seconds} s");
             }
             std::thread::sleep(Duration::from_millis(5));
         }

@@ -8,7 +8,6 @@ use anyhow::{Context, Result, ensure};
 use hdrhistogram::Histogram;
 use rustix::thread::{sched_getaffinity, sched_setaffinity};
 
-use crate::quantiles::histogram;
 use crate::system::process::{Process, on_path, that_ends_with_us};
 
 /// What start, end and a slow machine may add to the duration.
@@ -146,7 +145,7 @@ pub struct Latencies {
 
 impl Latencies {
     fn of(each_ns: Vec<u64>, period: Duration) -> Result<Self> {
-        let mut histogram_ns = histogram()?;
+        let mut histogram_ns = Histogram::new_with_bounds(1, 60_000_000_000, 3)?;
         let period_ns = (period.as_nanos() as u64).max(1);
         for latency_ns in &each_ns {
             histogram_ns.saturating_record(*latency_ns);
