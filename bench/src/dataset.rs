@@ -27,8 +27,10 @@ pub struct Dataset {
     pub explanation: &'static str,
     /// Keys of the JSON beside those of the sheets.
     pub facts: Map<String, Value>,
+    /// The most important first.
     pub sheets: Vec<Sheet>,
     pub plots: Vec<Plot>,
+    /// What another run is compared by.
     pub metrics: Vec<Metric>,
     /// All latencies that were measured, so that others can compute other percentiles.
     pub recordings: Vec<Recording>,
@@ -103,6 +105,7 @@ pub struct Sheet {
 }
 
 impl Sheet {
+    /// Rows that nobody gets yet.
     pub fn new(rows: &[impl Serialize]) -> Result<Self> {
         let rows = rows.iter().map(serde_json::to_value);
         Ok(Self {
@@ -120,19 +123,21 @@ impl Sheet {
         .table(title, columns)
     }
 
+    /// Puts the rows into the JSON, under this key.
     #[must_use]
     pub fn key(mut self, key: &'static str) -> Self {
         self.key = Some(key);
         self
     }
 
-    /// A CSV file of this name, without its ending.
+    /// Puts them into a CSV of this name, without its ending.
     #[must_use]
     pub fn file(mut self, name: &'static str) -> Self {
         self.file = Some(name);
         self
     }
 
+    /// Shows them to people as a table.
     #[must_use]
     pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
         self.title = title.into();

@@ -24,6 +24,7 @@ mod hands;
 mod inputs;
 mod leg;
 mod phase;
+mod plots;
 mod report;
 mod requests;
 mod round;
