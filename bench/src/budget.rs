@@ -6,64 +6,200 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use anyhow::{Context, Result, ensure};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::BendRates;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::closed_loop::{self, ClosedLoop, histogram, quantile_us};
+use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
+use crate::closed_loop::{self, ClosedLoop, Judge};
+use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, percent, plain, word};
 use crate::experiment::{Solver, Task};
+use crate::interrupt;
+use crate::progress::Progress;
+use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 use crate::solver::Size;
 
-/// Budgets that are measured \[µs\].
 pub const BUDGETS_US: [u64; 11] = [0, 1, 2, 5, 10, 20, 50, 100, 200, 500, 1000];
+
+/// What a solve takes beside its budget and the wait before it, about \[s\].
+const AROUND_S: f64 = 3e-4;
+/// How many [`cases`] there are, for the time that they take.
+const CASES: usize = 3;
+
+const EXPLANATION: &str = "\
+<p>A solve asks a clock whether its budget is spent, and hands over the best solution so far when it is. \
+This is how much later than the budget it ends; 0 where it ended earlier. Before each solve a loop without \
+work waits for the same budget in the same way: what that loop is late by is the machine's, the rest the \
+solver's. No plan may cost more than the warm start. Times are medians of the rounds, the largest of all \
+rounds.</p>\n";
+
+const COLUMNS: [Column; 11] = [
+    word("case", "case"),
+    plain("budget µs", "budget_us"),
+    plain("solves", "solves"),
+    percent("ended by it %", "ended_by_budget_share", 1),
+    fixed("over p50 µs", "over_us_p50", 2),
+    fixed("p99 µs", "over_us_p99", 2),
+    fixed("max µs", "over_us_max", 2),
+    fixed("bare p50 µs", "bare_over_us_p50", 2),
+    fixed("p99 µs", "bare_over_us_p99", 2),
+    fixed("max µs", "bare_over_us_max", 2),
+    plain("worse than warm start", "worse_than_warm_start"),
+];
+
+#[derive(Debug, Clone, Copy)]
+pub struct Options {
+    pub rounds: u32,
+    /// Solves of each case with each budget in each round.
+    pub solves: u64,
+}
+
+impl Options {
+    pub const FULL: Self = Self {
+        rounds: 3,
+        solves: 700,
+    };
+    pub const QUICK: Self = Self {
+        rounds: 1,
+        solves: 50,
+    };
+}
+
+pub fn expected_s(options: &Options) -> f64 {
+    let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, options.solves));
+    f64::from(options.rounds) * CASES as f64 * budgets.sum::<f64>()
+}
+
+/// Twice the budget: once without work.
+fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
+    solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
+}
+
+/// Measures every case with every budget, round by round. A plan that costs more than the warm start is an error.
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+    let cases = cases()?;
+    let mut rounds = Vec::new();
+    for round in 1..=options.rounds {
+        let mut rows = Vec::new();
+        for case in &cases {
+            for budget_us in BUDGETS_US {
+                interrupt::check()?;
+                progress.begin(&format!("round {round} of {}", options.rounds));
+                rows.push(case.measure(budget_us, options.solves)?);
+                progress.advance(of_budget_s(budget_us, options.solves));
+            }
+        }
+        rounds.push(rows);
+    }
+    dataset(&rounds)
+}
+
+/// Of the rows of each round, in the same order.
+fn dataset(rounds: &[Vec<Row>]) -> Result<Dataset> {
+    let count = rounds
+        .first()
+        .context("at least one round is needed")?
+        .len();
+    let mut dataset = Dataset {
+        name: "budget",
+        heading: "How exactly a solve keeps its budget, offline",
+        explanation: EXPLANATION,
+        ..Dataset::default()
+    };
+    let mut rows = Vec::new();
+    for index in 0..count {
+        let all: Vec<&Row> = rounds.iter().map(|rows| &rows[index]).collect();
+        let row = together(&all)?;
+        let each = |value: fn(&Row) -> f64| all.iter().map(move |row| value(row));
+        let path = format!("budget/{}/{}us", row.case, row.budget_us);
+        dataset.lower(
+            format!("{path}/over_p50"),
+            "µs",
+            each(|row| row.over_us.p50),
+        );
+        dataset.lower(
+            format!("{path}/over_p99"),
+            "µs",
+            each(|row| row.over_us.p99),
+        );
+        rows.push(row);
+    }
+    dataset.fact("rounds", rounds.len());
+    dataset.plots.push(Plot {
+        name: "budget-overrun",
+        caption: "How much later than its budget a solve ends, beside a loop that only waits.",
+        svg: sheet(&panels(&rows), 2, 520)?,
+    });
+    dataset
+        .sheets
+        .push(Sheet::new(&rows)?.key("cases").file("budget").table(
+            "How much later than its budget a solve ends, beside a loop without work",
+            &COLUMNS,
+        ));
+    Ok(dataset)
+}
+
+/// What one case with one budget came to in all rounds.
+fn together(rounds: &[&Row]) -> Result<Row> {
+    let shares: f64 = rounds.iter().map(|row| row.ended_by_budget_share).sum();
+    let times = |value: fn(&Row) -> Quantiles| {
+        let rounds: Vec<Quantiles> = rounds.iter().map(|row| value(row)).collect();
+        Quantiles::over_rounds(&rounds).context("no round")
+    };
+    Ok(Row {
+        solves: rounds.iter().map(|row| row.solves).sum(),
+        ended_by_budget_share: shares / rounds.len() as f64,
+        over_us: times(|row| row.over_us)?,
+        bare_over_us: times(|row| row.bare_over_us)?,
+        worse_than_warm_start: rounds.iter().map(|row| row.worse_than_warm_start).sum(),
+        ..rounds[0].clone()
+    })
+}
+
+fn panels(rows: &[Row]) -> Vec<Panel> {
+    let of_case = rows.chunk_by(|one, other| one.case == other.case);
+    let panel = |rows: &[Row]| {
+        let curve = |label: &str, colour, value: fn(&Row) -> f64| {
+            let points = rows.iter().map(|row| (row.budget_us as f64, value(row)));
+            Curve::line(label, points.collect(), colour)
+        };
+        Panel {
+            title: format!("Case {}", rows[0].case),
+            x: "budget [µs]",
+            y: "later than the budget [µs]",
+            scale: Scale::Log { floor: 0.01 },
+            curves: vec![
+                curve("solve, p99", BLUE, |row| row.over_us.p99),
+                curve("solve, p50", GREEN, |row| row.over_us.p50),
+                curve("without work, p99", GREY, |row| row.bare_over_us.p99),
+            ],
+        }
+    };
+    of_case.map(panel).collect()
+}
 
 /// One line: one case with one budget.
 #[derive(Debug, Clone, Serialize)]
-pub struct Row {
-    /// Name of the case.
+struct Row {
     pub case: &'static str,
-    /// Budget of a solve \[µs\].
     pub budget_us: u64,
-    /// Solves.
     pub solves: u64,
     /// Share of the solves that the budget ended; the others had nothing left to do.
     pub ended_by_budget_share: f64,
     /// How much later than the budget a solve ended \[µs\].
-    pub over_us: Overrun,
+    pub over_us: Quantiles,
     /// How much later the loop without work ended \[µs\].
-    pub bare_over_us: Overrun,
+    pub bare_over_us: Quantiles,
     /// Solves whose plan costs more than the warm start.
     pub worse_than_warm_start: u64,
 }
 
-/// How much later than a budget something ended \[µs\]; 0 where it ended earlier.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Overrun {
-    /// Median.
-    pub p50: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Largest.
-    pub max: f64,
-}
-
-impl Overrun {
-    fn of(times_ns: &Histogram<u64>) -> Self {
-        let us = |quantile| quantile_us(times_ns, quantile);
-        Self {
-            p50: us(0.5),
-            p99: us(0.99),
-            max: us(1.0),
-        }
-    }
-}
-
 /// A robot on its way along a curve, and what solves there.
-pub struct Case {
+struct Case {
     name: &'static str,
     scene: Scene,
     settings: NmpcSettings,
@@ -73,10 +209,7 @@ pub struct Case {
 
 /// The cases: the default, the paper's swarm for an orientation of the tip, and many particles and steps
 /// among obstacles.
-///
-/// # Errors
-/// Never with these sizes.
-pub fn cases() -> Result<Vec<Case>> {
+fn cases() -> Result<Vec<Case>> {
     let default = Size::paper(Task::Spiral { sections: 3 }, Solver::KpsoRefined);
     let line = Task::Line {
         rate_limit_rad_s: 2.0,
@@ -108,10 +241,7 @@ impl Case {
 
     /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left; the way begins anew at its end.
-    ///
-    /// # Errors
-    /// When a plan costs more than the warm start.
-    pub fn measure(&self, budget_us: u64, solves: u64) -> Result<Row> {
+    fn measure(&self, budget_us: u64, solves: u64) -> Result<Row> {
         let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
         let mut closed = ClosedLoop::new(&self.scene, self.settings);
         for solve in 0..solves {
@@ -136,8 +266,8 @@ impl Case {
             budget_us,
             solves,
             ended_by_budget_share: runner.ended_by_budget as f64 / solves as f64,
-            over_us: Overrun::of(&runner.over_ns),
-            bare_over_us: Overrun::of(&runner.bare_over_ns),
+            over_us: Quantiles::of(&runner.over_ns).context("no solve")?,
+            bare_over_us: Quantiles::of(&runner.bare_over_ns).context("no solve")?,
             worse_than_warm_start: worse,
         })
     }
@@ -147,7 +277,7 @@ impl Case {
 struct Runner {
     budget: Duration,
     nmpc: Nmpc,
-    judge: Nmpc,
+    judge: Judge,
     over_ns: Histogram<u64>,
     bare_over_ns: Histogram<u64>,
     ended_by_budget: u64,
@@ -156,20 +286,15 @@ struct Runner {
 
 impl Runner {
     fn new(case: &Case, budget: Duration) -> Result<Self> {
-        let (robot, period_s) = (&case.scene.robot, case.scene.period_s);
-        let judging = NmpcSettings {
-            solver: SolverKind::GaussNewton,
-            refinement_steps: 0,
-            ..case.settings
-        };
-        let mut nmpc = Nmpc::new(robot.clone(), period_s, case.settings)?;
+        let (robot, period_s) = (case.scene.robot.clone(), case.scene.period_s);
+        let mut nmpc = Nmpc::new(robot, period_s, case.settings)?;
         // Touches all memory that a solve may need.
         let closed = ClosedLoop::new(&case.scene, case.settings);
         nmpc.solve(&closed.input(), &mut Budget::unlimited());
         Ok(Self {
             budget,
             nmpc,
-            judge: Nmpc::new(robot.clone(), period_s, judging)?,
+            judge: Judge::new(&case.scene, case.settings)?,
             over_ns: histogram()?,
             bare_over_ns: histogram()?,
             ended_by_budget: 0,
@@ -186,7 +311,6 @@ impl Runner {
         self.bare_over_ns.saturating_record(over.as_nanos() as u64);
     }
 
-    /// Solves within the budget.
     fn solve(&mut self, input: &SolveInput) {
         self.nmpc.forget_plan();
         let begin = Instant::now();
@@ -195,18 +319,52 @@ impl Runner {
         let over = begin.elapsed().saturating_sub(self.budget);
         self.over_ns.saturating_record(over.as_nanos() as u64);
         self.ended_by_budget += u64::from(report.budget_spent);
-        let [plan_cost, warm_cost] = [self.nmpc.plan(), self.nmpc.warm_plan()]
-            .map(|plan| cost(&mut self.judge, input, plan));
+        let [plan_cost, warm_cost] =
+            [self.nmpc.plan(), self.nmpc.warm_plan()].map(|plan| self.judge.cost(input, plan));
         self.worse += u64::from(plan_cost > warm_cost);
     }
 }
 
-/// What a plan costs, by a solver without a budget: a short one judges not even the warm start.
-fn cost(judge: &mut Nmpc, input: &SolveInput, plan: &[f64]) -> f64 {
-    judge.restore_plan(plan);
-    let input = SolveInput {
-        elapsed_periods: 0,
-        ..*input
-    };
-    judge.solve(&input, &mut Budget::unlimited()).1.warm_cost
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rounds_are_put_together() {
+        let row = |p99: f64, max: f64, share: f64| {
+            let over = Quantiles {
+                min: 0.0,
+                p50: 1.0,
+                p99,
+                p999: max,
+                max,
+            };
+            vec![Row {
+                case: "default",
+                budget_us: 10,
+                solves: 5,
+                ended_by_budget_share: share,
+                over_us: over,
+                bare_over_us: over,
+                worse_than_warm_start: 0,
+            }]
+        };
+        let rounds = [row(3.0, 9.0, 1.0), row(1.0, 90.0, 0.5), row(2.0, 5.0, 0.0)];
+        let dataset = dataset(&rounds).expect("rounds");
+        let all = &dataset.json()["cases"][0];
+        assert_eq!(
+            (&all["solves"], &all["ended_by_budget_share"]),
+            (&15.into(), &0.5.into())
+        );
+        assert_eq!(
+            (&all["over_us"]["p99"], &all["over_us"]["max"]),
+            (&2.0.into(), &90.0.into())
+        );
+        assert_eq!(dataset.metrics[1].rounds, [3.0, 1.0, 2.0]);
+    }
+
+    #[test]
+    fn the_cases_are_as_many_as_the_expectation_counts() {
+        assert_eq!(cases().expect("cases").len(), CASES);
+    }
 }

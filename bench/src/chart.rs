@@ -19,10 +19,8 @@ pub(crate) const SKY: RGBColor = RGBColor(86, 180, 233);
 pub(crate) const YELLOW: RGBColor = RGBColor(230, 159, 0);
 pub(crate) const GREY: RGBColor = RGBColor(150, 150, 150);
 pub(crate) const DARK: RGBColor = RGBColor(40, 40, 40);
-/// Grid lines.
 const PALE: RGBColor = RGBColor(225, 225, 225);
 
-/// Width of a sheet.
 const WIDTH: u32 = 1600;
 const TITLE: (&str, u32) = ("sans-serif", 32);
 const LABEL: (&str, u32) = ("sans-serif", 27);
@@ -37,10 +35,8 @@ const MARGIN: u32 = 20;
 const MARGIN_LEFT: u32 = 22;
 /// Room for half of the last tick label.
 const MARGIN_RIGHT: u32 = 45;
-/// Length of a legend's line.
 const SWATCH: u32 = 45;
 
-/// A point of a curve.
 pub(crate) type Point = (f64, f64);
 
 /// One curve: pieces of a line.
@@ -56,7 +52,6 @@ impl Curve {
         Self::pieces(label, vec![points], colour)
     }
 
-    /// A line with gaps.
     pub(crate) fn pieces(
         label: impl Into<String>,
         pieces: Vec<Vec<Point>>,
@@ -69,12 +64,10 @@ impl Curve {
         }
     }
 
-    /// A level from start to end.
     pub(crate) fn level(label: impl Into<String>, y: f64, x: Range<f64>, colour: RGBColor) -> Self {
         Self::line(label, vec![(x.start, y), (x.end, y)], colour).width(3)
     }
 
-    /// The same with another width.
     pub(crate) fn width(mut self, width: u32) -> Self {
         self.style.stroke_width = width;
         self
@@ -85,26 +78,21 @@ impl Curve {
     }
 }
 
-/// How a panel is scaled.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Scale {
-    /// Both axes linear.
     Linear,
     /// A logarithmic y axis; what is below the floor is drawn on it.
     Log {
-        /// The floor.
         floor: f64,
     },
     /// Both axes logarithmic; what is below the floor is drawn on it. All x are above zero.
     LogLog {
-        /// The floor.
         floor: f64,
     },
     /// Both linear, a unit as long across as up.
     Equal,
 }
 
-/// One chart.
 pub(crate) struct Panel {
     pub(crate) title: String,
     pub(crate) x: &'static str,
@@ -124,9 +112,6 @@ impl Panel {
 }
 
 /// Draws panels in rows of `columns`, each `height` high.
-///
-/// # Errors
-/// Never into memory.
 pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
@@ -271,7 +256,6 @@ fn power(value: f64) -> String {
     format!("{digits}e{power}")
 }
 
-/// Ranges around all points.
 fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>) {
     let points = || panel.curves.iter().flat_map(Curve::points);
     let (left, right) = extent(points().map(|p| p.0));
@@ -315,13 +299,11 @@ fn extent(values: impl Iterator<Item = f64>) -> (f64, f64) {
     }
 }
 
-/// A little room below and above.
 fn widened(low: f64, high: f64) -> Range<f64> {
     let room = 0.05 * (high - low);
     low - room..high + room
 }
 
-/// Whole decades around both.
 fn decades(low: f64, high: f64) -> Range<f64> {
     let (first, last) = (low.log10().floor(), high.log10().ceil());
     10_f64.powf(first)..10_f64.powf(last.max(first + 1.0))
@@ -330,20 +312,6 @@ fn decades(low: f64, high: f64) -> Range<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn ticks_are_short() {
-        for (value, text) in [
-            (0.300_000_000_000_000_04, "0.3"),
-            (-5e-17, "0"),
-            (900.0, "900"),
-        ] {
-            assert_eq!(number(value), text);
-        }
-        for (value, text) in [(1e-9, "1e-9"), (2.5e-5, "2.5e-5"), (100.0, "100")] {
-            assert_eq!(power(value), text);
-        }
-    }
 
     #[test]
     fn a_panel_without_points_can_be_drawn() {

@@ -2,14 +2,13 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::Result;
 use cdcr_client::Orientation as Wanted;
 use cdcr_controller::closed_loop;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
-use hdrhistogram::Histogram;
 use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::scene::Scene;
@@ -21,27 +20,19 @@ pub struct ClosedLoop<'a> {
     inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,
 }
 
-/// What one cycle led to.
 #[derive(Debug, Clone)]
 pub struct Sample {
-    /// End of the cycle \[s\].
     pub time_s: f64,
-    /// Where the tip should be then \[m\].
     pub reference_m: Vector3<f64>,
-    /// Where it is.
     pub tip: Pose,
-    /// How the robot is bent then.
     pub configuration: Configuration,
-    /// The command of the cycle \[rad/s\].
     pub rates: BendRates,
     /// Clearance of the whole body then \[m\]; infinite without obstacles.
     pub clearance_m: f64,
-    /// Time of the solve \[ns\].
     pub solve_ns: u64,
 }
 
 impl Sample {
-    /// From the reference to the tip \[mm\].
     pub fn offset_mm(&self) -> Vector3<f64> {
         1e3 * (self.tip.position_m - self.reference_m)
     }
@@ -53,7 +44,6 @@ impl Sample {
 }
 
 impl<'a> ClosedLoop<'a> {
-    /// The scene at its start.
     pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Self {
         let reference_at = |time_s| ReferenceSample {
             state: ReferenceState::Inside,
@@ -71,7 +61,6 @@ impl<'a> ClosedLoop<'a> {
         Self { scene, inner }
     }
 
-    /// Whether all cycles are done.
     pub fn is_over(&self) -> bool {
         self.inner.cycle() >= self.scene.cycles
     }
@@ -117,9 +106,6 @@ fn orientation(scene: &Scene, time_s: f64) -> Orientation {
 }
 
 /// Runs the scene with one controller and tells of every cycle.
-///
-/// # Errors
-/// When the settings are out of range.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let mut closed = ClosedLoop::new(scene, settings);
@@ -134,15 +120,27 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     Ok(samples)
 }
 
-/// A quantile of times in nanoseconds \[µs\].
-pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
-    times_ns.value_at_quantile(quantile) as f64 * 1e-3
-}
+/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
+pub struct Judge(Nmpc);
 
-/// Solve times from 1 ns to a minute, three digits.
-///
-/// # Errors
-/// Never with these bounds.
-pub fn histogram() -> Result<Histogram<u64>> {
-    Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
+impl Judge {
+    /// Judges plans that were made with these settings.
+    pub fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
+        let settings = NmpcSettings {
+            solver: SolverKind::GaussNewton,
+            refinement_steps: 0,
+            ..settings
+        };
+        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
+        Ok(Self(nmpc))
+    }
+
+    pub fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
+        self.0.restore_plan(plan);
+        let input = SolveInput {
+            elapsed_periods: 0,
+            ..*input
+        };
+        self.0.solve(&input, &mut Budget::unlimited()).1.warm_cost
+    }
 }

@@ -5,6 +5,7 @@ use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
 use cdcr_controller::optimizer::VelocityRule;
 use serde::Serialize;
 
+use crate::named::named;
 use crate::scene::Scene;
 
 /// Limits on the rates of the line \[rad/s\]. The paper names none.
@@ -30,28 +31,22 @@ const CIRCLE_BLOCKS: u32 = 0;
 /// detour is up to a tenth wider.
 const CIRCLE_REFINEMENTS: u32 = 6;
 
-/// A simulation of the paper.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Task {
-    /// The spiral of the last section.
     Spiral {
-        /// Sections of the robot.
         sections: usize,
     },
     /// The line of three sections with a vertical tip.
     Line {
-        /// Limit on the rates \[rad/s\].
         rate_limit_rad_s: f64,
     },
     /// The circle of one section around an obstacle.
     Circle {
-        /// Safe distance D \[m\].
         safe_distance_m: f64,
     },
 }
 
 impl Task {
-    /// All, in the paper's order.
     pub fn all() -> Vec<Self> {
         let spirals = (1..=3).map(|sections| Self::Spiral { sections });
         let lines = LINE_RATES_RAD_S.map(|rate_limit_rad_s| Self::Line { rate_limit_rad_s });
@@ -59,7 +54,6 @@ impl Task {
         spirals.chain(lines).chain(circles).collect()
     }
 
-    /// Name of the curve.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Spiral { .. } => "spiral",
@@ -68,10 +62,6 @@ impl Task {
         }
     }
 
-    /// Robot, start, curve and obstacles.
-    ///
-    /// # Errors
-    /// When there is no such robot.
     pub fn scene(&self) -> Result<Scene> {
         match *self {
             Self::Spiral { sections } => Scene::spiral(sections),
@@ -80,7 +70,6 @@ impl Task {
         }
     }
 
-    /// What the paper states.
     pub fn paper(&self) -> PaperFigures {
         let (mean_error_mm, mean_solve_ms) = match self {
             Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
@@ -96,50 +85,23 @@ impl Task {
     }
 }
 
-/// What the paper states.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperFigures {
-    /// Mean error \[mm\], where it states one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_error_mm: Option<f64>,
-    /// Mean computation time \[ms\].
     pub mean_solve_ms: f64,
 }
 
-/// The solvers that are compared.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Solver {
-    /// The swarm with an inertia weight.
-    Kpso,
-    /// The swarm with Eq. 6 as printed.
-    KpsoVerbatim,
-    /// Gauss-Newton steps alone.
-    GaussNewton,
-    /// Gauss-Newton steps after the swarm.
-    KpsoRefined,
+named! {
+    pub enum Solver {
+        Kpso = "kpso",
+        KpsoVerbatim = "kpso-verbatim",
+        GaussNewton = "gauss-newton",
+        KpsoRefined = "kpso-refined",
+    }
 }
 
 impl Solver {
-    /// All of them.
-    pub const ALL: [Self; 4] = [
-        Self::Kpso,
-        Self::KpsoVerbatim,
-        Self::GaussNewton,
-        Self::KpsoRefined,
-    ];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Kpso => "kpso",
-            Self::KpsoVerbatim => "kpso-verbatim",
-            Self::GaussNewton => "gauss-newton",
-            Self::KpsoRefined => "kpso-refined",
-        }
-    }
-
-    /// The settings with this solver.
     #[must_use]
     pub fn of(self, settings: NmpcSettings) -> NmpcSettings {
         let (solver, velocity_rule) = match self {
@@ -159,11 +121,8 @@ impl Solver {
 /// One simulation with one solver in one kind of coordinates.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Experiment {
-    /// The simulation.
     pub task: Task,
-    /// The solver.
     pub solver: Solver,
-    /// The coordinates of its controls.
     pub coordinates: Coordinates,
 }
 

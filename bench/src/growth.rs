@@ -3,45 +3,33 @@
 
 use serde::Serialize;
 
+use crate::dataset::{Column, fixed, plain, word};
 use crate::experiment::Solver;
+use crate::named::named;
 use crate::solver::Case;
 
-/// What can grow.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Quantity {
-    /// Sections of the robot.
-    Section,
-    /// Prediction steps.
-    Step,
-    /// Particles.
-    Particle,
-    /// Swarm iterations.
-    Iteration,
-    /// Obstacles within reach.
-    Obstacle,
+named! {
+    pub enum Quantity {
+        Section = "section",
+        Step = "step",
+        Particle = "particle",
+        Iteration = "iteration",
+        Obstacle = "obstacle",
+    }
 }
 
+pub(crate) const COLUMNS: [Column; 8] = [
+    word("solver", "solver"),
+    word("per", "per"),
+    plain("from", "from"),
+    plain("to", "to"),
+    fixed("first µs", "p50_us_from", 2),
+    fixed("last µs", "p50_us_to", 2),
+    fixed("µs for one more", "us_per_unit", 3),
+    fixed("for twice as many", "factor_per_doubling", 2),
+];
+
 impl Quantity {
-    const ALL: [Self; 5] = [
-        Self::Section,
-        Self::Step,
-        Self::Particle,
-        Self::Iteration,
-        Self::Obstacle,
-    ];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Section => "section",
-            Self::Step => "step",
-            Self::Particle => "particle",
-            Self::Iteration => "iteration",
-            Self::Obstacle => "obstacle",
-        }
-    }
-
     fn of(self, size: &[usize; 5]) -> usize {
         size[self as usize]
     }
@@ -50,17 +38,11 @@ impl Quantity {
 /// The growth of one solver with one quantity.
 #[derive(Debug, Clone, Serialize)]
 pub struct Growth {
-    /// Solver.
     pub solver: Solver,
-    /// What grows.
     pub per: Quantity,
-    /// Smallest that was measured.
     pub from: usize,
-    /// Largest.
     pub to: usize,
-    /// Median at the smallest \[µs\].
     pub p50_us_from: f64,
-    /// Median at the largest \[µs\].
     pub p50_us_to: f64,
     /// Slope of the line through all medians \[µs for one more\].
     pub us_per_unit: f64,
@@ -131,7 +113,6 @@ fn of(cases: &[&Case], solver: Solver, per: Quantity) -> Option<Growth> {
     })
 }
 
-/// Slope of the least-squares line.
 fn slope(points: &[(f64, f64)]) -> f64 {
     let count = points.len() as f64;
     let (mean_x, mean_y) = points

@@ -9,21 +9,18 @@ use anyhow::{Context, Result, anyhow};
 use hdrhistogram::serialization::V2DeflateSerializer;
 use hdrhistogram::serialization::interval_log::{IntervalLogWriterBuilder, Tag};
 
-use crate::section::Recording;
+use crate::dataset::Recording;
 
 /// From the recorded nanoseconds to the microseconds of the column for people.
 const NS_PER_US: f64 = 1e3;
 
 /// The log of one benchmark, whose run began at `started`; none when it recorded nothing.
-///
-/// # Errors
-/// When a tag holds a space, a comma or a line feed.
-pub fn log(started: SystemTime, recordings: &[Recording<'_>]) -> Result<Option<String>> {
+pub fn log(started: SystemTime, recordings: &[Recording]) -> Result<Option<String>> {
     if recordings.is_empty() {
         return Ok(None);
     }
     // The format wants the intervals in the order of their begin.
-    let mut ordered: Vec<&Recording<'_>> = recordings.iter().collect();
+    let mut ordered: Vec<&Recording> = recordings.iter().collect();
     ordered.sort_by(|one, other| one.start_s.total_cmp(&other.start_s));
     let (mut bytes, mut serializer) = (Vec::new(), V2DeflateSerializer::new());
     let mut writer = IntervalLogWriterBuilder::new()
@@ -34,19 +31,18 @@ pub fn log(started: SystemTime, recordings: &[Recording<'_>]) -> Result<Option<S
         .with_max_value_divisor(NS_PER_US)
         .begin_log_with(&mut bytes, &mut serializer)?;
     for recording in ordered {
-        let tag = Tag::new(recording.tag).with_context(|| {
-            let tag = recording.tag;
+        let tag = Tag::new(&recording.tag).with_context(|| {
+            let tag = &recording.tag;
             format!("the tag {tag:?} of a histogram must be without spaces, commas and line feeds")
         })?;
         let (start, duration) = (seconds(recording.start_s), seconds(recording.duration_s));
         writer
-            .write_histogram(recording.histogram, start, duration, Some(tag))
+            .write_histogram(&recording.histogram_ns, start, duration, Some(tag))
             .map_err(|cause| anyhow!("the histogram {}: {cause}", recording.tag))?;
     }
     Ok(Some(String::from_utf8(bytes)?))
 }
 
-/// Zero for what is no time.
 fn seconds(seconds: f64) -> Duration {
     Duration::try_from_secs_f64(seconds).unwrap_or_default()
 }
@@ -60,14 +56,14 @@ mod tests {
     use hdrhistogram::serialization::interval_log::{IntervalLogIterator, LogEntry};
 
     use super::*;
-    use crate::closed_loop::histogram;
+    use crate::quantiles::histogram;
 
-    fn recording<'a>(tag: &'a str, start_s: f64, histogram: &'a Histogram<u64>) -> Recording<'a> {
+    fn recording(tag: &str, start_s: f64, histogram: &Histogram<u64>) -> Recording {
         Recording {
-            tag,
+            tag: tag.to_owned(),
             start_s,
             duration_s: 2.5,
-            histogram,
+            histogram_ns: histogram.clone(),
         }
     }
 
@@ -105,7 +101,7 @@ mod tests {
             let again: Histogram<u64> = Deserializer::new()
                 .deserialize(&mut bytes.as_slice())
                 .expect("a histogram");
-            assert_eq!(&again, expected.histogram);
+            assert_eq!(again, expected.histogram_ns);
         }
         assert_eq!(found.len(), 2);
     }

@@ -7,17 +7,13 @@
 //! | [`rate`] | the shortest period that holds |
 //! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
 //! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
-//! | [`experiment`], [`simulation`], [`zone`] | the paper's simulations, and the rows that sum them up |
+//! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@figures`] | the paper's simulations |
 //! | [`solver`], [`growth`] | solve times on every path, and how they grow |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
-//! | [`load`] | what else the machine does meanwhile |
-//! | [`subject`] | what is measured: a daemon, a bare loop, cyclictest as processes |
-//! | [`system`] | cores, threads, counts of the kernel, other programs |
-//! | [`interrupt`], [`progress`] | signals, and how far a run is |
-//! | [`section`], [`metric`], [`quantiles`], [`table`] | what every benchmark hands over |
-//! | [`report`], [`mod@page`], [`mod@figures`] | results as documents, pages, pictures, files |
-//! | [`hlog`], [`mod@csv`] | raw latencies, rows for programs |
+//! | [`progress`] | how far a run is |
+//! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
+//! | [`report`], `page`, `chart`, [`hlog`] | results as documents, one page, plots, raw latencies |
 //! | [`environment`] | the machine that a result comes from |
 //! | [`compare`] | what changed between two runs beyond noise |
 //!
@@ -25,11 +21,25 @@
 //! granted. All others run the controller in this process, without a daemon and without real time: a time there
 //! says how long a solve takes on this machine, back to back, nothing else.
 
+#![allow(
+    missing_docs,
+    clippy::missing_errors_doc,
+    reason = "the library of a program: nobody reads its rustdoc, and a comment that repeats a name helps nobody"
+)]
+#![cfg_attr(
+    test,
+    allow(
+        clippy::unwrap_used,
+        reason = "in a test a panic is the report, in its helpers, too"
+    )
+)]
+
 pub mod budget;
+pub mod causes;
 mod chart;
 pub mod closed_loop;
 pub mod compare;
-pub mod csv;
+pub mod dataset;
 pub mod deadline;
 pub mod environment;
 pub mod experiment;
@@ -37,21 +47,19 @@ pub mod figures;
 pub mod footprint;
 pub mod growth;
 pub mod hlog;
-pub mod interrupt;
 pub mod latency;
-pub mod load;
 pub mod metric;
-pub mod page;
+mod named;
+mod page;
+pub mod paper;
 pub mod progress;
 pub mod quality;
 pub mod quantiles;
 pub mod rate;
 pub mod report;
 pub mod scene;
-pub mod section;
 pub mod simulation;
 pub mod solver;
-pub mod subject;
-pub mod system;
-pub mod table;
 pub mod zone;
+
+use cdcr_testbed::{interrupt, load, subject, system};

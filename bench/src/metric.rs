@@ -9,42 +9,21 @@ pub struct Metric {
     pub name: String,
     /// Its unit, like `µs`; empty for a ratio.
     pub unit: String,
-    /// Which way is better.
     pub better: Better,
     /// Its value in each round; finite.
     pub rounds: Vec<f64>,
 }
 
-/// Which way is better.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Better {
-    /// Less is better.
     Lower,
-    /// More is better.
     Higher,
 }
 
 impl Metric {
-    /// A number of which less is better. Values that are not finite are left out.
-    pub fn lower(
-        name: impl Into<String>,
-        unit: &str,
-        rounds: impl IntoIterator<Item = f64>,
-    ) -> Self {
-        Self::new(name, unit, Better::Lower, rounds)
-    }
-
-    /// A number of which more is better. Values that are not finite are left out.
-    pub fn higher(
-        name: impl Into<String>,
-        unit: &str,
-        rounds: impl IntoIterator<Item = f64>,
-    ) -> Self {
-        Self::new(name, unit, Better::Higher, rounds)
-    }
-
-    fn new(
+    /// Values that are not finite are left out.
+    pub fn new(
         name: impl Into<String>,
         unit: &str,
         better: Better,
@@ -54,22 +33,19 @@ impl Metric {
             name: name.into(),
             unit: unit.to_owned(),
             better,
-            rounds: rounds
-                .into_iter()
-                .filter(|value| value.is_finite())
-                .collect(),
+            rounds: rounds.into_iter().filter(|v| v.is_finite()).collect(),
         }
     }
 
     /// The median of its rounds; none without rounds.
     pub fn median(&self) -> Option<f64> {
-        median(&self.rounds)
+        median(self.rounds.iter().copied())
     }
 }
 
 /// The median; of an even count the mean of the middle two; none of nothing. The values must be finite.
-pub fn median(values: &[f64]) -> Option<f64> {
-    let mut sorted = values.to_vec();
+pub fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
+    let mut sorted: Vec<f64> = values.into_iter().collect();
     sorted.sort_by(f64::total_cmp);
     let middle = sorted.len() / 2;
     match sorted.len() {
@@ -80,11 +56,9 @@ pub fn median(values: &[f64]) -> Option<f64> {
 }
 
 /// Smallest and largest; none of nothing.
-pub fn range(values: &[f64]) -> Option<(f64, f64)> {
-    let (first, rest) = values.split_first()?;
-    Some(rest.iter().fold((*first, *first), |(low, high), value| {
-        (low.min(*value), high.max(*value))
-    }))
+pub fn range(values: impl IntoIterator<Item = f64>) -> Option<(f64, f64)> {
+    let ends = values.into_iter().map(|value| (value, value));
+    ends.reduce(|(low, high), (value, _)| (low.min(value), high.max(value)))
 }
 
 #[cfg(test)]
@@ -93,18 +67,20 @@ mod tests {
 
     #[test]
     fn the_middle_is_found_in_any_order() {
-        assert_eq!(median(&[]), None);
-        assert_eq!(median(&[3.0]), Some(3.0));
-        assert_eq!(median(&[9.0, 1.0, 4.0]), Some(4.0));
-        assert_eq!(median(&[9.0, 1.0, 4.0, 2.0]), Some(3.0));
-        assert_eq!(range(&[9.0, 1.0, 4.0]), Some((1.0, 9.0)));
-        assert_eq!(range(&[]), None);
+        assert_eq!(median([]), None);
+        assert_eq!(median([9.0, 1.0, 4.0]), Some(4.0));
+        assert_eq!(median([9.0, 1.0, 4.0, 2.0]), Some(3.0));
+        assert_eq!(range([9.0, 1.0, 4.0]), Some((1.0, 9.0)));
+        assert_eq!(range([]), None);
     }
 
     #[test]
     fn what_is_not_finite_is_no_measurement() {
-        let metric = Metric::lower("a", "µs", [1.0, f64::NAN, f64::INFINITY, 2.0]);
-        assert_eq!(metric.rounds, [1.0, 2.0]);
-        assert_eq!(metric.median(), Some(1.5));
+        let rounds = [1.0, f64::NAN, f64::INFINITY, 2.0];
+        let metric = Metric::new("a", "µs", Better::Lower, rounds);
+        assert_eq!(
+            (&*metric.rounds, metric.median()),
+            (&[1.0, 2.0][..], Some(1.5))
+        );
     }
 }

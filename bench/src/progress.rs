@@ -44,7 +44,6 @@ impl Progress {
         }
     }
 
-    /// One that says nothing, for tests.
     pub fn silent() -> Self {
         let mut progress = Self::new(0.0);
         progress.bar = Some(ProgressBar::hidden());
@@ -60,7 +59,6 @@ impl Progress {
         self.begin("begins");
     }
 
-    /// What begins now, in words.
     pub fn begin(&mut self, what: &str) {
         let what = format!("{}{what}", self.part);
         match &self.bar {
@@ -123,7 +121,6 @@ fn milliseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e3) as u64
 }
 
-/// A time that is left, in short.
 fn words(seconds: f64) -> String {
     let whole = seconds.round() as u64;
     if whole < 60 {
@@ -136,12 +133,6 @@ fn words(seconds: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn times_are_short() {
-        assert_eq!(words(3.4), "3 s");
-        assert_eq!(words(125.0), "2 min 05 s");
-    }
 
     #[test]
     fn what_a_part_did_not_take_is_not_left() {

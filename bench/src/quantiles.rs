@@ -1,33 +1,24 @@
-//! The five numbers that stand for a distribution of latencies.
+//! The five numbers that stand for a distribution of latencies, and the histogram that they are read from.
 
+use anyhow::{Context, Result};
 use cdcr_shared_types::LatencySummary;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::closed_loop::quantile_us;
+use crate::metric::{median, range};
 
-/// Of latencies \[µs\].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Quantiles {
-    /// Smallest.
     pub min: f64,
-    /// Median.
     pub p50: f64,
-    /// 99th percentile.
     pub p99: f64,
-    /// 99.9th percentile.
     pub p999: f64,
-    /// Largest.
     pub max: f64,
 }
 
 impl Quantiles {
-    /// Of times in nanoseconds; none of an empty histogram.
     pub fn of(times_ns: &Histogram<u64>) -> Option<Self> {
-        if times_ns.is_empty() {
-            return None;
-        }
-        Some(Self {
+        (!times_ns.is_empty()).then(|| Self {
             min: times_ns.min() as f64 * 1e-3,
             p50: quantile_us(times_ns, 0.5),
             p99: quantile_us(times_ns, 0.99),
@@ -47,17 +38,38 @@ impl Quantiles {
             max: us(summary.max_ns),
         })
     }
+
+    /// The least of the rounds, the largest of the rounds, and medians of the others; none of nothing.
+    pub fn over_rounds(rounds: &[Self]) -> Option<Self> {
+        let middle = |value: fn(&Self) -> f64| median(rounds.iter().map(value));
+        Some(Self {
+            min: range(rounds.iter().map(|round| round.min))?.0,
+            p50: middle(|round| round.p50)?,
+            p99: middle(|round| round.p99)?,
+            p999: middle(|round| round.p999)?,
+            max: range(rounds.iter().map(|round| round.max))?.1,
+        })
+    }
+}
+
+pub fn quantile_us(times_ns: &Histogram<u64>, quantile: f64) -> f64 {
+    times_ns.value_at_quantile(quantile) as f64 * 1e-3
+}
+
+/// Times from 1 ns to a minute, three digits.
+pub fn histogram() -> Result<Histogram<u64>> {
+    Histogram::new_with_bounds(1, 60_000_000_000, 3).context("a histogram of three digits")
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::closed_loop::histogram;
 
     #[test]
     fn nothing_has_no_quantiles() {
         assert_eq!(Quantiles::of(&histogram().expect("bounds")), None);
         assert_eq!(Quantiles::told(&LatencySummary::default()), None);
+        assert_eq!(Quantiles::over_rounds(&[]), None);
     }
 
     #[test]
@@ -67,12 +79,23 @@ mod tests {
             times.record(us * 1000).expect("within the bounds");
         }
         let found = Quantiles::of(&times).expect("there are values");
-        let near = |value: f64, expected: f64| (value - expected).abs() <= 2e-3 * expected;
-        assert!(near(found.min, 1.0) && near(found.p50, 500.0), "{found:?}");
-        assert!(
-            near(found.p99, 990.0) && near(found.p999, 999.0),
-            "{found:?}"
-        );
-        assert!(near(found.max, 1000.0), "{found:?}");
+        for (value, expected) in [
+            (found.min, 1.0),
+            (found.p50, 500.0),
+            (found.p99, 990.0),
+            (found.p999, 999.0),
+            (found.max, 1000.0),
+        ] {
+            assert!((value - expected).abs() <= 2e-3 * expected, "{found:?}");
+        }
+        let twice = Quantiles {
+            min: 0.5,
+            p50: 502.0,
+            max: 2000.0,
+            ..found
+        };
+        let all = Quantiles::over_rounds(&[found, twice]).expect("two rounds");
+        assert_eq!((all.min, all.max), (0.5, 2000.0));
+        assert!((all.p50 - 501.0).abs() < 1.1, "{all:?}");
     }
 }

@@ -7,38 +7,27 @@ use cdcr_client::{Circle, Line, Spiral, Trajectory};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
-/// The paper's time step \[s\].
 pub const PERIOD_S: f64 = 0.005;
-/// Samples of the paper's spiral.
 pub const SPIRAL_SAMPLES: u64 = 994;
-/// Samples of the paper's line.
 pub const LINE_SAMPLES: u64 = 510;
 /// Samples of the circle: one turn, and 0.7 s in which the straight robot comes to it.
 pub const CIRCLE_SAMPLES: u64 = 1400;
 /// How much longer than the samples a curve lasts \[s\]: the longest horizon is 50 steps.
 const BEYOND_S: f64 = 1.0;
 
-/// One robot before one curve.
 pub struct Scene {
-    /// The robot.
     pub robot: Robot,
-    /// Its configuration at the start.
     pub start: Configuration,
     /// The curve; its time 0 is the first release, and it lasts longer than the samples.
     pub curve: Box<dyn Trajectory + Send>,
     /// What the body keeps away from, where it is at time 0; it moves on at its velocity.
     pub obstacles: Vec<Obstacle>,
-    /// Cycles, and samples.
     pub cycles: u64,
-    /// Period \[s\].
     pub period_s: f64,
 }
 
 impl Scene {
     /// The paper's simulation 1 (Eq. 8): the spiral of the last of these sections, from its first point.
-    ///
-    /// # Errors
-    /// When there is no such robot.
     pub fn spiral(sections: usize) -> Result<Self> {
         let parameters = RobotParameters::paper(sections);
         let curve = Spiral {
@@ -59,9 +48,6 @@ impl Scene {
 
     /// The paper's simulation 2 (Eq. 9): the line of three sections from the straight robot, its tip axis
     /// along z, with this limit on the rates.
-    ///
-    /// # Errors
-    /// When the limit is out of range.
     pub fn line(rate_max_rad_s: f64) -> Result<Self> {
         let mut parameters = RobotParameters::paper(3);
         for section in &mut parameters.sections {
@@ -84,9 +70,6 @@ impl Scene {
 
     /// The paper's simulation 3: the circle of one section from the straight robot, and a point on it at
     /// t = π/2. Body and point have no radius, so clearance is the distance from the backbone.
-    ///
-    /// # Errors
-    /// Never with the paper's numbers.
     pub fn circle() -> Result<Self> {
         let mut parameters = RobotParameters::paper(1);
         parameters.sections[0].body_radius_m = 0.0;
@@ -107,7 +90,6 @@ impl Scene {
         })
     }
 
-    /// The same with these obstacles.
     #[must_use]
     pub fn with_obstacles(self, obstacles: Vec<Obstacle>) -> Self {
         Self { obstacles, ..self }
@@ -122,7 +104,6 @@ impl Scene {
         }
     }
 
-    /// Time of a release \[s\].
     pub fn time_s(&self, cycle: u64) -> f64 {
         cycle as f64 * self.period_s
     }

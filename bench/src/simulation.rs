@@ -1,58 +1,36 @@
 //! One experiment, run with several seeds, and the row that sums it up.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
 use cdcr_controller::robot::{Shape, ZyxAngles};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{self, Sample, quantile_us};
+use crate::closed_loop::{self, Sample};
 use crate::experiment::{Experiment, PaperFigures, Solver, Task};
 use crate::metric::median;
+use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
 use crate::zone::Zone;
 
-/// Times of one solver \[µs\].
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct SolveTimes {
-    /// Mean.
     pub mean: f64,
-    /// Median.
-    pub p50: f64,
-    /// 99th percentile.
-    pub p99: f64,
-    /// Largest.
-    pub max: f64,
+    #[serde(flatten)]
+    pub quantiles: Quantiles,
 }
 
-impl SolveTimes {
-    fn of(times_ns: &Histogram<u64>) -> Self {
-        let us = |quantile| quantile_us(times_ns, quantile);
-        Self {
-            mean: times_ns.mean() * 1e-3,
-            p50: us(0.5),
-            p99: us(0.99),
-            max: us(1.0),
-        }
-    }
-}
-
-/// What only the line has.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct LineFigures {
     /// Largest |Θ| of all samples and runs \[rad\].
     pub max_theta_rad: f64,
-    /// Largest |Ψ| \[rad\].
     pub max_psi_rad: f64,
-    /// Limit on the rates \[rad/s\].
     pub rate_limit_rad_s: f64,
 }
 
-/// What only the circle has.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct CircleFigures {
-    /// Safe distance D \[mm\].
     pub safe_distance_mm: f64,
     /// Smallest clearance of the whole body in all samples and runs \[mm\].
     pub min_clearance_mm: f64,
@@ -65,72 +43,47 @@ pub struct CircleFigures {
     pub peak_error_mm: Option<f64>,
 }
 
-/// One row: one experiment.
 #[derive(Debug, Clone, Serialize)]
 pub struct Simulation {
-    /// Name of the curve.
     pub name: &'static str,
-    /// Sections of the robot.
     pub sections: usize,
-    /// Solver.
     pub solver: Solver,
-    /// Coordinates of the controls.
     pub coordinates: Coordinates,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Samples of a run.
     pub samples: u64,
-    /// Runs, each with another seed.
     pub seeds: u64,
     /// Median over the seeds of the mean error \[mm\].
     pub mean_error_mm: f64,
-    /// Largest error of all runs \[mm\].
     pub max_error_mm: f64,
-    /// Solve times of all runs.
     pub solve_us: SolveTimes,
-    /// What the paper states.
     pub paper: PaperFigures,
-    /// The line's own.
     #[serde(flatten)]
     pub line: Option<LineFigures>,
-    /// The circle's own.
     #[serde(flatten)]
     pub circle: Option<CircleFigures>,
 }
 
 /// An experiment, its row, and its first run for the figures.
 pub struct Outcome {
-    /// What was run.
     pub experiment: Experiment,
-    /// Where.
     pub scene: Scene,
-    /// The row.
     pub row: Simulation,
-    /// The run with the first seed.
     pub first: Vec<Sample>,
-    /// What each run came to, by seed.
     pub runs: Vec<Run>,
 }
 
-/// What one run came to.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Run {
-    /// Mean error \[mm\].
     pub mean_error_mm: f64,
-    /// Median of the solve times \[µs\].
     pub solve_p50_us: f64,
 }
 
-/// How much is run.
 #[derive(Debug, Clone, Copy)]
 pub struct Effort {
     /// Runs of each experiment, each with another seed.
     pub seeds: u64,
-    /// Cycles of a run at most.
     pub cycles_max: u64,
 }
 
@@ -138,7 +91,6 @@ pub struct Effort {
 const CLEARANCE_SEEDS: u64 = 20;
 
 impl Effort {
-    /// Runs of this experiment.
     pub fn runs(&self, experiment: &Experiment) -> u64 {
         match (experiment.task, experiment.solver) {
             (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS),
@@ -165,10 +117,6 @@ pub(crate) fn work(experiment: &Experiment) -> u64 {
     u64::from(settings.horizon_steps * swarm)
 }
 
-/// Runs one experiment with every seed.
-///
-/// # Errors
-/// When its controller cannot be built.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
     let mut summary = Summary::new(&experiment)?;
@@ -184,7 +132,7 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
         progress();
     }
     Ok(Outcome {
-        row: summary.row(&experiment, &scene),
+        row: summary.row(&experiment, &scene)?,
         experiment,
         scene,
         first: first.unwrap_or_default(),
@@ -209,7 +157,7 @@ impl Summary {
     fn new(experiment: &Experiment) -> Result<Self> {
         Ok(Self {
             task: experiment.task,
-            solve_ns: closed_loop::histogram()?,
+            solve_ns: histogram()?,
             runs: Vec::new(),
             max_mm: 0.0,
             max_theta_rad: 0.0,
@@ -242,10 +190,10 @@ impl Summary {
         }
     }
 
-    fn row(&self, experiment: &Experiment, scene: &Scene) -> Simulation {
+    fn row(&self, experiment: &Experiment, scene: &Scene) -> Result<Simulation> {
         let settings = experiment.settings();
-        let means_mm: Vec<f64> = self.runs.iter().map(|run| run.mean_error_mm).collect();
-        Simulation {
+        let means_mm = self.runs.iter().map(|run| run.mean_error_mm);
+        Ok(Simulation {
             name: experiment.task.name(),
             sections: scene.robot.section_count(),
             solver: experiment.solver,
@@ -255,13 +203,16 @@ impl Summary {
             iterations: settings.swarm_iterations,
             samples: scene.cycles,
             seeds: self.runs.len() as u64,
-            mean_error_mm: median(&means_mm).unwrap_or(f64::NAN),
+            mean_error_mm: median(means_mm).unwrap_or(f64::NAN),
             max_error_mm: self.max_mm,
-            solve_us: SolveTimes::of(&self.solve_ns),
+            solve_us: SolveTimes {
+                mean: self.solve_ns.mean() * 1e-3,
+                quantiles: Quantiles::of(&self.solve_ns).context("no cycle")?,
+            },
             paper: experiment.task.paper(),
             line: self.line(),
             circle: self.circle(),
-        }
+        })
     }
 
     fn line(&self) -> Option<LineFigures> {
@@ -283,13 +234,12 @@ impl Summary {
         Some(CircleFigures {
             safe_distance_mm: 1e3 * safe_distance_m,
             min_clearance_mm: 1e3 * self.min_clearance_m,
-            mean_error_outside_mm: all(&self.mean_outside_mm).and_then(|values| median(&values)),
+            mean_error_outside_mm: all(&self.mean_outside_mm).and_then(median),
             peak_error_mm: all(&self.peak_mm).map(|values| values.into_iter().fold(0.0, f64::max)),
         })
     }
 }
 
-/// The point of the circle's scene \[m\].
 pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
     match scene.obstacles.first().map(|obstacle| *obstacle.shape()) {
         Some(Shape::Sphere { centre_m }) => centre_m,
@@ -299,6 +249,6 @@ pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
 
 /// The median time of a solve in one run.
 fn solve_p50_us(samples: &[Sample]) -> f64 {
-    let times_us: Vec<f64> = samples.iter().map(|s| s.solve_ns as f64 * 1e-3).collect();
-    median(&times_us).unwrap_or(f64::NAN)
+    let times_us = samples.iter().map(|s| s.solve_ns as f64 * 1e-3);
+    median(times_us).unwrap_or(f64::NAN)
 }

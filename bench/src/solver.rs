@@ -6,7 +6,7 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Result, ensure};
+use anyhow::{Context, Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::optimizer::{Budget, Path};
 use cdcr_controller::robot::{Obstacle, Robot, Shape};
@@ -14,11 +14,17 @@ use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::closed_loop::{ClosedLoop, histogram, quantile_us};
+use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, sheet};
+use crate::closed_loop::ClosedLoop;
+use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
+use crate::growth::{COLUMNS as GROWTH_COLUMNS, growth};
+use crate::interrupt;
+use crate::metric::median;
+use crate::progress::Progress;
+use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
-/// Cycles of one case, at most.
 const CYCLES_MAX: u64 = 400;
 /// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay
 /// within reach and beside its way.
@@ -27,41 +33,188 @@ const OBSTACLE_CYCLES_MAX: u64 = 200;
 const SIZE_TIME: Duration = Duration::from_millis(1200);
 /// Cycles at the start of a case that are not counted.
 const WARM_UP: u64 = 10;
-/// Cycles of a case, at least.
 const CYCLES_MIN: u64 = 2 * WARM_UP;
-/// Radius of an obstacle \[m\].
 const OBSTACLE_RADIUS_M: f64 = 0.01;
 /// What the obstacles leave between themselves and the straight body, beyond the safe distance \[m\]: so
 /// little that each is within reach, so much that the robot can do its task.
 const OBSTACLE_GAP_M: f64 = 0.016;
-/// Length of a capsule's axis \[m\].
 const CAPSULE_LENGTH_M: f64 = 0.03;
+
+/// Time of one size, about \[s\].
+const SIZE_S: f64 = 1.0;
+
+const EXPLANATION: &str = "\
+<p>How long one solve takes, back to back, without a daemon: the paper's size, and from there one thing at a \
+time. Every path of the processor gives the same bits; in each cycle all paths solve the same problem, one \
+after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
+median of the rounds, and a round goes through all sizes. First solves are not counted.</p>\n";
+
+const COLUMNS: [Column; 11] = [
+    word("solver", "solver"),
+    word("curve", "curve"),
+    word("path", "path"),
+    plain("sections", "sections"),
+    plain("horizon", "horizon"),
+    plain("swarm", "swarm"),
+    plain("iterations", "iterations"),
+    plain("obstacles", "obstacles"),
+    fixed("p50 µs", "p50_us", 2),
+    fixed("p99 µs", "p99_us", 2),
+    fixed("speed-up", "speedup_vs_scalar", 1),
+];
+
+#[derive(Debug, Clone)]
+pub struct Options {
+    pub rounds: u32,
+    pub sizes: Vec<Size>,
+}
+
+impl Options {
+    pub fn full() -> Self {
+        Self {
+            rounds: 3,
+            sizes: sizes(),
+        }
+    }
+
+    pub fn quick() -> Self {
+        let mut sizes = sizes();
+        sizes.retain(|size| size.task == Task::Spiral { sections: 1 });
+        Self { rounds: 1, sizes }
+    }
+}
+
+pub fn expected_s(options: &Options) -> f64 {
+    f64::from(options.rounds) * options.sizes.len() as f64 * SIZE_S
+}
+
+/// Measures all sizes on every path, round by round. Two paths that disagree are an error.
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+    let mut rounds = Vec::new();
+    for round in 1..=options.rounds {
+        let mut cases = Vec::new();
+        for size in &options.sizes {
+            interrupt::check()?;
+            progress.begin(&format!("round {round} of {}", options.rounds));
+            cases.extend(measure(size)?);
+            progress.advance(SIZE_S);
+        }
+        rounds.push(cases);
+    }
+    dataset(&rounds)
+}
+
+/// Of the cases of each round, in the same order.
+fn dataset(rounds: &[Vec<Case>]) -> Result<Dataset> {
+    let first = rounds.first().context("at least one round is needed")?;
+    let mut dataset = Dataset {
+        name: "solver",
+        heading: "Time of a solve, offline",
+        explanation: EXPLANATION,
+        ..Dataset::default()
+    };
+    let mut cases = Vec::new();
+    for (index, case) in first.iter().enumerate() {
+        let each = |value: fn(&Case) -> f64| rounds.iter().map(move |cases| value(&cases[index]));
+        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
+        cases.push(Case {
+            p50_us: middle(|case| case.p50_us),
+            p99_us: middle(|case| case.p99_us),
+            speedup_vs_scalar: middle(|case| case.speedup_vs_scalar),
+            ..case.clone()
+        });
+        let name = case.key();
+        dataset.lower(format!("{name}/p50"), "µs", each(|case| case.p50_us));
+        dataset.lower(format!("{name}/p99"), "µs", each(|case| case.p99_us));
+    }
+    // The paper's size stands in every series.
+    dataset
+        .metrics
+        .sort_by(|one, other| one.name.cmp(&other.name));
+    dataset
+        .metrics
+        .dedup_by(|one, other| one.name == other.name);
+    dataset.fact("rounds", rounds.len());
+    let growth = Sheet::new(&growth(&cases))?.key("growth").file("solver-growth").table(
+        "Growth of the median on the fastest path, all else as in the paper's spiral with 3 sections",
+        &GROWTH_COLUMNS,
+    );
+    let all = Sheet::new(&cases)?
+        .key("cases")
+        .file("solver")
+        .table("Time of a solve on every path of this processor", &COLUMNS);
+    dataset.sheets = vec![growth, all];
+    dataset.plots.push(Plot {
+        name: "solver-sections",
+        caption: "How the time of a solve grows with the sections of the robot: the paper's spiral, 2 steps, \
+                  6 particles, 30 iterations.",
+        svg: sheet(&[panel(&cases)], 1, 700)?,
+    });
+    Ok(dataset)
+}
+
+/// The median of every solver on the fastest path beside the sections of the robot.
+fn panel(cases: &[Case]) -> Panel {
+    let fastest = cases.last().map(|case| case.path);
+    let curve = |(solver, colour): (Solver, _)| {
+        let is_ours = |case: &&Case| {
+            let size = (case.horizon, case.obstacles, case.swarm, case.iterations);
+            let what = (Some(case.path), case.solver, case.curve);
+            what == (fastest, solver, "spiral") && size == (2, 0, 6, 30)
+        };
+        let ours = cases.iter().filter(is_ours);
+        let mut points: Vec<_> = ours.map(|c| (c.sections as f64, c.p50_us)).collect();
+        points.sort_by(|one, other| one.0.total_cmp(&other.0));
+        points.dedup_by_key(|point| point.0);
+        (!points.is_empty()).then(|| Curve::line(solver.name(), points, colour))
+    };
+    let colours = [PURPLE, GREEN, BLUE, ORANGE];
+    Panel {
+        title: "Median of a solve on the fastest path".to_owned(),
+        x: "sections",
+        y: "time [µs]",
+        scale: Scale::Log { floor: 0.1 },
+        curves: Solver::ALL
+            .into_iter()
+            .zip(colours)
+            .filter_map(curve)
+            .collect(),
+    }
+}
 
 /// One line: one solver on one path, at one size.
 #[derive(Debug, Clone, Serialize)]
 pub struct Case {
-    /// Solver.
     pub solver: Solver,
     /// Name of the curve; the line asks for an orientation.
     pub curve: &'static str,
-    /// Path of the swarm.
     pub path: Path,
-    /// Sections of the robot.
     pub sections: usize,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Obstacles within reach.
     pub obstacles: usize,
-    /// Median \[µs\].
     pub p50_us: f64,
-    /// 99th percentile \[µs\].
     pub p99_us: f64,
     /// Median of the scalar path over the median of this one, in the same run.
     pub speedup_vs_scalar: f64,
+}
+
+impl Case {
+    /// Solver, path of the processor, curve and size.
+    fn key(&self) -> String {
+        format!(
+            "solver/{}/{}/{}/{}-sections-{}-steps-{}x{}-{}-obstacles",
+            self.solver.name(),
+            format!("{:?}", self.path).to_lowercase(),
+            self.curve,
+            self.sections,
+            self.horizon,
+            self.swarm,
+            self.iterations,
+            self.obstacles,
+        )
+    }
 }
 
 /// A size at which every path is measured.
@@ -69,15 +222,10 @@ pub struct Case {
 pub struct Size {
     /// The curve, its robot and the settings that belong to it.
     pub task: Task,
-    /// Solver.
     pub solver: Solver,
-    /// Prediction steps.
     pub horizon: u32,
-    /// Particles.
     pub swarm: u32,
-    /// Swarm iterations.
     pub iterations: u32,
-    /// Obstacles within reach.
     pub obstacles: usize,
 }
 
@@ -112,7 +260,6 @@ pub fn sizes() -> Vec<Size> {
 }
 
 impl Size {
-    /// As in the paper.
     pub(crate) fn paper(task: Task, solver: Solver) -> Self {
         let settings = experiment(task, solver).settings();
         Self {
@@ -182,13 +329,8 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
     Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
-/// One path, its controller and its times.
 type Runner = (Path, Nmpc, Histogram<u64>);
 
-/// Measures one size on every path.
-///
-/// # Errors
-/// When a controller cannot be built, or two paths disagree.
 pub fn measure(size: &Size) -> Result<Vec<Case>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();
@@ -288,5 +430,33 @@ mod tests {
                 .iter()
                 .all(|case| case.p50_us > 0.0 && case.p50_us <= case.p99_us)
         );
+    }
+
+    #[test]
+    fn rows_are_medians_and_every_round_is_kept() {
+        let case = |sections: usize, p50_us: f64| Case {
+            solver: Solver::Kpso,
+            curve: "spiral",
+            path: Path::Scalar,
+            sections,
+            horizon: 2,
+            swarm: 6,
+            iterations: 30,
+            obstacles: 0,
+            p50_us,
+            p99_us: 2.0 * p50_us,
+            speedup_vs_scalar: 1.0,
+        };
+        let rounds = [9.0, 1.0, 2.0].map(|us| vec![case(1, us), case(2, 10.0 * us), case(1, us)]);
+        let found = dataset(&rounds).expect("rounds");
+        let cases = &found.json()["cases"];
+        assert_eq!(
+            (&cases[0]["p50_us"], &cases[1]["p99_us"]),
+            (&2.0.into(), &40.0.into())
+        );
+        // Two sizes, two quantiles; the size that is measured twice counts once.
+        assert_eq!(found.metrics.len(), 4);
+        assert_eq!(found.metrics[0].rounds, [9.0, 1.0, 2.0]);
+        assert!(dataset(&[]).is_err());
     }
 }

@@ -12,12 +12,10 @@ pub const ARRIVED_MM: f64 = 0.02;
 /// The detour is where the reference is nearer to the obstacle than this many safe distances.
 pub const DETOUR_DISTANCES: f64 = 2.0;
 
-/// The samples of a run, sorted.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Zone {
     /// Samples from the arrival on; empty when the tip never arrives.
     pub arrived: Range<usize>,
-    /// Whether each sample belongs to the detour.
     pub is_detour: Vec<bool>,
 }
 

@@ -5,10 +5,10 @@ use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
-use cdcr_bench::interrupt;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::benchmark::{Benchmark, Request};
 use cdcr_bench::report::{Extent, Report, Start};
+use cdcr_testbed::interrupt;
 
 use super::output::{keep, make, show};
 

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::{Result, bail};
-use cdcr_bench::compare::{Comparison, Input, Verdict, text};
+use cdcr_bench::compare::{Comparison, Input, Verdict};
 use clap::ValueEnum;
 
 use super::output::show;
@@ -37,7 +37,7 @@ pub(super) struct Options {
 pub(super) fn run(args: &Options) -> Result<()> {
     let comparison = Comparison::of(&Input::read(&args.before)?, &Input::read(&args.after)?);
     show(&match args.format {
-        Format::Text => text(&comparison),
+        Format::Text => comparison.text()?,
         Format::Json => serde_json::to_string(&comparison)? + "\n",
     })?;
     let worse = comparison.count(Verdict::Worse);

@@ -1,19 +1,17 @@
 //! The command line of the benchmarks.
 
 mod all;
-mod budget;
 mod compare;
-mod deadline;
-mod footprint;
-mod latency;
+mod measure;
 mod output;
-mod paper;
-mod quality;
-mod rate;
-mod solver;
 
 use anyhow::Result;
 use clap::{Parser, Subcommand};
+
+const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
+    Real-time threads need a privilege (docs/realtime.md); without it only the ordinary set-up is measured.";
+const LATENCY_HELP: &str = "Example: cdcr-bench latency --rounds 5 --out latency\n\n\
+    Real-time threads need a privilege (docs/realtime.md); without it the same is measured without them.";
 
 /// What the controller reaches, measured.
 #[derive(Debug, Parser)]
@@ -33,39 +31,39 @@ enum Command {
     #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
     Compare(compare::Options),
     /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
-    #[command(after_help = deadline::AFTER_HELP)]
-    Deadline(deadline::Options),
+    #[command(after_help = DEADLINE_HELP)]
+    Deadline(measure::Deadline),
     /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
     /// solver, beside the paper's figures.
     #[command(after_help = "Example: cdcr-bench paper --seeds 3 --out paper")]
-    Paper(paper::Options),
+    Paper(measure::Paper),
     /// What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on
     /// the paper's and on harder scenes, and how often a solver gets stuck.
     #[command(after_help = "Example: cdcr-bench quality --rounds 5 --out quality")]
-    Quality(quality::Options),
+    Quality(measure::Quality),
     /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
     /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
-    Solver(solver::Options),
+    Solver(measure::Solver),
     /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
     /// worse than the warm start.
     #[command(after_help = "Example: cdcr-bench budget --format json > budget.json")]
-    Budget(budget::Options),
+    Budget(measure::Budget),
     /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
-    #[command(after_help = latency::AFTER_HELP)]
-    Latency(latency::Options),
+    #[command(after_help = LATENCY_HELP)]
+    Latency(measure::Latency),
     /// The other process of `latency`.
     #[command(name = cdcr_bench::latency::bare::PEER, hide = true)]
-    Peer(latency::PeerOptions),
+    Peer(measure::Peer),
     /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
     /// solver and two horizons, and what ends it.
     #[command(after_help = "Example: cdcr-bench rate --rounds 5 --out rate")]
-    Rate(rate::Options),
+    Rate(measure::Rate),
     /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
     #[command(
         after_help = "Example: cdcr-bench footprint --duration 30s --format json > footprint.json"
     )]
-    Footprint(footprint::Options),
+    Footprint(measure::Footprint),
 }
 
 /// Carries a command line out.
@@ -73,15 +71,15 @@ pub(crate) fn execute(cli: Cli) -> Result<()> {
     match cli.command {
         Command::All(options) => all::run(&options),
         Command::Compare(options) => compare::run(&options),
-        Command::Deadline(options) => deadline::run(&options),
-        Command::Paper(options) => paper::run(&options),
-        Command::Quality(options) => quality::run(&options),
-        Command::Solver(options) => solver::run(&options),
-        Command::Budget(options) => budget::run(&options),
-        Command::Latency(options) => latency::run(&options),
-        Command::Peer(options) => latency::peer(&options),
-        Command::Rate(options) => rate::run(&options),
-        Command::Footprint(options) => footprint::run(&options),
+        Command::Deadline(options) => options.run(),
+        Command::Paper(options) => options.run(),
+        Command::Quality(options) => options.run(),
+        Command::Solver(options) => options.run(),
+        Command::Budget(options) => options.run(),
+        Command::Latency(options) => options.run(),
+        Command::Peer(options) => options.run(),
+        Command::Rate(options) => options.run(),
+        Command::Footprint(options) => options.run(),
     }
 }
 

@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use anyhow::{Context, Result};
-use cdcr_bench::interrupt;
+use cdcr_bench::dataset::Dataset;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::report::{Bundle, Start, section_bundle, section_json, section_text};
-use cdcr_bench::section::Section;
+use cdcr_bench::report::{Bundle, Start, dataset_bundle, dataset_json};
+use cdcr_testbed::interrupt;
 use clap::ValueEnum;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Format {
     /// A table for people.
     Text,
+    /// The same table for a page on the web.
+    Markdown,
     /// One JSON object.
     Json,
     /// Comma-separated values with a header.
@@ -39,39 +41,44 @@ pub(super) struct Output {
 impl Output {
     /// To be called before the work: a folder that cannot be made costs no minutes then, and Ctrl-C ends the
     /// measurement in order.
-    pub(super) fn prepare(&self) -> Result<()> {
+    fn prepare(&self) -> Result<()> {
         self.start()?;
         interrupt::catch()?;
         self.out.as_deref().map_or(Ok(()), make)
     }
 
     /// Runs one benchmark with its progress, and delivers its result.
-    pub(super) fn measure<O, S: Section>(
+    pub(super) fn measure<O>(
         &self,
-        options: &O,
+        plan: impl FnOnce() -> Result<O>,
         expected_s: fn(&O) -> f64,
-        run: fn(&O, &mut Progress) -> Result<S>,
+        run: fn(&O, &mut Progress) -> Result<Dataset>,
     ) -> Result<()> {
-        let mut progress = Progress::new(expected_s(options));
-        let section = run(options, &mut progress)?;
+        self.prepare()?;
+        let options = plan()?;
+        let mut progress = Progress::new(expected_s(&options));
+        let dataset = run(&options, &mut progress)?;
         drop(progress);
-        self.deliver(&section)
+        self.deliver(&dataset)
     }
 
     /// Prints the result of one benchmark, and keeps it where that was asked for.
-    fn deliver(&self, section: &dyn Section) -> Result<()> {
+    fn deliver(&self, dataset: &Dataset) -> Result<()> {
         let start = self.start()?;
         // Kept before it is printed: whoever reads may close the pipe.
         if let Some(folder) = &self.out {
-            keep(&section_bundle(start, section)?, folder)?;
+            keep(&dataset_bundle(start, dataset)?, folder)?;
         }
+        let machine = start.environment.line();
         show(&match self.format {
-            Format::Text => format!("{}\n{}\n", section_text(section), start.environment.line()),
-            Format::Json => section_json(start, section)?,
-            Format::Csv => match section.sheets()?.into_iter().next() {
-                Some(sheet) => sheet.csv,
-                None => String::new(),
-            },
+            Format::Text => format!("{}\n{machine}\n", dataset.text()),
+            Format::Markdown => format!("{}\n{machine}\n", dataset.markdown()),
+            Format::Json => dataset_json(start, dataset)?,
+            Format::Csv => {
+                let mut sheets = dataset.csv();
+                let own = sheets.find(|(name, _)| *name == dataset.name);
+                own.map_or_else(|| Ok(String::new()), |(_, csv)| csv)?
+            }
         })
     }
 

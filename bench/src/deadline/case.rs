@@ -9,48 +9,33 @@ use super::Setup;
 use super::segment::{Segment, Subject};
 use super::tally::{Counts, Tally, TimeQuantiles};
 use crate::load::{Done, Load};
-use crate::metric::median;
 use crate::quantiles::Quantiles;
 
-/// Which measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Key {
-    /// How the threads were set up.
     pub setup: Setup,
-    /// What else the machine did.
     pub load: Load,
-    /// What was measured.
     pub subject: Subject,
 }
 
-/// One round of a case.
 #[derive(Debug)]
 pub struct Round {
     /// When it began, after the start of the run \[s\].
     pub start_s: f64,
-    /// What was measured.
     pub segment: Segment,
 }
 
 /// All rounds of one subject under one load.
 #[derive(Debug)]
 pub struct Case {
-    /// Which.
     pub key: Key,
-    /// Its rounds, in order.
     pub rounds: Vec<Round>,
-    /// All rounds together.
     pub total: Tally,
 }
 
-/// All cases, by key.
 pub type Cases = BTreeMap<Key, Case>;
 
 impl Case {
-    /// Without a round.
-    ///
-    /// # Errors
-    /// Never.
     pub fn new(key: Key) -> Result<Self> {
         Ok(Self {
             key,
@@ -59,10 +44,6 @@ impl Case {
         })
     }
 
-    /// Adds a round.
-    ///
-    /// # Errors
-    /// Never.
     pub fn push(&mut self, round: Round) -> Result<()> {
         self.total.add(&round.segment.tally)?;
         self.rounds.push(round);
@@ -77,96 +58,79 @@ impl Case {
             .collect()
     }
 
-    /// The row of JSON.
+    /// All rounds together, their medians, and the rounds themselves.
     pub fn row(&self) -> Row {
         let shares = self.rounds.iter().filter_map(|r| r.segment.tracking_share);
         let budget_hits = self.rounds.iter().map(|round| round.segment.budget_hits);
+        let rounds = self.rounds.iter().map(|r| r.segment.tally.quantiles());
+        let rounds: Vec<TimeQuantiles> = rounds.collect();
+        let middle = |value: fn(&TimeQuantiles) -> Option<Quantiles>| {
+            Quantiles::over_rounds(&rounds.iter().filter_map(value).collect::<Vec<_>>())
+        };
         Row {
             load: self.key.load,
+            set_up: self.key.setup,
             subject: self.key.subject,
             realtime: self.key.setup == Setup::Realtime,
             counts: self.total.counts,
             budget_hits: budget_hits.sum(),
             times: self.total.quantiles(),
-            median_of_rounds: Medians::of(self),
+            median_of_rounds: TimeQuantiles {
+                wake_us: middle(|times| times.wake_us),
+                compute_us: middle(|times| times.compute_us),
+                response_us: middle(|times| times.response_us),
+                command_us: middle(|times| times.command_us),
+            },
             tracking_share: shares.reduce(f64::min),
-            rounds: self.rounds.iter().map(RoundRow::of).collect(),
+            rounds: self.round_rows(),
         }
+    }
+
+    pub fn round_rows(&self) -> Vec<RoundRow> {
+        let rounds = self.rounds.iter().enumerate();
+        let row = |(index, round): (usize, &Round)| {
+            let Segment { tally, load, .. } = &round.segment;
+            RoundRow {
+                load: self.key.load,
+                subject: self.key.subject,
+                realtime: self.key.setup == Setup::Realtime,
+                round: index + 1,
+                start_s: round.start_s,
+                counts: tally.counts,
+                times: tally.quantiles(),
+                load_did: *load,
+            }
+        };
+        rounds.map(row).collect()
     }
 }
 
-/// A case as JSON: counts and latencies of all rounds together, the medians of the rounds, and the rounds.
 #[derive(Debug, Serialize)]
 pub struct Row {
     load: Load,
+    set_up: Setup,
     subject: Subject,
     realtime: bool,
     #[serde(flatten)]
     counts: Counts,
-    pub(super) budget_hits: u64,
+    budget_hits: u64,
     #[serde(flatten)]
     times: TimeQuantiles,
-    median_of_rounds: Medians,
-    /// The least of all rounds.
-    pub(super) tracking_share: Option<f64>,
+    median_of_rounds: TimeQuantiles,
+    tracking_share: Option<f64>,
     rounds: Vec<RoundRow>,
 }
 
-/// Medians of the rounds \[µs\].
-#[allow(
-    clippy::struct_field_names,
-    reason = "the keys of the JSON end with their unit"
-)]
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub(super) struct Medians {
-    /// Median wake-up.
-    pub wake_p50_us: Option<f64>,
-    /// 99th percentile of the wake-up.
-    pub wake_p99_us: Option<f64>,
-    /// 99th percentile of the response.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub response_p99_us: Option<f64>,
-    /// Median of release → command in the client's hands.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub command_p50_us: Option<f64>,
-    /// Its 99th percentile.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub command_p99_us: Option<f64>,
-}
-
-impl Medians {
-    /// Of all rounds of a case.
-    fn of(case: &Case) -> Self {
-        let p50 = |q: Option<Quantiles>| q.map(|q| q.p50);
-        let p99 = |q: Option<Quantiles>| q.map(|q| q.p99);
-        Self {
-            wake_p50_us: median(&case.each(|t| p50(t.wake_us))),
-            wake_p99_us: median(&case.each(|t| p99(t.wake_us))),
-            response_p99_us: median(&case.each(|t| p99(t.response_us))),
-            command_p50_us: median(&case.each(|t| p50(t.command_us))),
-            command_p99_us: median(&case.each(|t| p99(t.command_us))),
-        }
-    }
-}
-
 #[derive(Debug, Serialize)]
-struct RoundRow {
+pub struct RoundRow {
+    load: Load,
+    subject: Subject,
+    realtime: bool,
+    round: usize,
     start_s: f64,
     #[serde(flatten)]
     counts: Counts,
     #[serde(flatten)]
     times: TimeQuantiles,
     load_did: Done,
-}
-
-impl RoundRow {
-    fn of(round: &Round) -> Self {
-        let Segment { tally, load, .. } = &round.segment;
-        Self {
-            start_s: round.start_s,
-            counts: tally.counts,
-            times: tally.quantiles(),
-            load_did: *load,
-        }
-    }
 }

@@ -16,16 +16,16 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
-pub use case::{Case, Cases, Key, Round, Row};
+pub use case::{Case, Cases, Key, Round};
 pub use observer::{Observed, Observer};
 pub use ratio::{Ratio, misses_p_value, ratios};
-pub use report::Report;
 pub use segment::{Runner, Segment, Subject};
-use serde::Serialize;
-pub use tally::{Causes, Counts, Tally, Times};
+pub use tally::{Counts, Tally, Times};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::load::Load;
+use crate::named::named;
 use crate::progress::Progress;
 use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
@@ -36,34 +36,20 @@ pub const WARM_UP: Duration = Duration::from_secs(1);
 /// What a stretch takes beside its cycles and its warm-up \[s\]: processes start and end.
 const AROUND_S: f64 = 1.2;
 
-/// How the threads were set up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Setup {
-    /// `SCHED_FIFO`, a core of their own, locked memory.
-    Realtime,
-    /// None of it: what an ordinary process gets.
-    Ordinary,
-}
-
-impl Setup {
-    /// In a word.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Realtime => "realtime",
-            Self::Ordinary => "ordinary",
-        }
+named! {
+    pub enum Setup {
+        /// `SCHED_FIFO`, a core of their own, locked memory.
+        Realtime = "realtime",
+        /// None of it: what an ordinary process gets.
+        Ordinary = "ordinary",
     }
 }
 
-/// What is to be measured.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Options {
     /// Measured time of each subject under each load, all rounds together.
     pub duration: Duration,
-    /// Rounds, at least 1.
     pub rounds: u32,
-    /// Loads with real time.
     pub loads: Vec<Load>,
     /// Loads without real time, a case of its own.
     pub ordinary_loads: Vec<Load>,
@@ -98,7 +84,6 @@ impl Options {
         }
     }
 
-    /// Measured time of one stretch.
     pub fn segment(&self) -> Duration {
         self.duration / self.rounds.max(1)
     }
@@ -111,7 +96,6 @@ impl Options {
     }
 }
 
-/// About how long a measurement takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     let realtime = if may_be_realtime() {
         2 + usize::from(Cyclictest::find().is_some())
@@ -123,11 +107,7 @@ pub fn expected_s(options: &Options) -> f64 {
     segment_s * loads as f64 * f64::from(options.rounds)
 }
 
-/// Measures.
-///
-/// # Errors
-/// When a process or a load fails twice in one stretch, the configuration is bad, or a signal comes.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     ensure!(options.rounds > 0, "at least one round is needed");
     for load in options.loads.iter().chain(&options.ordinary_loads) {
         load.is_available()?;
@@ -148,17 +128,15 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
             run.stretch(key, round, options.rounds)?;
         }
     }
-    Ok(Report::new(run, options))
+    report::dataset(run, options)
 }
 
-/// A measurement under way.
 struct Run<'a> {
     begin: Instant,
     runner: Runner<'a>,
     is_realtime: bool,
     progress: &'a mut Progress,
     cases: Cases,
-    /// Stretches that failed and were measured again.
     failures: Vec<String>,
 }
 

@@ -28,14 +28,11 @@ const INCIDENTS_WAIT: Duration = Duration::from_millis(300);
 /// How long a daemon may be silent before the observation is given up \[ns\].
 const SILENCE_NS: u64 = 2_000_000_000;
 
-/// What was observed between two moments.
 #[derive(Debug)]
 pub struct Observed {
-    /// Counts and latencies.
     pub tally: Tally,
     /// Share of the cycles in which the robot followed its reference.
     pub tracking_share: f64,
-    /// Solves that the budget ended.
     pub budget_hits: u64,
 }
 
@@ -50,9 +47,6 @@ pub struct Observer {
 
 impl Observer {
     /// Watches the daemon at `location` from `core`; with `realtime` before all ordinary tasks.
-    ///
-    /// # Errors
-    /// When there is no thread.
     pub fn start(location: &Location, core: usize, realtime: bool) -> Result<Self> {
         let begin_ns = Arc::new(AtomicU64::new(u64::MAX));
         let ending = Arc::new(AtomicBool::new(false));
@@ -76,7 +70,6 @@ impl Observer {
         })
     }
 
-    /// From now on cycles count.
     pub fn begin(&self) {
         self.begin_ns.store(monotonic_ns(), Ordering::Relaxed);
     }
@@ -86,10 +79,6 @@ impl Observer {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
-    /// Ends the observation.
-    ///
-    /// # Errors
-    /// When the daemon was silent.
     pub fn finish(mut self) -> Result<Observed> {
         self.ending.store(true, Ordering::Relaxed);
         let thread = self.thread.take().context("it was finished before")?;
@@ -122,11 +111,9 @@ struct Watch {
     /// What the daemon found out later about a bad cycle.
     causes: HashMap<u64, LateCause>,
     last_record_ns: u64,
-    /// After the ports, which must go first.
     _connection: Connection,
 }
 
-/// What is kept of a telemetry record.
 #[derive(Debug, Clone, Copy)]
 struct Record {
     number: u64,

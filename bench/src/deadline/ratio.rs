@@ -16,17 +16,13 @@ const SIGNIFICANCE: f64 = 0.05;
 /// One load: the daemon over the bare loop, round by round.
 #[derive(Debug, Clone, Serialize)]
 pub struct Ratio {
-    /// What else the machine did.
     pub load: Load,
-    /// Whether the threads were real-time.
+    pub set_up: Setup,
     pub realtime: bool,
     /// Median wake-up of the daemon over that of the bare loop: median of the rounds.
     pub wake_p50: Option<f64>,
-    /// The same of the 99th percentile.
     pub wake_p99: Option<f64>,
-    /// Smallest and largest round.
     pub wake_p50_range: Option<(f64, f64)>,
-    /// Smallest and largest round.
     pub wake_p99_range: Option<(f64, f64)>,
     /// Misses of the daemon beyond those of the bare loop \[per million cycles\]; negative: it missed less often.
     pub misses_beyond_bare: f64,
@@ -45,12 +41,9 @@ pub struct Ratio {
     pub rounds: Rounds,
 }
 
-/// Ratios of each round.
 #[derive(Debug, Clone, Default)]
 pub struct Rounds {
-    /// Of the median wake-up.
     pub wake_p50: Vec<f64>,
-    /// Of its 99th percentile.
     pub wake_p99: Vec<f64>,
     /// Of the median command, less the median wake-up \[µs\].
     pub command_beyond_wake: Vec<f64>,
@@ -94,17 +87,18 @@ impl Ratio {
         );
         Self {
             load: daemon.key.load,
+            set_up: daemon.key.setup,
             realtime: daemon.key.setup == Setup::Realtime,
-            wake_p50: median(&rounds.wake_p50),
-            wake_p99: median(&rounds.wake_p99),
-            wake_p50_range: range(&rounds.wake_p50),
-            wake_p99_range: range(&rounds.wake_p99),
+            wake_p50: median(rounds.wake_p50.iter().copied()),
+            wake_p99: median(rounds.wake_p99.iter().copied()),
+            wake_p50_range: range(rounds.wake_p50.iter().copied()),
+            wake_p99_range: range(rounds.wake_p99.iter().copied()),
             misses_beyond_bare: per_million(ours) - per_million(theirs),
             misses_p_value: p_value,
             misses_more: p_value < SIGNIFICANCE,
             own_misses: ours.own_misses,
-            command_beyond_wake_p50_us: median(&rounds.command_beyond_wake),
-            response_p99_to_unloaded: median(&rounds.response_p99_to_unloaded),
+            command_beyond_wake_p50_us: median(rounds.command_beyond_wake.iter().copied()),
+            response_p99_to_unloaded: median(rounds.response_p99_to_unloaded.iter().copied()),
             rounds,
         }
     }

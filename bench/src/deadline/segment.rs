@@ -3,13 +3,13 @@
 use std::time::Duration;
 
 use anyhow::{Context, Result};
-use serde::Serialize;
 
 use super::observer::{Observed, Observer};
 use super::tally::Tally;
 use super::{Options, Setup, WARM_UP};
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
+use crate::named::named;
 use crate::subject::bare::Bare;
 use crate::subject::cyclictest::Cyclictest;
 use crate::subject::daemon::{Daemon, Launch};
@@ -18,43 +18,26 @@ use crate::system::cores::Cores;
 use crate::system::counts::steal_ms;
 use crate::system::thread::may_be_realtime;
 
-/// What is measured.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Subject {
-    /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
-    Bare,
-    /// The daemon, tracking.
-    Daemon,
-    /// cyclictest of rt-tests, with the daemon's period and priority.
-    Cyclictest,
-}
-
-impl Subject {
-    /// As in JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Bare => "bare",
-            Self::Daemon => "daemon",
-            Self::Cyclictest => "cyclictest",
-        }
+named! {
+    pub enum Subject {
+        /// The daemon's own real-time thread with nothing to do: `cdcrd bare`.
+        Bare = "bare",
+        Daemon = "daemon",
+        /// cyclictest of rt-tests, with the daemon's period and priority.
+        Cyclictest = "cyclictest",
     }
 }
 
-/// One stretch of one subject.
 #[derive(Debug)]
 pub struct Segment {
-    /// Counts and latencies.
     pub tally: Tally,
     /// What the load did meanwhile, its warm-up included.
     pub load: Done,
     /// Share of the daemon's cycles in which the robot followed its reference.
     pub tracking_share: Option<f64>,
-    /// Solves that the budget ended.
     pub budget_hits: u64,
 }
 
-/// Who runs the segments.
 #[derive(Debug)]
 pub struct Runner<'a> {
     options: &'a Options,
@@ -67,9 +50,6 @@ pub struct Runner<'a> {
 
 impl<'a> Runner<'a> {
     /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
-    ///
-    /// # Errors
-    /// When the daemon does not start with it.
     pub fn new(options: &'a Options, cores: Cores) -> Result<Self> {
         let launch = launch(options);
         let daemon = Daemon::start(&launch, &cores)?;
@@ -110,7 +90,6 @@ impl<'a> Runner<'a> {
         }
     }
 
-    /// What can be measured with this set-up.
     pub fn subjects(&self, setup: Setup) -> Vec<Subject> {
         let mut subjects = vec![Subject::Bare, Subject::Daemon];
         if setup == Setup::Realtime && self.cyclictest.is_some() {
@@ -119,15 +98,10 @@ impl<'a> Runner<'a> {
         subjects
     }
 
-    /// The period of the daemon.
     pub fn period(&self) -> Duration {
         self.period
     }
 
-    /// Measures one stretch.
-    ///
-    /// # Errors
-    /// When a process or the load fails.
     pub fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Segment> {
         match subject {
             Subject::Daemon => self.daemon(load, setup),
@@ -216,7 +190,6 @@ impl<'a> Runner<'a> {
         Daemon::start(&launch, &cores)
     }
 
-    /// What came, and the steal meanwhile \[ms\].
     fn bare(&self, setup: Setup) -> Result<(Tally, f64)> {
         let duration = WARM_UP + self.options.segment();
         let bare = Bare::start(&self.launch(setup), &self.cores, duration)?;

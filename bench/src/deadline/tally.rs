@@ -5,51 +5,13 @@ use cdcr_shared_types::codes::LateCause;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::closed_loop::histogram;
-use crate::quantiles::Quantiles;
+use crate::causes::Causes;
+use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-/// Cycles that were late, missed their deadline or skipped releases, by what made them so.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Causes {
-    /// The timer or the processor itself came late: hypervisor, firmware.
-    pub platform: u64,
-    /// Another task had the core.
-    pub load: u64,
-    /// The computation took too long: ours.
-    pub compute: u64,
-    /// A page of memory was not there: ours.
-    pub fault: u64,
-    /// The processor stood still in the middle of a computation, or nothing is known.
-    pub other: u64,
-}
-
-impl Causes {
-    fn count(&mut self, cause: LateCause) {
-        let counter = match cause {
-            LateCause::Platform => &mut self.platform,
-            LateCause::Load => &mut self.load,
-            LateCause::Compute => &mut self.compute,
-            LateCause::PageFault => &mut self.fault,
-            LateCause::Stall | LateCause::None => &mut self.other,
-        };
-        *counter += 1;
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.platform += other.platform;
-        self.load += other.load;
-        self.compute += other.compute;
-        self.fault += other.fault;
-        self.other += other.other;
-    }
-}
-
-/// The latencies of a stretch \[ns\].
 #[derive(Debug, Clone)]
 pub struct Times {
-    /// Release to start.
     pub wake: Histogram<u64>,
     /// Start to hand-over of the command; empty for what does not compute.
     pub compute: Histogram<u64>,
@@ -69,13 +31,12 @@ impl Times {
         })
     }
 
-    /// Each with its name.
-    pub fn named(&self) -> [(&'static str, &Histogram<u64>); 4] {
+    pub fn named(self) -> [(&'static str, Histogram<u64>); 4] {
         [
-            ("wake", &self.wake),
-            ("compute", &self.compute),
-            ("response", &self.response),
-            ("command", &self.command),
+            ("wake", self.wake),
+            ("compute", self.compute),
+            ("response", self.response),
+            ("command", self.command),
         ]
     }
 
@@ -88,20 +49,14 @@ impl Times {
     }
 }
 
-/// Counts of a stretch.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 pub struct Counts {
-    /// Cycles that ran.
     pub cycles: u64,
-    /// Cycles that started late.
     pub late_starts: u64,
-    /// Cycles that missed their deadline.
     pub deadline_misses: u64,
     /// Of these, those that are ours: the computation took too long, or a page was missing.
     pub own_misses: u64,
-    /// Releases without a cycle.
     pub skipped_periods: u64,
-    /// Late cycles by cause.
     pub causes: Causes,
     /// Records that never reached the observer.
     pub lost_records: u64,
@@ -120,7 +75,7 @@ impl Counts {
         self.deadline_misses += other.deadline_misses;
         self.own_misses += other.own_misses;
         self.skipped_periods += other.skipped_periods;
-        self.causes.add(&other.causes);
+        self.causes += other.causes;
         self.lost_records += other.lost_records;
         self.lost_commands += other.lost_commands;
         self.steal_ms += other.steal_ms;
@@ -128,20 +83,13 @@ impl Counts {
     }
 }
 
-/// What one stretch of cycles comes to.
 #[derive(Debug, Clone)]
 pub struct Tally {
-    /// Counts.
     pub counts: Counts,
-    /// Latencies.
     pub times: Times,
 }
 
 impl Tally {
-    /// Nothing yet.
-    ///
-    /// # Errors
-    /// Never.
     pub fn new() -> Result<Self> {
         Ok(Self {
             counts: Counts::default(),
@@ -150,9 +98,6 @@ impl Tally {
     }
 
     /// Of cycles; `computes` says whether what they handed over was computed.
-    ///
-    /// # Errors
-    /// Never.
     pub fn of(cycles: &[Cycle], computes: bool) -> Result<Self> {
         let mut tally = Self::new()?;
         let mut after_miss = false;
@@ -164,9 +109,6 @@ impl Tally {
     }
 
     /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
-    ///
-    /// # Errors
-    /// Never.
     pub fn of_cyclictest(latencies: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
         let mut tally = Self::new()?;
         tally.times.wake.add(&latencies.histogram_ns)?;
@@ -200,16 +142,11 @@ impl Tally {
         }
     }
 
-    /// Both together.
-    ///
-    /// # Errors
-    /// Never.
     pub fn add(&mut self, other: &Self) -> Result<()> {
         self.counts.add(&other.counts);
         self.times.add(&other.times)
     }
 
-    /// The latencies in five numbers each \[µs\].
     pub fn quantiles(&self) -> TimeQuantiles {
         TimeQuantiles {
             wake_us: Quantiles::of(&self.times.wake),
@@ -227,11 +164,8 @@ impl Tally {
 )]
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TimeQuantiles {
-    /// Release to start.
     pub wake_us: Option<Quantiles>,
-    /// Start to hand-over of the command.
     pub compute_us: Option<Quantiles>,
-    /// Release to hand-over of the command.
     pub response_us: Option<Quantiles>,
     /// Release to the command in the client's hands.
     pub command_us: Option<Quantiles>,
@@ -239,11 +173,6 @@ pub struct TimeQuantiles {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     fn cycle(wake_us: u64, response_us: u64, cause: LateCause) -> Cycle {

@@ -2,28 +2,40 @@
 //!
 //! Invariant: nothing here names the machine, its user or a folder of it.
 
-mod commit;
-mod kernel;
 mod options;
-mod processor;
 mod system;
 
+use std::path::Path;
+use std::process::Command;
 use std::time::SystemTime;
 
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 
-pub use kernel::Kernel;
 pub use options::Options;
-pub use processor::Processor;
 
+use crate::dataset::{Sheet, flat, word};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
-use crate::table::Table;
 use system::System;
 
 /// Capability `CAP_IPC_LOCK`, its bit in `CapEff` (capabilities(7)).
 const CAP_IPC_LOCK: u32 = 14;
+/// Properties of the machine that move absolute times.
+const MOVING: [&str; 11] = [
+    "debug build",
+    "processor model",
+    "processor cores",
+    "processor governor",
+    "virtual machine",
+    "hypervisor",
+    "kernel release",
+    "kernel isolation",
+    "kernel clock source",
+    "privileges realtime",
+    "privileges lock memory",
+];
 
 /// The machine at the start of a run. What it does not tell is empty.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -31,31 +43,23 @@ const CAP_IPC_LOCK: u32 = 14;
 pub struct Environment {
     /// When the run began, in UTC, like `2026-11-21T12:00:00Z`.
     pub started_utc: String,
-    /// Version of cdcr.
     pub cdcr_version: String,
     /// Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
     pub commit: Option<String>,
     /// Built without optimisation: times of such a program say nothing.
     pub debug_build: bool,
-    /// Processor.
     pub processor: Processor,
     /// Whether a hypervisor may halt the cores at any time, as the processor tells; none where it does not.
     pub virtual_machine: Option<bool>,
-    /// Which one, when it can be read.
     pub hypervisor: Option<String>,
-    /// Kernel.
     pub kernel: Kernel,
-    /// Memory \[MB of 10⁶ bytes\].
     pub memory_mb: Option<u64>,
     /// Load average of the last minute before the start; 1 is one busy core.
     pub load_average: Option<f64>,
-    /// What this process may do.
     pub privileges: Privileges,
-    /// The cores of the measurement.
     pub cores: UsedCores,
 }
 
-/// What the process may do.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct Privileges {
@@ -65,21 +69,47 @@ pub struct Privileges {
     pub lock_memory: bool,
 }
 
-/// Which cores were used for what.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 pub struct UsedCores {
-    /// The core of the daemon's real-time threads.
     pub realtime: usize,
-    /// Those of clients and loads.
     pub others: Vec<usize>,
+}
+
+/// The processor, as it is seen from the core that is measured.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Processor {
+    pub model: String,
+    pub vendor: Option<String>,
+    pub cores: usize,
+    /// Caches of the core, like `L1 Data 32K`.
+    pub caches: Vec<String>,
+    pub frequency_mhz: Option<f64>,
+    pub governor: Option<String>,
+}
+
+/// The kernel and what it was told that matters to a punctual loop.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Kernel {
+    pub release: String,
+    /// Version: number of the build and what it was built with.
+    pub version: String,
+    /// How it preempts: `PREEMPT_RT`, or the word of the version, with the mode where it can be chosen.
+    pub preemption: Option<String>,
+    /// `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
+    pub isolation: Vec<String>,
+    pub clock_source: Option<String>,
+    /// Transparent huge pages: `always`, `madvise` or `never`.
+    pub huge_pages: Option<String>,
+    /// Time that real-time threads may have of each period \[µs\]; -1: all of it.
+    pub rt_runtime_us: Option<i64>,
+    pub rt_period_us: Option<i64>,
 }
 
 impl Environment {
     /// This machine now. To be asked before any thread of this process is pinned.
-    ///
-    /// # Errors
-    /// When the system does not tell which cores this process may use.
     pub fn find() -> Result<Self> {
         let cores = Cores::find()?;
         let used = UsedCores {
@@ -91,22 +121,22 @@ impl Environment {
             lock_memory: may_lock(&System::real()),
         };
         Ok(Self {
-            commit: commit::find(),
+            commit: commit(),
             ..Self::of(&System::real(), used, privileges)
         })
     }
 
     fn of(system: &System, cores: UsedCores, privileges: Privileges) -> Self {
-        let processor = Processor::of(system, cores.realtime);
+        let processor = system.processor(cores.realtime);
         Self {
             started_utc: utc(SystemTime::now()),
             cdcr_version: env!("CARGO_PKG_VERSION").to_owned(),
             commit: None,
             debug_build: cfg!(debug_assertions),
-            virtual_machine: processor::is_virtual(system),
-            hypervisor: processor::hypervisor(system),
+            virtual_machine: system.is_virtual(),
+            hypervisor: system.hypervisor(),
             processor,
-            kernel: Kernel::of(system),
+            kernel: system.kernel(),
             memory_mb: memory_mb(system),
             load_average: load_average(system),
             privileges,
@@ -114,93 +144,59 @@ impl Environment {
         }
     }
 
-    /// A row for each property.
-    pub fn table(&self) -> Table {
-        let rows = [
-            ("started", self.started_utc.clone()),
-            ("cdcr", self.version()),
-            ("processor", self.processor.words()),
-            ("virtual machine", self.virtual_words()),
-            ("kernel", self.kernel.words()),
-            ("core isolation", self.kernel.isolation_words()),
-            (
-                "memory",
-                told(
-                    self.memory_mb
-                        .map(|mb| format!("{:.1} GB", mb as f64 * 1e-3)),
-                ),
-            ),
-            ("clock source", told(self.kernel.clock_source.clone())),
-            ("governor", told(self.processor.governor.clone())),
-            (
-                "transparent huge pages",
-                told(self.kernel.huge_pages.clone()),
-            ),
-            ("RT throttling", self.kernel.throttling_words()),
-            (
-                "load average at the start",
-                told(self.load_average.map(|load| load.to_string())),
-            ),
-            ("SCHED_FIFO", granted(self.privileges.realtime)),
-            ("locked memory", granted(self.privileges.lock_memory)),
-            ("cores", self.cores_words()),
-        ];
-        let rows = rows
-            .into_iter()
-            .map(|(what, value)| vec![what.to_owned(), value])
-            .collect();
-        Table::new("The machine", &["property", "value"], 2, rows)
+    /// Name and value of everything that is known of the machine.
+    fn properties(&self) -> impl Iterator<Item = (String, Value)> {
+        let values = flat(&json!(self)).into_iter();
+        values.map(|(key, value)| (key.replace('_', " "), value))
+    }
+
+    pub fn table(&self) -> Sheet {
+        let row = |(property, value)| json!({ "property": property, "value": value });
+        let columns = [word("property", "property"), word("value", "value")];
+        Sheet::of(
+            "The machine",
+            &columns,
+            self.properties().map(row).collect(),
+        )
+    }
+
+    /// What differs between two machines and moves absolute times.
+    pub(crate) fn differing(&self, other: &Self) -> Vec<(String, Value, Value)> {
+        let both = self.properties().zip(other.properties());
+        let differing =
+            both.filter(|((name, old), (_, new))| MOVING.contains(&&**name) && old != new);
+        differing
+            .map(|((name, old), (_, new))| (name, old, new))
+            .collect()
     }
 
     /// What a figure needs beside it at least: processor, kernel, right to real time.
     pub fn line(&self) -> String {
-        let realtime = granted(self.privileges.realtime);
+        let realtime = if self.privileges.realtime {
+            "granted"
+        } else {
+            "refused"
+        };
         format!(
             "Measured on {}, kernel {}, real time {realtime}.",
             self.processor.model, self.kernel.release
         )
     }
 
-    fn version(&self) -> String {
-        let mut words = self.cdcr_version.clone();
-        if let Some(commit) = &self.commit {
-            words = format!("{words} ({commit})");
-        }
-        if self.debug_build {
-            words += ", built without optimisation: its times say nothing";
-        }
-        words
-    }
-
-    pub(crate) fn virtual_words(&self) -> String {
-        match (self.virtual_machine, &self.hypervisor) {
-            (None, _) => told(None),
-            (Some(false), _) => "no".to_owned(),
-            (Some(true), None) => "yes".to_owned(),
-            (Some(true), Some(name)) => format!("yes ({name})"),
-        }
-    }
-
-    fn cores_words(&self) -> String {
-        let others: Vec<String> = self.cores.others.iter().map(usize::to_string).collect();
-        let realtime = self.cores.realtime;
+    pub(crate) fn run(&self) -> String {
+        let commit = self.commit.as_ref().map(|commit| format!(" ({commit})"));
         format!(
-            "{realtime} for the loop, {} for clients and load",
-            others.join(", ")
+            "cdcr {}{}, {}, {}, kernel {}",
+            self.cdcr_version,
+            commit.unwrap_or_default(),
+            self.started_utc,
+            self.processor.model,
+            self.kernel.release
         )
     }
 }
 
-pub(crate) fn told(value: Option<String>) -> String {
-    value.unwrap_or_else(|| "not told".to_owned())
-}
-
-pub(crate) fn granted(is_granted: bool) -> String {
-    if is_granted { "granted" } else { "refused" }.to_owned()
-}
-
-/// A time as in [`Environment::started_utc`].
-pub fn utc(time: SystemTime) -> String {
+fn utc(time: SystemTime) -> String {
     humantime::format_rfc3339_seconds(time).to_string()
 }
 
@@ -228,17 +224,35 @@ fn may_lock(system: &System) -> bool {
         || getrlimit(Resource::Memlock).current.is_none()
 }
 
+/// The commit, with a `+` when files were changed since; none where there is no git or no working copy of
+/// this project.
+fn commit() -> Option<String> {
+    let root = git(&["rev-parse", "--show-toplevel"])?;
+    let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;
+    if !manifest.contains("name = \"cdcr-bench\"") {
+        return None;
+    }
+    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let changed = git(&["status", "--porcelain", "--untracked-files=no"])?;
+    let mark = if changed.is_empty() { "" } else { "+" };
+    Some(commit + mark)
+}
+
+/// What git says; none when it is not there or refuses.
+fn git(arguments: &[&str]) -> Option<String> {
+    let output = Command::new("git")
+        // It only looks.
+        .arg("--no-optional-locks")
+        .args(arguments)
+        .output()
+        .ok()?;
+    let text = String::from_utf8(output.stdout).ok()?;
+    output.status.success().then(|| text.trim().to_owned())
+}
+
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use super::*;
-
-    #[test]
-    fn times_are_utc_and_of_whole_seconds() {
-        let time = SystemTime::UNIX_EPOCH + Duration::from_millis(1_000_000_000_900);
-        assert_eq!(utc(time), "2001-09-09T01:46:40Z");
-    }
 
     #[test]
     fn a_machine_that_tells_nothing_is_described_all_the_same() {
@@ -248,16 +262,11 @@ mod tests {
             others: vec![0],
         };
         let nothing = Environment::of(&System::below(folder.path()), cores, Privileges::default());
-        assert_eq!(nothing.memory_mb, None);
-        assert_eq!(nothing.virtual_machine, None);
+        assert_eq!((nothing.memory_mb, nothing.virtual_machine), (None, None));
         assert!(nothing.line().ends_with("real time refused."));
         let text = nothing.table().text();
         assert!(
-            text.contains("not told") && text.contains("refused"),
-            "{text}"
-        );
-        assert!(
-            text.contains("1 for the loop, 0 for clients and load"),
+            text.contains("privileges realtime") && text.contains("cores others"),
             "{text}"
         );
     }
@@ -285,7 +294,14 @@ mod tests {
         let json = serde_json::to_string(&here).expect("JSON");
         let again: Environment = serde_json::from_str(&json).expect("the same");
         assert_eq!(again, here);
-        assert_eq!(here.cdcr_version, env!("CARGO_PKG_VERSION"));
+        assert!(here.differing(&again).is_empty());
+        let names: Vec<String> = here.properties().map(|(name, _)| name).collect();
+        assert!(
+            MOVING
+                .iter()
+                .all(|name| names.iter().any(|known| known == name)),
+            "{names:?}"
+        );
         let older: Environment = serde_json::from_str("{\"kernel\":{}}").expect("few keys");
         assert_eq!(older, Environment::default());
     }

@@ -19,7 +19,6 @@ const CONFIG: &str = "config";
 pub struct Options(BTreeMap<String, String>);
 
 impl Options {
-    /// Those of this process.
     pub fn find() -> Self {
         Self::of(std::env::args_os().skip(1))
     }

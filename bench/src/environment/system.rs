@@ -1,21 +1,24 @@
-//! Files of the kernel, read below a root that a test can replace.
+//! Files of the kernel, read below a root that a test can replace, and what they tell.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Where `/proc` and `/sys` are.
+use super::{Kernel, Processor};
+
+const CPUINFO: &str = "/proc/cpuinfo";
+/// Words of the kernel's command line that keep others off a core.
+const ISOLATING: [&str; 3] = ["isolcpus=", "nohz_full=", "rcu_nocbs="];
+
 #[derive(Debug, Clone)]
 pub(super) struct System {
     root: PathBuf,
 }
 
 impl System {
-    /// That of this machine.
     pub(super) fn real() -> Self {
         Self::below(Path::new("/"))
     }
 
-    /// Another one.
     pub(super) fn below(root: &Path) -> Self {
         Self {
             root: root.to_owned(),
@@ -45,9 +48,124 @@ impl System {
         let (_, rest) = text.split_once(brackets[0])?;
         Some(rest.split_once(brackets[1])?.0.to_owned())
     }
+
+    pub(super) fn kernel(&self) -> Kernel {
+        let own = |name: &str| self.read(&format!("/proc/sys/kernel/{name}"));
+        let number = |name| own(name).and_then(|text| text.parse().ok());
+        let version = own("version").unwrap_or_default();
+        Kernel {
+            release: own("osrelease").unwrap_or_default(),
+            preemption: preemption(self, &version),
+            version,
+            isolation: isolation(&self.read("/proc/cmdline").unwrap_or_default()),
+            clock_source: self
+                .read("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
+            huge_pages: self.chosen("/sys/kernel/mm/transparent_hugepage/enabled", ['[', ']']),
+            rt_runtime_us: number("sched_rt_runtime_us"),
+            rt_period_us: number("sched_rt_period_us"),
+        }
+    }
+
+    pub(super) fn processor(&self, core: usize) -> Processor {
+        let field = |key| self.field(CPUINFO, key);
+        let model = field("model name")
+            .or_else(|| field("Model"))
+            .or_else(|| self.read("/proc/device-tree/model"));
+        Processor {
+            model: model.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
+            vendor: field("vendor_id").or_else(|| field("CPU implementer")),
+            cores: online(self),
+            caches: caches(self, core),
+            frequency_mhz: frequency_mhz(self, core),
+            governor: self.read(&format!("{}/cpufreq/scaling_governor", folder(core))),
+        }
+    }
+
+    /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
+    pub(super) fn is_virtual(&self) -> Option<bool> {
+        let flags = self.field(CPUINFO, "flags")?;
+        Some(
+            flags
+                .split_ascii_whitespace()
+                .any(|flag| flag == "hypervisor"),
+        )
+    }
+
+    /// Name of the hypervisor; none on a machine that is not virtual.
+    pub(super) fn hypervisor(&self) -> Option<String> {
+        if self.is_virtual() == Some(false) {
+            return None;
+        }
+        let firmware = |name| self.read(&format!("/sys/class/dmi/id/{name}"));
+        self.read("/sys/hypervisor/type").or_else(|| {
+            // Where nothing says that it is virtual, this would be the maker of a real machine.
+            self.is_virtual()?;
+            let names: Vec<String> = ["sys_vendor", "product_name"]
+                .into_iter()
+                .filter_map(firmware)
+                .collect();
+            (!names.is_empty()).then(|| names.join(" "))
+        })
+    }
 }
 
-/// A folder with these files, for tests.
+fn folder(core: usize) -> String {
+    format!("/sys/devices/system/cpu/cpu{core}")
+}
+
+fn online(system: &System) -> usize {
+    let list = system.read("/sys/devices/system/cpu/online");
+    let count = |part: &str| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        Some(last.parse::<usize>().ok()? + 1 - first.parse::<usize>().ok()?)
+    };
+    let counted = list.and_then(|list| list.split(',').map(count).sum());
+    counted.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+}
+
+fn caches(system: &System, core: usize) -> Vec<String> {
+    let cache = |index: usize| {
+        let read = |name| system.read(&format!("{}/cache/index{index}/{name}", folder(core)));
+        Some(format!(
+            "L{} {} {}",
+            read("level")?,
+            read("type")?,
+            read("size")?
+        ))
+    };
+    (0..8).map_while(cache).collect()
+}
+
+fn frequency_mhz(system: &System, core: usize) -> Option<f64> {
+    let khz = system.read(&format!("{}/cpufreq/scaling_cur_freq", folder(core)));
+    let khz: Option<f64> = khz.and_then(|khz| khz.parse().ok());
+    khz.map(|khz| khz * 1e-3)
+        .or_else(|| system.field(CPUINFO, "cpu MHz")?.parse().ok())
+}
+
+fn preemption(system: &System, version: &str) -> Option<String> {
+    if system.read("/sys/kernel/realtime").as_deref() == Some("1") {
+        return Some("PREEMPT_RT".to_owned());
+    }
+    let mut words = version.split_ascii_whitespace();
+    let word = words.find(|word| word.starts_with("PREEMPT"))?;
+    // Only root may look.
+    Some(
+        match system.chosen("/sys/kernel/debug/sched/preempt", ['(', ')']) {
+            Some(mode) => format!("{word} ({mode})"),
+            None => word.to_owned(),
+        },
+    )
+}
+
+fn isolation(command_line: &str) -> Vec<String> {
+    let words = command_line.split_ascii_whitespace();
+    words
+        .filter(|word| ISOLATING.iter().any(|name| word.starts_with(name)))
+        .map(ToOwned::to_owned)
+        .collect()
+}
+
 #[cfg(test)]
 pub(super) fn fake(files: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
@@ -57,4 +175,87 @@ pub(super) fn fake(files: &[(&str, &str)]) -> tempfile::TempDir {
         fs::write(file, text).expect("written");
     }
     folder
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kernel_is_described_without_the_rest_of_its_command_line() {
+        let folder = fake(&[
+            ("proc/sys/kernel/osrelease", "6.12.0\n"),
+            ("proc/sys/kernel/version", "#1 SMP PREEMPT_DYNAMIC @0\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "950000\n"),
+            ("proc/sys/kernel/sched_rt_period_us", "1000000\n"),
+            (
+                "proc/cmdline",
+                "root=/dev/sda1 isolcpus=1 quiet rcu_nocbs=1\n",
+            ),
+            ("sys/kernel/debug/sched/preempt", "none voluntary (full)\n"),
+            (
+                "sys/kernel/mm/transparent_hugepage/enabled",
+                "always [madvise] never\n",
+            ),
+        ]);
+        let kernel = System::below(folder.path()).kernel();
+        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_DYNAMIC (full)"));
+        assert_eq!(kernel.isolation, ["isolcpus=1", "rcu_nocbs=1"]);
+        assert_eq!(
+            (kernel.rt_runtime_us, kernel.rt_period_us),
+            (Some(950_000), Some(1_000_000))
+        );
+        assert_eq!(kernel.huge_pages.as_deref(), Some("madvise"));
+    }
+
+    #[test]
+    fn a_real_time_kernel_is_named() {
+        let folder = fake(&[
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
+        ]);
+        let kernel = System::below(folder.path()).kernel();
+        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_RT"));
+        assert_eq!(kernel.rt_runtime_us, Some(-1));
+        assert!(kernel.isolation.is_empty());
+    }
+
+    #[test]
+    fn a_virtual_processor_is_described() {
+        let folder = fake(&[
+            (
+                "proc/cpuinfo",
+                "processor : 0\nvendor_id\t: Maker\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\n\
+                 flags\t: fpu hypervisor avx\n",
+            ),
+            ("sys/devices/system/cpu/online", "0-3,5\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/level", "1\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/type", "Data\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/size", "32K\n"),
+            ("sys/class/dmi/id/sys_vendor", "Cloud\n"),
+            ("sys/class/dmi/id/product_name", "large\n"),
+        ]);
+        let system = System::below(folder.path());
+        let processor = system.processor(2);
+        assert_eq!((&*processor.model, processor.cores), ("Quick 9", 5));
+        assert_eq!(
+            (&*processor.caches, processor.frequency_mhz),
+            (&["L1 Data 32K".to_owned()][..], Some(2500.5))
+        );
+        assert_eq!(system.is_virtual(), Some(true));
+        assert_eq!(system.hypervisor().as_deref(), Some("Cloud large"));
+    }
+
+    #[test]
+    fn the_maker_of_a_real_machine_is_no_hypervisor() {
+        let folder = fake(&[
+            ("proc/cpuinfo", "flags : fpu avx\n"),
+            ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+        ]);
+        let system = System::below(folder.path());
+        assert_eq!(
+            (system.is_virtual(), system.hypervisor()),
+            (Some(false), None)
+        );
+    }
 }

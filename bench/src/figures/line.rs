@@ -4,84 +4,77 @@ use plotters::style::RGBColor;
 
 use super::shape::View;
 use super::signals::{angles, cables, controls, distances, duration_s, errors, over_time, times};
-use super::{Figure, find, find_all, named};
-use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale, sheet};
+use super::{Drawn, each, plot};
+use crate::chart::{BLUE, Curve, DARK, GREY, ORANGE, Panel, Scale};
 use crate::closed_loop::Sample;
-use crate::experiment::{LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
+use crate::dataset::Plot;
+use crate::experiment::{LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Task};
 use crate::simulation::Outcome;
 
-/// Shapes that are drawn.
 const SHAPES: usize = 6;
 
-fn title(rate_limit_rad_s: f64) -> String {
-    format!("Line, rates up to {rate_limit_rad_s} rad/s")
-}
-
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Figure>> {
-    let task = |rate_limit_rad_s| Task::Line { rate_limit_rad_s };
-    let mut shape_panels = Vec::new();
-    let mut angle_panels = Vec::new();
-    let mut control_panels = Vec::new();
-    let mut error_panels = Vec::new();
-    let mut tilt_panels = Vec::new();
-    let mut solver_panels = Vec::new();
-    let mut cable_panels = Vec::new();
-    let mut time_panels = Vec::new();
-    for rate in LINE_RATES_RAD_S {
-        let run = find(outcomes, task(rate), Solver::KpsoRefined)?;
-        let all = find_all(outcomes, task(rate))?;
-        shape_panels.extend(shapes(&title(rate), run));
-        angle_panels.extend(angles(&title(rate), &run.first));
-        control_panels.extend(controls(&title(rate), &run.first));
-        error_panels.push(errors(title(rate), run));
-        tilt_panels.push(tilt(&title(rate), run));
-        solver_panels.push(distances(title(rate), &named(&all)));
-        cable_panels.push(cables(title(rate), run));
-        time_panels.push(times(title(rate), &all));
-    }
-    error_panels.extend(tilt_panels);
-    Ok(vec![
-        Figure::new(
+pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+    let task = |rate_limit_rad_s: f64| {
+        let title = format!("Line, rates up to {rate_limit_rad_s} rad/s");
+        Drawn::new(outcomes, Task::Line { rate_limit_rad_s }, title)
+    };
+    let tasks = LINE_RATES_RAD_S
+        .into_iter()
+        .map(task)
+        .collect::<Result<Vec<_>>>()?;
+    let mut error_panels = each(&tasks, |task| [errors(task)]);
+    error_panels.extend(tasks.iter().map(tilt));
+    let all = [
+        plot(
             "line-shapes",
             "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
-            sheet(&shape_panels, 2, 1050)?,
+            (2, 1050),
+            &each(&tasks, shapes),
         ),
-        Figure::new(
+        plot(
             "line-angles",
             "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
              against them make an S. Any vertical plane will do for it.",
-            sheet(&angle_panels, 2, 600)?,
+            (2, 600),
+            &each(&tasks, angles),
         ),
-        Figure::new(
+        plot(
             "line-controls",
             "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
-            sheet(&control_panels, 2, 620)?,
+            (2, 620),
+            &each(&tasks, controls),
         ),
-        Figure::new(
+        plot(
             "line-errors",
             "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
              its axis, so the first samples are late.",
-            sheet(&error_panels, 1, 560)?,
+            (1, 560),
+            &error_panels,
         ),
-        Figure::new(
+        plot(
             "line-solvers",
             "Distance of the tip from the reference with every solver.",
-            sheet(&solver_panels, 1, 560)?,
+            (1, 560),
+            &each(&tasks, |task| [distances(task)]),
         ),
-        Figure::new(
+        plot(
             "line-cables",
             "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
-            sheet(&cable_panels, 1, 600)?,
+            (1, 600),
+            &each(&tasks, |task| [cables(task)]),
         ),
-        Figure::new(
+        plot(
             "line-times",
             "Computation time of every cycle (Fig. 11).",
-            sheet(&time_panels, 1, 560)?,
+            (1, 560),
+            &each(&tasks, |task| [times(task)]),
         ),
-    ])
+    ];
+    all.into_iter().collect()
 }
 
-fn shapes(title: &str, run: &Outcome) -> [Panel; 2] {
+fn shapes(task: &Drawn<'_>) -> [Panel; 2] {
+    let Drawn { title, run, .. } = task;
     let last = run.first.len().saturating_sub(1);
     let panel = |view: View, from: &str| {
         let mut curves = vec![Curve::line("line", view.reference(&run.first), ORANGE).width(8)];
@@ -108,7 +101,8 @@ fn between(from: RGBColor, to: RGBColor, index: usize) -> RGBColor {
     RGBColor(mix(from.0, to.0), mix(from.1, to.1), mix(from.2, to.2))
 }
 
-fn tilt(title: &str, run: &Outcome) -> Panel {
+fn tilt(task: &Drawn<'_>) -> Panel {
+    let Drawn { title, run, .. } = task;
     let angles = |s: &Sample| ZyxAngles::from_rotation(&s.tip.rotation);
     let theta = over_time(&run.first, |s| angles(s).theta_rad.abs());
     let psi = over_time(&run.first, |s| angles(s).psi_rad.abs());

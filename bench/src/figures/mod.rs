@@ -9,64 +9,61 @@ mod spiral;
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::Coordinates;
 
+use crate::chart::{Panel, sheet};
+use crate::dataset::Plot;
 use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
-/// One figure.
-pub struct Figure {
-    /// Name of its file, without an ending.
-    pub name: &'static str,
-    /// What it shows.
-    pub caption: String,
-    /// The picture.
-    pub svg: String,
+/// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
+pub fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+    let mut all = spiral::figures(outcomes)?;
+    all.extend(line::figures(outcomes)?);
+    all.extend(circle::figures(outcomes)?);
+    Ok(all)
 }
 
-impl Figure {
-    fn new(name: &'static str, caption: impl Into<String>, svg: String) -> Self {
-        Self {
-            name,
-            caption: caption.into(),
-            svg,
-        }
+struct Drawn<'a> {
+    title: String,
+    all: Vec<&'a Outcome>,
+    /// That of `kpso-refined`.
+    run: &'a Outcome,
+}
+
+impl<'a> Drawn<'a> {
+    fn new(outcomes: &'a [Outcome], task: Task, title: String) -> Result<Self> {
+        let find = |solver: Solver| {
+            let is_it = |outcome: &&Outcome| {
+                let found = &outcome.experiment;
+                let what = (found.task, found.solver, found.coordinates);
+                what == (task, solver, Coordinates::BendVector)
+            };
+            let missing = || format!("no outcome of {task:?} with {}", solver.name());
+            outcomes.iter().find(is_it).with_context(missing)
+        };
+        let all = Solver::ALL.into_iter().map(find);
+        Ok(Self {
+            title,
+            all: all.collect::<Result<_>>()?,
+            run: find(Solver::KpsoRefined)?,
+        })
     }
 }
 
-/// All figures, in three groups: spiral, line and circle.
-///
-/// # Errors
-/// When an experiment that is drawn is not among the outcomes.
-pub fn figures(outcomes: &[Outcome]) -> Result<[Vec<Figure>; 3]> {
-    Ok([
-        spiral::figures(outcomes)?,
-        line::figures(outcomes)?,
-        circle::figures(outcomes)?,
-    ])
+/// The panels of every task on one sheet.
+fn each<'a, P: IntoIterator<Item = Panel>>(
+    tasks: &[Drawn<'a>],
+    panels: impl Fn(&Drawn<'a>) -> P,
+) -> Vec<Panel> {
+    tasks.iter().flat_map(panels).collect()
 }
 
-/// The outcome of a task with bend vectors.
-fn find(outcomes: &[Outcome], task: Task, solver: Solver) -> Result<&Outcome> {
-    let mut all = outcomes.iter();
-    all.find(|outcome| {
-        let experiment = &outcome.experiment;
-        experiment.task == task
-            && experiment.solver == solver
-            && experiment.coordinates == Coordinates::BendVector
-    })
-    .with_context(|| format!("no outcome of {task:?} with {}", solver.name()))
-}
-
-/// The outcomes of all solvers.
-fn find_all(outcomes: &[Outcome], task: Task) -> Result<Vec<&Outcome>> {
-    let solvers = Solver::ALL.iter();
-    solvers
-        .map(|solver| find(outcomes, task, *solver))
-        .collect()
-}
-
-/// With their names.
-fn named<'a>(outcomes: &[&'a Outcome]) -> Vec<(String, &'a Outcome)> {
-    let all = outcomes.iter();
-    all.map(|outcome| (outcome.row.solver.name().to_owned(), *outcome))
-        .collect()
+/// So many panels beside each other, each so high.
+fn plot(
+    name: &'static str,
+    caption: &'static str,
+    (columns, height): (usize, u32),
+    panels: &[Panel],
+) -> Result<Plot> {
+    let svg = sheet(panels, columns, height)?;
+    Ok(Plot { name, caption, svg })
 }

@@ -6,7 +6,6 @@ use nalgebra::Vector3;
 use crate::chart::{Curve, Panel, Point, Scale};
 use crate::closed_loop::Sample;
 
-/// Points of the backbone of each section.
 const POINTS: u32 = 24;
 
 /// Two axes of the base frame, across and up.
@@ -18,25 +17,19 @@ pub(super) struct View {
 const NAMES: [&str; 3] = ["x [mm]", "y [mm]", "z [mm]"];
 
 impl View {
-    /// x across, y up.
     pub(super) const ABOVE: Self = Self { axes: [0, 1] };
-    /// x across, z up.
     pub(super) const SIDE: Self = Self { axes: [0, 2] };
-    /// y across, z up.
     pub(super) const FRONT: Self = Self { axes: [1, 2] };
 
-    /// Where a point is seen \[mm\].
     pub(super) fn point(self, p_m: &Vector3<f64>) -> Point {
         (1e3 * p_m[self.axes[0]], 1e3 * p_m[self.axes[1]])
     }
 
-    /// The path of the tip.
     pub(super) fn path(self, samples: &[Sample]) -> Vec<Point> {
         let tips = samples.iter().map(|s| &s.tip.position_m);
         tips.map(|p_m| self.point(p_m)).collect()
     }
 
-    /// The reference.
     pub(super) fn reference(self, samples: &[Sample]) -> Vec<Point> {
         let points = samples.iter().map(|s| &s.reference_m);
         points.map(|p_m| self.point(p_m)).collect()
@@ -54,7 +47,6 @@ impl View {
             .collect()
     }
 
-    /// A ball.
     pub(super) fn ball(self, centre_m: &Vector3<f64>, radius_m: f64) -> Vec<Point> {
         let (x, y) = self.point(centre_m);
         let angle = |i: u32| f64::from(i).to_radians();
@@ -67,7 +59,6 @@ impl View {
             .collect()
     }
 
-    /// A panel with equal scales.
     pub(super) fn panel(self, title: impl Into<String>, curves: Vec<Curve>) -> Panel {
         Panel {
             title: title.into(),

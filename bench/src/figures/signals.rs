@@ -3,6 +3,7 @@
 use cdcr_controller::robot::{CABLES_MAX, Configuration};
 use plotters::style::RGBColor;
 
+use super::Drawn;
 use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW,
 };
@@ -15,11 +16,10 @@ const STRAIGHT_RAD: f64 = 1e-3;
 /// Errors below this are drawn here: a logarithm knows no zero \[mm\].
 pub(super) const ERROR_FLOOR_MM: f64 = 1e-14;
 const TIME: &str = "time [s]";
-const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
+pub(super) const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
 const BROWN: RGBColor = RGBColor(120, 80, 40);
 const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
 
-/// A value of each sample over time.
 pub(super) fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     samples.iter().map(|s| (s.time_s, value(s))).collect()
 }
@@ -30,7 +30,8 @@ pub(super) fn duration_s(samples: &[Sample]) -> std::ops::Range<f64> {
 }
 
 /// Errors along the axes, and the paper's mean.
-pub(super) fn errors(title: String, outcome: &Outcome) -> Panel {
+pub(super) fn errors(task: &Drawn<'_>) -> Panel {
+    let outcome = task.run;
     let samples = &outcome.first;
     let axis = |i: usize, label| {
         let along = over_time(samples, |s| s.offset_mm()[i].abs());
@@ -46,7 +47,7 @@ pub(super) fn errors(title: String, outcome: &Outcome) -> Panel {
         curves.push(Curve::level(label, mean_mm, duration_s(samples), DARK));
     }
     Panel {
-        title,
+        title: task.title.clone(),
         x: TIME,
         y: "error [mm]",
         scale: Scale::Log {
@@ -56,27 +57,27 @@ pub(super) fn errors(title: String, outcome: &Outcome) -> Panel {
     }
 }
 
-/// Distances from the reference of several runs.
-pub(super) fn distances(title: String, runs: &[(String, &Outcome)]) -> Panel {
+pub(super) fn distances(task: &Drawn<'_>) -> Panel {
     // The first is broad, as the next often lies upon it.
     let styles = [(SKY, 9), (PURPLE, 3), (ORANGE, 3), (BLUE, 3)];
-    let curve = |((label, outcome), (colour, width)): (&(String, &Outcome), (RGBColor, u32))| {
+    let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
         let points = over_time(&outcome.first, Sample::error_mm);
-        Curve::line(label.clone(), points, colour).width(width)
+        Curve::line(outcome.row.solver.name(), points, colour).width(width)
     };
     Panel {
-        title,
+        title: task.title.clone(),
         x: TIME,
         y: "error [mm]",
         scale: Scale::Log {
             floor: ERROR_FLOOR_MM,
         },
-        curves: runs.iter().zip(styles).map(curve).collect(),
+        curves: task.all.iter().zip(styles).map(curve).collect(),
     }
 }
 
 /// Bend θ and direction φ of every section.
-pub(super) fn angles(title: &str, samples: &[Sample]) -> [Panel; 2] {
+pub(super) fn angles(task: &Drawn<'_>) -> [Panel; 2] {
+    let (title, samples) = (&task.title, &task.run.first);
     let sections = section_count(samples);
     let bend = |j: usize| {
         let points = over_time(samples, |s| s.configuration.bend_rad(j));
@@ -101,7 +102,8 @@ pub(super) fn angles(title: &str, samples: &[Sample]) -> [Panel; 2] {
 }
 
 /// What is commanded, rates of the bend vectors, and the same in the paper's angles.
-pub(super) fn controls(title: &str, samples: &[Sample]) -> [Panel; 2] {
+pub(super) fn controls(task: &Drawn<'_>) -> [Panel; 2] {
+    let (title, samples) = (&task.title, &task.run.first);
     let mut vectors = Vec::new();
     let mut angles = Vec::new();
     for j in 0..section_count(samples) {
@@ -125,7 +127,8 @@ pub(super) fn controls(title: &str, samples: &[Sample]) -> [Panel; 2] {
 
 /// Lengths of all cables; of several sections less those at the straight robot, beside which they change
 /// little.
-pub(super) fn cables(title: String, outcome: &Outcome) -> Panel {
+pub(super) fn cables(task: &Drawn<'_>) -> Panel {
+    let outcome = task.run;
     let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
     let robot = &outcome.scene.robot;
     let cables = robot.cable_count();
@@ -144,25 +147,23 @@ pub(super) fn cables(title: String, outcome: &Outcome) -> Panel {
         let points = over_time(&outcome.first, length);
         Curve::line(label, points, colours[i / 3 % 3][i % 3]).width(3)
     };
-    panel(title, label, (0..cables).map(curve).collect())
+    panel(task.title.clone(), label, (0..cables).map(curve).collect())
 }
 
 /// Solve times of several solvers, and the paper's mean.
-pub(super) fn times(title: String, runs: &[&Outcome]) -> Panel {
+pub(super) fn times(task: &Drawn<'_>) -> Panel {
     let curve = |outcome: &&Outcome| {
         let points = over_time(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
         let solver = outcome.row.solver;
         Curve::line(solver.name(), points, colour(solver)).width(2)
     };
-    let mut curves: Vec<Curve> = runs.iter().map(curve).collect();
-    if let Some(outcome) = runs.first() {
-        let mean_ms = outcome.row.paper.mean_solve_ms;
-        let label = format!("paper's mean {mean_ms} ms");
-        let x = duration_s(&outcome.first);
-        curves.push(Curve::level(label, 1e3 * mean_ms, x, DARK));
-    }
+    let mut curves: Vec<Curve> = task.all.iter().map(curve).collect();
+    let mean_ms = task.run.row.paper.mean_solve_ms;
+    let label = format!("paper's mean {mean_ms} ms");
+    let x = duration_s(&task.run.first);
+    curves.push(Curve::level(label, 1e3 * mean_ms, x, DARK));
     Panel {
-        title,
+        title: task.title.clone(),
         x: TIME,
         y: "solve time [µs]",
         scale: Scale::Log { floor: 0.1 },
@@ -170,7 +171,6 @@ pub(super) fn times(title: String, runs: &[&Outcome]) -> Panel {
     }
 }
 
-/// Every solver has one.
 pub(super) fn colour(solver: Solver) -> RGBColor {
     match solver {
         Solver::Kpso => SKY,
@@ -180,7 +180,6 @@ pub(super) fn colour(solver: Solver) -> RGBColor {
     }
 }
 
-/// A linear panel over time.
 pub(super) fn panel(title: String, y: &'static str, curves: Vec<Curve>) -> Panel {
     Panel {
         title,
@@ -207,7 +206,6 @@ fn angle_rates(sample: &Sample, j: usize) -> [f64; 2] {
     ]
 }
 
-/// φ without jumps of a turn.
 fn unwrapped(samples: &[Sample], j: usize) -> Vec<Point> {
     let mut last_rad = 0.0;
     over_time(samples, |s| s.configuration.direction_rad(j))

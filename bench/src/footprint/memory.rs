@@ -10,9 +10,7 @@ use serde::Serialize;
 /// Memory and descriptors of a process at one moment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Memory {
-    /// In memory now \[bytes\] (`VmRSS`).
     pub resident_bytes: u64,
-    /// Most that ever was \[bytes\] (`VmHWM`).
     pub peak_bytes: u64,
     /// Locked, counted by address range \[bytes\] (`VmLck`): more than what is resident.
     pub locked_bytes: u64,
@@ -24,17 +22,12 @@ pub struct Memory {
     pub shared_bytes: u64,
     /// Faults that needed no disk, since its start.
     pub minor_faults: u64,
-    /// Faults that did, since its start.
     pub major_faults: u64,
     /// Open files and sockets; none where this user may not look.
     pub descriptors: Option<u64>,
 }
 
 impl Memory {
-    /// Of a process that lives.
-    ///
-    /// # Errors
-    /// When the process is gone, or the kernel does not tell.
     pub fn of(process: u32) -> Result<Self> {
         let folder = PathBuf::from(format!("/proc/{process}"));
         let read = |name: &str| {
@@ -61,7 +54,6 @@ impl Memory {
         })
     }
 
-    /// Faults of both kinds.
     pub fn faults(&self) -> u64 {
         self.minor_faults + self.major_faults
     }
@@ -84,12 +76,9 @@ fn faults_in(stat: &str) -> Option<(u64, u64)> {
     Some((number(7)?, number(9)?))
 }
 
-/// Files, and what they take.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Files {
-    /// How many.
     pub files: u64,
-    /// Their lengths together \[bytes\].
     pub bytes: u64,
     /// What is really there of them \[bytes\]: pages that nobody touched take nothing.
     pub stored_bytes: u64,
@@ -107,7 +96,6 @@ impl Files {
         all
     }
 
-    /// Of everything below a folder.
     pub fn below(folder: &Path) -> Self {
         let mut all = Vec::new();
         let mut folders = vec![folder.to_owned()];
@@ -126,11 +114,6 @@ impl Files {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

@@ -5,7 +5,6 @@
 //! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
 //! from `/proc/PID/status`.
 
-mod bars;
 mod memory;
 mod quantity;
 mod report;
@@ -17,10 +16,10 @@ use std::time::Duration;
 use anyhow::Result;
 
 pub use memory::{Files, Memory};
-pub use report::{Program, Report};
 pub use round::{Round, ThreadUse};
 pub use start::Start;
 
+use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
@@ -31,17 +30,14 @@ const IDLE_SHARE: f64 = 0.4;
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 2.3;
 
-/// What is measured, and for how long.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Options {
     /// Daemons that are measured one after the other.
     pub rounds: u32,
-    /// How long each of them tracks.
     pub tracking: Duration,
 }
 
 impl Options {
-    /// About 80 s.
     pub fn full() -> Self {
         Self {
             rounds: 5,
@@ -71,11 +67,7 @@ pub fn expected_s(options: &Options) -> f64 {
     f64::from(options.rounds) * options.round_s()
 }
 
-/// Measures one daemon after the other.
-///
-/// # Errors
-/// When a daemon does not start or does not follow, or a signal came.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let cores = Cores::find()?;
     cores.stay_off();
     let realtime = may_be_realtime();
@@ -91,9 +83,5 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         )?);
         progress.advance(options.round_s());
     }
-    Ok(Report {
-        realtime,
-        rounds,
-        programs: Program::all(),
-    })
+    report::dataset(&rounds, realtime)
 }

@@ -4,22 +4,17 @@ use super::round::Round;
 
 /// The real-time core may use so much at 200 Hz \[%\].
 const CORE_MAX_PERCENT: f64 = 3.0;
-/// Resident memory may be so much \[MB\].
 const RESIDENT_MAX_MB: f64 = 64.0;
-/// Bytes in a megabyte.
 pub(super) const MB: f64 = 1e6;
 /// Unit of what is or is not: 1 is yes, 0 no.
 pub(super) const YES_NO: &str = "yes/no";
 
-/// A number that each round measured.
 pub(super) struct Quantity {
-    /// In words.
     pub(super) what: &'static str,
     /// For JSON, CSV and the metrics; with its unit at the end.
     pub(super) key: &'static str,
     pub(super) unit: &'static str,
     pub(super) value: fn(&Round) -> f64,
-    /// What it may be at most.
     pub(super) target: Option<f64>,
 }
 
@@ -136,7 +131,6 @@ pub(super) const QUANTITIES: [Quantity; 22] = [
     ),
 ];
 
-/// A number without a target.
 const fn plain(
     what: &'static str,
     key: &'static str,

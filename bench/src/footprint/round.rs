@@ -18,10 +18,8 @@ use crate::system::counts::{core_share, threads};
 const SETTLE: Duration = Duration::from_millis(500);
 /// How long the daemon may take to send its status.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
-/// The threads of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
-/// What one daemon took.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Round {
     /// How long the start of one like it took, which a client looked for meanwhile.
@@ -32,11 +30,8 @@ pub struct Round {
     pub memory_locked: bool,
     /// When it said `READY=1`; no client had connected yet.
     pub after_start: Memory,
-    /// Just before the first client.
     pub before_client: Memory,
-    /// When its robot followed a client's reference.
     pub before_tracking: Memory,
-    /// At the end of the tracking.
     pub after_tracking: Memory,
     /// Its files in shared memory, those of the tracking client among them.
     pub shared_memory: Files,
@@ -47,20 +42,15 @@ pub struct Round {
 /// Share of one core that a thread used.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ThreadUse {
-    /// Its name.
     pub name: String,
     /// While the robot held its position, without any client \[%\].
     pub idle_percent: f64,
-    /// While the robot followed a reference \[%\].
     pub tracking_percent: f64,
 }
 
 impl Round {
     /// Starts one daemon for the times of its start, and one that no client disturbs to measure it for so long, idle
     /// and tracking.
-    ///
-    /// # Errors
-    /// When it does not start or does not follow, or a signal came.
     pub fn run(launch: &Launch, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Self> {
         let start = Start::measure(launch, cores)?;
         let daemon = without_client(launch, cores)?;
@@ -73,7 +63,6 @@ impl Round {
         self.core(|thread| thread.tracking_percent)
     }
 
-    /// The same without a client.
     pub fn core_idle_percent(&self) -> f64 {
         self.core(|thread| thread.idle_percent)
     }

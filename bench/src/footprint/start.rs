@@ -16,12 +16,10 @@ use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::place::ROBOT;
 use crate::system::cores::Cores;
 
-/// How long a start may take.
 const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a client looks whether there is a daemon.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-/// Times from the start of the process.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Start {
     /// To the first release of its grid \[ms\].
@@ -34,9 +32,6 @@ pub struct Start {
 
 impl Start {
     /// Starts a daemon that a client looks for from the beginning, measures how long that takes, and ends it.
-    ///
-    /// # Errors
-    /// When it does not start; the error says what it said.
     pub(super) fn measure(launch: &Launch, cores: &Cores) -> Result<Self> {
         let (daemon, manager, begin_ns) = spawn(launch, cores)?;
         let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
@@ -52,9 +47,6 @@ impl Start {
 }
 
 /// Starts a daemon and waits for its `READY=1`: no client has connected yet.
-///
-/// # Errors
-/// When it does not start; the error says what it said.
 pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
     let (daemon, manager, _) = spawn(launch, cores)?;
     match manager.ready_ns() {
@@ -82,11 +74,9 @@ fn with_last_words(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
     error.context(format!("the daemon does not start{words}"))
 }
 
-/// What a client found.
 struct Found {
     /// When the first cycle of the daemon was released \[ns\].
     release_ns: u64,
-    /// When a first record was there \[ns\].
     record_ns: u64,
 }
 
@@ -113,7 +103,6 @@ fn first_record(daemon: &Daemon) -> Result<Found> {
 
 /// A service manager that waits for a `READY=1`.
 struct Manager {
-    /// Where its socket lies.
     _folder: TempDir,
     thread: JoinHandle<Result<u64>>,
 }
@@ -130,7 +119,6 @@ impl Manager {
         })
     }
 
-    /// When it came \[ns\].
     fn ready_ns(self) -> Result<u64> {
         let heard = self.thread.join();
         heard.map_err(|_| anyhow!("the service manager panicked"))?
@@ -162,11 +150,6 @@ fn says_ready(message: &[u8]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

@@ -1,7 +1,7 @@
 //! Asks, and looks for the answer without a sleep in between: the connection of the library looks each
 //! millisecond.
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Context, Result, ensure};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Header, Location, Request, Response, Service, ipc};
@@ -9,9 +9,9 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, Node};
 
+use super::OrTold as _;
 use crate::subject::place::ROBOT;
 
-/// How long an answer may take \[ns\].
 const PATIENCE_NS: u64 = 2_000_000_000;
 
 /// The asking end of a daemon's control service.
@@ -23,7 +23,6 @@ pub(super) struct Asker {
     _node: Node<ipc::Service>,
 }
 
-/// A request without an answer yet.
 struct Asked {
     pending: PendingResponse<ipc::Service, Request, (), Response, ()>,
     kind: RequestKind,
@@ -31,7 +30,6 @@ struct Asked {
     sent_ns: u64,
 }
 
-/// An answer, and when it was there.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Answer {
     pub(super) kind: RequestKind,
@@ -44,22 +42,19 @@ pub(super) struct Answer {
 impl Asker {
     /// Opens the service that the daemon made. It asks in the name of `sender_id`, which a lease is bound
     /// to.
-    ///
-    /// # Errors
-    /// When the daemon does not live.
     pub(super) fn open(location: &Location, sender_id: u64) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
-        let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
+        let node = node.or_told("a node of iceoryx2")?;
         let service = node
             .service_builder(&Service::Control.name(ROBOT)?)
             .request_response::<Request, Response>()
             .open()
-            .map_err(|cause| anyhow!("the control service of the daemon: {cause:?}"))?;
+            .or_told("the control service of the daemon")?;
         let client = service
             .client_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(|cause| anyhow!("a port for requests: {cause:?}"))?;
+            .or_told("a port for requests")?;
         Ok(Self {
             waiting: None,
             client,
@@ -79,9 +74,6 @@ impl Asker {
     }
 
     /// Sends a request; one at a time.
-    ///
-    /// # Errors
-    /// When iceoryx2 cannot.
     pub(super) fn ask(&mut self, kind: RequestKind) -> Result<()> {
         ensure!(
             self.waiting.is_none(),
@@ -100,7 +92,7 @@ impl Asker {
         };
         let pending = self.client.send_copy(request);
         self.waiting = Some(Asked {
-            pending: pending.map_err(|cause| anyhow!("cannot {kind}: {cause:?}"))?,
+            pending: pending.or_told(&format!("cannot {kind}"))?,
             kind,
             sequence: self.sequence,
             sent_ns,
@@ -108,16 +100,12 @@ impl Asker {
         Ok(())
     }
 
-    /// The answer, if it has come meanwhile.
-    ///
-    /// # Errors
-    /// When none came for too long.
     pub(super) fn look(&mut self) -> Result<Option<Answer>> {
         let Some(asked) = &self.waiting else {
             return Ok(None);
         };
         let received = asked.pending.receive();
-        let received = received.map_err(|cause| anyhow!("cannot {}: {cause:?}", asked.kind))?;
+        let received = received.or_told(&format!("cannot {}", asked.kind))?;
         let received_ns = monotonic_ns();
         let Some(response) = received.map(|response| *response.payload()) else {
             let waited_ns = received_ns.saturating_sub(asked.sent_ns);

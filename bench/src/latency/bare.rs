@@ -24,6 +24,7 @@ use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 
+use super::OrTold as _;
 use super::leg::Leg;
 use super::round::Round;
 use crate::interrupt;
@@ -33,27 +34,18 @@ use crate::system::cores::Cores;
 use crate::system::process::Process;
 use crate::system::thread::pin;
 
-/// Messages before one counts.
 const WARM_UP: usize = 200;
-/// From one message to the next \[ns\].
 const GAP_NS: u64 = 200_000;
-/// How long an answer may take.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Looks of the peer between two looks whether it shall end.
 const LOOKS: u32 = 4096;
 
-/// What the hidden command is called.
 pub const PEER: &str = "peer";
 
-/// How long a measurement takes \[s\].
 pub(super) fn expected_s(samples: usize) -> f64 {
     0.5 + 2.0 * (WARM_UP + samples) as f64 * GAP_NS as f64 * 1e-9
 }
 
-/// Measures `samples` of each leg.
-///
-/// # Errors
-/// When the peer cannot be started, or does not answer.
 pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Result<()> {
     // Dropped last.
     let place = Place::new()?;
@@ -88,23 +80,16 @@ fn start_peer(place: &Place, cores: &Cores) -> Result<Process> {
     cores.with_all(|| Process::start("the peer of the bare measurement", command))
 }
 
-/// What the peer is told.
 #[derive(Debug, Clone)]
 pub struct PeerOptions {
-    /// Where it meets its parent.
     pub location: Location,
-    /// Its core.
     pub core: usize,
-    /// Its parent, with which it ends.
     pub parent: u32,
     /// Both are on one core: let the other one run.
     pub shares: bool,
 }
 
 /// The peer: answers until it is told to end, or its parent has ended. To be called from the main thread.
-///
-/// # Errors
-/// When shared memory cannot be used.
 pub fn peer(options: &PeerOptions) -> Result<()> {
     // The parent asks it to end, and so does the kernel when the parent has ended: twice is no hurry. Caught before
     // the kernel is asked, so that no signal finds the peer without a handler.
@@ -151,7 +136,6 @@ fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
     }
 }
 
-/// The three services.
 struct Services {
     there: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
     back: publish_subscribe::PortFactory<ipc::Service, Command, ()>,
@@ -159,15 +143,14 @@ struct Services {
 }
 
 impl Services {
-    /// Whoever comes first makes them.
     fn open(location: &Location) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
-        let node = node.map_err(|cause| anyhow!("a node of iceoryx2: {cause:?}"))?;
+        let node = node.or_told("a node of iceoryx2")?;
         let control = node
             .service_builder(&"bare/control".try_into()?)
             .request_response::<Request, Response>()
             .open_or_create()
-            .map_err(|cause| anyhow!("the service bare/control: {cause:?}"))?;
+            .or_told("the service bare/control")?;
         Ok(Self {
             there: topic(&node, "bare/there")?,
             back: topic(&node, "bare/back")?,
@@ -184,10 +167,9 @@ fn topic(
         .publish_subscribe::<Command>()
         .enable_safe_overflow(true)
         .open_or_create()
-        .map_err(|cause| anyhow!("the service {name}: {cause:?}"))
+        .or_told(name)
 }
 
-/// The ends of the peer.
 struct Far {
     there: Subscriber<ipc::Service, Command, ()>,
     back: Publisher<ipc::Service, Command, ()>,
@@ -197,48 +179,36 @@ struct Far {
 impl Far {
     fn open(location: &Location) -> Result<Self> {
         let services = Services::open(location)?;
-        let failed = |cause: &dyn std::fmt::Debug| anyhow!("a port of the peer: {cause:?}");
+        let failed = "a port of the peer";
         Ok(Self {
             there: services
                 .there
                 .subscriber_builder()
                 .create()
-                .map_err(|cause| failed(&cause))?,
-            back: services
-                .back
-                .publisher_builder()
-                .create()
-                .map_err(|cause| failed(&cause))?,
-            control: services
-                .control
-                .server_builder()
-                .create()
-                .map_err(|cause| failed(&cause))?,
+                .or_told(failed)?,
+            back: services.back.publisher_builder().create().or_told(failed)?,
+            control: services.control.server_builder().create().or_told(failed)?,
         })
     }
 
-    /// Answers what is there.
     fn look(&self) -> Result<()> {
-        let failed = |cause: &dyn std::fmt::Debug| anyhow!("the peer cannot answer: {cause:?}");
-        if let Some(sample) = self.there.receive().map_err(|cause| failed(&cause))? {
+        let failed = "the peer cannot answer";
+        if let Some(sample) = self.there.receive().or_told(failed)? {
             let mut message = *sample.payload();
             message.header.sent_ns = monotonic_ns();
-            self.back
-                .send_copy(message)
-                .map_err(|cause| failed(&cause))?;
+            self.back.send_copy(message).or_told(failed)?;
         }
-        if let Some(asked) = self.control.receive().map_err(|cause| failed(&cause))? {
+        if let Some(asked) = self.control.receive().or_told(failed)? {
             let response = Response {
                 request_sequence: asked.payload().header.sequence,
                 ..Response::default()
             };
-            asked.send_copy(response).map_err(|cause| failed(&cause))?;
+            asked.send_copy(response).or_told(failed)?;
         }
         Ok(())
     }
 }
 
-/// Our ends.
 struct Near {
     there: Publisher<ipc::Service, Command, ()>,
     back: Subscriber<ipc::Service, Command, ()>,
@@ -249,23 +219,19 @@ struct Near {
 impl Near {
     fn open(location: &Location, shares: bool) -> Result<Self> {
         let services = Services::open(location)?;
-        let failed = |cause: &dyn std::fmt::Debug| anyhow!("a port of the bench: {cause:?}");
+        let failed = "a port of the bench";
         Ok(Self {
             there: services
                 .there
                 .publisher_builder()
                 .create()
-                .map_err(|cause| failed(&cause))?,
+                .or_told(failed)?,
             back: services
                 .back
                 .subscriber_builder()
                 .create()
-                .map_err(|cause| failed(&cause))?,
-            control: services
-                .control
-                .client_builder()
-                .create()
-                .map_err(|cause| failed(&cause))?,
+                .or_told(failed)?,
+            control: services.control.client_builder().create().or_told(failed)?,
             shares,
         })
     }
@@ -299,13 +265,13 @@ impl Near {
             ..Command::default()
         };
         let sent = self.there.send_copy(message);
-        sent.map_err(|cause| anyhow!("cannot send to the peer: {cause:?}"))?;
+        sent.or_told("cannot send to the peer")?;
         Ok(sent_ns)
     }
 
     fn receive(&self) -> Result<Option<Command>> {
         let sample = self.back.receive();
-        let sample = sample.map_err(|cause| anyhow!("cannot hear the peer: {cause:?}"))?;
+        let sample = sample.or_told("cannot hear the peer")?;
         Ok(sample.map(|sample| *sample.payload()))
     }
 
@@ -339,7 +305,6 @@ impl Near {
         Ok(())
     }
 
-    /// Messages there and back.
     fn play(&self, samples: usize, round: &mut Round) -> Result<()> {
         for index in 0..WARM_UP + samples {
             let sequence = index as u64 + 1;
@@ -358,7 +323,6 @@ impl Near {
         Ok(())
     }
 
-    /// Requests and answers.
     fn ask(&self, samples: usize, round: &mut Round) -> Result<()> {
         for index in 0..WARM_UP + samples {
             let header = Header {
@@ -371,11 +335,10 @@ impl Near {
                 ..Request::default()
             };
             let pending = self.control.send_copy(request);
-            let pending = pending.map_err(|cause| anyhow!("cannot ask the peer: {cause:?}"))?;
+            let pending = pending.or_told("cannot ask the peer")?;
             let ((), received_ns) = self.wait_for(|| {
                 let response = pending.receive();
-                let response =
-                    response.map_err(|cause| anyhow!("no answer of the peer: {cause:?}"))?;
+                let response = response.or_told("no answer of the peer")?;
                 Ok(response.map(|_| ()))
             })?;
             if index >= WARM_UP {

@@ -19,20 +19,17 @@ use crate::metric::median;
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
-/// How long a daemon may be silent.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
 const EARLY_NS: u64 = 200_000;
 /// So long after the release it looks without a rest \[ns\]: a thread that never rests is halted.
 const RESTLESS_NS: u64 = 500_000;
-/// Its rest from then on \[ns\].
 const REST_NS: u64 = 20_000;
 /// Commands that are remembered until their telemetry comes.
 const REMEMBERED: usize = 1024;
 /// Records from which the lead of the gather is learned.
 const LEAD_RECORDS: usize = 20;
 
-/// The grid of a daemon.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub(super) struct Grid {
@@ -47,7 +44,6 @@ impl Grid {
         self.origin_ns + cycle * self.period_ns
     }
 
-    /// The newest cycle whose release has passed.
     pub(super) fn cycle_at(&self, time_ns: u64) -> u64 {
         time_ns.saturating_sub(self.origin_ns) / self.period_ns
     }
@@ -58,14 +54,12 @@ impl Grid {
     }
 }
 
-/// What the client does beside watching.
 pub(super) trait Errand {
     /// How long before each release it has to be awake \[ns\].
     fn awake_before_ns(&self, grid: &Grid) -> u64 {
         grid.early_ns()
     }
 
-    /// When it acts next \[ns, `CLOCK_MONOTONIC`\].
     fn due_ns(&self) -> u64;
 
     /// Acts: its time has come. `newest` is the newest command.
@@ -75,10 +69,8 @@ pub(super) trait Errand {
     /// `release_ns` can have taken.
     fn look(&mut self, release_ns: u64) -> Result<bool>;
 
-    /// A cycle has told everything.
     fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()>;
 
-    /// Whether it has what it came for.
     fn is_done(&self) -> bool;
 
     /// Releases after which it must be done: more than it needs, and what a stall may take.
@@ -92,16 +84,13 @@ pub(super) struct Seen<'a> {
     pub(super) received_ns: Option<u64>,
 }
 
-/// How often the client itself was late.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 pub struct Looks {
-    /// Releases that it woke up for.
     pub all: u64,
     /// The command was there before its first look.
     pub late: u64,
 }
 
-/// The client.
 pub(super) struct Hands {
     pub(super) connection: Connection,
     pub(super) status: Status,
@@ -109,7 +98,6 @@ pub(super) struct Hands {
     pub(super) looks: Looks,
     commands: CommandStream,
     telemetry: TelemetryStream,
-    /// The cycle that is watched next.
     next: u64,
     newest: Option<Command>,
     received: VecDeque<(u64, u64)>,
@@ -117,9 +105,6 @@ pub(super) struct Hands {
 
 impl Hands {
     /// Connects. To be called on the thread that watches.
-    ///
-    /// # Errors
-    /// When the daemon does not live.
     pub(super) fn open(location: &Location) -> Result<Self> {
         let connection = Connection::open_within(location, ROBOT, PATIENCE)?;
         let status = connection.status(PATIENCE)?;
@@ -143,17 +128,12 @@ impl Hands {
         })
     }
 
-    /// How long the robot is \[m\].
     pub(super) fn length_m(&self) -> f64 {
         cdcr_client::section_lengths_m(&self.status.robot)
             .iter()
             .sum()
     }
 
-    /// Watches until the errand is done.
-    ///
-    /// # Errors
-    /// When it is not done in its time, or what it does fails.
     pub(super) fn run(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
         self.forget()?;
         let turns = errand.turns();
@@ -180,7 +160,6 @@ impl Hands {
         Ok(())
     }
 
-    /// One release.
     fn turn(&mut self, errand: &mut impl Errand, round: &mut Round) -> Result<()> {
         interrupt::check()?;
         let release_ns = self.grid.release_ns(self.next);
@@ -267,7 +246,7 @@ fn learn_lead_ns(telemetry: &mut TelemetryStream) -> Result<u64> {
             .context("the daemon sends no telemetry")?;
         leads_ns.extend(lead_ns(&record).map(|lead_ns| lead_ns as f64));
     }
-    Ok(median(&leads_ns).unwrap_or(0.0) as u64)
+    Ok(median(leads_ns).unwrap_or(0.0) as u64)
 }
 
 /// How long before the release that its cycle slept for a record's inputs were gathered; an old gather says

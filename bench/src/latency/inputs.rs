@@ -22,37 +22,27 @@ const AWAKE_TURNS: u64 = 2000;
 /// What was sent so long ago and has shown no effect never will \[ns\].
 const FORGOTTEN_NS: u64 = 1_000_000_000;
 
-/// What is sent.
 pub(super) enum Source {
     /// A reference chunk that replaces the one before.
     Reference {
-        /// Its port.
         feed: ReferenceFeed,
-        /// How long the robot is \[m\].
         length_m: f64,
     },
     /// A small sphere that nobody comes near to.
     Obstacle {
-        /// Its port.
         sender: ObstacleSender,
-        /// How long the robot is \[m\].
         length_m: f64,
     },
-    /// Where the newest command brought the robot.
     Measurement {
-        /// Its ports.
         driver: Box<Driver>,
-        /// Sections of the robot.
         sections: u32,
     },
 }
 
-/// Something that was sent.
 #[derive(Debug, Clone, Copy)]
 struct Sent {
     sequence: u64,
     stamp_ns: u64,
-    /// It counts.
     counts: bool,
 }
 
@@ -67,7 +57,6 @@ struct Line {
 /// Sends from each source in turn, each second period, at phases spread over the period.
 pub(super) struct Inputs {
     lines: Vec<Line>,
-    /// Periods from one sending to the next.
     gap: u64,
     grid: Grid,
     sender_id: u64,
@@ -277,7 +266,6 @@ impl Errand for Inputs {
     }
 }
 
-/// The way of the command itself.
 fn record_command(cycle: &Seen<'_>, round: &mut Round) {
     let Some(received_ns) = cycle.received_ns else {
         round.unmeasured.without_command += 1;
@@ -311,7 +299,6 @@ impl Awakening {
         }
     }
 
-    /// Its source, for what follows.
     pub(super) fn into_source(self) -> Source {
         self.source
     }

@@ -5,130 +5,54 @@
 //! track that it takes did not wait for a gather: its `grid` is 0, its `machinery` is the whole. A renewal of the
 //! lease is stamped by that look, so its `grid` ends there.
 
-use serde::Serialize;
-
-/// One way of a message.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(into = "&'static str")]
-pub enum Leg {
-    /// Two processes and iceoryx2, nothing else: one way.
-    BareOneWay,
-    /// There and back.
-    BareRoundTrip,
-    /// A request and its answer.
-    BareRequest,
-    /// A command from the release of its cycle.
-    CommandRelease,
-    /// A command from its hand-over by the cycle thread.
-    CommandHandover,
-    /// A command from the stamp in its header.
-    CommandHop,
-    /// A reference chunk, whole.
-    ReferenceCommand,
-    /// The part of it that waits for the grid.
-    ReferenceGrid,
-    /// The rest of it.
-    ReferenceMachinery,
-    /// An obstacle update, whole.
-    ObstacleCommand,
-    /// The part of it that waits for the grid.
-    ObstacleGrid,
-    /// The rest of it.
-    ObstacleMachinery,
-    /// A measurement, whole.
-    MeasurementCommand,
-    /// The part of it that waits for the grid.
-    MeasurementGrid,
-    /// The rest of it.
-    MeasurementMachinery,
-    /// A renewal of the lease, whole: the exchange answers it.
-    LeaseAnswer,
-    /// The part of it that waits for the grid.
-    LeaseGrid,
-    /// The rest of it.
-    LeaseMachinery,
-    /// A request to track, whole: the cycle decides it.
-    TrackAnswer,
-    /// The part of it that waits for the grid.
-    TrackGrid,
-    /// The rest of it.
-    TrackMachinery,
-    /// A stop until the first command of mode stopped.
-    StopCommand,
-    /// The part of it that waits for the grid.
-    StopGrid,
-    /// The rest of it.
-    StopMachinery,
-    /// A stop until zero rates are handed over, without the ramp.
-    StopZeroHandover,
-    /// A stop until zero rates are in the client's hands, without the ramp.
-    StopZeroCommand,
+use crate::named::named;
+named! {
+    pub enum Leg {
+        /// Two processes and iceoryx2, nothing else: one way.
+        BareOneWay = "bare.one_way",
+        BareRoundTrip = "bare.round_trip",
+        BareRequest = "bare.request",
+        /// A command from the release of its cycle.
+        CommandRelease = "command.release",
+        /// A command from its hand-over by the cycle thread.
+        CommandHandover = "command.handover",
+        /// A command from the stamp in its header.
+        CommandHop = "command.hop",
+        ReferenceCommand = "reference.command",
+        /// The part of it that waits for the grid.
+        ReferenceGrid = "reference.grid",
+        ReferenceMachinery = "reference.machinery",
+        ObstacleCommand = "obstacle.command",
+        /// The part of it that waits for the grid.
+        ObstacleGrid = "obstacle.grid",
+        ObstacleMachinery = "obstacle.machinery",
+        MeasurementCommand = "measurement.command",
+        /// The part of it that waits for the grid.
+        MeasurementGrid = "measurement.grid",
+        MeasurementMachinery = "measurement.machinery",
+        /// A renewal of the lease, whole: the exchange answers it.
+        LeaseAnswer = "lease.answer",
+        /// The part of it that waits for the grid.
+        LeaseGrid = "lease.grid",
+        LeaseMachinery = "lease.machinery",
+        /// A request to track, whole: the cycle decides it.
+        TrackAnswer = "track.answer",
+        /// The part of it that waits for the grid.
+        TrackGrid = "track.grid",
+        TrackMachinery = "track.machinery",
+        /// A stop until the first command of mode stopped.
+        StopCommand = "stop.command",
+        /// The part of it that waits for the grid.
+        StopGrid = "stop.grid",
+        StopMachinery = "stop.machinery",
+        /// A stop until zero rates are handed over, without the ramp.
+        StopZeroHandover = "stop.zero_handover",
+        /// A stop until zero rates are in the client's hands, without the ramp.
+        StopZeroCommand = "stop.zero_command",
+    }
 }
 
 impl Leg {
-    /// Every leg, in the order of the tables.
-    pub const ALL: [Self; 26] = [
-        Self::BareOneWay,
-        Self::BareRoundTrip,
-        Self::BareRequest,
-        Self::CommandRelease,
-        Self::CommandHandover,
-        Self::CommandHop,
-        Self::ReferenceCommand,
-        Self::ReferenceGrid,
-        Self::ReferenceMachinery,
-        Self::ObstacleCommand,
-        Self::ObstacleGrid,
-        Self::ObstacleMachinery,
-        Self::MeasurementCommand,
-        Self::MeasurementGrid,
-        Self::MeasurementMachinery,
-        Self::LeaseAnswer,
-        Self::LeaseGrid,
-        Self::LeaseMachinery,
-        Self::TrackAnswer,
-        Self::TrackGrid,
-        Self::TrackMachinery,
-        Self::StopCommand,
-        Self::StopGrid,
-        Self::StopMachinery,
-        Self::StopZeroHandover,
-        Self::StopZeroCommand,
-    ];
-
-    /// Its name: what is sent, and which part of its way.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::BareOneWay => "bare.one_way",
-            Self::BareRoundTrip => "bare.round_trip",
-            Self::BareRequest => "bare.request",
-            Self::CommandRelease => "command.release",
-            Self::CommandHandover => "command.handover",
-            Self::CommandHop => "command.hop",
-            Self::ReferenceCommand => "reference.command",
-            Self::ReferenceGrid => "reference.grid",
-            Self::ReferenceMachinery => "reference.machinery",
-            Self::ObstacleCommand => "obstacle.command",
-            Self::ObstacleGrid => "obstacle.grid",
-            Self::ObstacleMachinery => "obstacle.machinery",
-            Self::MeasurementCommand => "measurement.command",
-            Self::MeasurementGrid => "measurement.grid",
-            Self::MeasurementMachinery => "measurement.machinery",
-            Self::LeaseAnswer => "lease.answer",
-            Self::LeaseGrid => "lease.grid",
-            Self::LeaseMachinery => "lease.machinery",
-            Self::TrackAnswer => "track.answer",
-            Self::TrackGrid => "track.grid",
-            Self::TrackMachinery => "track.machinery",
-            Self::StopCommand => "stop.command",
-            Self::StopGrid => "stop.grid",
-            Self::StopMachinery => "stop.machinery",
-            Self::StopZeroHandover => "stop.zero_handover",
-            Self::StopZeroCommand => "stop.zero_command",
-        }
-    }
-
-    /// From which stamp to which.
     pub fn definition(self) -> (&'static str, &'static str) {
         const GATHER: &str = "start of the gather that takes it";
         // The last look, too, takes requests.
@@ -178,32 +102,15 @@ impl Leg {
     /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
     /// that two runs cannot differ in it.
     pub fn is_grid(self) -> bool {
-        matches!(
-            self,
-            Self::ReferenceGrid
-                | Self::ObstacleGrid
-                | Self::MeasurementGrid
-                | Self::LeaseGrid
-                | Self::TrackGrid
-                | Self::StopGrid
-        )
-    }
-}
-
-impl From<Leg> for &'static str {
-    fn from(leg: Leg) -> Self {
-        leg.name()
+        self.name().split('.').nth(1) == Some("grid")
     }
 }
 
 /// The three legs of something that waits for a gather.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Way {
-    /// All of it.
     pub(super) whole: Leg,
-    /// Until the gather.
     pub(super) grid: Leg,
-    /// From there on.
     pub(super) machinery: Leg,
 }
 
@@ -250,9 +157,6 @@ mod tests {
             assert_eq!(*leg as usize, index);
             let same = Leg::ALL.iter().filter(|other| other.name() == leg.name());
             assert_eq!(same.count(), 1, "{}", leg.name());
-        }
-        for leg in Leg::ALL {
-            assert_eq!(leg.is_grid(), leg.name().contains("grid"), "{}", leg.name());
         }
     }
 }

@@ -23,15 +23,15 @@ mod asker;
 mod hands;
 mod inputs;
 mod leg;
-mod panels;
 mod phase;
+mod plots;
 mod report;
 mod requests;
 mod round;
-mod rows;
 mod scene;
 mod stops;
 
+use std::fmt::Debug;
 use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
@@ -41,6 +41,7 @@ use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, realtime};
 
+use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
@@ -50,11 +51,21 @@ use hands::Hands;
 pub use hands::Looks;
 use inputs::{Awakening, Inputs, Source};
 pub use leg::Leg;
-pub use report::{Report, Setting};
+pub use report::Setting;
 use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
-pub use rows::{Ratio, Row, Target};
 use stops::Stops;
+
+/// An error of iceoryx2 has a name, and no text.
+trait OrTold<T> {
+    fn or_told(self, what: &str) -> Result<T>;
+}
+
+impl<T, E: Debug> OrTold<T> for Result<T, E> {
+    fn or_told(self, what: &str) -> Result<T> {
+        self.map_err(|cause| anyhow!("{what}: {cause:?}"))
+    }
+}
 
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
@@ -64,10 +75,8 @@ const STOP_S: f64 = 0.25;
 const BARE_PER_SAMPLE: usize = 8;
 /// What a daemon takes to start and to end \[s\].
 const AROUND_S: f64 = 1.0;
-/// Period of the default configuration \[s\].
 const PERIOD_S: f64 = 5e-3;
 
-/// What is to be measured.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Options {
     /// Rounds; in each, everything is measured once.
@@ -92,7 +101,6 @@ impl Default for Options {
 }
 
 impl Options {
-    /// A quick look.
     pub const QUICK: (usize, usize) = (2, 40);
 
     fn stops(&self) -> usize {
@@ -104,7 +112,6 @@ impl Options {
         self.samples * BARE_PER_SAMPLE
     }
 
-    /// The daemon with this robot.
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
@@ -143,11 +150,7 @@ fn seconds(options: &Options) -> [f64; 3] {
     ]
 }
 
-/// Measures.
-///
-/// # Errors
-/// When a daemon or the peer does not start or does not answer, or a signal came.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let bench = Bench {
         options,
         cores: Cores::find()?,
@@ -177,7 +180,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         })?;
         rounds.push(round);
     }
-    Ok(Report::new(bench.setting(&told), rounds))
+    report::dataset(&bench.setting(&told), &rounds)
 }
 
 /// What the daemons told of themselves, and how the client did.
@@ -208,7 +211,6 @@ impl Told {
     }
 }
 
-/// A run.
 struct Bench<'a> {
     options: &'a Options,
     cores: Cores,
@@ -216,7 +218,6 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    /// References, obstacles, requests and stops.
     fn simulated(&self, round: &mut Round) -> Result<Told> {
         let samples = self.options.samples;
         self.with_daemon("simulated", |location| {
@@ -245,7 +246,6 @@ impl Bench<'_> {
         })
     }
 
-    /// Measurements.
     fn driven(&self, round: &mut Round) -> Result<Told> {
         let samples = self.options.samples;
         self.with_daemon("driver", |location| {

@@ -11,7 +11,6 @@ pub(super) struct Phases {
 }
 
 impl Phases {
-    /// The next one, 0 to 1.
     pub(super) fn next(&mut self) -> f64 {
         self.taken += 1;
         (f64::from(self.taken) * GOLDEN).fract()

@@ -1,273 +1,26 @@
-//! What a run found, for people and for programs.
+//! What a run found about each leg, as rows, plots and single numbers.
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
 use serde::Serialize;
-use serde_json::json;
+use serde_json::{Value, to_value};
 
 use super::hands::Looks;
 use super::leg::Leg;
+use super::plots;
 use super::round::{Round, Unmeasured};
-use super::rows::{
-    Ratio, RoundRow, Row, Target, VALUES_OF_P99, VALUES_OF_P999, p50_us, pooled, quantile_of, row,
-    supported,
-};
 use crate::chart::sheet;
-use crate::csv::csv;
-use crate::figures::Figure;
-use crate::metric::{Metric, median, range};
-use crate::quantiles::Quantiles;
-use crate::section::{Recording, Section, Sheet};
-use crate::table::Table;
+use crate::dataset::{Column, Dataset, Plot, Recording, Sheet, fixed, plain, word};
+use crate::metric::{median, range};
+use crate::quantiles::{Quantiles, quantile_us};
 
 /// What may be added to a period from a stop to zero rates \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
-/// How a run was made.
-#[derive(Debug, Clone, Serialize)]
-pub struct Setting {
-    /// Rounds.
-    pub rounds: usize,
-    /// Samples of each kind in each round.
-    pub samples: usize,
-    /// Stops in each round.
-    pub stops: usize,
-    /// Period of the daemon \[µs\].
-    pub period_us: f64,
-    /// How long before a release the daemon gathers, as its records show \[µs\].
-    pub gather_lead_us: f64,
-    /// The daemons had `SCHED_FIFO`.
-    pub realtime: bool,
-    /// The client had it, too.
-    pub client_realtime: bool,
-    /// Core of the daemon.
-    pub realtime_core: usize,
-    /// Core of the client.
-    pub client_core: usize,
-    /// How often the client was late itself.
-    pub looks: Looks,
-}
+/// Values without which a 99th percentile is no more than the largest of them.
+const VALUES_OF_P99: u64 = 100;
+const VALUES_OF_P999: u64 = 1000;
 
-/// What is compared with what.
-const RATIOS: [(Leg, Leg); 3] = [
-    (Leg::CommandHop, Leg::BareOneWay),
-    (Leg::CommandHandover, Leg::BareOneWay),
-    (Leg::LeaseMachinery, Leg::BareRequest),
-];
-
-/// The result.
-#[derive(Debug, Clone)]
-pub struct Report {
-    /// How it was made.
-    pub setting: Setting,
-    /// Every leg.
-    pub rows: Vec<Row>,
-    rounds: Vec<Round>,
-}
-
-impl Report {
-    pub(super) fn new(setting: Setting, rounds: Vec<Round>) -> Self {
-        Self {
-            rows: Leg::ALL
-                .iter()
-                .filter_map(|leg| row(*leg, &rounds))
-                .collect(),
-            setting,
-            rounds,
-        }
-    }
-
-    /// The legs of the daemon beside those of iceoryx2 alone.
-    pub fn ratios(&self) -> Vec<Ratio> {
-        let ratio = |(leg, to): (Leg, Leg)| {
-            let of = |round: &Round| Some(p50_us(round, leg)? / p50_us(round, to)?);
-            let rounds: Vec<f64> = self.rounds.iter().filter_map(of).collect();
-            let p50 = median(&rounds)?;
-            Some(Ratio {
-                leg,
-                to,
-                p50,
-                rounds,
-            })
-        };
-        RATIOS.into_iter().filter_map(ratio).collect()
-    }
-
-    /// The bound of a stop, and whether it is kept.
-    pub fn targets(&self) -> Vec<Target> {
-        let limit_us = self.stop_limit_us();
-        let stops = [Leg::StopZeroHandover, Leg::StopZeroCommand];
-        let rows = self.rows.iter().filter(|row| stops.contains(&row.leg));
-        rows.map(|row| Target {
-            leg: row.leg,
-            samples: row.samples,
-            limit_us,
-            p99_us: row.latency_us.p99,
-            kept: row.latency_us.p99 <= limit_us,
-        })
-        .collect()
-    }
-
-    pub(super) fn stop_limit_us(&self) -> f64 {
-        self.setting.period_us + STOP_MARGIN_US
-    }
-
-    /// What could not be measured, of all rounds.
-    pub fn unmeasured(&self) -> Unmeasured {
-        let mut all = Unmeasured::default();
-        for round in &self.rounds {
-            all += round.unmeasured;
-        }
-        all
-    }
-
-    /// Values of a leg in the round that has the fewest of them, but for rounds that have none.
-    fn fewest_in_a_round(&self, leg: Leg) -> u64 {
-        let counts = self
-            .rounds
-            .iter()
-            .map(|round| round.leg(leg).latencies.len());
-        counts.filter(|count| *count > 0).min().unwrap_or(0)
-    }
-
-    fn round_rows(&self) -> Vec<RoundRow> {
-        let all = self.rounds.iter().enumerate();
-        let rows = |(index, round): (usize, &Round)| {
-            let row = |leg: Leg| {
-                let latencies = round.leg(leg).latencies.clone();
-                Some(RoundRow {
-                    round: index + 1,
-                    leg,
-                    samples: latencies.len(),
-                    latency_us: Quantiles::of(&latencies)?,
-                })
-            };
-            Leg::ALL.into_iter().filter_map(row).collect::<Vec<_>>()
-        };
-        all.flat_map(rows).collect()
-    }
-
-    fn table(&self) -> Table {
-        let cells = |row: &Row| self.cells(row);
-        let setting = &self.setting;
-        let threads = match (setting.realtime, setting.client_realtime) {
-            (true, true) => "SCHED_FIFO",
-            (true, false) => "SCHED_FIFO for the daemon alone",
-            (false, _) => "no real-time threads: not granted",
-        };
-        let title = format!(
-            "Latencies of messages, period {:.1} ms, gather {:.0} µs before the release, {threads}",
-            setting.period_us * 1e-3,
-            setting.gather_lead_us
-        );
-        let heads = [
-            "way",
-            "samples",
-            "min µs",
-            "p50 µs",
-            "p99 µs",
-            "p99.9 µs",
-            "max µs",
-            "median of rounds: p50 µs",
-            "p99 µs",
-        ];
-        Table::new(title, &heads, 1, self.rows.iter().map(cells).collect())
-    }
-
-    fn cells(&self, row: &Row) -> Vec<String> {
-        let (all, rounds) = (row.latency_us, row.rounds_us);
-        let us = |value: f64| format!("{value:.2}");
-        let us_of = |value: f64, count: u64, least: u64| supported(us(value), count, least);
-        vec![
-            row.leg.name().to_owned(),
-            row.samples.to_string(),
-            us(all.min),
-            us(all.p50),
-            us_of(all.p99, row.samples, VALUES_OF_P99),
-            us_of(all.p999, row.samples, VALUES_OF_P999),
-            us(all.max),
-            us(rounds.p50),
-            us_of(rounds.p99, self.fewest_in_a_round(row.leg), VALUES_OF_P99),
-        ]
-    }
-
-    fn verdicts(&self) -> Table {
-        let ratios = self.ratios().into_iter().map(|ratio| {
-            let (low, high) = range(&ratio.rounds).unwrap_or((ratio.p50, ratio.p50));
-            vec![
-                format!("{} / {}, p50", ratio.leg.name(), ratio.to.name()),
-                format!("{:.2}", ratio.p50),
-                format!("{low:.2} to {high:.2} in the rounds"),
-            ]
-        });
-        let targets = self.targets();
-        let targets = targets.iter().map(Target::cells);
-        let rows = ratios.chain(targets).chain(self.counts()).collect();
-        Table::new(
-            "Beside iceoryx2 alone, and beside what is asked",
-            &["what", "found", "beside"],
-            1,
-            rows,
-        )
-    }
-
-    /// What did not go as it should.
-    fn counts(&self) -> [Vec<String>; 3] {
-        let (looks, unmeasured) = (self.setting.looks, self.unmeasured());
-        let stops = self.setting.rounds * self.setting.stops;
-        let row = |what: &str, count: u64, beside: String| {
-            vec![what.to_owned(), count.to_string(), beside]
-        };
-        [
-            row(
-                "client awake too late",
-                looks.late,
-                format!("of {} releases", looks.all),
-            ),
-            row(
-                "spoilt stops",
-                unmeasured.spoilt_stops,
-                format!("repeated, beside {stops} that count"),
-            ),
-            row(
-                "samples without a received command",
-                unmeasured.without_command,
-                "left out: the client was away".to_owned(),
-            ),
-        ]
-    }
-
-    fn definitions(&self) -> Table {
-        let cells = |row: &Row| {
-            vec![
-                row.leg.name().to_owned(),
-                row.from.to_owned(),
-                row.to.to_owned(),
-            ]
-        };
-        Table::new(
-            "From which stamp to which",
-            &["way", "from", "to"],
-            3,
-            self.rows.iter().map(cells).collect(),
-        )
-    }
-
-    pub(super) fn pooled(&self, leg: Leg) -> Option<Histogram<u64>> {
-        pooled(leg, &self.rounds)
-    }
-}
-
-impl Section for Report {
-    fn name(&self) -> &'static str {
-        "latency"
-    }
-
-    fn heading(&self) -> &'static str {
-        "Latency: how long messages take"
-    }
-
-    fn explanation(&self) -> &'static str {
-        "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
+const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
          are spread evenly over the period, and has every command in its hands as soon as it is there: it wakes \
          up before each release and looks until the command has come.</p>\
          <p>The daemon takes inputs in once in a period, shortly before the release. So most of each way is \
@@ -275,82 +28,328 @@ impl Section for Report {
          from sending to the start of the gather that takes the message; <b>machinery</b> is the rest: gather, \
          release, computation and hand-over. <b>bare</b> is iceoryx2 between two processes that do nothing else, \
          measured in the same rounds.</p>\
-         <p>A stop is told without the ramp, which the configured deceleration makes.</p>"
-    }
+         <p>A stop is told without the ramp, which the configured deceleration makes.</p>";
 
-    fn json(&self) -> Result<serde_json::Value> {
-        Ok(json!({
-            "setting": self.setting,
-            "legs": self.rows,
-            "rounds": self.round_rows(),
-            "ratios": self.ratios(),
-            "targets": self.targets(),
-            "unmeasured": self.unmeasured(),
-        }))
-    }
+const RATIOS: [(Leg, Leg); 3] = [
+    (Leg::CommandHop, Leg::BareOneWay),
+    (Leg::CommandHandover, Leg::BareOneWay),
+    (Leg::LeaseMachinery, Leg::BareRequest),
+];
 
-    fn tables(&self) -> Vec<Table> {
-        vec![self.table(), self.verdicts(), self.definitions()]
-    }
+const COLUMNS: [Column; 9] = [
+    word("way", "leg"),
+    plain("samples", "samples"),
+    fixed("min µs", "latency_us_min", 2),
+    fixed("p50 µs", "latency_us_p50", 2),
+    fixed("p99 µs", "latency_us_p99", 2),
+    fixed("p99.9 µs", "latency_us_p999", 2),
+    fixed("max µs", "latency_us_max", 2),
+    fixed("median of rounds: p50 µs", "rounds_us_p50", 2),
+    fixed("p99 µs", "rounds_us_p99", 2),
+];
 
-    fn sheets(&self) -> Result<Vec<Sheet>> {
-        let sheet = |name: &str, csv: String| Sheet {
-            name: name.to_owned(),
-            csv,
-        };
-        Ok(vec![
-            sheet("latency", csv(&self.rows)?),
-            sheet("latency-rounds", csv(&self.round_rows())?),
-        ])
-    }
+#[derive(Debug, Clone, Serialize)]
+pub struct Setting {
+    pub rounds: usize,
+    pub samples: usize,
+    pub stops: usize,
+    pub period_us: f64,
+    /// How long before a release the daemon gathers, as its records show \[µs\].
+    pub gather_lead_us: f64,
+    pub realtime: bool,
+    pub client_realtime: bool,
+    pub realtime_core: usize,
+    pub client_core: usize,
+    pub looks: Looks,
+}
 
-    fn pictures(&self) -> Result<Vec<Figure>> {
-        Ok(vec![Figure {
+#[derive(Debug, Clone, Serialize)]
+struct Row {
+    leg: Leg,
+    from: &'static str,
+    to: &'static str,
+    samples: u64,
+    latency_us: Quantiles,
+    rounds_us: Quantiles,
+    #[serde(skip)]
+    fewest: u64,
+}
+
+#[derive(Debug, Clone, Serialize)]
+struct RoundRow {
+    round: usize,
+    leg: Leg,
+    samples: u64,
+    latency_us: Quantiles,
+}
+
+/// A leg of the daemon beside one of iceoryx2 alone: ratio of the medians.
+#[derive(Debug, Clone, Serialize)]
+struct Ratio {
+    leg: Leg,
+    to: Leg,
+    p50: f64,
+    rounds: Vec<f64>,
+}
+
+/// A bound that a leg shall keep at the 99th percentile.
+#[derive(Debug, Clone, Serialize)]
+struct Target {
+    leg: Leg,
+    samples: u64,
+    limit_us: f64,
+    p99_us: f64,
+    kept: bool,
+}
+
+#[derive(Serialize)]
+struct Remark {
+    what: String,
+    found: String,
+    beside: String,
+}
+
+pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
+    let rows: Vec<Row> = Leg::ALL
+        .iter()
+        .filter_map(|leg| row(*leg, rounds))
+        .collect();
+    let ratios: Vec<Ratio> = RATIOS
+        .into_iter()
+        .filter_map(|r| ratio(r, rounds))
+        .collect();
+    let limit_us = setting.period_us + STOP_MARGIN_US;
+    let stops = rows.iter().filter(|row| is_bound(row.leg));
+    let targets: Vec<Target> = stops.map(|row| target(row, limit_us)).collect();
+    let mut unmeasured = Unmeasured::default();
+    for round in rounds {
+        unmeasured += round.unmeasured;
+    }
+    let shown: Vec<Value> = rows.iter().map(shown).collect::<Result<_>>()?;
+    let remarks = remarks(setting, &ratios, &targets, unmeasured);
+    let mut dataset = Dataset {
+        name: "latency",
+        heading: "Latency: how long messages take",
+        explanation: EXPLANATION,
+        sheets: vec![
+            Sheet::new(&shown)?.table(setting.title(), &COLUMNS),
+            Sheet::new(&remarks)?.table(
+                "Beside iceoryx2 alone, and beside what is asked",
+                &[
+                    word("what", "what"),
+                    plain("found", "found"),
+                    plain("beside", "beside"),
+                ],
+            ),
+            Sheet::new(&rows)?.key("legs").file("latency").table(
+                "From which stamp to which",
+                &[word("way", "leg"), word("from", "from"), word("to", "to")],
+            ),
+            Sheet::new(&round_rows(rounds))?
+                .key("rounds")
+                .file("latency-rounds"),
+            Sheet::new(&ratios)?.key("ratios"),
+            Sheet::new(&targets)?.key("targets"),
+        ],
+        plots: vec![Plot {
             name: "latency",
             caption: "How long messages take. The time that one sample in so many exceeds: 100 is the 99th \
-                      percentile. Last: the share of stops against the time to zero rates without the ramp."
-                .to_owned(),
-            svg: sheet(&self.panels(), 1, 700)?,
-        }])
+                      percentile. Last: the share of stops against the time to zero rates without the ramp.",
+            svg: sheet(&plots::panels(rounds, limit_us), 1, 700)?,
+        }],
+        ..Dataset::default()
+    };
+    dataset.fact("setting", to_value(setting)?);
+    dataset.fact("unmeasured", to_value(unmeasured)?);
+    for leg in Leg::ALL.into_iter().filter(|leg| !leg.is_grid()) {
+        for (word, quantile) in [("p50", 0.5), ("p99", 0.99)] {
+            let of = |round: &Round| quantile_of(round, leg, quantile);
+            let name = format!("latency/{}_{word}", leg.name().replace('.', "/"));
+            dataset.lower(name, "µs", rounds.iter().filter_map(of));
+        }
     }
+    for ratio in ratios {
+        let [leg, to] = [ratio.leg, ratio.to].map(|leg| leg.name().replace('.', "_"));
+        dataset.lower(format!("latency/{leg}_per_{to}_p50"), "", ratio.rounds);
+    }
+    dataset.recordings = recordings(rounds);
+    Ok(dataset)
+}
 
-    fn metrics(&self) -> Vec<Metric> {
-        let legs = Leg::ALL.into_iter().filter(|leg| !leg.is_grid());
-        let quantiles = [("p50", 0.5), ("p99", 0.99)];
-        let metric = |leg: Leg| {
-            quantiles.map(|(word, quantile)| {
-                let of = |round: &Round| quantile_of(round, leg, quantile);
-                let name = format!("latency/{}_{word}", leg.name().replace('.', "/"));
-                Metric::lower(name, "µs", self.rounds.iter().filter_map(of))
-            })
+impl Setting {
+    fn title(&self) -> String {
+        let threads = match (self.realtime, self.client_realtime) {
+            (true, true) => "SCHED_FIFO",
+            (true, false) => "SCHED_FIFO for the daemon alone",
+            (false, _) => "no real-time threads: not granted",
         };
-        let ratios = self.ratios().into_iter().map(|ratio| {
-            let part = |leg: Leg| leg.name().replace('.', "_");
-            let name = format!("latency/{}_per_{}_p50", part(ratio.leg), part(ratio.to));
-            Metric::lower(name, "", ratio.rounds)
-        });
-        legs.flat_map(metric).chain(ratios).collect()
+        format!(
+            "Latencies of messages, period {:.1} ms, gather {:.0} µs before the release, {threads}",
+            self.period_us * 1e-3,
+            self.gather_lead_us
+        )
     }
+}
 
-    fn histograms(&self) -> Vec<Recording<'_>> {
-        let of = |round| {
-            Leg::ALL.into_iter().filter_map(move |leg| {
-                let sampled = Round::leg(round, leg);
-                let (first_ns, last_ns) = sampled.span_ns?;
-                Some(Recording {
-                    tag: leg.name(),
-                    start_s: first_ns as f64 * 1e-9,
-                    duration_s: (last_ns - first_ns) as f64 * 1e-9,
-                    histogram: &sampled.latencies,
-                })
-            })
-        };
-        self.rounds.iter().flat_map(of).collect()
+fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
+    let all = pooled(leg, rounds)?;
+    let of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
+    let quantiles: Vec<Quantiles> = of_rounds.clone().filter_map(Quantiles::of).collect();
+    let (from, to) = leg.definition();
+    Some(Row {
+        leg,
+        from,
+        to,
+        samples: all.len(),
+        latency_us: Quantiles::of(&all)?,
+        rounds_us: Quantiles::over_rounds(&quantiles)?,
+        fewest: of_rounds.map(Histogram::len).filter(|n| *n > 0).min()?,
+    })
+}
+
+/// For people: without the percentiles of fewer values than they need.
+fn shown(row: &Row) -> Result<Value> {
+    let mut value = to_value(row)?;
+    for (times, key, count, least) in [
+        ("latency_us", "p99", row.samples, VALUES_OF_P99),
+        ("latency_us", "p999", row.samples, VALUES_OF_P999),
+        ("rounds_us", "p99", row.fewest, VALUES_OF_P99),
+    ] {
+        if count < least {
+            value[times][key] = Value::Null;
+        }
     }
+    Ok(value)
+}
+
+fn ratio((leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Ratio> {
+    let of = |round: &Round| Some(quantile_of(round, leg, 0.5)? / quantile_of(round, to, 0.5)?);
+    let rounds: Vec<f64> = rounds.iter().filter_map(of).collect();
+    Some(Ratio {
+        leg,
+        to,
+        p50: median(rounds.iter().copied())?,
+        rounds,
+    })
+}
+
+/// Whether a stop's bound is asked of it.
+fn is_bound(leg: Leg) -> bool {
+    matches!(leg, Leg::StopZeroHandover | Leg::StopZeroCommand)
+}
+
+fn target(row: &Row, limit_us: f64) -> Target {
+    Target {
+        leg: row.leg,
+        samples: row.samples,
+        limit_us,
+        p99_us: row.latency_us.p99,
+        kept: row.latency_us.p99 <= limit_us,
+    }
+}
+
+fn round_rows(rounds: &[Round]) -> Vec<RoundRow> {
+    let row = |index: usize, leg: Leg| {
+        let latencies = &rounds[index].leg(leg).latencies;
+        Some(RoundRow {
+            round: index + 1,
+            leg,
+            samples: latencies.len(),
+            latency_us: Quantiles::of(latencies)?,
+        })
+    };
+    let all = (0..rounds.len()).flat_map(|index| Leg::ALL.map(|leg| (index, leg)));
+    all.filter_map(|(index, leg)| row(index, leg)).collect()
+}
+
+fn remarks(
+    setting: &Setting,
+    ratios: &[Ratio],
+    targets: &[Target],
+    unmeasured: Unmeasured,
+) -> Vec<Remark> {
+    let remark = |what: String, found: String, beside: String| Remark {
+        what,
+        found,
+        beside,
+    };
+    let ratios = ratios.iter().map(|ratio| {
+        let ends = range(ratio.rounds.iter().copied());
+        let (low, high) = ends.unwrap_or((ratio.p50, ratio.p50));
+        remark(
+            format!("{} / {}, p50", ratio.leg.name(), ratio.to.name()),
+            format!("{:.2}", ratio.p50),
+            format!("{low:.2} to {high:.2} in the rounds"),
+        )
+    });
+    let targets = targets.iter().map(|target| {
+        let (found, verdict) = match (target.samples < VALUES_OF_P99, target.kept) {
+            (true, _) => ("-".to_owned(), "too few values"),
+            (false, true) => (format!("{:.1}", target.p99_us), "kept"),
+            (false, false) => (format!("{:.1}", target.p99_us), "not kept"),
+        };
+        let bound = format!("bound {:.1}: {verdict}", target.limit_us);
+        remark(format!("{} p99, µs", target.leg.name()), found, bound)
+    });
+    let (looks, stops) = (setting.looks, setting.rounds * setting.stops);
+    let counts = [
+        (
+            "client awake too late",
+            looks.late,
+            format!("of {} releases", looks.all),
+        ),
+        (
+            "spoilt stops",
+            unmeasured.spoilt_stops,
+            format!("repeated, beside {stops} that count"),
+        ),
+        (
+            "samples without a received command",
+            unmeasured.without_command,
+            "left out: the client was away".to_owned(),
+        ),
+    ];
+    let counts =
+        counts.map(|(what, count, beside)| remark(what.to_owned(), count.to_string(), beside));
+    ratios.chain(targets).chain(counts).collect()
+}
+
+fn recordings(rounds: &[Round]) -> Vec<Recording> {
+    let all = rounds
+        .iter()
+        .flat_map(|round| Leg::ALL.map(|leg| (leg, round.leg(leg))));
+    let recording = |(leg, sampled): (Leg, &super::round::Sampled)| {
+        let (first_ns, last_ns) = sampled.span_ns?;
+        Some(Recording {
+            tag: leg.name().to_owned(),
+            start_s: first_ns as f64 * 1e-9,
+            duration_s: (last_ns - first_ns) as f64 * 1e-9,
+            histogram_ns: sampled.latencies.clone(),
+        })
+    };
+    all.filter_map(recording).collect()
+}
+
+/// All rounds together; none without samples.
+pub(super) fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
+    let mut of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
+    let mut all = of_rounds.next()?.clone();
+    for latencies in of_rounds {
+        // All have the same bounds.
+        all.add(latencies).ok()?;
+    }
+    (!all.is_empty()).then_some(all)
+}
+
+fn quantile_of(round: &Round, leg: Leg, quantile: f64) -> Option<f64> {
+    let latencies = &round.leg(leg).latencies;
+    (!latencies.is_empty()).then(|| quantile_us(latencies, quantile))
 }
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     fn setting() -> Setting {
@@ -369,126 +368,100 @@ mod tests {
     }
 
     /// Two rounds in which every leg takes 1 to 100 µs, times the number of the round.
-    fn report(stop_us: u64) -> Report {
+    fn two_rounds(stop_us: u64) -> Dataset {
         let round = |factor: u64| {
             let mut round = Round::new(0).expect("bounds");
             for leg in Leg::ALL {
-                let is_stop = [Leg::StopZeroHandover, Leg::StopZeroCommand].contains(&leg);
                 for us in 1..=100 {
-                    round.record(leg, 1000 * if is_stop { stop_us } else { factor * us });
+                    round.record(
+                        leg,
+                        1000 * if is_bound(leg) { stop_us } else { factor * us },
+                    );
                 }
             }
             round
         };
-        Report::new(setting(), vec![round(1), round(2)])
+        dataset(&setting(), &[round(1), round(2)]).expect("a result")
     }
 
     #[test]
     fn every_leg_has_a_row_of_all_rounds() {
-        let report = report(5000);
-        assert_eq!(report.rows.len(), Leg::ALL.len());
-        let row = &report.rows[Leg::ReferenceCommand as usize];
-        assert_eq!((row.leg, row.samples), (Leg::ReferenceCommand, 200));
-        let near = |value: f64, expected: f64| (value - expected).abs() <= 2e-3 * expected;
-        assert!(near(row.latency_us.max, 200.0), "{row:?}");
+        let found = two_rounds(5000);
+        let json = found.json();
+        let row = &json["legs"][Leg::ReferenceCommand as usize];
+        assert_eq!(
+            (&row["leg"], &row["samples"]),
+            (&json!("reference.command"), &json!(200))
+        );
+        let near = |value: &Value, expected: f64| {
+            (value.as_f64().expect("a number") - expected).abs() <= 2e-3 * expected
+        };
+        assert!(near(&row["latency_us"]["max"], 200.0), "{row}");
         // The medians of the rounds are 50 and 100.
-        assert!(near(row.rounds_us.p50, 75.0), "{row:?}");
-        for ratio in report.ratios() {
-            assert_eq!(ratio.rounds.len(), 2);
-            assert!(near(ratio.p50, 1.0), "{ratio:?}");
-        }
+        assert!(near(&row["rounds_us"]["p50"], 75.0), "{row}");
+        assert!(
+            json["ratios"]
+                .as_array()
+                .expect("a list")
+                .iter()
+                .all(|r| near(&r["p50"], 1.0))
+        );
+        assert!(found.metrics.iter().all(|metric| metric.rounds.len() == 2));
+        assert!(
+            !found
+                .metrics
+                .iter()
+                .any(|metric| metric.name.contains("grid"))
+        );
+        assert_eq!(found.recordings.len(), 2 * Leg::ALL.len());
     }
 
     #[test]
     fn a_stop_has_a_period_and_a_little_more() {
-        let kept = |stop_us| {
-            report(stop_us)
-                .targets()
-                .iter()
-                .map(|target| target.kept)
-                .collect::<Vec<_>>()
-        };
-        assert_eq!(kept(5090), [true, true]);
-        assert_eq!(kept(5120), [false, false]);
-    }
-
-    #[test]
-    fn it_can_be_told_in_every_way() {
-        let report = report(5000);
-        let json = report.json().expect("numbers");
-        assert_eq!(json["legs"][0]["leg"], "bare.one_way");
-        assert!(json["legs"][0]["latency_us"]["p999"].is_f64());
-        assert_eq!(
-            json["rounds"].as_array().map(Vec::len),
-            Some(2 * Leg::ALL.len())
-        );
-        let sheets = report.sheets().expect("rows");
-        assert_eq!(sheets[0].csv.lines().count(), 1 + Leg::ALL.len());
-        assert_eq!(report.histograms().len(), 2 * Leg::ALL.len());
-        let svg = &report.pictures().expect("drawn")[0].svg;
-        assert!(svg.contains("stop.zero_command") && svg.contains("bare.one_way"));
-        let metrics = report.metrics();
-        assert!(metrics.iter().all(|metric| metric.rounds.len() == 2));
-        assert!(
-            metrics
-                .iter()
-                .any(|metric| metric.name == "latency/stop/zero_command_p99")
-        );
-        assert!(!metrics.iter().any(|metric| metric.name.contains("grid")));
-        assert!(report.tables()[0].text().contains("measurement.machinery"));
+        for (stop_us, kept) in [(5090, true), (5120, false)] {
+            let targets = two_rounds(stop_us).json()["targets"].clone();
+            assert_eq!(
+                [&targets[0]["kept"], &targets[1]["kept"]],
+                [&json!(kept), &json!(kept)]
+            );
+        }
     }
 
     #[test]
     fn a_percentile_of_too_few_values_is_not_printed() {
-        let mut round = Round::new(0).expect("bounds");
-        for (leg, count) in [
-            (Leg::StopCommand, 99),
-            (Leg::StopZeroHandover, 99),
-            (Leg::LeaseAnswer, 100),
-            (Leg::BareOneWay, 1000),
+        for (count, absent) in [
+            (99, [true; 3]),
+            (100, [false, true, false]),
+            (1000, [false; 3]),
         ] {
+            let mut round = Round::new(0).expect("bounds");
             for us in 1..=count {
-                round.record(leg, 1000 * us);
+                round.record(Leg::StopZeroHandover, 1000 * us);
             }
+            let row = row(Leg::StopZeroHandover, &[round]).expect("samples");
+            let value = shown(&row).expect("JSON");
+            let times = [
+                &value["latency_us"]["p99"],
+                &value["latency_us"]["p999"],
+                &value["rounds_us"]["p99"],
+            ];
+            assert_eq!(times.map(Value::is_null), absent);
+            let remark = &remarks(&setting(), &[], &[target(&row, 1.0)], Unmeasured::default())[0];
+            assert_eq!(remark.beside.contains("too few values"), count < 100);
         }
-        let report = Report::new(setting(), vec![round]);
-        let absent = |leg: Leg| {
-            let row = report.rows.iter().find(|row| row.leg == leg);
-            let cells = report.cells(row.expect("it was measured"));
-            [4, 5, 8].map(|column: usize| cells[column] == "-")
-        };
-        assert_eq!(absent(Leg::StopCommand), [true, true, true]);
-        assert_eq!(absent(Leg::LeaseAnswer), [false, true, false]);
-        assert_eq!(absent(Leg::BareOneWay), [false, false, false]);
-        assert!(report.verdicts().text().contains("too few values"));
-        let json = report.json().expect("numbers");
-        assert!(json["legs"][0]["latency_us"]["p999"].is_f64());
-        assert!(json["targets"][0]["p99_us"].is_f64());
-    }
-
-    #[test]
-    fn what_could_not_be_measured_is_told() {
-        let mut report = report(5000);
-        report.rounds[0].unmeasured.spoilt_stops = 2;
-        report.rounds[1].unmeasured.spoilt_stops = 1;
-        report.rounds[1].unmeasured.without_command = 17;
-        let json = report.json().expect("numbers");
-        assert_eq!(json["unmeasured"]["spoilt_stops"], 3);
-        assert_eq!(json["unmeasured"]["without_command"], 17);
-        let text = report.verdicts().text();
-        assert!(
-            text.contains("spoilt stops") && text.contains("17"),
-            "{text}"
-        );
     }
 
     #[test]
     fn what_was_not_measured_has_no_row() {
         let mut round = Round::new(0).expect("bounds");
         round.record(Leg::BareOneWay, 500);
-        let report = Report::new(setting(), vec![round]);
-        assert_eq!(report.rows.len(), 1);
-        assert!(report.ratios().is_empty() && report.targets().is_empty());
-        assert!(report.pictures().is_ok());
+        round.unmeasured.spoilt_stops = 3;
+        let json = dataset(&setting(), &[round]).expect("a result").json();
+        assert_eq!(json["legs"].as_array().map(Vec::len), Some(1));
+        assert_eq!(
+            (&json["ratios"], &json["targets"]),
+            (&json!([]), &json!([]))
+        );
+        assert_eq!(json["unmeasured"]["spoilt_stops"], 3);
     }
 }

@@ -23,7 +23,6 @@ use super::round::{Passage, Round};
 
 /// What is asked in turn: nothing that changes anything while the robot follows.
 const KINDS: [RequestKind; 2] = [RequestKind::AcquireLease, RequestKind::Track];
-/// Periods from one request to the next.
 const GAP: u64 = 2;
 
 /// Asks each second period, at phases spread over the period.
@@ -67,7 +66,6 @@ impl Requests {
 }
 
 impl Errand for Requests {
-    /// The gather answers, too.
     fn awake_before_ns(&self, grid: &Grid) -> u64 {
         grid.lead_ns + grid.early_ns()
     }

@@ -8,12 +8,11 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::leg::{Leg, Way};
-use crate::closed_loop::histogram;
+use crate::quantiles::histogram;
 
 /// The latencies of one leg in one round.
 #[derive(Debug, Clone)]
 pub struct Sampled {
-    /// The latencies \[ns\].
     pub latencies: Histogram<u64>,
     /// When the first and the last one were recorded, after the start of the run \[ns\].
     pub span_ns: Option<(u64, u64)>,
@@ -38,7 +37,6 @@ impl AddAssign for Unmeasured {
 /// The latencies of all legs in one round.
 #[derive(Debug, Clone)]
 pub struct Round {
-    /// What is not among them.
     pub unmeasured: Unmeasured,
     began_ns: u64,
     legs: Vec<Sampled>,
@@ -49,17 +47,12 @@ pub struct Round {
 #[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 pub(super) struct Passage {
     pub(super) sent_ns: u64,
-    /// Start of the gather that took it.
     pub(super) gather_ns: u64,
-    /// The effect is in the client's hands.
     pub(super) received_ns: u64,
 }
 
 impl Round {
     /// An empty one of a run that began at `began_ns` \[`CLOCK_MONOTONIC`\].
-    ///
-    /// # Errors
-    /// Never: the bounds of the histograms are constants.
     pub fn new(began_ns: u64) -> Result<Self> {
         let empty = || {
             Ok(Sampled {
@@ -74,7 +67,6 @@ impl Round {
         })
     }
 
-    /// Of one leg.
     pub fn leg(&self, leg: Leg) -> &Sampled {
         &self.legs[leg as usize]
     }

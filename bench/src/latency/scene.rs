@@ -13,9 +13,6 @@ const BEGINS_NS: u64 = 500_000_000;
 const ENDS_NS: u64 = 3_600_000_000_000;
 
 /// Sends a new reference that stays at one place.
-///
-/// # Errors
-/// When iceoryx2 cannot.
 pub(super) fn send(feed: &ReferenceFeed, position_m: [f64; 3]) -> Result<Header> {
     let now_ns = monotonic_ns();
     let point = |after_ns: u64| ReferencePoint {
@@ -40,9 +37,6 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 }
 
 /// Takes the lease and lets the robot follow.
-///
-/// # Errors
-/// When the daemon refuses.
 pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
     let connection = &hands.connection;
     connection.request(RequestKind::AcquireLease)?;

@@ -23,29 +23,23 @@ use super::scene;
 pub(super) const DECELERATION_RAD_S2: f64 = 20.0;
 /// A robot is at speed at this part of its largest rate.
 const AT_SPEED: f64 = 0.4;
-/// Stops before one counts.
 const WARM_UP: usize = 1;
 /// Releases that one stop may take at most: it needs 15 to 40.
 const TURNS_OF_A_STOP: u64 = 200;
 /// A robot that is not at speed after so many releases is sent elsewhere.
 const SPEED_UP_MAX: u32 = 100;
 
-/// What happens next.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum Step {
     /// A new reference, and out of the stop before.
     Reset,
-    /// Follow it.
     Track,
     /// Wait until it is fast; so many releases were waited for.
     SpeedUp(u32),
-    /// At its time.
     Stop,
-    /// Down the ramp.
     Rest,
 }
 
-/// What is kept of a record.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Kept {
     sequence: u64,
@@ -59,7 +53,6 @@ struct Kept {
     speed_rad_s: f64,
 }
 
-/// Stops the robot again and again.
 pub(super) struct Stops {
     asker: Asker,
     feed: ReferenceFeed,
@@ -78,10 +71,6 @@ pub(super) struct Stops {
 }
 
 impl Stops {
-    /// `samples` that count.
-    ///
-    /// # Errors
-    /// When the robot has no sections.
     pub(super) fn new(
         hands: &Hands,
         feed: ReferenceFeed,
@@ -111,7 +100,6 @@ impl Stops {
         })
     }
 
-    /// Begins again, towards the other side.
     fn begin(&mut self) {
         self.turn += 1;
         self.step = Step::Reset;
@@ -155,13 +143,11 @@ impl Stops {
         }
     }
 
-    /// This stop does not count.
     fn spoil(&mut self, round: &mut Round) {
         self.spoilt += 1;
         round.unmeasured.spoilt_stops += 1;
     }
 
-    /// The robot rests.
     fn end(&mut self, round: &mut Round) {
         let records = mem::take(&mut self.records);
         match judge(&records, self.sent_ns) {
@@ -267,10 +253,8 @@ impl Kept {
     }
 }
 
-/// A stop that was carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Stopped {
-    /// Until the first command of mode stopped.
     first: Passage,
     /// From sending to the first zero rates handed over, less the ramp \[ns\].
     zero_handover_ns: u64,

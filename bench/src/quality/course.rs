@@ -6,79 +6,47 @@ use anyhow::Result;
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
-use serde::Serialize;
 
 use super::legs::Legs;
 use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
+use crate::named::named;
 use crate::scene::{PERIOD_S, Scene};
 
 /// Safe distance of the gap and the crossing \[m\].
 const SAFE_DISTANCE_M: f64 = 0.01;
-/// Radius of the paper's robot's body \[m\].
 const BODY_RADIUS_M: f64 = 0.015;
 /// Radius of a post of the gap \[m\].
 const POST_RADIUS_M: f64 = 0.02;
 /// What the gap leaves on either side of the body and its safe distance \[m\].
 const GAP_SLACK_M: f64 = 0.004;
-/// Where the gap is \[m\].
 const GAP_X_M: f64 = 0.26;
 /// Radius of the ball of the crossing \[m\].
 const BALL_RADIUS_M: f64 = 0.03;
-/// Its speed across the robot's plane \[m/s\].
 const BALL_M_S: f64 = 0.2;
 /// Bend of one section on the paper's circle \[rad\].
 const CIRCLE_BEND_RAD: f64 = 75.0 * PI / 180.0;
 /// Cycles of the circle: the tip is past the point, which it meets after 314.
 const CIRCLE_CYCLES: u64 = 380;
-/// How far the reference jumps \[m\].
 const JUMP_M: [f64; 3] = [-0.1, 0.1, -0.05];
 
-/// A scene, and settings that suit it.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Course {
-    /// The paper's spiral with three sections.
-    Spiral,
-    /// The paper's line with the tip's axis, rates up to 2 rad/s.
-    Line,
-    /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
-    Circle,
-    /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
-    /// in the gap.
-    Gap,
-    /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
-    Crossing,
-    /// The reference jumps by 0.15 m, and back: the rates saturate.
-    Jump,
+named! {
+    pub enum Course {
+        Spiral = "spiral",
+        /// The paper's line with the tip's axis, rates up to 2 rad/s.
+        Line = "line",
+        /// The paper's circle of one section with a point on it, from its first point to past the obstacle.
+        Circle = "circle",
+        /// The tip goes through between two posts, and then to one side, so that the body behind it has to turn
+        /// in the gap.
+        Gap = "gap",
+        /// A ball crosses the robot below its tip while the tip follows a line: the body has to make room.
+        Crossing = "crossing",
+        /// The reference jumps by 0.15 m, and back: the rates saturate.
+        Jump = "jump",
+    }
 }
 
 impl Course {
-    /// All, the paper's first.
-    pub const ALL: [Self; 6] = [
-        Self::Spiral,
-        Self::Line,
-        Self::Circle,
-        Self::Gap,
-        Self::Crossing,
-        Self::Jump,
-    ];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Spiral => "spiral",
-            Self::Line => "line",
-            Self::Circle => "circle",
-            Self::Gap => "gap",
-            Self::Crossing => "crossing",
-            Self::Jump => "jump",
-        }
-    }
-
-    /// Robot, start, curve and obstacles.
-    ///
-    /// # Errors
-    /// Never with these numbers.
     pub fn scene(self) -> Result<Scene> {
         match self {
             Self::Spiral => Ok(Scene::spiral(3)?.at_most(150)),
@@ -215,11 +183,6 @@ fn jump() -> Result<Scene> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

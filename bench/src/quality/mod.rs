@@ -24,8 +24,8 @@ pub mod variant;
 use anyhow::Result;
 
 pub use problem::Field;
-pub use report::{Report, Row, StuckRow};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::scene::Scene;
@@ -42,27 +42,20 @@ const CONTEST_S: f64 = 0.5;
 /// What sizing the swarms of a course takes, about \[s\].
 const SIZING_S: f64 = 0.2;
 
-/// How much is run.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// Runs of each variant, each with another seed.
     pub rounds: u32,
-    /// The courses.
     pub courses: Vec<Course>,
-    /// Cycles of a course at most.
     pub cycles_max: u64,
-    /// Budgets \[µs\].
     pub budgets_us: Vec<u64>,
-    /// Swarms: particles and iterations.
     pub swarms: Vec<(u32, u32)>,
-    /// Prediction steps.
     pub horizons: Vec<u32>,
     /// Random problems of each field in each round.
     pub restarts: u32,
 }
 
 impl Options {
-    /// Everything.
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -110,16 +103,12 @@ impl Options {
     }
 }
 
-/// Several rounds of one variant.
 #[derive(Debug, Clone)]
 pub struct Case {
-    /// The variant.
     pub variant: Variant,
-    /// What came of it in each round.
     pub rounds: Vec<Figures>,
 }
 
-/// About how long a run takes \[s\].
 pub fn expected_s(options: &Options) -> f64 {
     let rounds = f64::from(options.rounds);
     let contests = rounds * f64::from(options.restarts) * Field::ALL.len() as f64;
@@ -140,10 +129,7 @@ fn run_s(variant: &Variant, scene: &Scene) -> f64 {
 }
 
 /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
-///
-/// # Errors
-/// When a signal came.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     let mut courses = Vec::new();
     for &course in &options.courses {
         interrupt::check()?;
@@ -166,11 +152,8 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
         }
         endings.push(contest_all(options.restarts, round, progress)?);
     }
-    Ok(Report {
-        rounds: options.rounds,
-        cases: courses.into_iter().flat_map(|(_, cases)| cases).collect(),
-        endings,
-    })
+    let cases: Vec<Case> = courses.into_iter().flat_map(|(_, cases)| cases).collect();
+    report::dataset(&cases, &endings)
 }
 
 /// One round of every variant of a course.

@@ -5,61 +5,53 @@ use plotters::style::RGBColor;
 
 use super::course::Course;
 use super::problem::Field;
-use super::report::{Report, Row};
-use super::restarts::{Contender, STUCK_SHARE};
+use super::report::{Row, endings_of};
+use super::restarts::{Contender, Ending, STUCK_SHARE};
 use super::variant::{Axis, SOLVERS};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
+use crate::dataset::Plot;
 use crate::experiment::Solver;
-use crate::figures::Figure;
 
-/// Errors below this are drawn here \[mm\].
 const ERROR_FLOOR_MM: f64 = 1e-9;
 /// Less above the best cost is drawn here \[%\].
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
-/// All pictures that there is something for.
-pub(super) fn pictures(report: &Report) -> Result<Vec<Figure>> {
-    let rows = report.rows();
+pub(super) fn plots(rows: &[Row], endings: &[Ending]) -> Result<Vec<Plot>> {
     let timed = |row: &&Row| row.variant.axis == Axis::Budget;
     let rows: Vec<&Row> = rows.iter().filter(timed).collect();
-    let mut figures = Vec::new();
-    let mut add = |name, caption: &str, panels: &[Panel]| -> Result<()> {
-        if !panels.is_empty() {
-            figures.push(Figure {
-                name,
-                caption: caption.to_owned(),
-                svg: sheet(panels, 2, 560)?,
-            });
-        }
-        Ok(())
+    let of_courses = |panel: fn(Course, &[&Row]) -> Option<Panel>| -> Vec<Panel> {
+        let all = Course::ALL.into_iter();
+        all.filter_map(|course| panel(course, &rows)).collect()
     };
-    let courses = || Course::ALL.into_iter();
-    add(
-        "quality-error",
-        "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
-         iterations as it has time for.",
-        &courses()
-            .filter_map(|c| errors(c, &rows))
-            .collect::<Vec<_>>(),
-    )?;
-    add(
-        "quality-clearance",
-        "Smallest clearance of the body against the time of a solve, worst of all rounds. The guard keeps the \
-         robot from entering the safe distance by its own motion.",
-        &courses()
-            .filter_map(|c| clearances(c, &rows))
-            .collect::<Vec<_>>(),
-    )?;
-    add(
-        "quality-stuck",
-        "Random starts, sorted by how far above the best known cost a solver ended. Where a curve crosses the \
-         dark line, the rest to its right is stuck.",
-        &Field::ALL
-            .into_iter()
-            .filter_map(|field| endings(field, report))
-            .collect::<Vec<_>>(),
-    )?;
-    Ok(figures)
+    let of_fields = Field::ALL.into_iter();
+    let all = [
+        (
+            "quality-error",
+            "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
+             iterations as it has time for.",
+            of_courses(errors),
+        ),
+        (
+            "quality-clearance",
+            "Smallest clearance of the body against the time of a solve, worst of all rounds. The guard keeps \
+             the robot from entering the safe distance by its own motion.",
+            of_courses(clearances),
+        ),
+        (
+            "quality-stuck",
+            "Random starts, sorted by how far above the best known cost a solver ended. Where a curve crosses \
+             the dark line, the rest to its right is stuck.",
+            of_fields
+                .filter_map(|field| excess(field, endings))
+                .collect(),
+        ),
+    ];
+    let drawn = all.into_iter().filter(|(_, _, panels)| !panels.is_empty());
+    let plot = |(name, caption, panels): (_, _, Vec<Panel>)| {
+        let svg = sheet(&panels, 2, 560)?;
+        Ok(Plot { name, caption, svg })
+    };
+    drawn.map(plot).collect()
 }
 
 fn colour(solver: Solver) -> RGBColor {
@@ -119,10 +111,9 @@ fn clearances(course: Course, rows: &[&Row]) -> Option<Panel> {
     })
 }
 
-fn endings(field: Field, report: &Report) -> Option<Panel> {
+fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
     let curve = |contender: Contender| {
-        let endings = report.endings_of(field, contender);
-        let mut excess: Vec<f64> = endings
+        let mut excess: Vec<f64> = endings_of(endings, field, contender)
             .map(|ending| 100.0 * ending.excess_share())
             .collect();
         excess.sort_by(f64::total_cmp);
@@ -135,7 +126,7 @@ fn endings(field: Field, report: &Report) -> Option<Panel> {
         };
         Curve::line(contender.name(), points.collect(), colour)
     };
-    report.endings_of(field, Contender::Kpso).next()?;
+    endings_of(endings, field, Contender::Kpso).next()?;
     let mut curves: Vec<Curve> = Contender::ALL.map(curve).into();
     curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
     Some(Panel {

@@ -8,32 +8,24 @@ use cdcr_controller::optimizer::cycle_seed;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, Shape};
 use nalgebra::Vector3;
-use serde::Serialize;
 
 use crate::experiment::Solver;
+use crate::named::named;
 
 /// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
 /// is so thin that it could be passed between two steps.
 pub(super) const PERIOD_S: f64 = 0.03;
-/// Steps: 0.9 s.
 const HORIZON_STEPS: u32 = 30;
-/// Control blocks.
 const BLOCKS: u32 = 5;
-/// Particles and iterations of one solve.
 const SWARM: (u32, u32) = (32, 40);
-/// Gauss-Newton steps of one solve.
 const REFINEMENTS: u32 = 25;
-/// Sections of the robot.
 pub(super) const SECTIONS: usize = 3;
 /// Largest bend of a section of a random shape \[rad\].
 const BEND_MAX_RAD: f64 = 1.2;
-/// Distance between tip and target \[m\].
 const APART_M: std::ops::Range<f64> = 0.25..0.6;
-/// Distance that is kept from obstacles \[m\].
 const SAFE_DISTANCE_M: f64 = 0.01;
 /// Start and target shape keep so many of it.
 const CLEAR_DISTANCES: f64 = 1.5;
-/// Radius of the ball \[m\].
 const BALL_RADIUS_M: f64 = 0.05;
 /// Radius of a post, and half its length \[m\].
 const POST_M: (f64, f64) = (0.015, 0.2);
@@ -42,31 +34,18 @@ const BESIDE_M: f64 = 0.06;
 /// Draws after which a problem is given up.
 const DRAWS_MAX: u32 = 10_000;
 
-/// What stands between the tip and its target.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Field {
-    /// Nothing.
-    Free,
-    /// A ball in the middle of the straight way.
-    Ball,
-    /// Three posts beside the straight way or on it.
-    Posts,
+named! {
+    /// What stands between the tip and its target.
+    pub enum Field {
+        Free = "free",
+        /// A ball in the middle of the straight way.
+        Ball = "ball",
+        /// Three posts beside the straight way or on it.
+        Posts = "posts",
+    }
 }
 
 impl Field {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Free, Self::Ball, Self::Posts];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Free => "free",
-            Self::Ball => "ball",
-            Self::Posts => "posts",
-        }
-    }
-
     fn obstacles(self, way: &Way, numbers: &mut Numbers) -> Result<Vec<Obstacle>> {
         let still = Vector3::zeros();
         let mut obstacles = Vec::new();
@@ -94,7 +73,6 @@ impl Field {
     }
 }
 
-/// The straight way of the tip.
 struct Way {
     from_m: Vector3<f64>,
     to_m: Vector3<f64>,
@@ -106,7 +84,6 @@ impl Way {
     }
 }
 
-/// Numbers that a seed decides.
 pub(super) struct Numbers {
     seed: u64,
     drawn: u64,
@@ -142,10 +119,6 @@ pub(super) struct Problem {
 }
 
 impl Problem {
-    /// The problem of a seed.
-    ///
-    /// # Errors
-    /// When none is found in ten thousand draws.
     pub(super) fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
@@ -212,7 +185,6 @@ impl Problem {
     }
 }
 
-/// Settings of one solve.
 pub(super) fn settings(solver: Solver) -> NmpcSettings {
     solver.of(NmpcSettings {
         horizon_steps: HORIZON_STEPS,
@@ -227,11 +199,6 @@ pub(super) fn settings(solver: Solver) -> NmpcSettings {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use cdcr_controller::robot::RobotParameters;
 

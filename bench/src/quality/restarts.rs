@@ -10,6 +10,7 @@ use serde::Serialize;
 
 use super::problem::{Field, Numbers, PERIOD_S, Problem, SECTIONS, settings};
 use crate::experiment::Solver;
+use crate::named::named;
 
 /// More than this share above the best cost is stuck.
 pub const STUCK_SHARE: f64 = 0.01;
@@ -17,7 +18,6 @@ pub const STUCK_SHARE: f64 = 0.01;
 pub const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
 /// A plan that ends further from the target has not arrived \[mm\].
 pub const ARRIVED_MM: f64 = 10.0;
-/// Solves of one start at most.
 const SOLVES_MAX: u32 = 20;
 /// Solves without progress after which a solver has ended: its swarm draws other numbers in each.
 const PATIENCE: u32 = 2;
@@ -28,39 +28,17 @@ const RANDOM_PLANS: u64 = 3;
 /// Rates of a random plan, either way \[rad/s\].
 const RANDOM_RATE_RAD_S: f64 = 2.0;
 
-/// Who looks for the best plan.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Contender {
-    /// The swarm alone.
-    Kpso,
-    /// Gauss-Newton alone, from rest.
-    GaussNewton,
-    /// Gauss-Newton from rest and from three random plans; the best of the four.
-    GaussNewtonRestarted,
-    /// The swarm, then Gauss-Newton.
-    KpsoRefined,
+named! {
+    pub enum Contender {
+        Kpso = "kpso",
+        GaussNewton = "gauss-newton",
+        /// Gauss-Newton from rest and from three random plans; the best of the four.
+        GaussNewtonRestarted = "gauss-newton-restarted",
+        KpsoRefined = "kpso-refined",
+    }
 }
 
 impl Contender {
-    /// All of them.
-    pub const ALL: [Self; 4] = [
-        Self::Kpso,
-        Self::GaussNewton,
-        Self::GaussNewtonRestarted,
-        Self::KpsoRefined,
-    ];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Kpso => "kpso",
-            Self::GaussNewton => "gauss-newton",
-            Self::GaussNewtonRestarted => "gauss-newton-restarted",
-            Self::KpsoRefined => "kpso-refined",
-        }
-    }
-
     pub(super) fn solver(self) -> Solver {
         match self {
             Self::Kpso => Solver::Kpso,
@@ -70,24 +48,17 @@ impl Contender {
     }
 }
 
-/// How one contender ended in one problem.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Ending {
-    /// What stood in the way.
     pub field: Field,
     /// Seed of the problem, and of the swarms.
     pub seed: u64,
-    /// Who.
     pub contender: Contender,
-    /// Cost of its best plan.
     pub cost: f64,
-    /// Best cost of all contenders.
     pub best_cost: f64,
     /// From the end of its plan to the target \[mm\].
     pub end_error_mm: f64,
-    /// Solves that it took.
     pub solves: u32,
-    /// Time that it took \[ms\].
     pub time_ms: f64,
 }
 
@@ -102,16 +73,12 @@ impl Ending {
         self.cost > self.best_cost * (1.0 + STUCK_SHARE) + STUCK_FLOOR_M2
     }
 
-    /// Whether its plan leads to the target.
     pub fn arrives(&self) -> bool {
         self.end_error_mm <= ARRIVED_MM
     }
 }
 
 /// Lets every contender solve the problem of this seed.
-///
-/// # Errors
-/// When there is no such problem.
 pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
     let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
     let problem = Problem::draw(field, &robot, seed)?;
@@ -145,7 +112,6 @@ pub fn contest(field: Field, seed: u64) -> Result<Vec<Ending>> {
     Ok(endings)
 }
 
-/// One contender at one problem.
 struct Attempt<'a> {
     problem: &'a Problem,
     nmpc: Nmpc,
@@ -168,7 +134,6 @@ impl<'a> Attempt<'a> {
         })
     }
 
-    /// Begins again from a random plan.
     fn restart(&mut self, seed: u64) {
         let mut numbers = Numbers::new(seed);
         let mut rate = || numbers.between(-RANDOM_RATE_RAD_S, RANDOM_RATE_RAD_S);
@@ -200,11 +165,6 @@ impl<'a> Attempt<'a> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

@@ -12,25 +12,18 @@ use crate::closed_loop::ClosedLoop;
 use crate::experiment::Solver;
 use crate::metric::median;
 
-/// Iterations that are timed.
 const ITERATIONS: u32 = 8;
-/// One cycle in so many is timed.
 const EVERY: u64 = 8;
-/// Iterations of a swarm at most.
 const ITERATIONS_MAX: f64 = 1000.0;
 
 /// What an iteration of [`BUDGET_SWARM`] particles takes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Sizing {
-    /// The median over the course \[µs\].
     pub iteration_us: f64,
 }
 
 impl Sizing {
     /// Drives the course with Gauss-Newton and times the swarm on the way.
-    ///
-    /// # Errors
-    /// Never with the settings of a course.
     pub fn measure(course: Course) -> Result<Self> {
         let scene = course.scene()?;
         let driving = Solver::GaussNewton.of(course.settings());
@@ -59,7 +52,7 @@ impl Sizing {
             closed.advance(&wish);
         }
         Ok(Self {
-            iteration_us: median(&times_us).unwrap_or(1.0),
+            iteration_us: median(times_us).unwrap_or(1.0),
         })
     }
 

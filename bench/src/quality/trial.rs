@@ -3,13 +3,14 @@
 use std::time::{Duration, Instant};
 
 use anyhow::Result;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput, SolverKind};
+use cdcr_controller::nmpc::Nmpc;
 use cdcr_controller::optimizer::Budget;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::variant::Variant;
-use crate::closed_loop::{ClosedLoop, histogram, quantile_us};
+use crate::closed_loop::{ClosedLoop, Judge};
+use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
 /// What the guard lets through may be nearer than the safe distance by rounding \[m\].
@@ -20,7 +21,6 @@ const ROUNDING_M: f64 = 1e-9;
 pub struct Figures {
     /// Mean distance of the tip from the reference \[mm\].
     pub mean_error_mm: f64,
-    /// Largest \[mm\].
     pub max_error_mm: f64,
     /// Smallest clearance of the body \[mm\]; none without obstacles.
     pub min_clearance_mm: Option<f64>,
@@ -32,16 +32,10 @@ pub struct Figures {
     pub cut_short_share: f64,
     /// Share of the cycles in which the clearance guard changed the command.
     pub guarded_share: f64,
-    /// Median time of a solve \[µs\].
     pub solve_p50_us: f64,
-    /// Its 99th percentile \[µs\].
     pub solve_p99_us: f64,
 }
 
-/// Drives the course once.
-///
-/// # Errors
-/// When the settings are out of range.
 pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     let mut sums = Sums::new()?;
     let settings = variant.settings(seed);
@@ -66,34 +60,6 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     Ok(sums.figures(scene))
 }
 
-/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
-struct Judge {
-    nmpc: Nmpc,
-}
-
-impl Judge {
-    fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
-        let settings = NmpcSettings {
-            solver: SolverKind::GaussNewton,
-            refinement_steps: 0,
-            ..settings
-        };
-        let nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-        Ok(Self { nmpc })
-    }
-
-    fn cost(&mut self, input: &SolveInput, plan: &[f64]) -> f64 {
-        self.nmpc.restore_plan(plan);
-        let input = SolveInput {
-            elapsed_periods: 0,
-            ..*input
-        };
-        let (_, report) = self.nmpc.solve(&input, &mut Budget::unlimited());
-        report.warm_cost
-    }
-}
-
-/// What is summed up over a run.
 struct Sums {
     cycles: u64,
     error_mm: f64,
@@ -152,11 +118,6 @@ impl Sums {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use crate::experiment::Solver;
     use crate::quality::course::Course;

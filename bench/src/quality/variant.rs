@@ -6,66 +6,40 @@ use serde::Serialize;
 use super::course::Course;
 use super::sizing::Sizing;
 use crate::experiment::Solver;
+use crate::named::named;
 
-/// Solvers that are compared.
 pub const SOLVERS: [Solver; 3] = [Solver::Kpso, Solver::GaussNewton, Solver::KpsoRefined];
-/// Budgets of a solve \[µs\].
 pub const BUDGETS_US: [u64; 9] = [10, 20, 50, 100, 200, 500, 1000, 2000, 4000];
 /// Swarms, particles and iterations: the paper's is the second.
 pub const SWARMS: [(u32, u32); 5] = [(6, 10), (6, 30), (12, 30), (24, 30), (24, 60)];
-/// Prediction steps.
 pub const HORIZONS: [u32; 5] = [1, 2, 4, 8, 16];
-/// Particles where the budget ends a solve.
 pub(super) const BUDGET_SWARM: u32 = 64;
 /// Iterations of the swarm alone, where the budget ends a solve: as many as are allowed.
 const BUDGET_ITERATIONS: u32 = 1000;
 /// Gauss-Newton steps, where the budget ends a solve: as many as are allowed.
 const BUDGET_REFINEMENTS: u32 = 50;
 
-/// What varies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Axis {
-    /// The time of a solve, on the clock.
-    Budget,
-    /// Particles and iterations; as much time as they take.
-    Swarm,
-    /// Prediction steps; as much time as they take.
-    Horizon,
-}
-
-impl Axis {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Budget, Self::Swarm, Self::Horizon];
-
-    /// As in tables and JSON.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Budget => "budget",
-            Self::Swarm => "swarm",
-            Self::Horizon => "horizon",
-        }
+named! {
+    pub enum Axis {
+        /// The time of a solve, on the clock.
+        Budget = "budget",
+        /// Particles and iterations; as much time as they take.
+        Swarm = "swarm",
+        /// Prediction steps; as much time as they take.
+        Horizon = "horizon",
     }
 }
 
-/// One way to solve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Variant {
-    /// What varies.
     pub axis: Axis,
-    /// The scene.
     pub course: Course,
-    /// The solver.
     pub solver: Solver,
     /// Budget of a solve \[µs\]; none: as much as it takes.
     pub budget_us: Option<u64>,
-    /// Particles; none of `gauss-newton`.
     pub swarm: u32,
-    /// Swarm iterations at most.
     pub iterations: u32,
-    /// Gauss-Newton steps at most.
     pub refinements: u32,
-    /// Prediction steps.
     pub horizon: u32,
     /// Control blocks; 0: one for each step, as far as that goes.
     pub blocks: u32,
@@ -115,7 +89,6 @@ impl Variant {
         }
     }
 
-    /// With so many particles and iterations.
     pub fn swarm(course: Course, solver: Solver, (swarm, iterations): (u32, u32)) -> Self {
         Self {
             swarm,
@@ -133,7 +106,6 @@ impl Variant {
         }
     }
 
-    /// The settings of the controller.
     pub fn settings(&self, seed: u64) -> NmpcSettings {
         let base = self.solver.of(self.course.settings());
         NmpcSettings {
@@ -148,7 +120,6 @@ impl Variant {
         }
     }
 
-    /// The value that varies, in words.
     pub fn value(&self) -> String {
         match (self.axis, self.budget_us) {
             (Axis::Budget, Some(us)) => format!("{us} µs"),
@@ -157,7 +128,6 @@ impl Variant {
         }
     }
 
-    /// The same as part of a name.
     pub fn key(&self) -> String {
         let value = match (self.axis, self.budget_us) {
             (Axis::Budget, Some(us)) => format!("{us}-us"),

@@ -24,16 +24,12 @@ const SPIN_SHARE: f64 = 0.25;
 /// A robot, and how its control problem is solved.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Case {
-    /// Sections of the robot.
     pub sections: usize,
-    /// How the control problem is solved.
     pub solver: Solver,
-    /// Steps N of the horizon.
     pub horizon_steps: u32,
 }
 
 impl Case {
-    /// What the daemon does by default.
     pub const DEFAULT: Self = Self {
         sections: 3,
         solver: Solver::KpsoRefined,
@@ -55,7 +51,6 @@ impl Case {
         all
     }
 
-    /// In words.
     pub fn name(&self) -> String {
         let plural = if self.sections == 1 { "" } else { "s" };
         format!(
@@ -66,7 +61,6 @@ impl Case {
         )
     }
 
-    /// For the name of a metric.
     pub fn key(&self) -> String {
         format!(
             "{}-sections/{}/n{}",
@@ -80,21 +74,14 @@ impl Case {
 /// What all daemons of a run have in common.
 #[derive(Debug)]
 pub struct Stage {
-    /// Where they run.
     pub cores: Cores,
-    /// Whether they get real time.
     pub realtime: bool,
     /// How long before a release they wake up to spin \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
-    /// Where the configurations of the robots lie.
     folder: TempDir,
 }
 
 impl Stage {
-    /// Writes the configurations.
-    ///
-    /// # Errors
-    /// When the folder for temporary files cannot be written.
     pub fn new(cores: Cores, realtime: bool, spin_us: f64) -> Result<Self> {
         let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
         let folder = folder.context("a folder for temporary files")?;
@@ -142,7 +129,6 @@ fn file_name(sections: usize) -> String {
     format!("robot-{sections}.toml")
 }
 
-/// The paper's robot with so many sections.
 fn robot(sections: usize) -> String {
     let section = |index: usize| {
         let offset_rad = (40.0 * index as f64).to_radians();
@@ -161,11 +147,6 @@ fn robot(sections: usize) -> String {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

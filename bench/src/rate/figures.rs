@@ -1,9 +1,8 @@
 //! What one trial measured, and whether its period held.
 
-use cdcr_shared_types::Statistics;
-use cdcr_shared_types::codes::LateCause;
 use serde::Serialize;
 
+use crate::causes::Causes;
 use crate::quantiles::Quantiles;
 
 /// From this share of a core on, the system may halt real-time threads: Linux leaves them 95 %.
@@ -16,31 +15,21 @@ const LOST_MAX: f64 = 1e-3;
 /// What the daemon did in one trial, in its own statistics, unless something else is said.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figures {
-    /// How long it was measured \[s\].
     pub duration_s: f64,
-    /// Cycles that ran.
     pub cycles: u64,
-    /// Of them, those that started late.
     pub late_starts: u64,
     /// Of them, those that missed their deadline, the end of the period.
     pub deadline_misses: u64,
-    /// Releases that got no cycle.
     pub skipped_periods: u64,
-    /// Late cycles by what made them late.
     pub causes: Causes,
     /// Share of the cycles whose solve was cut short by the end of its time.
     pub budget_hit_share: f64,
     /// Share of the cycles that used the inputs of the one before again.
     pub stale_input_share: f64,
-    /// Records that were lost inside the daemon.
     pub dropped_records: u64,
-    /// Release to start.
     pub wake_us: Quantiles,
-    /// The solver.
     pub solve_us: Quantiles,
-    /// Start to hand-over of the command.
     pub compute_us: Quantiles,
-    /// Release to hand-over of the command.
     pub response_us: Quantiles,
     /// Share of its core that the cycle thread used, by the kernel's count.
     pub cycle_core_share: f64,
@@ -50,69 +39,12 @@ pub struct Figures {
     pub tracking_share: f64,
     /// Distance of the tip from its reference, as the client's records say: median \[mm\].
     pub error_p50_mm: f64,
-    /// The same: 99th percentile \[mm\].
     pub error_p99_mm: f64,
-}
-
-/// Late cycles by what made them late.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Causes {
-    /// The timer came late, or the hypervisor had the core.
-    pub platform: u64,
-    /// Another task had the core.
-    pub load: u64,
-    /// Memory was not there.
-    pub page_fault: u64,
-    /// The processor stood still.
-    pub stall: u64,
-    /// The cycle computed for too long.
-    pub compute: u64,
-}
-
-impl Causes {
-    /// As the daemon counted them.
-    pub fn told(statistics: &Statistics) -> Self {
-        let of = |cause: LateCause| statistics.causes[cause.code() as usize];
-        Self {
-            platform: of(LateCause::Platform),
-            load: of(LateCause::Load),
-            page_fault: of(LateCause::PageFault),
-            stall: of(LateCause::Stall),
-            compute: of(LateCause::Compute),
-        }
-    }
-
-    /// Those that are the daemon's own doing.
-    pub fn own(&self) -> u64 {
-        self.page_fault + self.compute
-    }
-
-    /// All late cycles.
-    pub fn all(&self) -> u64 {
-        self.own() + self.platform + self.load + self.stall
-    }
-
-    /// In words, without those that did not happen.
-    fn words(self) -> String {
-        let all = [
-            (self.platform, "platform"),
-            (self.load, "another task"),
-            (self.page_fault, "page fault"),
-            (self.stall, "stall"),
-            (self.compute, "compute"),
-        ];
-        let there = all.iter().filter(|(count, _)| *count > 0);
-        let words: Vec<_> = there
-            .map(|(count, name)| format!("{count} {name}"))
-            .collect();
-        words.join(", ")
-    }
 }
 
 /// What a trial says about its period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Verdict {
-    /// It holds.
     Holds,
     /// A cycle was late by the daemon's own doing. Nothing excuses that.
     Own,
@@ -150,7 +82,6 @@ impl Figures {
         }
     }
 
-    /// Releases that were due.
     pub fn due(&self) -> u64 {
         self.cycles + self.skipped_periods
     }
@@ -220,7 +151,6 @@ impl Figures {
 pub(super) mod tests {
     use super::*;
 
-    /// Of a trial in which nothing happened.
     pub(in crate::rate) fn quiet() -> Figures {
         let us = |p50: f64| Quantiles {
             min: 0.5 * p50,
@@ -281,7 +211,7 @@ pub(super) mod tests {
             skipped_periods: 40,
             causes: Causes {
                 platform: 2,
-                stall: 1,
+                other: 1,
                 ..Causes::default()
             },
             ..quiet()
@@ -303,7 +233,7 @@ pub(super) mod tests {
                 ..Causes::default()
             },
             Causes {
-                page_fault: 1,
+                fault: 1,
                 platform: 10,
                 ..Causes::default()
             },

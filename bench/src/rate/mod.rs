@@ -11,17 +11,16 @@
 mod case;
 mod figures;
 mod report;
-mod rows;
 mod search;
 mod trial;
 
 use anyhow::Result;
 
 pub use case::Case;
-pub use figures::{Causes, Figures, Verdict};
-pub use report::Report;
+pub use figures::{Figures, Verdict};
 pub use trial::{Length, Trial};
 
+use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
 use crate::system::cores::Cores;
@@ -32,21 +31,17 @@ use case::Stage;
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
 /// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
 const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
-/// Where the search begins.
 const FIRST_GUESS: usize = 4;
 /// Trials that the search for one case takes, about: the border from both sides, and a repetition.
 const TRIALS: f64 = 3.2;
 
-/// What is measured, and for how long.
 #[derive(Debug, Clone)]
 pub struct Options {
     /// How often the default is measured with each of its periods.
     pub rounds: u32,
     /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
     pub spin_us: f64,
-    /// How long a trial is.
     pub length: Length,
-    /// Whose shortest period is looked for.
     pub cases: Vec<Case>,
     /// The periods that are tried, longest first \[ms\].
     pub periods_ms: Vec<f64>,
@@ -55,7 +50,6 @@ pub struct Options {
 }
 
 impl Options {
-    /// Everything, about five minutes.
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -88,10 +82,22 @@ impl Options {
     }
 }
 
-/// The shortest period of one case.
+/// How the default does with each of its periods, and the shortest period of each case.
+#[derive(Debug)]
+pub struct Measured {
+    pub realtime: bool,
+    /// How long they spun before each release \[µs\], at most a quarter of the period.
+    pub spin_us: f64,
+    /// When the run began \[ns, `CLOCK_MONOTONIC`\].
+    pub begin_ns: u64,
+    pub steps: Vec<Step>,
+    pub shortest: Vec<Shortest>,
+    /// All trials of the search, in their order.
+    pub trials: Vec<Trial>,
+}
+
 #[derive(Debug, Clone)]
 pub struct Shortest {
-    /// Whose.
     pub case: Case,
     /// The trial with the shortest period that held; none when not even the longest did.
     pub held: Option<Trial>,
@@ -99,7 +105,6 @@ pub struct Shortest {
     pub held_tally: Tally,
     /// The last trial with the next shorter period; none when there is no shorter one.
     pub failed: Option<Trial>,
-    /// The same of the next shorter period.
     pub failed_tally: Tally,
 }
 
@@ -125,12 +130,9 @@ impl Shortest {
     }
 }
 
-/// Trials with one period.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Those that held.
     pub held: usize,
-    /// All of them.
     pub trials: usize,
 }
 
@@ -146,9 +148,7 @@ impl Tally {
 /// The default with one period, round by round.
 #[derive(Debug, Clone)]
 pub struct Step {
-    /// The period \[ms\].
     pub period_ms: f64,
-    /// One trial for each round.
     pub rounds: Vec<Trial>,
 }
 
@@ -166,10 +166,11 @@ fn search_s(options: &Options) -> f64 {
 }
 
 /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
-///
-/// # Errors
-/// When a daemon does not start, or a signal came.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
+pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+    report::dataset(measure(options, progress)?)
+}
+
+pub fn measure(options: &Options, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();
     let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
@@ -182,7 +183,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Report> {
     };
     let steps = run.steps()?;
     let shortest = run.search_all()?;
-    Ok(Report {
+    Ok(Measured {
         realtime: run.stage.realtime,
         spin_us: options.spin_us,
         begin_ns,
@@ -213,12 +214,10 @@ fn search_case(
     })
 }
 
-/// A measurement under way.
 struct Run<'a> {
     options: &'a Options,
     stage: Stage,
     progress: &'a mut Progress,
-    /// All trials of the search.
     trials: Vec<Trial>,
 }
 
@@ -276,13 +275,9 @@ impl Run<'_> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
-    use crate::closed_loop::histogram;
+    use crate::causes::Causes;
+    use crate::quantiles::histogram;
 
     /// A trial that holds, or in which the machine or the loop lost releases.
     fn trial(period_ms: f64, verdict: Verdict) -> Trial {

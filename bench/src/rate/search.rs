@@ -7,9 +7,6 @@ use anyhow::Result;
 /// costs two trials.
 ///
 /// It takes for granted what is so in every loop: with more time a period does not hold worse.
-///
-/// # Errors
-/// The first one of `holds`.
 pub(super) fn shortest(
     count: usize,
     first: usize,
@@ -36,11 +33,6 @@ pub(super) fn shortest(
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

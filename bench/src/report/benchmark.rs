@@ -7,16 +7,18 @@ use std::time::{Instant, SystemTime};
 use anyhow::Result;
 use clap::ValueEnum;
 
-use super::offline::{budget, paper, solver};
 use super::{Extent, Part, Report, Start};
+use crate::budget;
+use crate::dataset::Dataset;
 use crate::deadline;
 use crate::footprint;
 use crate::interrupt;
 use crate::latency;
+use crate::paper;
 use crate::progress::Progress;
 use crate::quality;
 use crate::rate;
-use crate::section::Section;
+use crate::solver;
 
 /// A benchmark. Those of real time come first, while the machine is quiet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -60,9 +62,6 @@ impl Request {
     }
 
     /// Runs the benchmarks. One that fails is part of the report and does not keep the others from running.
-    ///
-    /// # Errors
-    /// When a signal comes.
     pub fn run(&self, start: Start, progress: &mut Progress) -> Result<Report> {
         let asked = Benchmark::ALL
             .into_iter()
@@ -131,19 +130,17 @@ impl Benchmark {
                 Plan::of("quality", options, quality::expected_s, quality::run)
             }
             Self::Paper => {
-                let mut options = sized(quick, paper::Options::quick, paper::Options::default);
-                if let Some(rounds) = rounds {
-                    options.effort.seeds = rounds.into();
-                }
-                Plan::of("paper", options, paper::expected_s, paper::run)
+                let mut effort = if quick { paper::QUICK } else { paper::FULL };
+                effort.seeds = rounds.map_or(effort.seeds, u64::from);
+                Plan::of("paper", effort, paper::expected_s, paper::run)
             }
             Self::Solver => {
-                let mut options = sized(quick, solver::Options::quick, solver::Options::default);
+                let mut options = sized(quick, solver::Options::quick, solver::Options::full);
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("solver", options, solver::expected_s, solver::run)
             }
             Self::Budget => {
-                let mut options = sized(quick, budget::Options::quick, budget::Options::default);
+                let mut options = sized(quick, || budget::Options::QUICK, || budget::Options::FULL);
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("budget", options, budget::expected_s, budget::run)
             }
@@ -165,26 +162,26 @@ fn quick_latency() -> latency::Options {
     }
 }
 
-type Measured = Result<Box<dyn Section + Send>>;
+type Run = dyn FnOnce(&mut Progress) -> Result<Dataset> + Send;
 
 /// A benchmark with its options.
 struct Plan {
     name: &'static str,
     expected_s: f64,
-    run: Box<dyn FnOnce(&mut Progress) -> Measured + Send>,
+    run: Box<Run>,
 }
 
 impl Plan {
-    fn of<O: Send + 'static, R: Section + Send + 'static>(
+    fn of<O: Send + 'static>(
         name: &'static str,
         options: O,
         expected_s: fn(&O) -> f64,
-        run: fn(&O, &mut Progress) -> Result<R>,
+        run: fn(&O, &mut Progress) -> Result<Dataset>,
     ) -> Self {
         Self {
             name,
             expected_s: expected_s(&options),
-            run: Box::new(move |progress| Ok(Box::new(run(&options, progress)?))),
+            run: Box::new(move |progress| run(&options, progress)),
         }
     }
 
@@ -210,13 +207,12 @@ impl Plan {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::report::offline::budget;
 
-    fn fails(_: &budget::Options, _: &mut Progress) -> Result<budget::Report> {
+    fn fails(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
         anyhow::bail!("no luck")
     }
 
-    fn panics(_: &budget::Options, _: &mut Progress) -> Result<budget::Report> {
+    fn panics(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
         panic!("a test of a panic")
     }
 
@@ -226,7 +222,7 @@ mod tests {
             (fails as fn(&budget::Options, &mut Progress) -> _, "no luck"),
             (panics, "panicked"),
         ] {
-            let plan = Plan::of("budget", budget::Options::quick(), budget::expected_s, run);
+            let plan = Plan::of("budget", budget::Options::QUICK, budget::expected_s, run);
             let part = plan.carry_out(&mut Progress::silent());
             let cause = part.result.err().expect("no result");
             assert!(cause.contains(words), "{cause}");

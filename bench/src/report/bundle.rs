@@ -16,10 +16,6 @@ pub struct Bundle {
 }
 
 impl Bundle {
-    /// Adds a file.
-    ///
-    /// # Errors
-    /// When there is one of this name.
     pub fn add(&mut self, name: impl Into<String>, text: String) -> Result<()> {
         let name = name.into();
         ensure!(
@@ -30,16 +26,12 @@ impl Bundle {
         Ok(())
     }
 
-    /// The names of all files, in order.
     pub fn names(&self) -> impl Iterator<Item = &str> {
         self.files.keys().map(String::as_str)
     }
 
     /// Writes all files into `folder`, which is made if it does not exist. They are written beside their place
     /// first, and take it once all are complete: a disk that is full leaves the older files alone.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
         make(folder)?;
         let fresh = tempfile::Builder::new()

@@ -1,49 +1,52 @@
-//! Results as documents: one benchmark, or all of them, as text, JSON, CSV, pictures, a page and raw
-//! histograms.
+//! Results as documents: one benchmark, or all of them, as text, Markdown, JSON, CSV, plots, a page and raw histograms.
 //!
-//! Invariant: nothing here measures; [`offline`] and [`benchmark`] only call what does.
+//! Invariant: nothing here measures; [`benchmark`] only calls what does.
 
 pub mod benchmark;
 mod bundle;
-mod document;
-mod html;
-pub mod offline;
-mod targets;
+pub(crate) mod targets;
 
+use std::collections::BTreeMap;
 use std::time::SystemTime;
 
 use anyhow::Result;
 pub use bundle::Bundle;
 use serde::Serialize;
-pub(crate) use targets::number;
+use serde_json::{Map, Value, json};
 pub use targets::{Target, targets};
 
+use crate::dataset::{Dataset, Sheet};
 use crate::environment::{Environment, Options};
 use crate::hlog;
 use crate::metric::Metric;
-use crate::section::Section;
-use crate::table::Table;
+use crate::page;
 
 /// Said of a report of `--quick`.
-const QUICK: &str =
+pub(crate) const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
+
+/// Keys of a report beside those of its results.
+const OUR_KEYS: [&str; 8] = [
+    "environment",
+    "extent",
+    "failed",
+    "metrics",
+    "options",
+    "targets",
+    "targets_not_judged",
+    "took_s",
+];
 
 /// When a run began, and on what machine.
 #[derive(Debug, Clone)]
 pub struct Start {
-    /// When.
     pub time: SystemTime,
-    /// The machine then.
     pub environment: Environment,
-    /// What was asked for.
     pub options: Options,
 }
 
 impl Start {
     /// Now. To be asked before any thread of this process is pinned.
-    ///
-    /// # Errors
-    /// When the system does not tell which cores this process may use.
     pub fn now() -> Result<Self> {
         Ok(Self {
             time: SystemTime::now(),
@@ -53,47 +56,34 @@ impl Start {
     }
 }
 
-/// How much was asked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Extent {
-    /// A quick look only.
     pub quick: bool,
     /// Rounds, where another number than the usual one was asked for.
     pub rounds: Option<u32>,
 }
 
-/// What came of one benchmark.
 pub struct Part {
-    /// Its name.
     pub name: &'static str,
-    /// When it began.
     pub started: SystemTime,
-    /// How long it took \[s\].
     pub took_s: f64,
     /// Its result, or why there is none.
-    pub result: Result<Box<dyn Section + Send>, String>,
+    pub result: Result<Dataset, String>,
 }
 
-/// What came of several benchmarks.
 pub struct Report {
-    /// When and where.
     pub start: Start,
-    /// How much was asked for.
     pub extent: Extent,
-    /// The daemon had its default configuration.
     pub default_config: bool,
     /// One for each benchmark that was asked for, in their order.
     pub parts: Vec<Part>,
 }
 
 impl Report {
-    /// The results that there are.
-    pub fn sections(&self) -> impl Iterator<Item = &dyn Section> {
-        let results = self
-            .parts
+    fn datasets(&self) -> impl Iterator<Item = &Dataset> {
+        self.parts
             .iter()
-            .filter_map(|part| part.result.as_ref().ok());
-        results.map(|section| &**section as &dyn Section)
+            .filter_map(|part| part.result.as_ref().ok())
     }
 
     /// Name of each benchmark that failed, and why.
@@ -102,21 +92,35 @@ impl Report {
         parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
     }
 
-    /// All single numbers.
-    pub fn metrics(&self) -> Vec<Metric> {
-        self.sections().flat_map(Section::metrics).collect()
+    /// What each benchmark found, under its name; of one that failed the key `error`.
+    fn results(&self) -> Map<String, Value> {
+        let result = |part: &Part| match &part.result {
+            Ok(dataset) => (part.name.to_owned(), dataset.json().into()),
+            Err(cause) => (part.name.to_owned(), json!({ "error": cause })),
+        };
+        self.parts.iter().map(result).collect()
+    }
+
+    fn metrics(&self) -> Vec<Metric> {
+        self.datasets()
+            .flat_map(|dataset| dataset.metrics.clone())
+            .collect()
     }
 
     /// What was asked of the project, and what was found; without rows when nothing of it was measured, or
     /// not under the conditions of the figures.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
-    pub fn targets(&self) -> Result<Vec<Target>> {
-        if self.not_judged().is_some() {
-            return Ok(Vec::new());
+    fn targets(&self) -> Vec<Target> {
+        match self.not_judged() {
+            Some(_) => Vec::new(),
+            None => targets(&self.metrics(), &self.results()),
         }
-        Ok(targets(&self.metrics(), &document::results(self)?))
+    }
+
+    fn target_sheet(&self) -> Result<Option<Sheet>> {
+        let targets = self.targets();
+        (!targets.is_empty())
+            .then(|| targets::sheet(&targets))
+            .transpose()
     }
 
     /// Why the figures to reach were not judged, in a sentence; none when they were, or when no benchmark that
@@ -136,61 +140,48 @@ impl Report {
         }
     }
 
-    /// The whole as text.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
-    pub fn text(&self) -> Result<String> {
-        let mut texts = vec![self.summary()?];
-        for part in &self.parts {
-            match &part.result {
-                Ok(section) => texts.push(section_text(&**section)),
-                Err(cause) => texts.push(format!("{} failed: {cause}\n", part.name)),
-            }
-        }
-        Ok(texts.join("\n"))
-    }
-
     /// The machine, the targets, and what failed, as text.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn summary(&self) -> Result<String> {
         let mut texts = vec![self.start.environment.table().text()];
-        if self.extent.quick {
-            texts.push(QUICK.to_owned() + "\n");
-        }
-        let targets = self.targets()?;
-        if !targets.is_empty() {
-            texts.push(targets::table(&targets).text());
-        }
+        texts.extend(self.extent.quick.then(|| QUICK.to_owned() + "\n"));
+        texts.extend(self.target_sheet()?.map(|sheet| sheet.text()));
         texts.extend(self.not_judged().map(|why| why.to_owned() + "\n"));
-        for (name, cause) in self.failures() {
-            texts.push(format!("{name} failed: {cause}\n"));
-        }
+        let failures = self.failures();
+        texts.extend(failures.map(|(name, cause)| format!("{name} failed: {cause}\n")));
         Ok(texts.join("\n"))
     }
 
     /// The whole as JSON, with a line feed at the end.
-    ///
-    /// # Errors
-    /// When a result cannot be written as JSON.
     pub fn json(&self) -> Result<String> {
-        document::of_report(self)
+        let took = self.parts.iter().map(|part| (part.name, part.took_s));
+        let failed: Vec<&str> = self.failures().map(|(name, _)| name).collect();
+        let mut all = self.results();
+        let ours = [
+            ("extent", json!(self.extent)),
+            ("targets", json!(self.targets())),
+            ("failed", json!(failed)),
+            ("took_s", json!(took.collect::<BTreeMap<_, _>>())),
+        ];
+        all.extend(ours.map(|(key, value)| (key.to_owned(), value)));
+        let why = self.not_judged();
+        all.extend(why.map(|why| ("targets_not_judged".to_owned(), why.into())));
+        document(&self.start, all, &self.metrics())
     }
 
-    /// Every file of the report.
-    ///
-    /// # Errors
-    /// When a result cannot be written in one of the formats, or two files have one name.
     pub fn bundle(&self) -> Result<Bundle> {
         let mut bundle = Bundle::default();
-        bundle.add("report.html", html::of_report(self)?)?;
-        bundle.add("report.txt", self.text()?)?;
+        let page = page::of_report(self, self.target_sheet()?.as_ref());
+        bundle.add("report.html", page)?;
+        let mut text = self.summary()?;
+        for dataset in self.datasets() {
+            text.push('\n');
+            text += &dataset.text();
+        }
+        bundle.add("report.txt", text)?;
         bundle.add("report.json", self.json()?)?;
         for part in &self.parts {
-            if let Ok(section) = &part.result {
-                add_data(&mut bundle, part.started, &**section)?;
+            if let Ok(dataset) = &part.result {
+                add_data(&mut bundle, part.started, dataset)?;
             }
         }
         Ok(bundle)
@@ -199,78 +190,82 @@ impl Report {
     /// Which of the benchmarks in an older `report.json` this one has no result of. A report that is not
     /// ours has none.
     pub fn would_lose(&self, older: &str) -> Vec<String> {
-        let has = |name: &str| self.sections().any(|section| section.name() == name);
-        let mut names = document::measured_in(older);
-        names.retain(|name| !has(name));
-        names
+        let Ok(Value::Object(older)) = serde_json::from_str(older) else {
+            return Vec::new();
+        };
+        let is_result = |key: &str, value: &Value| {
+            !OUR_KEYS.contains(&key) && value.is_object() && value.get("error").is_none()
+        };
+        let has = |name: &str| self.datasets().any(|dataset| dataset.name == name);
+        let results = older
+            .into_iter()
+            .filter(|(key, value)| is_result(key, value));
+        results
+            .map(|(key, _)| key)
+            .filter(|key| !has(key))
+            .collect()
     }
+}
+
+fn document(start: &Start, mut keys: Map<String, Value>, metrics: &[Metric]) -> Result<String> {
+    let ours = [
+        ("environment", json!(start.environment)),
+        ("options", json!(start.options)),
+        ("metrics", json!(metrics)),
+    ];
+    keys.extend(ours.map(|(key, value)| (key.to_owned(), value)));
+    Ok(serde_json::to_string(&keys)? + "\n")
 }
 
 /// One result as JSON, with a line feed at the end.
-///
-/// # Errors
-/// When it cannot be written as JSON.
-pub fn section_json(start: &Start, section: &dyn Section) -> Result<String> {
-    document::of_section(start, section)
+pub fn dataset_json(start: &Start, dataset: &Dataset) -> Result<String> {
+    document(start, dataset.json(), &dataset.metrics)
 }
 
-/// The tables of one result as text.
-pub fn section_text(section: &dyn Section) -> String {
-    let tables: Vec<String> = section.tables().iter().map(Table::text).collect();
-    tables.join("\n")
-}
-
-/// Every file of one result.
-///
-/// # Errors
-/// When it cannot be written in one of the formats, or two files have one name.
-pub fn section_bundle(start: &Start, section: &dyn Section) -> Result<Bundle> {
-    let (name, mut bundle) = (section.name(), Bundle::default());
-    let machine = start.environment.table().text();
-    bundle.add(format!("{name}.html"), html::of_section(start, section)?)?;
-    bundle.add(
-        format!("{name}.txt"),
-        machine + "\n" + &section_text(section),
-    )?;
-    bundle.add(format!("{name}.json"), section_json(start, section)?)?;
-    add_data(&mut bundle, start.time, section)?;
+pub fn dataset_bundle(start: &Start, dataset: &Dataset) -> Result<Bundle> {
+    let (name, mut bundle) = (dataset.name, Bundle::default());
+    let machine = start.environment.table();
+    bundle.add(format!("{name}.html"), page::of_dataset(start, dataset))?;
+    let text = machine.text() + "\n" + &dataset.text();
+    bundle.add(format!("{name}.txt"), text)?;
+    bundle.add(format!("{name}.json"), dataset_json(start, dataset)?)?;
+    add_data(&mut bundle, start.time, dataset)?;
     Ok(bundle)
 }
 
-/// Sheets, pictures and histograms.
-fn add_data(bundle: &mut Bundle, started: SystemTime, section: &dyn Section) -> Result<()> {
-    let name = section.name();
-    for sheet in section.sheets()? {
-        bundle.add(own_name(name, &sheet.name) + ".csv", sheet.csv)?;
+fn add_data(bundle: &mut Bundle, started: SystemTime, dataset: &Dataset) -> Result<()> {
+    let name = dataset.name;
+    for (file, csv) in dataset.csv() {
+        bundle.add(file_name(name, file) + ".csv", csv?)?;
     }
-    for picture in section.pictures()? {
-        bundle.add(own_name(name, picture.name) + ".svg", picture.svg)?;
+    for plot in &dataset.plots {
+        bundle.add(file_name(name, plot.name) + ".svg", plot.svg.clone())?;
     }
-    if let Some(log) = hlog::log(started, &section.histograms())? {
+    if let Some(log) = hlog::log(started, &dataset.recordings)? {
         bundle.add(format!("histograms/{name}.hlog"), log)?;
     }
     Ok(())
 }
 
 /// A name that begins with that of its benchmark, so that no two benchmarks write the same file.
-fn own_name(section: &str, name: &str) -> String {
-    let rest = name.strip_prefix(section);
+pub(crate) fn file_name(benchmark: &str, name: &str) -> String {
+    let rest = name.strip_prefix(benchmark);
     if rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-')) {
         name.to_owned()
     } else {
-        format!("{section}-{name}")
+        format!("{benchmark}-{name}")
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::own_name;
+    use super::file_name;
 
     #[test]
     fn every_name_begins_with_its_benchmark() {
-        assert_eq!(own_name("rate", "rate"), "rate");
-        assert_eq!(own_name("rate", "rate-sections"), "rate-sections");
-        assert_eq!(own_name("rate", "rates"), "rate-rates");
-        assert_eq!(own_name("rate", "sections"), "rate-sections");
+        assert_eq!(file_name("rate", "rate"), "rate");
+        assert_eq!(file_name("rate", "rate-sections"), "rate-sections");
+        assert_eq!(file_name("rate", "rates"), "rate-rates");
+        assert_eq!(file_name("rate", "sections"), "rate-sections");
     }
 }

@@ -1,14 +1,15 @@
 //! What the project set out to reach, and what a run found.
 
+use anyhow::Result;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
+use crate::dataset::{Sheet, plain, shorted, word};
 use crate::deadline::misses_p_value;
 use crate::metric::{Metric, range};
-use crate::table::Table;
 
 /// How the rows are to be read: HTML.
-pub(super) const EXPLANATION: &str = "\
+pub(crate) const EXPLANATION: &str = "\
 <p>With three sections, <code>kpso-refined</code>, 5 ms and real time. A figure is the median over the rounds, \
 with their range beside it; where several cases stand behind it, the worst of them. \"Beyond the bare loop\" asks \
 how probable so many misses of the cycles that were due, all loads together, would be if daemon and bare loop \
@@ -23,14 +24,10 @@ const CHANCE: f64 = 0.05;
 /// What a stop may take beyond one period \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
 
-/// One figure to reach.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Target {
-    /// What.
     pub what: &'static str,
-    /// What it should be, in words.
     pub target: &'static str,
-    /// What it is.
     pub found: f64,
     /// Its unit; empty for a ratio or a count.
     pub unit: &'static str,
@@ -39,11 +36,9 @@ pub struct Target {
     pub range: Option<(f64, f64)>,
     /// Which case it comes from, or how much was measured; empty when nothing needs to be said.
     pub of: String,
-    /// Whether it is reached.
     pub reached: bool,
 }
 
-/// How one figure is found and judged.
 struct Wanted {
     what: &'static str,
     target: &'static str,
@@ -52,13 +47,11 @@ struct Wanted {
     reached: fn(f64) -> bool,
 }
 
-/// What a run found.
 struct Found<'a> {
     metrics: &'a [Metric],
     results: &'a Map<String, Value>,
 }
 
-/// A value, and where it is from.
 struct Worst {
     value: f64,
     range: Option<(f64, f64)>,
@@ -177,46 +170,17 @@ pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> 
     WANTED.iter().filter_map(target).collect()
 }
 
-/// The figures for people.
-pub(super) fn table(targets: &[Target]) -> Table {
-    let row = |target: &Target| {
-        vec![
-            target.what.to_owned(),
-            target.target.to_owned(),
-            target.of.clone(),
-            if target.reached { "yes" } else { "no" }.to_owned(),
-            format!("{} {}", number(target.found), target.unit)
-                .trim_end()
-                .to_owned(),
-            target.range.map_or_else(String::new, |(low, high)| {
-                format!("{} to {}", number(low), number(high))
-            }),
-        ]
-    };
-    let heads = ["figure", "target", "of", "reached", "found", "rounds"];
-    Table::new(
-        "Figures to reach",
-        &heads,
-        4,
-        targets.iter().map(row).collect(),
-    )
-}
-
-/// Three digits, as far as they say something.
-pub(crate) fn number(value: f64) -> String {
-    let digits = match value.abs() {
-        _ if value == value.round() && value.abs() < 1e6 => 0,
-        size if size >= 100.0 => 0,
-        size if size >= 10.0 => 1,
-        size if size >= 1.0 => 2,
-        size if size >= 1e-3 => 4,
-        _ => return format!("{value:.2e}"),
-    };
-    let text = format!("{value:.digits$}");
-    match text.split_once('.') {
-        Some(_) => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
-        None => text,
-    }
+pub(super) fn sheet(targets: &[Target]) -> Result<Sheet> {
+    let columns = [
+        word("figure", "what"),
+        word("target", "target"),
+        word("of", "of"),
+        word("reached", "reached"),
+        shorted("found", "found"),
+        plain("unit", "unit"),
+        shorted("rounds", "range"),
+    ];
+    Ok(Sheet::new(targets)?.table("Figures to reach", &columns))
 }
 
 impl Found<'_> {
@@ -236,10 +200,9 @@ impl Found<'_> {
         values.max_by(|one, other| one.value.total_cmp(&other.value))
     }
 
-    /// The least round of one metric.
     fn least(&self, name: &str) -> Option<Worst> {
         let metric = self.metrics.iter().find(|metric| metric.name == name)?;
-        let (value, _) = range(&metric.rounds)?;
+        let (value, _) = range(metric.rounds.iter().copied())?;
         Some(Worst {
             value,
             range: range_of_rounds(metric),
@@ -309,27 +272,12 @@ fn due(case: &Value) -> Option<u64> {
     Some(case["cycles"].as_u64()? + case["skipped_periods"].as_u64()?)
 }
 
-/// One value has no range.
 fn range_of_rounds(metric: &Metric) -> Option<(f64, f64)> {
-    range(&metric.rounds).filter(|_| metric.rounds.len() > 1)
+    range(metric.rounds.iter().copied()).filter(|_| metric.rounds.len() > 1)
 }
 
-/// Misses of due cycles in words.
 fn counts((misses, due): (u64, u64)) -> String {
-    format!("{} of {}", grouped(misses), grouped(due))
-}
-
-/// Digits in groups of three.
-fn grouped(count: u64) -> String {
-    let digits = count.to_string();
-    let mut text = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            text.push(' ');
-        }
-        text.push(digit);
-    }
-    text
+    format!("{misses} of {due}")
 }
 
 /// Whether a name is as the pattern says; a `*` stands for one of its words.
@@ -359,6 +307,11 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::metric::Better;
+
+    fn lower<const N: usize>(name: &str, unit: &str, rounds: [f64; N]) -> Metric {
+        Metric::new(name, unit, Better::Lower, rounds)
+    }
 
     fn object(value: &Value) -> Map<String, Value> {
         value.as_object().expect("an object").clone()
@@ -367,23 +320,24 @@ mod tests {
     #[test]
     fn the_worst_load_counts_and_what_was_not_measured_has_no_row() {
         let metrics = [
-            Metric::lower(
+            lower(
                 "deadline/none/realtime/wake_p50_to_bare",
                 "",
                 [1.0, 1.02, 1.01],
             ),
-            Metric::lower(
+            lower(
                 "deadline/cpu/realtime/wake_p50_to_bare",
                 "",
                 [1.2, 1.3, 1.1],
             ),
-            Metric::lower("deadline/cpu/ordinary/wake_p50_to_bare", "", [9.0]),
+            lower("deadline/cpu/ordinary/wake_p50_to_bare", "", [9.0]),
         ];
         let found = targets(&metrics, &Map::new());
         assert_eq!(found.len(), 1, "{found:?}");
         assert_eq!((found[0].found, &*found[0].of), (1.2, "cpu"));
         assert_eq!(found[0].range, Some((1.1, 1.3)));
-        assert!(table(&found).text().contains("1.1 to 1.3"));
+        let text = sheet(&found).expect("rows").text();
+        assert!(text.contains("1.1 to 1.3"), "{text}");
         assert!(!found[0].reached);
     }
 
@@ -408,29 +362,17 @@ mod tests {
         assert_eq!(found.len(), 2, "{found:?}");
         assert_eq!((found[0].found, found[0].reached), (2.0, false));
         assert_eq!(found[0].of, "3.0 min");
-        assert_eq!(found[1].of, "4 of 24 000 against 4 of 24 000");
+        assert_eq!(found[1].of, "4 of 24000 against 4 of 24000");
         assert!(found[1].reached && found[1].found > 0.5, "{found:?}");
     }
 
     #[test]
     fn memory_is_locked_when_it_was_in_every_round() {
         for (rounds, reached) in [([1.0, 1.0], true), ([1.0, 0.0], false)] {
-            let metrics = [Metric::higher("footprint/locked", "", rounds)];
+            let metrics = [Metric::new("footprint/locked", "", Better::Higher, rounds)];
             let found = targets(&metrics, &Map::new());
             assert_eq!(found.len(), 1, "{found:?}");
             assert_eq!(found[0].reached, reached);
-        }
-    }
-
-    #[test]
-    fn digits_stand_in_groups() {
-        for (count, text) in [
-            (0, "0"),
-            (999, "999"),
-            (96_012, "96 012"),
-            (1_000_000, "1 000 000"),
-        ] {
-            assert_eq!(grouped(count), text);
         }
     }
 
@@ -445,18 +387,5 @@ mod tests {
         let found = targets(&[], &results);
         assert_eq!((found[0].found, found[0].reached), (130.0, false));
         assert_eq!(found[0].of, "stop.zero_command");
-    }
-
-    #[test]
-    fn numbers_are_as_long_as_they_say_something() {
-        for (value, text) in [
-            (0.0, "0"),
-            (1.234_56, "1.23"),
-            (512.4, "512"),
-            (0.2, "0.2"),
-            (3e-7, "3.00e-7"),
-        ] {
-            assert_eq!(number(value), text);
-        }
     }
 }

@@ -53,12 +53,15 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
     let text = String::from_utf8(found.stdout).expect("a text");
     assert!(found.status.success(), "{text}");
     assert!(text.contains("a/b") && text.contains("worse"), "{text}");
-    assert!(text.contains("4 worse, 0 better, 1 within noise"), "{text}");
-    assert!(text.contains("One value each: 1 differ"), "{text}");
+    assert!(
+        text.contains("4 worse, 0 better, 1 one-value-worse, 0 one-value-better, 1 within-noise"),
+        "{text}"
+    );
+    assert!(text.contains("0 only in the run after"), "{text}");
     let options = "asked for with another value of rounds: 6.1 before, 6.2 after";
     assert!(text.contains(options), "{text}");
     assert!(
-        text.contains("another kernel: 6.1 before, 6.2 after"),
+        text.contains("another kernel release: \"6.1\" before, \"6.2\" after"),
         "{text}"
     );
 

@@ -2,8 +2,8 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use cdcr_bench::system::counts;
 use cdcr_test_skip::{Need, skip};
+use cdcr_testbed::system::counts;
 use serde_json::Value;
 
 fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
@@ -88,24 +88,4 @@ fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
 
     let sum = used("cdcr-cycle") + used("cdcr-exchange");
     assert!((figure("core_tracking_percent") - sum).abs() < 1e-9);
-}
-
-#[test]
-fn what_cannot_be_measured_is_refused_at_once() {
-    let folder = tempfile::tempdir().unwrap();
-    for (args, said) in [
-        (&["footprint", "--duration", "1ms"][..], "100ms to 1h"),
-        (&["footprint", "--rounds", "0"], "1..=100"),
-        (
-            &["footprint", "--quick", "--rounds", "2"],
-            "cannot be used with",
-        ),
-    ] {
-        let (_, output) = bench(folder.path(), args);
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(
-            !output.status.success() && errors.contains(said),
-            "{args:?}: {errors}"
-        );
-    }
 }

@@ -8,9 +8,7 @@ use std::time::{Duration, Instant};
 use cdcr_bench::latency::bare::PEER;
 use cdcr_bench::latency::{Leg, Options, run};
 use cdcr_bench::progress::Progress;
-use cdcr_bench::section::Section;
-use cdcr_bench::subject::place::Place;
-use serde_json::Value;
+use cdcr_testbed::subject::place::Place;
 
 /// How long a process may take: machines stall.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -28,12 +26,11 @@ fn every_way_is_measured_in_every_round() {
         ..Options::default()
     };
     let report = run(&options, &mut Progress::silent()).unwrap();
+    let json = report.json();
+    let row = |leg: Leg| &json["legs"][leg as usize];
     let samples = |leg: Leg| {
-        report
-            .rows
-            .iter()
-            .find(|row| row.leg == leg)
-            .map_or(0, |row| row.samples)
+        assert_eq!(row(leg)["leg"], leg.name());
+        row(leg)["samples"].as_u64().unwrap()
     };
     for leg in Leg::ALL {
         assert!(samples(leg) > 0, "{}", leg.name());
@@ -50,23 +47,21 @@ fn every_way_is_measured_in_every_round() {
     assert_eq!(samples(Leg::StopZeroCommand), samples(Leg::StopGrid));
     assert_eq!(samples(Leg::BareOneWay), 160);
     // Nobody can have an effect before what causes it.
-    let least = |leg: Leg| report.rows[leg as usize].latency_us.min;
+    let least = |leg: Leg| row(leg)["latency_us"]["min"].as_f64().unwrap();
     assert!(least(Leg::BareRoundTrip) >= least(Leg::BareOneWay));
     assert!(least(Leg::CommandRelease) >= least(Leg::CommandHandover));
     assert!(least(Leg::CommandHandover) >= least(Leg::CommandHop));
     assert!(least(Leg::CommandHop) > 0.0);
-    assert!(report.setting.looks.all > 0 && report.setting.looks.late <= report.setting.looks.all);
-    assert!((report.setting.period_us - 5000.0).abs() < 1e-9);
-    let metrics = report.metrics();
-    assert!(
-        metrics.iter().all(|metric| metric.rounds.len() == 2),
-        "{metrics:?}"
-    );
-    let json: Value = report.json().unwrap();
+    let looks = &json["setting"]["looks"];
+    let [all, late] = ["all", "late"].map(|key| looks[key].as_u64().unwrap());
+    assert!(all > 0 && late <= all);
+    assert_eq!(json["setting"]["period_us"], 5000.0);
+    let mut metrics = report.metrics.iter();
+    assert!(metrics.all(|metric| metric.rounds.len() == 2));
     assert_eq!(json["targets"][0]["limit_us"], 5100.0);
     assert!(json["unmeasured"]["spoilt_stops"].is_u64());
     assert!(json["unmeasured"]["without_command"].is_u64());
-    assert_eq!(report.pictures().unwrap().len(), 1);
+    assert_eq!(report.plots.len(), 1);
 }
 
 #[test]
@@ -102,31 +97,6 @@ fn the_program_prints_csv_and_takes_another_period() {
     }
     let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
     assert_eq!(rows.len(), Leg::ALL.len());
-}
-
-#[test]
-fn what_cannot_be_measured_is_refused_with_a_reason() {
-    for (arguments, word) in [
-        (vec!["--samples", "1"], "5..=10000"),
-        (vec!["--quick", "--rounds", "3"], "cannot be used with"),
-        (vec!["--period", "soon"], "--period"),
-        (
-            vec![
-                "--rounds",
-                "1",
-                "--samples",
-                "5",
-                "--config",
-                "/no/such/file.toml",
-            ],
-            "/no/such/file.toml",
-        ),
-    ] {
-        let output = program().arg("latency").args(&arguments).output().unwrap();
-        let errors = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success(), "{arguments:?}");
-        assert!(errors.contains(word), "{arguments:?}: {errors}");
-    }
 }
 
 /// A peer at `place` whose parent is, so it is told, the process `parent`.

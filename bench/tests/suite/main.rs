@@ -14,3 +14,4 @@ mod latency;
 mod paper;
 mod quality;
 mod rate;
+mod refused;

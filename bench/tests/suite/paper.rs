@@ -1,13 +1,14 @@
 //! What `cdcr-bench paper` hands over, from runs of a few cycles.
 
+use std::collections::HashSet;
 use std::path::Path;
 
+use cdcr_bench::dataset::Dataset;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
+use cdcr_bench::paper;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::report::offline::paper;
-use cdcr_bench::report::{Bundle, Start, section_bundle};
-use cdcr_bench::section::Section;
-use cdcr_bench::simulation::{Effort, Outcome, run};
+use cdcr_bench::report::{Bundle, Start, dataset_bundle};
+use cdcr_bench::simulation::{Effort, Simulation, run};
 use cdcr_controller::nmpc::Coordinates;
 use serde_json::Value;
 
@@ -16,14 +17,15 @@ const QUICK: Effort = Effort {
     cycles_max: 12,
 };
 
-fn report() -> paper::Report {
-    let options = paper::Options { effort: QUICK };
-    paper::run(&options, &mut Progress::silent()).expect("all experiments run")
+fn report() -> Dataset {
+    paper::run(&QUICK, &mut Progress::silent()).expect("all experiments run")
 }
 
-fn rows(report: &paper::Report) -> Vec<Value> {
-    let document = report.json().expect("JSON");
-    document["simulations"].as_array().expect("a list").clone()
+fn rows(report: &Dataset) -> Vec<Value> {
+    report.json()["simulations"]
+        .as_array()
+        .expect("a list")
+        .clone()
 }
 
 fn keys(value: &Value) -> Vec<&str> {
@@ -93,9 +95,25 @@ fn all_solvers_run_everywhere_and_the_spiral_in_both_coordinates() {
 }
 
 #[test]
+fn every_experiment_has_numbers_of_its_own_for_every_seed() {
+    let effort = Effort {
+        seeds: 2,
+        cycles_max: 2,
+    };
+    let metrics = paper::run(&effort, &mut Progress::silent())
+        .expect("all run")
+        .metrics;
+    let names: HashSet<&str> = metrics.iter().map(|metric| &*metric.name).collect();
+    assert_eq!(names.len(), 2 * Experiment::all().len());
+    assert!(metrics.iter().all(|metric| metric.rounds.len() >= 2));
+}
+
+#[test]
 fn csv_has_the_columns_of_json() {
     let report = report();
-    let csv = report.sheets().expect("CSV").remove(0).csv;
+    let (name, csv) = report.csv().next().expect("one sheet");
+    assert_eq!(name, "paper");
+    let csv = csv.expect("CSV");
     let mut reader = csv::Reader::from_reader(csv.as_bytes());
     let heads = reader.headers().expect("heads").clone();
     for row in rows(&report) {
@@ -117,7 +135,7 @@ fn the_folder_holds_figures_a_page_and_tables() {
     let place = tempfile::tempdir().expect("a folder");
     let folder = place.path().join("new").join("paper");
     let start = Start::now().expect("a machine");
-    let bundle = section_bundle(&start, &report()).expect("all formats");
+    let bundle = dataset_bundle(&start, &report()).expect("all formats");
     bundle.write(&folder).expect("written");
     let mut figures = 0;
     let is_picture = |name: &&str| Path::new(name).extension().is_some_and(|end| end == "svg");
@@ -153,40 +171,20 @@ fn a_folder_that_cannot_be_made_is_named() {
     assert!(error.to_string().contains("inside"), "{error}");
 }
 
-#[test]
-fn the_line_keeps_the_tip_vertical_and_near() {
-    let experiment = Experiment {
-        task: Task::Line {
-            rate_limit_rad_s: 8.0,
-        },
-        solver: Solver::KpsoRefined,
-        coordinates: Coordinates::BendVector,
-    };
-    let effort = Effort {
-        seeds: 1,
-        cycles_max: u64::MAX,
-    };
-    let row = run(experiment, effort, || ()).expect("a run").row;
-    assert!(row.mean_error_mm <= 2e-4, "{}", row.mean_error_mm);
-    let line = row.line.expect("a line");
-    assert!(
-        line.max_theta_rad <= 1e-2 && line.max_psi_rad <= 1e-2,
-        "{line:?}"
-    );
-}
-
 /// The whole of one simulation with one seed.
-fn whole(task: Task, solver: Solver) -> Outcome {
+fn whole(task: Task, solver: Solver) -> Simulation {
     let experiment = Experiment {
         task,
         solver,
         coordinates: Coordinates::BendVector,
     };
     let effort = Effort {
-        seeds: 1,
         cycles_max: u64::MAX,
+        ..QUICK
     };
-    run(experiment, effort, || ()).expect("the simulation runs")
+    run(experiment, effort, || ())
+        .expect("the simulation runs")
+        .row
 }
 
 #[test]
@@ -199,7 +197,7 @@ fn the_spiral_is_at_least_as_exact_as_in_the_paper() {
             (Solver::KpsoRefined, 1e-10),
         ];
         for (solver, bound_mm) in bounds {
-            let error_mm = whole(task, solver).row.mean_error_mm;
+            let error_mm = whole(task, solver).mean_error_mm;
             assert!(error_mm <= bound_mm, "{sections}, {solver:?}: {error_mm}");
         }
     }
@@ -208,7 +206,7 @@ fn the_spiral_is_at_least_as_exact_as_in_the_paper() {
 #[test]
 fn the_line_keeps_its_orientation_and_its_error_below_what_the_rates_allow() {
     for (rate_limit_rad_s, bound_mm) in [(2.0, 2.6e-3), (8.0, 2e-4)] {
-        let row = whole(Task::Line { rate_limit_rad_s }, Solver::KpsoRefined).row;
+        let row = whole(Task::Line { rate_limit_rad_s }, Solver::KpsoRefined);
         assert!(row.mean_error_mm <= bound_mm, "{row:?}");
         let line = row.line.expect("figures of a line");
         assert!(line.max_theta_rad <= 1e-2 && line.max_psi_rad <= 1e-2);
@@ -218,7 +216,7 @@ fn the_line_keeps_its_orientation_and_its_error_below_what_the_rates_allow() {
 #[test]
 fn the_circle_keeps_its_distance_without_a_wide_detour() {
     for safe_distance_m in [0.01, 0.02, 0.04] {
-        let row = whole(Task::Circle { safe_distance_m }, Solver::GaussNewton).row;
+        let row = whole(Task::Circle { safe_distance_m }, Solver::GaussNewton);
         let circle = row.circle.expect("figures of a circle");
         assert!(circle.min_clearance_mm >= circle.safe_distance_mm - 0.01);
         assert!(circle.mean_error_outside_mm.expect("it arrives") <= 8e-3);

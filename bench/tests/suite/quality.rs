@@ -2,12 +2,11 @@
 
 use std::sync::OnceLock;
 
+use cdcr_bench::dataset::Dataset;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::course::Course;
 use cdcr_bench::quality::restarts::Contender;
-use cdcr_bench::quality::{self, Field, Options, Report};
-use cdcr_bench::section::Section;
-use cdcr_bench::table::Table;
+use cdcr_bench::quality::{self, Field, Options};
 
 /// Two courses, one with an obstacle, for a quarter of a second each.
 fn small() -> Options {
@@ -23,8 +22,8 @@ fn small() -> Options {
 }
 
 /// One run for all tests.
-fn report() -> &'static Report {
-    static REPORT: OnceLock<Report> = OnceLock::new();
+fn report() -> &'static Dataset {
+    static REPORT: OnceLock<Dataset> = OnceLock::new();
     REPORT.get_or_init(|| quality::run(&small(), &mut Progress::silent()).expect("it runs"))
 }
 
@@ -34,7 +33,7 @@ fn every_form_holds_every_variant() {
     // Of each course: 2 budgets and 2 horizons with three solvers, a swarm with two.
     let rows = 2 * (2 * 3 + 2 * 3 + 2);
     let fields = Field::ALL.len() * Contender::ALL.len();
-    let json = report.json().expect("JSON");
+    let json = report.json();
     let cases = json["cases"].as_array().expect("a list");
     assert_eq!(cases.len(), rows);
     assert_eq!(json["restarts"].as_array().expect("a list").len(), fields);
@@ -69,14 +68,17 @@ fn every_form_holds_every_variant() {
         assert_eq!(case["min_clearance_mm"].is_f64(), obstacles, "{case}");
         assert_eq!(case["below_safe_ms"].is_f64(), obstacles, "{case}");
     }
-    let lines: Vec<usize> = report
-        .sheets()
-        .expect("sheets")
-        .iter()
-        .map(|sheet| sheet.csv.lines().count() - 1)
-        .collect();
-    assert_eq!(lines, [rows, fields, 2 * fields]);
-    let text: String = report.tables().iter().map(Table::text).collect();
+    let lines = report.csv().map(|(name, csv)| {
+        let lines = csv.expect("CSV").lines().count() - 1;
+        (name, lines)
+    });
+    let expected = [
+        ("quality-restarts", fields),
+        ("quality", rows),
+        ("quality-problems", 2 * fields),
+    ];
+    assert_eq!(lines.collect::<Vec<_>>(), expected);
+    let text = report.text();
     for word in [
         "crossing",
         "500 µs",
@@ -87,22 +89,21 @@ fn every_form_holds_every_variant() {
     ] {
         assert!(text.contains(word), "{word} in {text}");
     }
-    let pictures = report.pictures().expect("pictures");
-    let names: Vec<&str> = pictures.iter().map(|figure| figure.name).collect();
+    let names: Vec<&str> = report.plots.iter().map(|plot| plot.name).collect();
     assert_eq!(
         names,
         ["quality-error", "quality-clearance", "quality-stuck"]
     );
-    for figure in &pictures {
-        roxmltree::Document::parse(&figure.svg).expect("well-formed");
+    for plot in &report.plots {
+        roxmltree::Document::parse(&plot.svg).expect("well-formed");
     }
 }
 
 #[test]
 fn metrics_have_a_value_for_each_round_and_names_of_their_own() {
-    let metrics = report().metrics();
+    let metrics = &report().metrics;
     let mut names: Vec<&str> = metrics.iter().map(|metric| metric.name.as_str()).collect();
-    for metric in &metrics {
+    for metric in metrics {
         assert_eq!(metric.rounds.len(), 2, "{}", metric.name);
     }
     for name in [
@@ -130,7 +131,7 @@ fn what_no_clock_ends_comes_out_the_same_again() {
     };
     let [first, second] = [(); 2].map(|()| {
         let report = quality::run(&options, &mut Progress::silent()).expect("it runs");
-        let metrics = report.metrics().into_iter();
+        let metrics = report.metrics.into_iter();
         metrics
             .map(|metric| (metric.name, metric.rounds))
             .collect::<Vec<_>>()

@@ -115,7 +115,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -179,7 +179,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -209,7 +209,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -247,7 +247,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -273,7 +273,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -333,7 +333,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -363,7 +363,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
@@ -389,7 +389,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --format)
-                    COMPREPLY=($(compgen -W "text json csv" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)

@@ -71,12 +71,14 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l setup
 realtime\t'Only with real time'
 ordinary\t'Only without'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l seeds -d 'Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20 times' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -84,6 +86,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l cycles -
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l rounds -d 'Runs of each variant, each with another seed, 1 to 100' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -91,6 +94,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick 
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l rounds -d 'How often all sizes are measured, 1 to 100; a number is the median' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -98,6 +102,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -s h -l he
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l rounds -d 'How often all budgets are measured, 1 to 100; a time is the median, the largest of all' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l solves -d 'Solves of each case with each budget in a round, 1 to 1000000' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand budget" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -107,6 +112,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l sample
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l period -d 'Period of the loop, if another one than the configuration\'s' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l config -d 'Configuration of the daemon; without it the default, three sections' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -121,6 +127,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand peer" -s h -l help
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l rounds -d 'How often the default is measured with each of its periods, 1 to 100. The search for the shortest periods is made once' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up so long before each release and spin to it, 0 to 1000 µs; at most a quarter of the period' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
@@ -129,6 +136,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -s h -l help
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l rounds -d 'Daemons that are measured one after the other, 1 to 100' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l duration -d 'How long each of them tracks, 100ms to 1h; without a client it is measured for two fifths of that' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand footprint" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F

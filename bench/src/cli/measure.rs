@@ -1,0 +1,338 @@
+//! The arguments of every benchmark, and what they ask for.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Result, ensure};
+use cdcr_bench::latency::bare;
+use cdcr_bench::simulation::Effort;
+use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
+use cdcr_shared_types::Location;
+use cdcr_testbed::load::Load;
+use cdcr_testbed::system::thread::may_be_realtime;
+use clap::ValueEnum;
+
+use super::output::Output;
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Deadline {
+    /// Measured time of each subject under each load, all rounds together.
+    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// What else the machine does meanwhile, on the cores of the client; several with commas. Without this
+    /// option, every load but stress-ng, one after the other.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "LOAD")]
+    load: Vec<Load>,
+    /// Rounds, in each of which every subject runs once under every load, 1 to 1000.
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    rounds: u32,
+    /// Period of the loop, if another one than the configuration's.
+    #[arg(long, value_parser = humantime::parse_duration)]
+    period: Option<Duration>,
+    /// Configuration of the daemon; without it the default, three sections.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Which set-up of the threads.
+    #[arg(long, value_enum, default_value_t = Setups::Both)]
+    setup: Setups,
+    #[command(flatten)]
+    output: Output,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Setups {
+    /// Real time under every load, and without it under the loads that show the difference best.
+    Both,
+    /// Only with real time.
+    Realtime,
+    /// Only without.
+    Ordinary,
+}
+
+impl Deadline {
+    fn plan(&self) -> Result<deadline::Options> {
+        let default = deadline::Options::default();
+        let chosen = |loads: Vec<Load>| {
+            if self.load.is_empty() {
+                loads
+            } else {
+                self.load.clone()
+            }
+        };
+        let (loads, ordinary_loads) = match self.setup {
+            Setups::Both => (chosen(default.loads), chosen(default.ordinary_loads)),
+            Setups::Realtime => (chosen(default.loads), Vec::new()),
+            Setups::Ordinary => (Vec::new(), chosen(default.ordinary_loads)),
+        };
+        ensure!(
+            !ordinary_loads.is_empty() || may_be_realtime(),
+            "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
+        );
+        let options = deadline::Options {
+            duration: self.duration,
+            rounds: self.rounds,
+            loads,
+            ordinary_loads,
+            period_ms: self.period.map(|period| period.as_secs_f64() * 1e3),
+            config: self.config.clone(),
+        };
+        let least = Duration::from_secs(1);
+        ensure!(
+            options.segment() >= least,
+            "{:?} in {} rounds is less than a second for each: take a longer --duration or fewer --rounds",
+            self.duration,
+            self.rounds
+        );
+        Ok(options)
+    }
+
+    pub(super) fn run(&self) -> Result<()> {
+        let plan = || self.plan();
+        self.output
+            .measure(plan, deadline::expected_s, deadline::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Latency {
+    /// Rounds, in each of which everything is measured once, 1 to 1000.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=1000))]
+    rounds: u16,
+    /// Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that
+    /// for iceoryx2 alone.
+    #[arg(long, default_value_t = 250, value_parser = clap::value_parser!(u16).range(5..=10_000))]
+    samples: u16,
+    /// Period of the loop, if another one than the configuration's.
+    #[arg(long, value_parser = humantime::parse_duration)]
+    period: Option<Duration>,
+    /// Configuration of the daemon; without it the default, three sections.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// A quick look: 2 rounds of 40 samples.
+    #[arg(long, conflicts_with_all = ["rounds", "samples"])]
+    quick: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Latency {
+    pub(super) fn run(&self) -> Result<()> {
+        let (rounds, samples) = if self.quick {
+            latency::Options::QUICK
+        } else {
+            (usize::from(self.rounds), usize::from(self.samples))
+        };
+        let plan = || {
+            Ok(latency::Options {
+                rounds,
+                samples,
+                period: self.period,
+                config: self.config.clone(),
+            })
+        };
+        self.output.measure(plan, latency::expected_s, latency::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Rate {
+    /// How often the default is measured with each of its periods, 1 to 100. The search for the shortest periods
+    /// is made once.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// The default and its solvers only, in short trials: a look of half a minute instead of a measurement of
+    /// five.
+    #[arg(long, conflicts_with = "rounds")]
+    quick: bool,
+    /// Let the daemon wake up so long before each release and spin to it, 0 to 1000 µs; at most a quarter of the
+    /// period.
+    #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = spin_us)]
+    spin: f64,
+    #[command(flatten)]
+    output: Output,
+}
+
+fn spin_us(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
+    if (0.0..=1000.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("must be 0 to 1000".to_owned())
+    }
+}
+
+impl Rate {
+    pub(super) fn run(&self) -> Result<()> {
+        let mut options = rate::Options::full();
+        options.rounds = self.rounds;
+        if self.quick {
+            options = rate::Options::quick();
+        }
+        options.spin_us = self.spin;
+        self.output
+            .measure(|| Ok(options), rate::expected_s, rate::run)
+    }
+}
+
+/// Shorter than this the kernel's counts say little.
+const LEAST: Duration = Duration::from_millis(100);
+const MOST: Duration = Duration::from_secs(3600);
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Footprint {
+    /// Daemons that are measured one after the other, 1 to 100.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// How long each of them tracks, 100ms to 1h; without a client it is measured for two fifths of that.
+    #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// Two daemons for two seconds: a look of ten seconds instead of a measurement.
+    #[arg(long, conflicts_with_all = ["rounds", "duration"])]
+    quick: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Footprint {
+    fn plan(&self) -> Result<footprint::Options> {
+        if self.quick {
+            return Ok(footprint::Options::quick());
+        }
+        ensure!(
+            (LEAST..=MOST).contains(&self.duration),
+            "--duration must be 100ms to 1h"
+        );
+        Ok(footprint::Options {
+            rounds: self.rounds,
+            tracking: self.duration,
+        })
+    }
+
+    pub(super) fn run(&self) -> Result<()> {
+        let plan = || self.plan();
+        self.output
+            .measure(plan, footprint::expected_s, footprint::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Quality {
+    /// Runs of each variant, each with another seed, 1 to 100.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// One round of a part of it: a look of some seconds, no measurement.
+    #[arg(long, conflicts_with = "rounds")]
+    quick: bool,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Quality {
+    pub(super) fn run(&self) -> Result<()> {
+        let mut options = quality::Options::full();
+        options.rounds = self.rounds;
+        if self.quick {
+            options = quality::Options::quick();
+        }
+        self.output
+            .measure(|| Ok(options), quality::expected_s, quality::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Paper {
+    /// Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20
+    /// times.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    #[command(flatten)]
+    output: Output,
+    /// Cycles of a run at most: for a quick look.
+    #[arg(long, hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
+    cycles: u64,
+}
+
+impl Paper {
+    pub(super) fn run(&self) -> Result<()> {
+        let effort = Effort {
+            seeds: self.seeds,
+            cycles_max: self.cycles,
+        };
+        self.output
+            .measure(|| Ok(effort), paper::expected_s, paper::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Solver {
+    /// How often all sizes are measured, 1 to 100; a number is the median.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Solver {
+    pub(super) fn run(&self) -> Result<()> {
+        let options = solver::Options {
+            rounds: self.rounds,
+            ..solver::Options::full()
+        };
+        self.output
+            .measure(|| Ok(options), solver::expected_s, solver::run)
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Budget {
+    /// How often all budgets are measured, 1 to 100; a time is the median, the largest of all.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// Solves of each case with each budget in a round, 1 to 1000000.
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
+    solves: u64,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl Budget {
+    pub(super) fn run(&self) -> Result<()> {
+        let options = budget::Options {
+            rounds: self.rounds,
+            solves: self.solves,
+        };
+        self.output
+            .measure(|| Ok(options), budget::expected_s, budget::run)
+    }
+}
+
+/// The other process of the bare measurement.
+#[derive(Debug, clap::Args)]
+pub(super) struct Peer {
+    /// Prefix of the files in shared memory.
+    #[arg(long)]
+    prefix: String,
+    /// Root folder of iceoryx2.
+    #[arg(long)]
+    root: PathBuf,
+    /// The process that started it.
+    #[arg(long)]
+    parent: u32,
+    /// Its core.
+    #[arg(long)]
+    core: usize,
+    /// Both processes are on one core.
+    #[arg(long)]
+    shares: bool,
+}
+
+impl Peer {
+    pub(super) fn run(&self) -> Result<()> {
+        bare::peer(&bare::PeerOptions {
+            location: Location::new(&self.prefix, &self.root)?,
+            core: self.core,
+            parent: self.parent,
+            shares: self.shares,
+        })
+    }
+}

@@ -1,0 +1,319 @@
+//! What changed between two runs beyond the noise of their rounds.
+//!
+//! The rounds of a run are taken in turns with its baselines, so their range shows what the machine does to a
+//! number that nobody touched. A number is called changed when the ranges of the two runs are apart and their
+//! medians differ by more than [`LEAST_CHANGE_PERCENT`]. Numbers with one value in each run are told apart.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::fs;
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use serde::{Deserialize, Serialize};
+
+use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
+use crate::environment::{Environment, Options};
+use crate::metric::{Better, Metric, median, range};
+use crate::named::named;
+
+/// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
+pub const ROUNDS_MIN: usize = 3;
+/// A smaller change of the median is of no account, however small the spread \[%\].
+pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
+/// Chance has a spread of its own: so many more may get worse.
+const WORSE_MARGIN: usize = 2;
+/// More names than this are not listed.
+const NAMES_MAX: usize = 12;
+
+/// What the comparison needs of a result, of one benchmark or of all.
+#[derive(Debug, Clone, Deserialize)]
+pub struct Input {
+    pub environment: Environment,
+    /// What was asked for; none in a file of an older version.
+    #[serde(default)]
+    pub options: Option<Options>,
+    pub metrics: Vec<Metric>,
+}
+
+impl Input {
+    pub fn read(file: &Path) -> Result<Self> {
+        let name = file.display();
+        let text = fs::read_to_string(file).with_context(|| format!("cannot read {name}"))?;
+        serde_json::from_str(&text).with_context(|| {
+            format!(
+                "{name} is no result of cdcr-bench: expected is one JSON object with \"environment\" and \
+                 \"metrics\", as --format json prints it and --out writes it"
+            )
+        })
+    }
+}
+
+named! {
+    /// What became of a number. One value: each run has a single one, and no chance can be told.
+    pub enum Verdict {
+        Worse = "worse",
+        Better = "better",
+        OneValueWorse = "one-value-worse",
+        OneValueBetter = "one-value-better",
+        WithinNoise = "within-noise",
+        TooFewRounds = "too-few-rounds",
+        OneValueAlike = "one-value-alike",
+    }
+}
+
+impl Verdict {
+    fn is_change(self) -> bool {
+        self < Self::WithinNoise
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    pub median: f64,
+    pub range: (f64, f64),
+    pub rounds: usize,
+}
+
+impl Spread {
+    fn of(rounds: &[f64]) -> Option<Self> {
+        Some(Self {
+            median: median(rounds.iter().copied())?,
+            range: range(rounds.iter().copied())?,
+            rounds: rounds.len(),
+        })
+    }
+
+    fn is_apart_from(&self, other: &Self) -> bool {
+        self.range.1 < other.range.0 || other.range.1 < self.range.0
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Change {
+    pub name: String,
+    pub unit: String,
+    pub better: Better,
+    pub before: Spread,
+    pub after: Spread,
+    /// Of the median \[%\]; none from zero.
+    pub change_percent: Option<f64>,
+    pub verdict: Verdict,
+    /// When the rounds of the two runs are apart: how probable that is if nothing changed.
+    pub chance: Option<f64>,
+}
+
+impl Change {
+    /// Of a number that both runs measured at least once.
+    fn of(old: &Metric, new: &Metric) -> Option<Self> {
+        let (before, after) = (Spread::of(&old.rounds)?, Spread::of(&new.rounds)?);
+        let difference = after.median - before.median;
+        let change_percent =
+            (before.median != 0.0).then(|| 100.0 * difference / before.median.abs());
+        let is_small = change_percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
+        let is_same = is_small || !before.is_apart_from(&after);
+        let is_better = (new.better == Better::Lower) == (difference < 0.0);
+        let is_one_value = (before.rounds, after.rounds) == (1, 1);
+        let is_few = before.rounds.min(after.rounds) < ROUNDS_MIN;
+        let verdict = match (is_one_value, is_few, is_same, is_better) {
+            (true, _, true, _) => Verdict::OneValueAlike,
+            (true, _, false, true) => Verdict::OneValueBetter,
+            (true, _, false, false) => Verdict::OneValueWorse,
+            (false, true, _, _) => Verdict::TooFewRounds,
+            (false, false, true, _) => Verdict::WithinNoise,
+            (false, false, false, true) => Verdict::Better,
+            (false, false, false, false) => Verdict::Worse,
+        };
+        let is_apart = !is_one_value && before.is_apart_from(&after);
+        Some(Self {
+            name: new.name.clone(),
+            unit: new.unit.clone(),
+            better: new.better,
+            change_percent,
+            verdict,
+            chance: is_apart.then(|| chance_apart(before.rounds, after.rounds)),
+            before,
+            after,
+        })
+    }
+
+    /// How probable it is that this number is called changed though nothing changed.
+    fn false_alarm(&self) -> f64 {
+        match self.verdict {
+            Verdict::Worse | Verdict::Better | Verdict::WithinNoise => {
+                chance_apart(self.before.rounds, self.after.rounds)
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// By which the larger ones come first; from zero, every change is large.
+    fn size(&self) -> f64 {
+        let percent = self.change_percent.map_or(f64::INFINITY, f64::abs);
+        if self.verdict.is_change() {
+            percent
+        } else {
+            0.0
+        }
+    }
+}
+
+/// Probability that `before` and `after` values of one source lie apart: 2 · n! · m! / (n + m)!, the two-sided
+/// rank test at its extreme.
+fn chance_apart(before: usize, after: usize) -> f64 {
+    let ways = (1..=after).fold(1.0, |ways, i| ways * (before + i) as f64 / i as f64);
+    // With none on one side, and for one value each, they are always apart.
+    (2.0 / ways).min(1.0)
+}
+
+#[derive(Debug, Clone, Serialize)]
+pub struct Comparison {
+    pub before: Environment,
+    pub after: Environment,
+    /// Why the two cannot be compared as they are.
+    pub warnings: Vec<String>,
+    /// Every number that both runs have: changed ones first, the worst of them before the others.
+    pub metrics: Vec<Change>,
+    /// Numbers that would be called changed if nothing had changed, on average.
+    pub changed_by_chance: f64,
+    pub only_before: Vec<String>,
+    pub only_after: Vec<String>,
+}
+
+impl Comparison {
+    pub fn of(before: &Input, after: &Input) -> Self {
+        let (old, new) = (by_name(&before.metrics), by_name(&after.metrics));
+        let both = old
+            .iter()
+            .filter_map(|(key, metric)| Change::of(metric, new.get(key)?));
+        let mut metrics: Vec<Change> = both.collect();
+        metrics.sort_by(|one, other| {
+            let by_verdict = one.verdict.cmp(&other.verdict);
+            by_verdict
+                .then(other.size().total_cmp(&one.size()))
+                .then(one.name.cmp(&other.name))
+        });
+        let missing = |these: &Named<'_>, others: &Named<'_>| {
+            let lone = these.keys().filter(|key| !others.contains_key(*key));
+            lone.map(|(name, _)| (*name).to_owned()).collect()
+        };
+        Self {
+            warnings: warnings(before, after),
+            changed_by_chance: metrics.iter().map(Change::false_alarm).sum(),
+            metrics,
+            only_before: missing(&old, &new),
+            only_after: missing(&new, &old),
+            before: before.environment.clone(),
+            after: after.environment.clone(),
+        }
+    }
+
+    /// How many numbers may get worse before more than chance is behind it: half of those that chance alone
+    /// calls changed, rounded up, and two more.
+    pub fn worse_by_chance(&self) -> usize {
+        // Chance calls as many better as worse.
+        (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
+    }
+
+    pub fn count(&self, verdict: Verdict) -> usize {
+        let all = self.metrics.iter();
+        all.filter(|change| change.verdict == verdict).count()
+    }
+
+    /// Numbers that changed in a table, all others as counts.
+    pub fn text(&self) -> Result<String> {
+        let (before, after) = (self.before.run(), self.after.run());
+        let mut text = format!("before: {before}\nafter:  {after}\n");
+        for warning in &self.warnings {
+            writeln!(text, "warning: {warning}")?;
+        }
+        let all = self.metrics.iter();
+        let rows: Vec<_> = all.filter(|change| change.verdict.is_change()).collect();
+        if rows.iter().all(|change| change.chance.is_none()) {
+            text.push_str("\nNothing changed beyond noise.\n");
+        }
+        if !rows.is_empty() {
+            let title = format!(
+                "Worse or better: the rounds of the two runs are apart, and their medians differ by more than \
+                 {LEAST_CHANGE_PERCENT} %. With one value each, a change only where the number is exact"
+            );
+            write!(
+                text,
+                "\n{}",
+                Sheet::new(&rows)?.table(title, &COLUMNS).text()
+            )?;
+        }
+        let counts = Verdict::ALL.map(|verdict| (self.count(verdict), verdict.name()));
+        let counts = counts.map(|(count, verdict)| format!("{count} {verdict}"));
+        writeln!(
+            text,
+            "\n{}.\nWithout any change up to {:.1} of these would be called worse or better, by chance alone; more \
+             rounds make it rarer (5 in each run: 1 of 126).",
+            counts.join(", "),
+            self.changed_by_chance
+        )?;
+        for (when, names) in [("before", &self.only_before), ("after", &self.only_after)] {
+            let shown = names[..names.len().min(NAMES_MAX)].join(", ");
+            writeln!(text, "{} only in the run {when}: {shown}", names.len())?;
+        }
+        Ok(text)
+    }
+}
+
+const COLUMNS: [Column; 9] = [
+    word("metric", "name"),
+    word("unit", "unit"),
+    word("", "verdict"),
+    signed("change %", "change_percent"),
+    shorted("before", "before_median"),
+    shorted("rounds", "before_range"),
+    shorted("after", "after_median"),
+    shorted("rounds", "after_range"),
+    fixed("by chance", "chance", 3),
+];
+
+/// By name and unit: another unit is another number.
+type Named<'a> = BTreeMap<(&'a str, &'a str), &'a Metric>;
+
+fn by_name(metrics: &[Metric]) -> Named<'_> {
+    let known = metrics.iter().filter(|metric| !metric.rounds.is_empty());
+    known
+        .map(|metric| ((&*metric.name, &*metric.unit), metric))
+        .collect()
+}
+
+/// Why two runs are no measure of each other.
+fn warnings(before: &Input, after: &Input) -> Vec<String> {
+    let differing = before.environment.differing(&after.environment).into_iter();
+    let mut warnings: Vec<String> = differing
+        .map(|(what, old, new)| format!("another {what}: {old} before, {new} after"))
+        .collect();
+    if !warnings.is_empty() {
+        let hint = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
+                    each run measured itself, can";
+        warnings.push(hint.to_owned());
+    }
+    match (&before.options, &after.options) {
+        (Some(old), Some(new)) => {
+            let differing = old.differing(new);
+            warnings.extend(differing.iter().map(|(name, old, new)| {
+                format!("asked for with another value of {name}: {old} before, {new} after")
+            }));
+            if !differing.is_empty() {
+                let hint = "numbers may differ for this reason alone, ratios too";
+                warnings.push(hint.to_owned());
+            }
+        }
+        (None, None) => {}
+        (old, _) => {
+            let when = if old.is_none() { "before" } else { "after" };
+            warnings.push(format!(
+                "the run {when} does not say what it was asked for: it may have measured something else"
+            ));
+        }
+    }
+    warnings
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,416 @@
+//! What every benchmark hands over: rows under columns, plots, single numbers, raw latencies.
+//!
+//! A row is whatever serde makes an object of. Text, Markdown, HTML, CSV and JSON of it are made here and nowhere
+//! else; a column names the value that it shows by the keys that lead to it, joined by `_`, as CSV does.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write as _;
+
+use anyhow::Result;
+use hdrhistogram::Histogram;
+use serde::Serialize;
+use serde_json::{Map, Value};
+
+use crate::metric::{Better, Metric};
+use crate::page::escape;
+
+/// Cells with more letters than this may be broken into several lines.
+const SENTENCE: usize = 32;
+
+/// The result of one benchmark: for people, for programs, and for the next run to be compared with.
+#[derive(Default)]
+pub struct Dataset {
+    /// Name of the command, and of the files.
+    pub name: &'static str,
+    pub heading: &'static str,
+    /// What was done and how to read it: paragraphs of HTML.
+    pub explanation: &'static str,
+    /// Keys of the JSON beside those of the sheets.
+    pub facts: Map<String, Value>,
+    /// The most important first.
+    pub sheets: Vec<Sheet>,
+    pub plots: Vec<Plot>,
+    /// What another run is compared by.
+    pub metrics: Vec<Metric>,
+    /// All latencies that were measured, so that others can compute other percentiles.
+    pub recordings: Vec<Recording>,
+}
+
+pub struct Plot {
+    pub name: &'static str,
+    pub caption: &'static str,
+    pub svg: String,
+}
+
+#[derive(Debug)]
+pub struct Recording {
+    /// What was measured where: words joined by dots, like `none.daemon.response`.
+    pub tag: String,
+    /// When it began, after the start of the run \[s\].
+    pub start_s: f64,
+    pub duration_s: f64,
+    pub histogram_ns: Histogram<u64>,
+}
+
+impl Dataset {
+    /// Adds a number of which less is better.
+    pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
+        self.metrics
+            .push(Metric::new(name, unit, Better::Lower, rounds));
+    }
+
+    pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
+        self.facts.insert(key.to_owned(), value.into());
+    }
+
+    pub fn json(&self) -> Map<String, Value> {
+        let mut json = self.facts.clone();
+        for sheet in &self.sheets {
+            if let Some(key) = sheet.key {
+                json.insert(key.to_owned(), sheet.rows.clone().into());
+            }
+        }
+        json
+    }
+
+    pub fn tables(&self) -> impl Iterator<Item = &Sheet> {
+        self.sheets.iter().filter(|sheet| !sheet.title.is_empty())
+    }
+
+    pub fn text(&self) -> String {
+        let tables: Vec<String> = self.tables().map(Sheet::text).collect();
+        tables.join("\n")
+    }
+
+    pub fn markdown(&self) -> String {
+        let tables: Vec<String> = self.tables().map(Sheet::markdown).collect();
+        tables.join("\n")
+    }
+
+    /// Each sheet that has a file, with its name.
+    pub fn csv(&self) -> impl Iterator<Item = (&'static str, Result<String>)> {
+        let sheets = self.sheets.iter();
+        sheets.filter_map(|sheet| Some((sheet.file?, sheet.csv())))
+    }
+}
+
+/// Rows, and who gets them in which form.
+#[derive(Debug, Default)]
+pub struct Sheet {
+    key: Option<&'static str>,
+    file: Option<&'static str>,
+    title: String,
+    columns: Vec<Column>,
+    rows: Vec<Value>,
+}
+
+impl Sheet {
+    /// Rows that nobody gets yet.
+    pub fn new(rows: &[impl Serialize]) -> Result<Self> {
+        let rows = rows.iter().map(serde_json::to_value);
+        Ok(Self {
+            rows: rows.collect::<Result<_, _>>()?,
+            ..Self::default()
+        })
+    }
+
+    /// A table of rows that are JSON already.
+    pub fn of(title: &str, columns: &[Column], rows: Vec<Value>) -> Self {
+        Self {
+            rows,
+            ..Self::default()
+        }
+        .table(title, columns)
+    }
+
+    /// Puts the rows into the JSON, under this key.
+    #[must_use]
+    pub fn key(mut self, key: &'static str) -> Self {
+        self.key = Some(key);
+        self
+    }
+
+    /// Puts them into a CSV of this name, without its ending.
+    #[must_use]
+    pub fn file(mut self, name: &'static str) -> Self {
+        self.file = Some(name);
+        self
+    }
+
+    /// Shows them to people as a table.
+    #[must_use]
+    pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
+        self.title = title.into();
+        self.order(columns)
+    }
+
+    /// Which columns of the CSV come first.
+    #[must_use]
+    pub fn order(mut self, columns: &[Column]) -> Self {
+        self.columns = columns.to_vec();
+        self
+    }
+
+    fn cells(&self) -> Vec<Vec<String>> {
+        let cells = |row: &Value| {
+            let values = flat(row);
+            self.columns.iter().map(|c| c.cell(&values)).collect()
+        };
+        self.rows.iter().map(cells).collect()
+    }
+
+    pub fn text(&self) -> String {
+        let heads = self.columns.iter().map(|c| c.head.to_owned()).collect();
+        let mut lines = vec![heads];
+        lines.extend(self.cells());
+        let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max();
+        let widths: Vec<usize> = (0..self.columns.len()).filter_map(width).collect();
+        let mut text = format!("{}\n", self.title);
+        for line in &lines {
+            let mut padded = String::new();
+            for ((cell, width), column) in
+                line.iter().zip(widths.iter().copied()).zip(&self.columns)
+            {
+                let _ = match column.show {
+                    Show::Word => write!(padded, "{cell:<width$}  "),
+                    _ => write!(padded, "{cell:>width$}  "),
+                };
+            }
+            let _ = writeln!(text, "{}", padded.trim_end());
+        }
+        text
+    }
+
+    /// For a page on the web, or a document of the project.
+    pub fn markdown(&self) -> String {
+        let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | ").replace('\n', " "));
+        let heads = self.columns.iter().map(|c| c.head.to_owned());
+        let marks = self.columns.iter().map(|column| match column.show {
+            Show::Word => "---".to_owned(),
+            _ => "--:".to_owned(),
+        });
+        let title = format!("{}\n\n", self.title);
+        let body: String = self.cells().into_iter().map(line).collect();
+        title + &line(heads.collect()) + &line(marks.collect()) + &body
+    }
+
+    pub fn html(&self) -> String {
+        let tag = |tag: &str, column: &Column, cell: &str| {
+            let class = match column.show {
+                Show::Word if cell.chars().count() > SENTENCE => "word text",
+                Show::Word => "word",
+                _ => "number",
+            };
+            format!("<{tag} class=\"{class}\">{}</{tag}>", escape(cell))
+        };
+        let heads = self.columns.iter().map(|c| tag("th", c, c.head));
+        let heads: String = heads.collect();
+        let title = escape(&self.title);
+        let mut html = format!(
+            "<table>\n<caption>{title}</caption>\n<thead><tr>{heads}</tr></thead>\n<tbody>\n"
+        );
+        for cells in self.cells() {
+            let cells = self.columns.iter().zip(&cells);
+            let cells: String = cells
+                .map(|(column, cell)| tag("td", column, cell))
+                .collect();
+            let _ = writeln!(html, "<tr>{cells}</tr>");
+        }
+        html + "</tbody>\n</table>\n"
+    }
+
+    /// Every value of the rows: those that the table shows first, in its order.
+    fn csv(&self) -> Result<String> {
+        let rows: Vec<_> = self.rows.iter().map(flat).collect();
+        let known = rows.iter().flatten().filter(|(_, value)| !value.is_null());
+        let known: BTreeSet<&str> = known.map(|(key, _)| key.as_str()).collect();
+        let shown = self.columns.iter().map(|column| column.key);
+        let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
+        heads.extend(
+            known
+                .iter()
+                .filter(|key| !heads.contains(key))
+                .collect::<Vec<_>>(),
+        );
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        writer.write_record(&heads)?;
+        for row in &rows {
+            writer.write_record(heads.iter().map(|head| match row.get(*head) {
+                None | Some(Value::Null) => String::new(),
+                Some(Value::String(text)) => text.clone(),
+                Some(value) => value.to_string(),
+            }))?;
+        }
+        Ok(String::from_utf8(writer.into_inner()?)?)
+    }
+}
+
+/// What JSON nests, under one name. A list stays one value.
+pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
+    fn add(name: &str, value: &Value, values: &mut BTreeMap<String, Value>) {
+        let Value::Object(fields) = value else {
+            values.insert(name.to_owned(), value.clone());
+            return;
+        };
+        for (key, value) in fields {
+            let separator = if name.is_empty() { "" } else { "_" };
+            add(&format!("{name}{separator}{key}"), value, values);
+        }
+    }
+    let mut values = BTreeMap::new();
+    add("", row, &mut values);
+    values
+}
+
+#[derive(Debug, Clone, Copy)]
+pub struct Column {
+    head: &'static str,
+    key: &'static str,
+    show: Show,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Show {
+    /// On the left of its column; everything else on the right.
+    Word,
+    Plain,
+    /// Three digits, as far as they say something.
+    Short,
+    Fixed(usize),
+    Signed,
+    Power,
+    Percent(usize),
+}
+
+impl Column {
+    const fn new(head: &'static str, key: &'static str, show: Show) -> Self {
+        Self { head, key, show }
+    }
+
+    fn cell(&self, values: &BTreeMap<String, Value>) -> String {
+        match values.get(self.key) {
+            Some(Value::String(text)) if !text.is_empty() => text.clone(),
+            Some(Value::Bool(true)) => "yes".to_owned(),
+            Some(Value::Bool(false)) => "no".to_owned(),
+            Some(Value::Array(ends)) => {
+                let number = |end: &Value| end.as_f64().map(|end| self.number(end));
+                let ends = ends.iter().map(|end| match end {
+                    Value::String(text) => text.clone(),
+                    end => number(end).unwrap_or_default(),
+                });
+                let between = if matches!(self.show, Show::Word) {
+                    ", "
+                } else {
+                    " to "
+                };
+                ends.collect::<Vec<_>>().join(between)
+            }
+            Some(Value::Number(number)) => self.number(number.as_f64().unwrap_or(f64::NAN)),
+            _ => "-".to_owned(),
+        }
+    }
+
+    fn number(&self, value: f64) -> String {
+        match self.show {
+            Show::Word | Show::Plain => value.to_string(),
+            Show::Short => short(value),
+            Show::Fixed(digits) => format!("{value:.digits$}"),
+            Show::Signed => format!("{value:+.1}"),
+            Show::Power => format!("{value:.1e}"),
+            Show::Percent(digits) => format!("{:.digits$}", 100.0 * value),
+        }
+    }
+}
+
+pub const fn word(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Word)
+}
+
+pub const fn plain(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Plain)
+}
+
+pub const fn shorted(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Short)
+}
+
+pub const fn fixed(head: &'static str, key: &'static str, digits: usize) -> Column {
+    Column::new(head, key, Show::Fixed(digits))
+}
+
+pub const fn signed(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Signed)
+}
+
+pub const fn power(head: &'static str, key: &'static str) -> Column {
+    Column::new(head, key, Show::Power)
+}
+
+pub const fn percent(head: &'static str, key: &'static str, digits: usize) -> Column {
+    Column::new(head, key, Show::Percent(digits))
+}
+
+/// Three digits, as far as they say something.
+pub(crate) fn short(value: f64) -> String {
+    let digits = match value.abs() {
+        _ if value == value.round() && value.abs() < 1e6 => 0,
+        size if size >= 100.0 => 0,
+        size if size >= 10.0 => 1,
+        size if size >= 1.0 => 2,
+        size if size >= 1e-3 => 4,
+        _ => return format!("{value:.2e}"),
+    };
+    let text = format!("{value:.digits$}");
+    match text.split_once('.') {
+        Some(_) => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
+        None => text,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn sheet() -> Sheet {
+        let rows = [
+            json!({ "name": "a", "good": true, "times": { "mean": 5e-9, "count": 3 }, "more": null, "ends": [1.0, 2.5] }),
+            json!({ "name": "b, c", "good": false, "times": { "mean": f64::NAN, "count": 0 }, "more": 0.5 }),
+        ];
+        let columns = [
+            word("name", "name"),
+            power("mean s", "times_mean"),
+            percent("more %", "more", 1),
+            fixed("from", "ends", 1),
+        ];
+        Sheet::new(&rows).expect("rows").table("Two", &columns)
+    }
+
+    #[test]
+    fn csv_joins_nested_names_and_leaves_what_is_missing_empty() {
+        let expected = "name,times_mean,more,ends,good,times_count\na,5e-9,,\"[1.0,2.5]\",true,3\n\"b, c\",,0.5,,false,0\n";
+        assert_eq!(sheet().csv().expect("written"), expected);
+    }
+
+    #[test]
+    fn a_value_that_was_not_measured_is_a_dash_in_every_table() {
+        let text = "Two\nname  mean s  more %        from\na     5.0e-9       -  1.0 to 2.5\nb, c       -    50.0           -\n";
+        assert_eq!(sheet().text(), text);
+        assert!(sheet().markdown().ends_with("| b, c | - | 50.0 | - |\n"));
+        assert!(sheet().html().contains("<td class=\"number\">50.0</td>"));
+    }
+
+    #[test]
+    fn numbers_are_as_long_as_they_say_something() {
+        for (value, text) in [
+            (0.0, "0"),
+            (1.234_56, "1.23"),
+            (512.4, "512"),
+            (0.2, "0.2"),
+            (3e-7, "3.00e-7"),
+        ] {
+            assert_eq!(short(value), text);
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! What a load did.
+
+use std::ops::AddAssign;
+
+use serde::Serialize;
+
+use super::Load;
+
+/// Counts of a load from its start to its end: the proof that it was there, and how strong.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Done {
+    /// How long the load worked, from when all of its threads worked to its end: with it, counts are rates \[s\].
+    /// Of one thread, zero.
+    pub seconds: f64,
+    /// Rounds of 100 000 steps that the spinning threads made.
+    pub spins: u64,
+    pub copied_bytes: u64,
+    /// Bytes that were written to a file and synced.
+    pub written_bytes: u64,
+    pub read_bytes: u64,
+    pub clients: u64,
+    pub failed_clients: u64,
+    pub chunks: u64,
+    pub updates: u64,
+    pub stress_operations: u64,
+}
+
+impl Done {
+    /// What should have come of this load and did not: names of counts that are zero.
+    pub fn missing(&self, load: Load) -> Vec<&'static str> {
+        let counts = self.of(load).into_iter();
+        counts
+            .filter(|(_, count)| *count == 0)
+            .map(|(name, _)| name)
+            .collect()
+    }
+
+    fn of(&self, load: Load) -> Vec<(&'static str, u64)> {
+        match load {
+            Load::None => Vec::new(),
+            Load::Cpu => vec![("spins", self.spins)],
+            Load::Memory => vec![("copied_bytes", self.copied_bytes)],
+            Load::Io => vec![
+                ("written_bytes", self.written_bytes),
+                ("read_bytes", self.read_bytes),
+            ],
+            Load::Clients => vec![("clients", self.clients)],
+            Load::Flood => vec![("chunks", self.chunks), ("updates", self.updates)],
+            Load::All => [
+                Load::Cpu,
+                Load::Memory,
+                Load::Io,
+                Load::Clients,
+                Load::Flood,
+            ]
+            .map(|part| self.of(part))
+            .concat(),
+            Load::CpuEverywhere => [self.of(Load::Cpu), self.of(Load::Memory)].concat(),
+            Load::StressNg => vec![("stress_operations", self.stress_operations)],
+        }
+    }
+}
+
+impl AddAssign for Done {
+    fn add_assign(&mut self, other: Self) {
+        self.seconds += other.seconds;
+        self.spins += other.spins;
+        self.copied_bytes += other.copied_bytes;
+        self.written_bytes += other.written_bytes;
+        self.read_bytes += other.read_bytes;
+        self.clients += other.clients;
+        self.failed_clients += other.failed_clients;
+        self.chunks += other.chunks;
+        self.updates += other.updates;
+        self.stress_operations += other.stress_operations;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_load_did_not_do_has_a_name() {
+        let mut done = Done {
+            chunks: 3,
+            ..Done::default()
+        };
+        assert_eq!(done.missing(Load::Flood), ["updates"]);
+        assert!(done.missing(Load::None).is_empty());
+        assert_eq!(done.missing(Load::All).len(), 6);
+        done += Done {
+            updates: 1,
+            chunks: 1,
+            ..Done::default()
+        };
+        assert_eq!((done.chunks, done.missing(Load::Flood)), (4, vec![]));
+    }
+}

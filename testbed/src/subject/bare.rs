@@ -1,0 +1,177 @@
+//! The bare loop: the daemon's cycle thread without any work, as a process of its own.
+
+use std::process::Command;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use cdcr_shared_types::codes::LateCause;
+use serde::Deserialize;
+
+use super::Cycle;
+use super::daemon::Launch;
+use crate::system::cores::Cores;
+use crate::system::process::Process;
+
+/// What start, end and a slow machine may add to the duration.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A running bare loop. Dropping it ends it.
+#[derive(Debug)]
+pub struct Bare {
+    process: Process,
+    duration: Duration,
+}
+
+impl Bare {
+    /// Starts `cdcrd bare` with this configuration.
+    pub fn start(launch: &Launch, cores: &Cores, duration: Duration) -> Result<Self> {
+        let command = command(launch, duration)?;
+        let process = cores.with_all(|| Process::start("cdcrd bare", command))?;
+        Ok(Self { process, duration })
+    }
+
+    pub fn wait(mut self) -> Result<Vec<Cycle>> {
+        let cycles = cycles(&self.process.wait(2 * self.duration + PATIENCE)?)?;
+        let words = || self.process.last_words();
+        ensure!(!cycles.is_empty(), "cdcrd bare told of no cycle{}", words());
+        Ok(cycles)
+    }
+}
+
+fn command(launch: &Launch, duration: Duration) -> Result<Command> {
+    let mut command = launch.command("bare")?;
+    let duration = format!("{}us", duration.as_micros());
+    command.args(["--format", "csv", "--duration", &duration]);
+    Ok(command)
+}
+
+/// A line of `cdcrd bare --format csv`; of the columns only those that are used.
+#[derive(Deserialize)]
+struct Row {
+    due_ns: u64,
+    start_ns: u64,
+    handed_over_ns: u64,
+    skipped_periods: u32,
+    late_start: u8,
+    deadline_miss: u8,
+    /// Empty where the kernel does not tell.
+    run_delay_ns: Option<u64>,
+    cause: u32,
+}
+
+fn cycles(csv: &str) -> Result<Vec<Cycle>> {
+    let mut reader = csv::Reader::from_reader(csv.as_bytes());
+    let rows = reader.deserialize().map(|row| cycle(&row?));
+    rows.collect::<Result<_>>()
+        .context("cdcrd bare --format csv: is cdcrd of the same version as this program?")
+}
+
+fn cycle(row: &Row) -> Result<Cycle> {
+    Ok(Cycle {
+        due_ns: row.due_ns,
+        wake_ns: row.start_ns.saturating_sub(row.due_ns),
+        response_ns: row.handed_over_ns.saturating_sub(row.due_ns),
+        late_start: row.late_start != 0,
+        deadline_miss: row.deadline_miss != 0,
+        skipped_periods: row.skipped_periods,
+        cause: LateCause::try_from(row.cause)?,
+        run_delay_ns: row.run_delay_ns.unwrap_or(0),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+    use crate::system::thread::may_be_realtime;
+
+    const HEAD: &str = "cycle,due_ns,start_ns,handed_over_ns,skipped_periods,late_start,deadline_miss,\
+                        run_delay_ns,page_faults,cause\n";
+
+    #[test]
+    fn the_columns_are_told_from_their_release() {
+        let rows = "3,200,310,350,1,1,0,70,2,2\n4,400,410,415,0,0,0,,,0\n";
+        let first = Cycle {
+            due_ns: 200,
+            wake_ns: 110,
+            response_ns: 150,
+            late_start: true,
+            deadline_miss: false,
+            skipped_periods: 1,
+            cause: LateCause::Load,
+            run_delay_ns: 70,
+        };
+        let second = Cycle {
+            due_ns: 400,
+            wake_ns: 10,
+            response_ns: 15,
+            late_start: false,
+            skipped_periods: 0,
+            cause: LateCause::None,
+            run_delay_ns: 0,
+            ..first
+        };
+        assert_eq!(cycles(&format!("{HEAD}{rows}")).unwrap(), [first, second]);
+    }
+
+    #[test]
+    fn what_another_version_writes_is_refused() {
+        let unknown_cause = format!("{HEAD}3,200,310,350,1,1,0,70,2,99\n");
+        for text in ["due_ns,start_ns\n1,2\n", &unknown_cause] {
+            let error = format!("{:#}", cycles(text).unwrap_err());
+            assert!(error.contains("same version"), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_real_loop_keeps_to_its_grid() {
+        let cores = Cores::find().unwrap();
+        let launch = Launch::patient(None).placed(&cores, may_be_realtime());
+        let bare = Bare::start(&launch, &cores, Duration::from_millis(500)).unwrap();
+        let folder = bare.process.folder().to_owned();
+        let cycles = bare.wait().unwrap();
+        assert!(!folder.exists());
+        // 5 ms apart, but for what was skipped.
+        for pair in cycles.windows(2) {
+            let periods = (pair[1].due_ns - pair[0].due_ns) / 5_000_000;
+            assert_eq!(pair[1].due_ns, pair[0].due_ns + periods * 5_000_000);
+            // The one before slept through its releases, or ran into those of the next one.
+            let skipped = pair[0].skipped_periods + pair[1].skipped_periods;
+            assert!((1..=1 + u64::from(skipped)).contains(&periods));
+            assert!(pair[0].response_ns >= pair[0].wake_ns);
+        }
+        let releases = |cycles: &[Cycle]| -> u64 {
+            let of = |cycle: &Cycle| 1 + u64::from(cycle.skipped_periods);
+            cycles.iter().map(of).sum()
+        };
+        // It ends with the first cycle that is the hundredth, or comes after it.
+        let (_, before) = cycles.split_last().unwrap();
+        assert!(releases(before) < 100 && releases(&cycles) >= 100);
+    }
+
+    #[test]
+    fn a_bad_configuration_says_what_is_wrong() {
+        let folder = tempfile::tempdir().unwrap();
+        let config = folder.path().join("bad.toml");
+        fs::write(&config, "[cycle]\nperiod = 5\n").unwrap();
+        let launch = Launch::patient(Some(config));
+        let bare = Bare::start(&launch, &Cores::find().unwrap(), Duration::from_millis(500));
+        let error = bare.unwrap().wait().unwrap_err().to_string();
+        assert!(
+            error.contains("bad.toml") && error.contains("period"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn a_dropped_loop_ends() {
+        let cores = Cores::find().unwrap();
+        let launch = Launch::patient(None).placed(&cores, false);
+        let bare = Bare::start(&launch, &cores, Duration::from_secs(3600)).unwrap();
+        let process = std::path::PathBuf::from(format!("/proc/{}", bare.process.id()));
+        assert!(process.exists());
+        drop(bare);
+        assert!(!process.exists());
+    }
+}

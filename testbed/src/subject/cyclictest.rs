@@ -1,0 +1,315 @@
+//! cyclictest of the rt-tests: what others measure wake-ups with.
+
+use std::fs;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use anyhow::{Context, Result, ensure};
+use hdrhistogram::Histogram;
+use rustix::thread::{sched_getaffinity, sched_setaffinity};
+
+use crate::system::process::{Process, on_path, that_ends_with_us};
+
+/// What start, end and a slow machine may add to the duration.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Its main thread prints what there is and then looks for the end, so cycles that come in between are never
+/// printed. So much longer than asked for it runs, for a main thread that is held up just there.
+const SPARE: Duration = Duration::from_millis(100);
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cyclictest {
+    program: PathBuf,
+}
+
+impl Cyclictest {
+    /// The one on the path, if there is one.
+    pub fn find() -> Option<Self> {
+        let program = on_path("cyclictest")?;
+        Some(Self { program })
+    }
+
+    /// Starts one thread on `core` that sleeps to `cycles` releases, `period` apart, with `SCHED_FIFO` at
+    /// `priority`, or without; memory locked, `clock_nanosleep` to an absolute time. To be called from a
+    /// thread that outlives it.
+    ///
+    /// It refuses to run, also without a priority, for a user who may not have real-time threads.
+    pub fn start(
+        &self,
+        period: Duration,
+        priority: Option<u8>,
+        core: usize,
+        cycles: u64,
+    ) -> Result<Running> {
+        let nanoseconds = period.as_nanos();
+        ensure!(
+            nanoseconds > 0 && nanoseconds.is_multiple_of(1000),
+            "cyclictest knows whole microseconds only, not a period of {nanoseconds} ns"
+        );
+        let spare_cycles = 1 + SPARE.as_nanos().div_ceil(nanoseconds) as u64;
+        let mut command = that_ends_with_us(&self.program);
+        command.args(arguments(period, priority, core, cycles + spare_cycles));
+        let process = with_core(core, || {
+            if let Some(other) = another(core) {
+                command.arg(format!("--mainaffinity={other}"));
+            }
+            Process::start("cyclictest", command)
+        })?;
+        Ok(Running {
+            process,
+            period,
+            cycles,
+        })
+    }
+}
+
+/// One thread (`-t 1`) with every latency (`-v`) in nanoseconds (`-N`).
+fn arguments(period: Duration, priority: Option<u8>, core: usize, cycles: u64) -> Vec<String> {
+    let mut arguments = vec![
+        "-t1".to_owned(),
+        format!("-a{core}"),
+        format!("-i{}", period.as_micros()),
+        format!("-l{cycles}"),
+        "-m".to_owned(),
+        "-v".to_owned(),
+        "-N".to_owned(),
+    ];
+    arguments.push(match priority {
+        Some(priority) => format!("-p{priority}"),
+        None => "--policy=other".to_owned(),
+    });
+    arguments
+}
+
+/// A core that this thread may use, beside this one: for the thread of cyclictest that prints.
+fn another(core: usize) -> Option<usize> {
+    let ids = core_affinity::get_core_ids()?;
+    ids.iter().map(|id| id.id).find(|id| *id != core)
+}
+
+/// Runs `start` with this core allowed, too: cyclictest uses only cores that it was started with.
+fn with_core<R>(core: usize, start: impl FnOnce() -> R) -> R {
+    let before = sched_getaffinity(None);
+    if let Ok(mut allowed) = before {
+        allowed.set(core);
+        let _ = sched_setaffinity(None, &allowed);
+    }
+    let result = start();
+    if let Ok(before) = before {
+        let _ = sched_setaffinity(None, &before);
+    }
+    result
+}
+
+#[derive(Debug)]
+pub struct Running {
+    process: Process,
+    period: Duration,
+    cycles: u64,
+}
+
+impl Running {
+    pub fn wait(mut self) -> Result<Latencies> {
+        let duration_s = self.period.as_secs_f64() * self.cycles as f64;
+        let limit = Duration::from_secs_f64(2.0 * duration_s) + PATIENCE;
+        let said = self.process.wait(limit)?;
+        let mut each_ns = latencies_in(&said)
+            .with_context(|| format!("what cyclictest printed{}", self.process.last_words()))?;
+        let (made, asked) = (each_ns.len(), self.cycles);
+        ensure!(
+            made as u64 >= asked,
+            "cyclictest told of {made} cycles where {asked} were asked for{}",
+            self.process.last_words()
+        );
+        each_ns.truncate(asked as usize);
+        Latencies::of(each_ns, self.period)
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It removes this file itself, unless it was killed.
+        let _ = self.process.end();
+        let _ = fs::remove_file(format!("/dev/shm/cyclictest{}", self.process.id()));
+    }
+}
+
+#[derive(Debug, Clone)]
+pub struct Latencies {
+    pub histogram_ns: Histogram<u64>,
+    pub each_ns: Vec<u64>,
+    pub cycles: u64,
+    /// Releases without a cycle: it sleeps on to the first release that is still ahead, as the daemon does.
+    pub skipped_periods: u64,
+    period: Duration,
+}
+
+impl Latencies {
+    fn of(each_ns: Vec<u64>, period: Duration) -> Result<Self> {
+        let mut histogram_ns = Histogram::new_with_bounds(1, 60_000_000_000, 3)?;
+        let period_ns = (period.as_nanos() as u64).max(1);
+        for latency_ns in &each_ns {
+            histogram_ns.saturating_record(*latency_ns);
+        }
+        Ok(Self {
+            histogram_ns,
+            cycles: each_ns.len() as u64,
+            // The release that it woke up for had passed by so many periods.
+            skipped_periods: each_ns
+                .iter()
+                .map(|latency_ns| latency_ns / period_ns)
+                .sum(),
+            each_ns,
+            period,
+        })
+    }
+
+    /// Without its first cycles: those of the warm-up, which cyclictest itself cannot leave out.
+    pub fn without_first(mut self, cycles: u64) -> Result<Self> {
+        ensure!(
+            cycles < self.cycles,
+            "a warm-up of {cycles} cycles leaves none of the {} cycles of cyclictest",
+            self.cycles
+        );
+        Self::of(self.each_ns.split_off(cycles as usize), self.period)
+    }
+
+    /// Cycles that woke up later than this.
+    pub fn later_than(&self, limit_ns: u64) -> u64 {
+        let late = self
+            .each_ns
+            .iter()
+            .filter(|latency_ns| **latency_ns > limit_ns);
+        late.count() as u64
+    }
+}
+
+/// The lines `thread: cycle: latency` among all that `-v` prints. A cycle that is not the next one shows
+/// that we read something else.
+fn latencies_in(said: &str) -> Result<Vec<u64>> {
+    let mut each_ns = Vec::new();
+    for line in said.lines() {
+        let Some((cycle, latency_ns)) = latency(line) else {
+            continue;
+        };
+        let expected = each_ns.len() as u64;
+        ensure!(
+            cycle == expected,
+            "cycle {cycle} follows where cycle {expected} should"
+        );
+        each_ns.push(latency_ns);
+    }
+    Ok(each_ns)
+}
+
+fn latency(line: &str) -> Option<(u64, u64)> {
+    let mut numbers = line.split(':').map(|number| number.trim().parse::<u64>());
+    let (thread, cycle, latency_ns) = (numbers.next()?, numbers.next()?, numbers.next()?);
+    match (thread, cycle, latency_ns, numbers.next()) {
+        (Ok(0), Ok(cycle), Ok(latency_ns), None) => Some((cycle, latency_ns)),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_test_skip::{Need, skip};
+
+    use super::*;
+    use crate::system::cores::Cores;
+    use crate::system::thread::may_be_realtime;
+
+    const PERIOD: Duration = Duration::from_millis(1);
+    const SAID: &str = "Using 1 cpus.\nMax CPUs = 2\nThread 0 using cpu 1.\nThread 0 Interval: 1500\n\
+                        # /dev/cpu_dma_latency set to 0us\n\
+                        \u{20}      0:       0:   85045\n       0:       1: 3081684\n\
+                        \u{20}      0:       2:   36681\n";
+
+    fn usable() -> Option<Cyclictest> {
+        if !may_be_realtime() {
+            skip(Need::Realtime, "cyclictest refuses to run without");
+            return None;
+        }
+        let found = Cyclictest::find();
+        if found.is_none() {
+            skip(Need::Cyclictest, "it is not installed");
+        }
+        found
+    }
+
+    #[test]
+    fn every_cycle_is_read_and_the_periods_that_it_slept_through_are_counted() {
+        assert_eq!(latencies_in(SAID).unwrap(), [85_045, 3_081_684, 36_681]);
+        let all = Latencies::of(latencies_in(SAID).unwrap(), PERIOD).unwrap();
+        assert_eq!((all.cycles, all.skipped_periods), (3, 3));
+        assert_eq!((all.histogram_ns.len(), all.later_than(85_045)), (3, 1));
+        let warm = all.clone().without_first(2).unwrap();
+        assert_eq!(warm.each_ns, [36_681]);
+        assert_eq!((warm.skipped_periods, warm.histogram_ns.len()), (0, 1));
+        assert!(all.without_first(3).is_err());
+    }
+
+    #[test]
+    fn a_hole_in_the_cycles_is_an_error() {
+        let error = latencies_in("0: 0: 5\n0: 2: 6\n").unwrap_err().to_string();
+        assert!(
+            error.contains("cycle 2 follows where cycle 1 should"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn the_real_one_tells_of_every_cycle() {
+        let Some(cyclictest) = usable() else {
+            return;
+        };
+        let cores = Cores::find().unwrap();
+        for priority in [Some(80), None] {
+            // From a thread like that of a measurement, which keeps off the core.
+            cores.stay_off();
+            let running = cyclictest
+                .start(PERIOD, priority, cores.realtime, 200)
+                .unwrap();
+            let (id, folder) = (running.process.id(), running.process.folder().to_owned());
+            let latencies = running.wait().unwrap();
+            assert_eq!((latencies.cycles, latencies.histogram_ns.len()), (200, 200));
+            assert!(latencies.histogram_ns.min() > 0);
+            let memory = PathBuf::from(format!("/dev/shm/cyclictest{id}"));
+            assert!(!memory.exists() && !folder.exists());
+        }
+    }
+
+    #[test]
+    fn a_dropped_one_ends_and_leaves_nothing() {
+        let Some(cyclictest) = usable() else {
+            return;
+        };
+        let core = Cores::find().unwrap().realtime;
+        let running = cyclictest.start(PERIOD, Some(80), core, 1_000_000).unwrap();
+        let id = running.process.id();
+        drop(running);
+        assert!(!PathBuf::from(format!("/proc/{id}")).exists());
+        assert!(!PathBuf::from(format!("/dev/shm/cyclictest{id}")).exists());
+    }
+
+    #[test]
+    fn a_period_that_it_cannot_keep_is_refused() {
+        let cyclictest = Cyclictest {
+            program: PathBuf::from("cyclictest"),
+        };
+        let error = cyclictest
+            .start(Duration::from_nanos(1500), None, 0, 1)
+            .unwrap_err();
+        assert!(error.to_string().contains("1500 ns"), "{error}");
+    }
+
+    #[test]
+    fn what_it_says_is_in_the_error() {
+        let Some(mut cyclictest) = usable() else {
+            return;
+        };
+        cyclictest.program = on_path("false").unwrap();
+        let running = cyclictest.start(PERIOD, None, 0, 1).unwrap();
+        let error = running.wait().unwrap_err().to_string();
+        assert!(error.contains("cyclictest failed"), "{error}");
+    }
+}

@@ -1,0 +1,206 @@
+//! A daemon that is measured: the real `cdcrd`, started as a process.
+
+use std::fmt::Display;
+use std::path::PathBuf;
+use std::process::Command;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use cdcr_client::Connection;
+use cdcr_shared_types::Location;
+use cdcr_shared_types::codes::Mode;
+
+use super::place::{Place, ROBOT};
+use crate::interrupt;
+use crate::system::cores::Cores;
+use crate::system::process::Process;
+
+/// How long a daemon may take to control its robot.
+const START_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Keys of the configuration that a measurement needs another way than a robot: a machine that stalls must
+/// not stop the robot, make it hold for want of inputs, or end the lease of its reference.
+pub const PATIENT: [(&str, &str); 3] = [
+    ("link.command_valid_ms", "100"),
+    ("cycle.miss_limit", "1000000"),
+    ("reference.lease_ms", "60000"),
+];
+
+#[derive(Debug, Clone, Default)]
+pub struct Launch {
+    /// Its configuration file; none: the default.
+    pub config: Option<PathBuf>,
+    /// Keys that are set beside it, later ones win.
+    pub settings: Vec<(String, String)>,
+}
+
+impl Launch {
+    /// The default, or the file, with [`PATIENT`].
+    pub fn patient(config: Option<PathBuf>) -> Self {
+        let launch = Self {
+            config,
+            settings: Vec::new(),
+        };
+        PATIENT
+            .iter()
+            .fold(launch, |launch, (key, value)| launch.with(key, value))
+    }
+
+    /// The same with this key, like `cycle.period_ms`.
+    #[must_use]
+    pub fn with(mut self, key: &str, value: impl Display) -> Self {
+        self.settings.push((key.to_owned(), value.to_string()));
+        self
+    }
+
+    /// The same on the real-time core of `cores`, or without any real time.
+    #[must_use]
+    pub fn placed(self, cores: &Cores, realtime: bool) -> Self {
+        let mode = if realtime { "prefer" } else { "off" };
+        self.with("realtime.mode", mode)
+            .with("realtime.core", cores.realtime)
+    }
+
+    /// `cdcrd SUBCOMMAND` with this configuration, whatever the environment says.
+    pub fn command(&self, subcommand: &str) -> Result<Command> {
+        let mut command = Command::new(program("cdcrd")?);
+        for (name, _) in std::env::vars_os() {
+            if name.to_string_lossy().starts_with("CDCR_") {
+                command.env_remove(name);
+            }
+        }
+        // A service manager that watches us shall hear nothing of our daemons.
+        for name in ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"] {
+            command.env_remove(name);
+        }
+        command
+            .arg(subcommand)
+            // Whatever ends us, SIGKILL too, ends the daemon.
+            .args(["--end-with-parent", &std::process::id().to_string()]);
+        if let Some(config) = &self.config {
+            command.arg("--config").arg(config);
+        }
+        for (key, value) in &self.settings {
+            command.arg("--set").arg(format!("{key}={value}"));
+        }
+        Ok(command)
+    }
+}
+
+/// A program of ours: in the folder of this one, or, for a test, in the folder above it.
+pub fn program(name: &str) -> Result<PathBuf> {
+    let ourselves = std::env::current_exe().context("cannot tell where this program lies")?;
+    let beside = ourselves.with_file_name(name);
+    let above = ourselves.parent().map(|folder| folder.with_file_name(name));
+    let found = [Some(beside.clone()), above].into_iter().flatten();
+    found
+        .into_iter()
+        .find(|path| path.is_file())
+        .with_context(|| {
+            format!(
+                "{} does not exist: the bench needs {name} beside itself; build both with \
+                 cargo build --release",
+                beside.display()
+            )
+        })
+}
+
+/// A running daemon. Dropping it stops it and removes every trace.
+#[derive(Debug)]
+pub struct Daemon {
+    /// Before its place, which goes when it has ended.
+    process: Process,
+    place: Place,
+    pub launch: Launch,
+}
+
+impl Daemon {
+    /// Starts one and waits until it controls its robot. To be called from a thread that outlives it.
+    pub fn start(launch: &Launch, cores: &Cores) -> Result<Self> {
+        Self::start_with(launch, cores, |_| ())?.when_ready()
+    }
+
+    /// Starts one and waits for nothing. `change` has a last look at its command.
+    pub fn start_with(
+        launch: &Launch,
+        cores: &Cores,
+        change: impl FnOnce(&mut Command),
+    ) -> Result<Self> {
+        let place = Place::new()?;
+        let mut command = launch.command("run")?;
+        command
+            .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
+            .arg("--root")
+            .arg(place.location().root());
+        change(&mut command);
+        Ok(Self {
+            process: cores.with_all(|| Process::start("cdcrd", command))?,
+            place,
+            launch: launch.clone(),
+        })
+    }
+
+    /// Waits until it controls its robot, or, with a driver, waits for a first measurement.
+    pub fn when_ready(mut self) -> Result<Self> {
+        let deadline = Instant::now() + START_TIMEOUT;
+        let mut last = "it did not begin to control its robot".to_owned();
+        while Instant::now() < deadline {
+            interrupt::check()?;
+            ensure!(
+                !self.process.has_ended()?,
+                "the daemon ended at once{}",
+                self.last_words()
+            );
+            match self.connect() {
+                Ok(connection) if is_ready(&connection) => return Ok(self),
+                Ok(_) => {}
+                Err(cause) => last = cause.to_string(),
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        bail!(
+            "the daemon was not ready within {} s: {last}{}",
+            START_TIMEOUT.as_secs(),
+            self.last_words()
+        )
+    }
+
+    pub fn location(&self) -> &Location {
+        self.place.location()
+    }
+
+    pub fn place(&self) -> &Place {
+        &self.place
+    }
+
+    pub fn id(&self) -> u32 {
+        self.process.id()
+    }
+
+    pub fn connect(&self) -> Result<Connection> {
+        Ok(Connection::open(self.location(), ROBOT)?)
+    }
+
+    pub fn stop(mut self) -> Result<()> {
+        ensure!(
+            !self.process.has_ended()?,
+            "the daemon ended by itself{}",
+            self.last_words()
+        );
+        self.process.end()
+    }
+
+    pub fn last_words(&self) -> String {
+        self.process.last_words()
+    }
+}
+
+fn is_ready(connection: &Connection) -> bool {
+    connection
+        .status(Duration::from_secs(1))
+        .is_ok_and(|status| {
+            let driven = status.link == cdcr_shared_types::codes::RobotLink::Driver.code();
+            driven || status.mode != Mode::Starting.code()
+        })
+}

@@ -1,0 +1,26 @@
+//! What is measured: a daemon as a real process, in a place of its own.
+
+pub mod bare;
+pub mod cyclictest;
+pub mod daemon;
+pub mod place;
+pub mod tracking;
+
+use cdcr_shared_types::codes::LateCause;
+
+/// One cycle of whatever was measured, in the terms of its release.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cycle {
+    /// The release that it slept for \[ns, `CLOCK_MONOTONIC`\].
+    pub due_ns: u64,
+    pub wake_ns: u64,
+    /// From there to the hand-over of its command \[ns\].
+    pub response_ns: u64,
+    pub late_start: bool,
+    pub deadline_miss: bool,
+    pub skipped_periods: u32,
+    /// What made it late, or made it skip.
+    pub cause: LateCause,
+    /// How long its thread waited for the core since the cycle before \[ns\].
+    pub run_delay_ns: u64,
+}

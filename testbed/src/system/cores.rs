@@ -1,0 +1,96 @@
+//! Which core is measured, and which ones make the noise.
+
+use anyhow::{Context, Result};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Cores {
+    /// The core of the daemon's real-time threads: the last one, as the daemon itself would choose.
+    pub realtime: usize,
+    /// The cores of clients and loads: all others, or the same one where there is no other.
+    pub others: Vec<usize>,
+    all: CpuSet,
+}
+
+impl Cores {
+    /// Those that this process may use. To be asked before any of its threads is pinned.
+    pub fn find() -> Result<Self> {
+        let ids = core_affinity::get_core_ids().context("the system does not tell its cores")?;
+        let mut ids: Vec<usize> = ids.iter().map(|core| core.id).collect();
+        ids.sort_unstable();
+        let realtime = ids.pop().context("this process may use no core")?;
+        if ids.is_empty() {
+            ids.push(realtime);
+        }
+        let all = sched_getaffinity(None).context("the cores of this process")?;
+        Ok(Self {
+            realtime,
+            others: ids,
+            all,
+        })
+    }
+
+    /// Whether client and loads have to share the core of the daemon.
+    pub fn is_alone(&self) -> bool {
+        self.others.contains(&self.realtime)
+    }
+
+    pub fn client(&self) -> usize {
+        self.others[0]
+    }
+
+    /// The same for processes that shall never run on the real-time core.
+    #[must_use]
+    pub fn without_realtime(&self) -> Self {
+        let mut all = CpuSet::new();
+        for core in &self.others {
+            all.set(*core);
+        }
+        Self {
+            all,
+            ..self.clone()
+        }
+    }
+
+    /// Keeps the calling thread, and those that it starts from now on, off the real-time core.
+    pub fn stay_off(&self) {
+        let mut allowed = CpuSet::new();
+        for core in &self.others {
+            allowed.set(*core);
+        }
+        // Refused: it may use all cores, and gets in the way only when it has work to do.
+        let _ = sched_setaffinity(None, &allowed);
+    }
+
+    /// Runs `start` with all cores allowed, so that a process that it starts may choose among them.
+    pub fn with_all<R>(&self, start: impl FnOnce() -> R) -> R {
+        let before = sched_getaffinity(None);
+        let _ = sched_setaffinity(None, &self.all);
+        let result = start();
+        if let Ok(before) = before {
+            let _ = sched_setaffinity(None, &before);
+        }
+        result
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_real_time_core_is_left_alone_where_there_is_another() {
+        let cores = std::thread::spawn(|| {
+            let cores = Cores::find().expect("cores");
+            cores.stay_off();
+            let allowed = sched_getaffinity(None).expect("cores");
+            assert_eq!(allowed.is_set(cores.realtime), cores.is_alone());
+            let inside = cores.with_all(|| sched_getaffinity(None).expect("cores"));
+            assert!(inside.is_set(cores.realtime));
+            assert_eq!(sched_getaffinity(None).expect("cores"), allowed);
+            cores
+        });
+        let cores = cores.join().expect("no panic");
+        assert!(!cores.others.is_empty());
+    }
+}

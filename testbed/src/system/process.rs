@@ -1,0 +1,290 @@
+//! Other programs that run for a measurement: what they say is kept, and none outlives us.
+
+use std::fs::{self, File};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, bail, ensure};
+use rustix::process::{
+    Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
+};
+use tempfile::TempDir;
+
+use crate::interrupt;
+
+/// How often it is looked whether a program has ended.
+const LOOK: Duration = Duration::from_millis(20);
+/// How long a program may take to end in order.
+const END_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// A running program. Dropping it ends it, and removes what it wrote.
+#[derive(Debug)]
+pub struct Process {
+    name: &'static str,
+    child: Child,
+    /// How it ended, once it is known: then its id is no longer its own.
+    ended: Option<ExitStatus>,
+    folder: TempDir,
+}
+
+impl Process {
+    /// Starts it, in a process group of its own: Ctrl-C reaches us alone, and we end it in order. What it
+    /// says goes into files, so that it never waits for a reader.
+    pub fn start(name: &'static str, command: Command) -> Result<Self> {
+        Self::start_in(folder(name)?, name, command)
+    }
+
+    /// The same with a folder that the command knows, and that is removed with the process.
+    pub fn start_in(folder: TempDir, name: &'static str, mut command: Command) -> Result<Self> {
+        let file = |what: &str| File::create(folder.path().join(what)).context("its output");
+        let child = command
+            .stdin(Stdio::null())
+            .stdout(file(SAID)?)
+            .stderr(file(COMPLAINED)?)
+            .process_group(0)
+            .spawn()
+            .with_context(|| format!("cannot start {name}"))?;
+        Ok(Self {
+            name,
+            child,
+            ended: None,
+            folder,
+        })
+    }
+
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
+    }
+
+    /// Whether it has ended by itself; what is left of its group then is killed.
+    pub fn has_ended(&mut self) -> Result<bool> {
+        Ok(self.look()?.is_some())
+    }
+
+    /// Waits until it ends by itself, and hands over what it wrote to its standard output.
+    pub fn wait(&mut self, limit: Duration) -> Result<String> {
+        let Some(status) = self.ended_within(limit, interrupt::check)? else {
+            let seconds = limit.as_secs();
+            bail!(
+                "{} did not end within {seconds} s{}",
+                self.name,
+                self.last_words()
+            );
+        };
+        let words = || self.last_words();
+        ensure!(
+            status.success(),
+            "{} failed: {status}{}",
+            self.name,
+            words()
+        );
+        fs::read_to_string(self.folder().join(SAID))
+            .with_context(|| format!("what {} wrote", self.name))
+    }
+
+    /// Asks it to end, and waits for it; kills it when it does not. What is left of its group when it has ended, also
+    /// by itself, is killed.
+    pub fn end(&mut self) -> Result<()> {
+        if self.has_ended()? {
+            return Ok(());
+        }
+        let process = Pid::from_child(&self.child);
+        let asked = kill_process(process, Signal::TERM);
+        asked.with_context(|| format!("SIGTERM to {}", self.name))?;
+        if self.ended_within(END_TIMEOUT, || Ok(()))?.is_some() {
+            return Ok(());
+        }
+        // Not yet waited for, so the id is still its own.
+        let _ = kill_process_group(process, Signal::KILL);
+        self.child.kill()?;
+        self.ended = Some(self.child.wait()?);
+        let seconds = END_TIMEOUT.as_secs();
+        let (name, words) = (self.name, self.last_words());
+        bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
+    }
+
+    pub fn last_words(&self) -> String {
+        let text = |what: &str| fs::read_to_string(self.folder().join(what)).unwrap_or_default();
+        // A program that reports an error on its standard output does so in few words.
+        let words = match text(COMPLAINED) {
+            complaint if complaint.trim().is_empty() => text(SAID).chars().take(2000).collect(),
+            complaint => complaint,
+        };
+        match words.trim() {
+            "" => "; it said nothing".to_owned(),
+            words => format!("; it said:\n{words}"),
+        }
+    }
+
+    /// How it ended, if it has; then nobody is left to end the rest of its group but us.
+    fn look(&mut self) -> Result<Option<ExitStatus>> {
+        if self.ended.is_none() {
+            let process = Pid::from_child(&self.child);
+            let peek = WaitIdOptions::EXITED | WaitIdOptions::NOHANG | WaitIdOptions::NOWAIT;
+            if waitid(WaitId::Pid(process), peek)?.is_some() {
+                // Not yet waited for, so the id is still its own.
+                let _ = kill_process_group(process, Signal::KILL);
+                self.ended = self.child.try_wait()?;
+            }
+        }
+        Ok(self.ended)
+    }
+
+    fn ended_within(
+        &mut self,
+        limit: Duration,
+        check: impl Fn() -> Result<()>,
+    ) -> Result<Option<ExitStatus>> {
+        let deadline = Instant::now() + limit;
+        loop {
+            check()?;
+            let status = self.look()?;
+            if status.is_some() || Instant::now() >= deadline {
+                return Ok(status);
+            }
+            thread::sleep(LOOK);
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Err(error) = self.end() {
+            eprintln!("warning: {error:#}");
+        }
+    }
+}
+
+/// Files for its standard output and standard error.
+const SAID: &str = "stdout";
+const COMPLAINED: &str = "stderr";
+
+/// A folder for the files of a program.
+pub fn folder(name: &str) -> Result<TempDir> {
+    tempfile::Builder::new()
+        .prefix(&format!("cdcr-bench-{}-", name.replace(' ', "-")))
+        .tempdir()
+        .context("a folder for temporary files: set TMPDIR to one that can be written")
+}
+
+/// Where a program lies that is found by its name, or none.
+pub fn on_path(name: &str) -> Option<PathBuf> {
+    let folders = std::env::var_os("PATH")?;
+    std::env::split_paths(&folders)
+        .map(|folder| folder.join(name))
+        .find(|path| path.is_file())
+}
+
+/// A command that gets SIGTERM when the thread that starts it ends, whatever ends it. Where there is no
+/// `setpriv` (util-linux), only dropping the [`Process`] ends it.
+pub fn that_ends_with_us(program: &Path) -> Command {
+    match on_path("setpriv") {
+        Some(setpriv) => {
+            let mut command = Command::new(setpriv);
+            command.args(["--pdeathsig", "TERM", "--"]).arg(program);
+            command
+        }
+        None => Command::new(program),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_test_skip::{Need, skip};
+    use rustix::process::test_kill_process;
+
+    use super::*;
+
+    const PATIENCE: Duration = Duration::from_secs(30);
+
+    fn shell(script: &str) -> Process {
+        let mut command = that_ends_with_us(&on_path("sh").unwrap());
+        command.args(["-c", script]);
+        Process::start("sh", command).unwrap()
+    }
+
+    fn until_it_speaks(process: &Process) {
+        let said = process.folder().join(SAID);
+        let deadline = Instant::now() + PATIENCE;
+        while fs::read_to_string(&said).unwrap().is_empty() {
+            assert!(Instant::now() < deadline, "it says nothing");
+            thread::sleep(LOOK);
+        }
+    }
+
+    #[test]
+    fn what_a_program_says_is_kept() {
+        assert_eq!(
+            shell("echo one; echo two >&2").wait(PATIENCE).unwrap(),
+            "one\n"
+        );
+        let error = shell("echo why >&2; exit 3")
+            .wait(PATIENCE)
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("exit status: 3") && error.contains("why"),
+            "{error}"
+        );
+        let error = shell("sleep 100")
+            .wait(Duration::ZERO)
+            .unwrap_err()
+            .to_string();
+        assert!(error.contains("did not end within 0 s"), "{error}");
+    }
+
+    #[test]
+    fn a_dropped_program_has_ended_and_its_folder_is_gone() {
+        let process = shell("exec sleep 100");
+        let (id, folder) = (Pid::from_child(&process.child), process.folder().to_owned());
+        assert!(test_kill_process(id).is_ok() && folder.exists());
+        drop(process);
+        assert!(test_kill_process(id).is_err() && !folder.exists());
+    }
+
+    #[test]
+    fn what_a_program_leaves_in_its_group_ends_when_it_has_ended() {
+        let mut process = shell("sleep 100 & echo $!");
+        let left = process.wait(PATIENCE).unwrap();
+        let stat = Path::new("/proc").join(left.trim()).join("stat");
+        let deadline = Instant::now() + PATIENCE;
+        // It is gone, or dead and not yet waited for by whoever has inherited it.
+        while fs::read_to_string(&stat).is_ok_and(|stat| !stat.contains(") Z ")) {
+            assert!(Instant::now() < deadline, "{left} still runs");
+            thread::sleep(LOOK);
+        }
+        process.end().unwrap();
+    }
+
+    #[test]
+    fn a_program_ends_with_the_thread_that_started_it() {
+        if on_path("setpriv").is_none() {
+            skip(Need::UtilLinux, "there is no setpriv");
+            return;
+        }
+        // The program, not its guard, is what the thread leaves behind.
+        let starter = thread::spawn(|| {
+            let process = shell("echo on; exec sleep 100");
+            until_it_speaks(&process);
+            process
+        });
+        let error = starter.join().unwrap().wait(PATIENCE).unwrap_err();
+        assert!(error.to_string().contains("signal: 15"), "{error}");
+    }
+
+    #[test]
+    fn a_program_that_does_not_want_to_end_is_killed() {
+        let mut process = shell("trap '' TERM; echo on; while :; do sleep 100; done");
+        until_it_speaks(&process);
+        let error = process.end().unwrap_err().to_string();
+        assert!(error.contains("was killed"), "{error}");
+        assert!(process.has_ended().unwrap());
+    }
+}
