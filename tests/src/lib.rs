@@ -15,7 +15,7 @@ mod sweep;
 pub mod system_calls;
 
 use std::fs::DirEntry;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -287,7 +287,15 @@ impl Program {
     /// Starts it; what it prints is kept.
     pub fn start(command: &mut Command) -> Self {
         let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().expect("the program starts");
+        let mut child = loop {
+            match command.spawn() {
+                // A fresh copy: while another test starts a program, that one's child holds it open for a moment.
+                Err(cause) if cause.kind() == ErrorKind::ExecutableFileBusy => {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                child => break child.expect("the program starts"),
+            }
+        };
         Self {
             out: Printed::read(child.stdout.take().expect("a pipe")),
             err: Printed::read(child.stderr.take().expect("a pipe")),

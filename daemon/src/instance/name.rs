@@ -39,7 +39,7 @@ pub(super) fn take(
     }
     tracing::warn!(
         name = location.daemon_name(robot),
-        "a second daemon is kept out by the lock file alone: another user holds the name of this daemon's socket"
+        "a second daemon is kept out by the lock file alone: another user holds the name of this daemon's socket, or keeps it busy"
     );
     Ok(None)
 }

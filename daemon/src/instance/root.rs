@@ -111,6 +111,11 @@ fn in_use(folder: &File, location: &Location, robot: &str, group_id: Option<u32>
         let process = daemon.process_id.map(|id| id.to_string());
         return runs_already(location, robot, process.unwrap_or("unknown".to_owned()));
     }
+    if acl::is_for(folder, group_id) {
+        let cause =
+            "another process has locked it alone; `fuser -v` with its path names the process";
+        return file_error(location.root(), std::io::Error::other(cause));
+    }
     let is_closed = acl::is_for(folder, None);
     InstanceError::RootInUse {
         root: location.root().display().to_string(),
@@ -147,7 +152,7 @@ fn living(location: &Location) -> String {
     let mut daemons: Vec<_> = locked.collect();
     daemons.sort();
     if daemons.is_empty() {
-        return "another one, which only starts".to_owned();
+        return "one that only starts, or a process that has locked the folder (`fuser -v` with its path names it)".to_owned();
     }
     daemons.join(", ")
 }
@@ -244,6 +249,25 @@ mod tests {
             assert!(matches!(error, InstanceError::Runs { .. }), "{error}");
             settled_beside("a", before, before).expect("they agree");
         }
+    }
+
+    #[test]
+    fn a_process_that_locks_the_folder_alone_is_told_of() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        prepare(folder.path()).expect("it is closed to others");
+        let locked = File::open(folder.path()).expect("it is there");
+        locked.lock().expect("nobody else has it");
+        let error = prepare(folder.path()).expect_err("it is locked");
+        assert!(error.to_string().contains("has locked it alone"), "{error}");
+        locked.lock_shared().expect("it is ours");
+        prepare(folder.path()).expect("it is shared");
+        // Another daemon may live there.
+        set_permissions(folder.path(), Permissions::from_mode(0o755)).expect("it is ours");
+        let error = prepare(folder.path()).expect_err("it would be changed");
+        assert!(
+            error.to_string().contains("has locked the folder"),
+            "{error}"
+        );
     }
 
     #[test]
