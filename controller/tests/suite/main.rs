@@ -11,5 +11,6 @@ mod jacobian;
 mod kinematics_golden;
 mod last_word;
 mod nmpc;
+mod oracle;
 mod scenes;
 mod subnormal;
