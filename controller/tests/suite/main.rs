@@ -11,6 +11,7 @@ mod jacobian;
 mod kinematics_golden;
 mod last_word;
 mod nmpc;
+mod oracle;
 mod scenes;
 mod subnormal;
 mod tip_sensor;

@@ -1,0 +1,203 @@
+//! Closed loops that are drawn: the tip is sent from one goal to the next among obstacles, by the crate's own solver.
+
+use cdcr_controller::closed_loop::ClosedLoop;
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters};
+use nalgebra::Vector3;
+
+use super::Account;
+use super::body::{Ball, arcs};
+use super::moment::{Draw, Moment};
+use super::rule::{ROUNDING, moved};
+
+const PERIOD_S: f64 = 0.005;
+const CYCLES: u32 = 120;
+/// Cycles from one goal to the next.
+const GOAL_CYCLES: u32 = 40;
+
+/// What is drawn of a loop.
+pub(super) struct Scene {
+    name: String,
+    parameters: RobotParameters,
+    start: Vec<f64>,
+    goals_m: Vec<Vector3<f64>>,
+    balls: Vec<Ball>,
+    safe_m: f64,
+    acceleration_rad_s2: f64,
+    /// Motors that obey positions; `None`: the ideal robot.
+    motors: Option<Motors>,
+}
+
+/// Motors that follow the commanded position of the period before with a lag, and encoders that count from elsewhere.
+#[derive(Debug, Clone)]
+struct Motors {
+    lag_s: f64,
+    offset_rad: Vec<f64>,
+}
+
+impl Scene {
+    pub(super) fn random(seed: u64) -> Self {
+        let mut draw = Draw::new(!seed);
+        let (parameters, start) = draw.robot();
+        let mut balls = draw.balls(&parameters, &start, 32);
+        let goals = [0.9, 0.5, 0.9].map(|share| draw.bends(&parameters, share));
+        balls.extend(draw.balls(&parameters, &goals[0], 32));
+        let motors = draw.chance(0.4).then(|| Motors {
+            lag_s: draw.between(0.005, 0.04),
+            offset_rad: start.iter().map(|_| draw.between(-5e-3, 5e-3)).collect(),
+        });
+        Self {
+            name: format!("loop {seed}"),
+            goals_m: goals
+                .iter()
+                .map(|bends| tip_m(&parameters, bends))
+                .collect(),
+            safe_m: draw.one_of(&[0.003, 0.01, 0.03]),
+            acceleration_rad_s2: draw.one_of(&[40.0, 200.0, f64::INFINITY]),
+            parameters,
+            start,
+            balls,
+            motors,
+        }
+    }
+
+    /// Runs it, with an account of each command.
+    pub(super) fn run(&self, account: &mut Account) {
+        match &self.motors {
+            Some(motors) => self.run_motors(motors, account),
+            None => self.run_ideal(account),
+        }
+    }
+
+    fn nmpc(&self) -> (Robot, Nmpc) {
+        let robot = Robot::new(&self.parameters).unwrap();
+        let settings = NmpcSettings {
+            safe_distance_m: self.safe_m,
+            ..NmpcSettings::default()
+        };
+        let nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        (robot, nmpc)
+    }
+
+    fn reference(&self, time_s: f64) -> ReferenceSample {
+        let goal = (time_s / PERIOD_S) as usize / GOAL_CYCLES as usize;
+        ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: self.goals_m[goal.min(self.goals_m.len() - 1)],
+            orientation: Orientation::Free,
+        }
+    }
+
+    /// The moment of a cycle, for a robot that stops at once when no command follows.
+    fn moment(&self, time_s: f64, at: &[f64], previous: &[f64], wish: &BendRates) -> Moment {
+        Moment {
+            parameters: self.parameters.clone(),
+            at: at.to_vec(),
+            commanded: None,
+            previous: previous.to_vec(),
+            wish: wish.as_slice().to_vec(),
+            balls: self.balls.iter().map(|ball| ball.after(time_s)).collect(),
+            safe_m: self.safe_m,
+            acceleration_rad_s2: self.acceleration_rad_s2,
+            period_s: PERIOD_S,
+            moving_s: PERIOD_S,
+            deceleration_rad_s2: f64::INFINITY,
+            comes_to_rest: false,
+        }
+    }
+
+    /// The ideal robot, in the crate's own loop.
+    fn run_ideal(&self, account: &mut Account) {
+        let (robot, mut nmpc) = self.nmpc();
+        let obstacles: Vec<Obstacle> = self.balls.iter().map(Ball::obstacle).collect();
+        let start = Configuration::from_slice(&self.start).unwrap();
+        let reference = |time_s| self.reference(time_s);
+        let settings = *nmpc.settings();
+        let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &obstacles, reference)
+            .with_acceleration(self.acceleration_rad_s2);
+        for cycle in 0..CYCLES {
+            let (wish, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
+            let before = closed.configuration().as_slice();
+            let previous = closed.command().rates.as_slice();
+            let moment = self.moment(closed.time_s(), before, previous, &wish);
+            closed.advance(&wish);
+            let command = closed.command();
+            let name = format!("{}, cycle {cycle}", self.name);
+            account.take(&name, &moment, command);
+            account.ask(&name, &moment, command);
+            let drifted_m = self.came_nearer_m(closed.configuration().as_slice());
+            assert!(
+                drifted_m <= ROUNDING * f64::from(cycle + 1),
+                "{name}: {drifted_m} m"
+            );
+        }
+    }
+
+    /// Behind motors, whose commands are obeyed for three periods before they ramp to rest.
+    fn run_motors(&self, motors: &Motors, account: &mut Account) {
+        let (_, mut nmpc) = self.nmpc();
+        let mut robot = self.start.clone();
+        let measured = |robot: &[f64]| moved(robot, &motors.offset_rad, 1.0);
+        let mut commanded = measured(&robot);
+        let mut goes_to = commanded.clone();
+        let mut rates = BendRates::zero(self.parameters.sections.len());
+        let followed = 1.0 - (-PERIOD_S / motors.lag_s).exp();
+        for cycle in 0..CYCLES {
+            let time_s = f64::from(cycle) * PERIOD_S;
+            let at = measured(&robot);
+            let steps = 1..=nmpc.settings().horizon_steps;
+            let reference: Vec<_> = steps
+                .map(|step| self.reference(f64::from(cycle + step) * PERIOD_S))
+                .collect();
+            let mut moment = self.moment(time_s, &at, rates.as_slice(), &rates);
+            let obstacles: Vec<Obstacle> = moment.balls.iter().map(Ball::obstacle).collect();
+            let input = SolveInput {
+                configuration: &Configuration::from_slice(&at).unwrap(),
+                previous_rates: &rates,
+                reference: &reference,
+                obstacles: &obstacles,
+                elapsed_periods: 1,
+                seed: cycle_seed(1, u64::from(cycle)),
+            };
+            let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            moment.wish = wish.as_slice().to_vec();
+            moment.commanded = Some(commanded.clone());
+            (moment.moving_s, moment.deceleration_rad_s2) = (3.0 * PERIOD_S, 40.0);
+            let command = moment.command();
+            let name = format!("{}, cycle {cycle}, motors", self.name);
+            account.take(&name, &moment, &command);
+            account.ask(&name, &moment, &command);
+            rates = command.rates;
+            for (robot, goes_to) in robot.iter_mut().zip(&goes_to) {
+                *robot += followed * (goes_to - *robot);
+            }
+            goes_to.clone_from(&commanded);
+            commanded = moved(&commanded, rates.as_slice(), PERIOD_S);
+        }
+    }
+
+    /// How much nearer than allowed sections came to obstacles that stand (m), since the start.
+    fn came_nearer_m(&self, at: &[f64]) -> f64 {
+        let [start, now] = [self.start.as_slice(), at].map(|bends| arcs(&self.parameters, bends));
+        let standing = self
+            .balls
+            .iter()
+            .filter(|ball| ball.velocity_m_s == Vector3::zeros());
+        let mut most_m = 0.0_f64;
+        for ball in standing {
+            for (start, now) in start.iter().zip(&now) {
+                let [start_m, now_m] =
+                    [start, now].map(|arc| arc.nearest_m(ball, self.safe_m, 1e-10).0);
+                most_m = most_m.max(start_m.min(self.safe_m) - now_m);
+            }
+        }
+        most_m
+    }
+}
+
+fn tip_m(parameters: &RobotParameters, bends: &[f64]) -> Vector3<f64> {
+    let arcs = arcs(parameters, bends);
+    arcs[arcs.len() - 1].end_m()
+}

@@ -1,0 +1,190 @@
+//! What the oracle would command: the nearest rates to a wish, where limits and clearances are linear.
+
+use super::body::{Arc, arcs};
+use super::moment::Moment;
+use super::rule::{Stopping, Way, fastest, moved, norm, strokes_m};
+
+/// Rates are linearised at the solution before, so often.
+const PASSES: u32 = 4;
+/// Sweeps of Hildreth's method.
+const SWEEPS: u32 = 300;
+/// Step of the numerical differences (rad).
+const STEP_RAD: f64 = 1e-4;
+/// What a solution keeps beyond each linear bound of a clearance, so that it may hold exactly (m).
+const BEYOND_M: f64 = 1e-7;
+/// What a clearance that is made linear may be too large by (m).
+const WITHIN_M: f64 = 1e-9;
+/// The share of a wish that counts as motion.
+const LEAST: f64 = 0.05;
+/// Shares of a solution that are tried.
+const SHARES: [f64; 6] = [1.0, 0.999, 0.95, 0.7, 0.4, 0.2];
+
+/// normal · rates ≥ bound.
+#[derive(Debug)]
+struct Row {
+    normal: Vec<f64>,
+    bound: f64,
+}
+
+impl Row {
+    fn axis(i: usize, dimensions: usize, sign: f64, bound: f64) -> Self {
+        let mut normal = vec![0.0; dimensions];
+        normal[i] = sign;
+        Self { normal, bound }
+    }
+
+    /// Whether rates of which no component is faster can be on the other side.
+    fn can_bound(&self, fastest_rad_s: f64) -> bool {
+        let most: f64 = self.normal.iter().map(|n| fastest_rad_s * n.abs()).sum();
+        -most < self.bound
+    }
+}
+
+/// The nearest point to `wish` inside all rows, by Hildreth's method: the multiplier of one row after another is set to
+/// what that row alone needs.
+fn nearest(wish: &[f64], rows: &[Row]) -> Vec<f64> {
+    let mut at = wish.to_vec();
+    let mut multipliers = vec![0.0_f64; rows.len()];
+    for _ in 0..SWEEPS {
+        let mut changed = 0.0_f64;
+        for (row, multiplier) in rows.iter().zip(&mut multipliers) {
+            let square = row.normal.iter().map(|n| n * n).sum::<f64>();
+            if square < 1e-20 {
+                continue;
+            }
+            let inside: f64 = row.normal.iter().zip(&at).map(|(n, x)| n * x).sum();
+            let step = (-*multiplier).max((row.bound - inside) / square);
+            *multiplier += step;
+            for (x, n) in at.iter_mut().zip(&row.normal) {
+                *x += step * n;
+            }
+            changed = changed.max(step.abs() * square.sqrt());
+        }
+        if changed < 1e-12 {
+            break;
+        }
+    }
+    at
+}
+
+impl Moment {
+    /// The nearest rates to the wish inside the limits, linear, without obstacles.
+    pub(super) fn limited_wish(&self) -> Vec<f64> {
+        nearest(&self.wish, &self.limit_rows(&self.wish, f64::INFINITY))
+    }
+
+    /// Rates of [`LEAST`] of `wish` at least that hold every rule, where the quadratic program leads to some.
+    pub(super) fn way_out(&self, wish: &[f64]) -> Option<Vec<f64>> {
+        let mut rates = vec![0.0; wish.len()];
+        for _ in 0..PASSES {
+            let mut rows = self.limit_rows(&rates, fastest(wish));
+            rows.extend(self.clearance_rows(&rates));
+            rows.retain(|row| row.can_bound(fastest(wish)));
+            let nearest = nearest(wish, &rows);
+            let change = moved(&nearest, &rates, -1.0);
+            rates = nearest;
+            if norm(&rates) < LEAST * norm(wish) || norm(&change) < 1e-6 * norm(wish) {
+                return None;
+            }
+            for share in SHARES {
+                let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
+                if norm(&candidate) >= LEAST * norm(wish) && self.hold(&candidate) {
+                    return Some(candidate);
+                }
+            }
+        }
+        None
+    }
+
+    fn limit_rows(&self, near: &[f64], fastest_rad_s: f64) -> Vec<Row> {
+        let dimensions = self.wish.len();
+        let grows_rad_s = self.acceleration_rad_s2 * self.period_s;
+        let mut rows = Vec::new();
+        for (i, previous) in self.previous.iter().enumerate() {
+            let most = self.parameters.sections[i / 2]
+                .rate_max_rad_s
+                .min(fastest_rad_s);
+            let lower = (previous.min(0.0) - grows_rad_s).max(-most);
+            let upper = (previous.max(0.0) + grows_rad_s).min(most);
+            rows.push(Row::axis(i, dimensions, 1.0, lower));
+            rows.push(Row::axis(i, dimensions, -1.0, -upper));
+        }
+        let unit = |i| Row::axis(i, dimensions, 1.0, 0.0).normal;
+        let columns: Vec<Vec<f64>> = (0..dimensions)
+            .map(|i| strokes_m(&self.parameters, &unit(i)))
+            .collect();
+        let stopping = Stopping::new(self, &self.wish);
+        let way_s = stopping.way_s(stopping.end_s());
+        let max_m = self.parameters.cable_stroke_max_m;
+        for place in self.places() {
+            for (cable, stroke_m) in strokes_m(&self.parameters, place).iter().enumerate() {
+                let fastest_m_s = self.parameters.cable_speed_max_m_s;
+                for sign in [1.0, -1.0] {
+                    let room_m = (max_m - sign * stroke_m).max(0.0);
+                    rows.push(Row {
+                        normal: columns.iter().map(|column| -sign * column[cable]).collect(),
+                        bound: -(room_m / way_s).min(fastest_m_s),
+                    });
+                }
+            }
+            let target = moved(place, near, way_s);
+            for (j, section) in self.parameters.sections.iter().enumerate() {
+                let (bend, target) = (&place[2 * j..2 * j + 2], &target[2 * j..2 * j + 2]);
+                let most_rad = section.bend_max_rad.max(norm(bend));
+                let size_rad = norm(target);
+                if size_rad > 0.5 * most_rad {
+                    let outwards = [target[0] / size_rad, target[1] / size_rad];
+                    let bent_rad = outwards[0] * bend[0] + outwards[1] * bend[1];
+                    let mut normal = vec![0.0; dimensions];
+                    normal[2 * j] = -outwards[0];
+                    normal[2 * j + 1] = -outwards[1];
+                    rows.push(Row {
+                        normal,
+                        bound: -(most_rad - bent_rad) / way_s,
+                    });
+                }
+            }
+        }
+        rows
+    }
+
+    /// The clearances after the period and at rest, made linear by differences at these rates.
+    fn clearance_rows(&self, near: &[f64]) -> Vec<Row> {
+        let mut rows = Vec::new();
+        for place in self.places() {
+            // All that the wish could come near to.
+            let way = Way::new(self, place, &self.wish);
+            for time_s in [self.period_s, way.stopping.end_s()] {
+                let way_s = way.stopping.way_s(time_s);
+                let there = moved(place, near, way_s);
+                let body = arcs(&self.parameters, &there);
+                let beside = |step_rad: f64| -> Vec<Vec<Arc>> {
+                    let bent = (0..near.len()).map(|i| {
+                        let mut bent = there.clone();
+                        bent[i] += step_rad;
+                        arcs(&self.parameters, &bent)
+                    });
+                    bent.collect()
+                };
+                let (less, more) = (beside(-STEP_RAD), beside(STEP_RAD));
+                for pair in &way.pairs {
+                    let (j, ball) = (pair.section, pair.ball.after(time_s));
+                    let (clearance_m, s_m) = body[j].nearest_m(&ball, f64::INFINITY, WITHIN_M);
+                    let left_m = clearance_m - way.floor_m(pair, &ball);
+                    let slope = |(less, more): (&Vec<Arc>, &Vec<Arc>)| {
+                        let [less_m, more_m] =
+                            [less, more].map(|body| body[j].clearance_at_m(&ball, s_m));
+                        way_s * (more_m - less_m) / (2.0 * STEP_RAD)
+                    };
+                    let normal: Vec<f64> = less.iter().zip(&more).map(slope).collect();
+                    let along: f64 = normal.iter().zip(near).map(|(n, rate)| n * rate).sum();
+                    rows.push(Row {
+                        bound: along - left_m + BEYOND_M,
+                        normal,
+                    });
+                }
+            }
+        }
+        rows
+    }
+}
