@@ -2,7 +2,7 @@
 
 use cdcr_controller::robot::{BendRates, Robot, SECTIONS_MAX};
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::codes::{Interface, Mode};
 use cdcr_tests::record::{configuration_of, obstacles_of};
 
 use crate::chaos::{Verdict, ensure};
@@ -10,7 +10,8 @@ use crate::chaos::{Verdict, ensure};
 /// What rounding may take from a clearance \[m\].
 const TOLERANCE_M: f64 = 1e-9;
 
-/// What is not looked for between the end of the period and that of the stopping way \[m\].
+/// What is not looked for between the end of the period and that of the stopping way \[m\], and what a ramp along it may keep
+/// less.
 const DIP_M: f64 = 1e-3;
 
 /// Checks cⱼ(command) ≥ min(D, cⱼ(standing still)) for each obstacle where it will be, and each section of the body, with
@@ -19,7 +20,10 @@ const DIP_M: f64 = 1e-3;
 pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
-    check_at(robot, record, &rates, period_s, period_s, TOLERANCE_M)?;
+    let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
+    let is_ramp = !moves_on.contains(&record.mode);
+    let lack_m = if is_ramp { DIP_M + 1e-6 } else { 0.0 };
+    check_at(robot, record, &rates, [period_s; 2], lack_m, TOLERANCE_M)?;
     let fastest = rates
         .as_slice()
         .iter()
@@ -35,16 +39,24 @@ pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict
             * 1e-9
     };
     let way_s = valid_s + 0.5 * ramp_s;
-    check_at(robot, record, &rates, way_s, valid_s + ramp_s, DIP_M)
+    check_at(
+        robot,
+        record,
+        &rates,
+        [way_s, valid_s + ramp_s],
+        lack_m,
+        DIP_M,
+    )
 }
 
-/// The same when the robot has gone for `way_s` at its rates, after `time_s`.
+/// The same when the robot has gone for `way_s` at its rates, after `time_s`. From an obstacle that stands, `lack_m` less than the
+/// safe distance counts.
 fn check_at(
     robot: &Robot,
     record: &Telemetry,
     rates: &BendRates,
-    way_s: f64,
-    time_s: f64,
+    [way_s, time_s]: [f64; 2],
+    lack_m: f64,
     tolerance_m: f64,
 ) -> Verdict {
     let standing = configuration_of(record);
@@ -55,8 +67,10 @@ fn check_at(
         let later = obstacle.moved(time_s);
         let [standing_m, commanded_m] = [&standing, &commanded]
             .map(|body| body.clearances_in_reach(&later, &[f64::INFINITY; SECTIONS_MAX]));
+        let stands = obstacle.velocity_m_s().norm() == 0.0;
+        let kept_m = record.settings.safe_distance_m - if stands { lack_m } else { 0.0 };
         for j in 0..robot.section_count() {
-            let floor_m = standing_m[j].min(record.settings.safe_distance_m);
+            let floor_m = standing_m[j].min(kept_m);
             let clearance_m = commanded_m[j];
             // A NaN breaks it, too.
             ensure(clearance_m >= floor_m - tolerance_m, || {
@@ -84,6 +98,7 @@ mod tests {
         record.robot.sections = 1;
         record.settings.safe_distance_m = 0.01;
         record.deceleration_rad_s2 = 40.0;
+        record.mode = Mode::Tracking.code();
         record.obstacle_count = 1;
         record.obstacles[0] = Obstacle {
             start_m: [body_m + 0.02 + 0.010_001, 0.0, 0.25],
