@@ -150,6 +150,8 @@ impl Guard<'_> {
     /// The nearest rates inside the limits that hold the rule, as far as they are found.
     fn corrected(&self, near: &Places<'_>, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
         let mut region = limits.region();
+        // What is shortened afterwards may come nearer than what was found.
+        region.slow_down_to(fastest(wish));
         let mut rates = *wish;
         for _ in 0..CORRECTIONS {
             if !near.bound(self, &rates, &mut region) {

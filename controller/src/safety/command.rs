@@ -62,7 +62,11 @@ impl<'a> Situation<'a> {
         let first = self.limits_moving(fastest(desired)).nearest(desired);
         let between_rad_s = (fastest(desired) * fastest(&first.rates)).sqrt();
         if !(first.hit.bend || first.hit.cable_stroke) || between_rad_s == 0.0 {
-            return first;
+            // The projection keeps that but for rounding.
+            return Limited {
+                rates: shortened_to(first.rates, fastest(desired)),
+                ..first
+            };
         }
         let second = self.limits_moving(between_rad_s).nearest(desired);
         Limited {

@@ -2,6 +2,7 @@
 
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
 
+use super::clearance::fastest;
 use super::projection::{Region, Vector};
 
 /// How far inside a limit the nearest command aims, in rad and m, so that rounding does not lead beyond it: there the
@@ -107,7 +108,10 @@ impl<'a> Limits<'a> {
         let rates = if hit.non_finite {
             BendRates::zero(self.robot.section_count())
         } else if hit.any() {
-            self.nearest_in(&mut self.region(), desired)
+            // Not faster than asked for: until the robot rests was counted with that.
+            let mut region = self.region();
+            region.slow_down_to(fastest(desired));
+            self.nearest_in(&mut region, desired)
                 .unwrap_or_else(|| self.shortened(desired))
         } else {
             *desired

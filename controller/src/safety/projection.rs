@@ -69,6 +69,14 @@ impl Region {
         }
     }
 
+    /// Only where no component is larger than `most`.
+    pub(super) fn slow_down_to(&mut self, most: f64) {
+        for (lower, upper) in self.lower.iter_mut().zip(&mut self.upper) {
+            *lower = lower.max(-most);
+            *upper = upper.min(most);
+        }
+    }
+
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
     /// a bounded number of steps.
     pub(super) fn nearest(&self, to: &Vector) -> Option<Vector> {

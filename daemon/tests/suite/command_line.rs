@@ -48,7 +48,7 @@ fn options_win_over_defaults_and_are_checked() {
     }
     let text = refused(&cdcrd(&["check", "--prefix", "a b"]));
     assert!(
-        text.contains("--prefix: transport.prefix: \"a b\""),
+        text.contains("--prefix: transport.prefix: invalid prefix \"a b\""),
         "{text}"
     );
 }
