@@ -127,9 +127,9 @@ fn exchange_ns(costs: Costs) -> u64 {
 const REMEMBERED: usize = 128;
 /// So many of the largest are stalls of the processor, which the clock of the thread counts where a hypervisor makes them.
 const STALLS: usize = 3;
-/// The part of the largest that are stalls where the clock goes on while the thread does not: one in four. A machine that is
-/// away for a third of the time, in pieces of several periods, lengthens fewer: the cycles within a piece do not run.
-const STALLED: usize = 4;
+/// The part of the largest that are stalls where the clock goes on while the thread does not: one in ten. Where another task had
+/// the core, the scheduler says so, and nothing is noted; what a hypervisor takes, it may not know.
+const STALLED: usize = 10;
 
 /// The newest costs of one part.
 #[derive(Debug, Clone)]
@@ -164,7 +164,7 @@ impl RecentCosts {
         self.largest_but_ns(STALLS)
     }
 
-    /// The largest of costs that the clock of the machine counted, but for the quarter that stalls may have lengthened
+    /// The largest of costs that the clock of the machine counted, but for the tenth that stalls may have lengthened
     /// \[ns\]. The other clock is a system call, which the cycle thread must not make.
     pub fn high_by_clock_ns(&self) -> u64 {
         self.largest_but_ns((self.noted / STALLED).max(STALLS))
@@ -279,32 +279,10 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_that_is_away_for_a_third_of_the_time_teaches_nothing() {
-        let mut recent = RecentCosts::default();
-        let mut state = 1_u64;
-        let mut chance = || {
-            state = state.wrapping_mul(0x5851_F42D_4C95_7F2D).wrapping_add(1);
-            (state >> 11) as f64 / (1_u64 << 53) as f64
-        };
-        let mut stalls = 0;
-        for _ in 0..20_000 {
-            let here_ns = 200 * US + (80e3 * chance()) as u64;
-            // Away for 3 to 60 ms, so 38 ms there on average: a stall in 7.6 cycles of 5 ms, which all last beyond the end of
-            // the solver, or begin after it.
-            let is_away = chance() < 1.0 / 7.6;
-            let stall_ns = (3e6 * 20_f64.powf(chance())) as u64;
-            stalls += u64::from(is_away);
-            recent.note(here_ns + if is_away { stall_ns } else { 0 });
-            assert!(recent.high_by_clock_ns() < 280 * US);
-        }
-        assert!(stalls > 2000, "{stalls}");
-    }
-
-    #[test]
-    fn what_a_third_of_the_cycles_takes_is_a_cost() {
+    fn what_one_cycle_in_eight_takes_is_a_cost() {
         let mut recent = RecentCosts::default();
         for turn in 0..200 {
-            recent.note(if turn % 3 == 0 { 2000 * US } else { 280 * US });
+            recent.note(if turn % 8 == 0 { 2000 * US } else { 280 * US });
         }
         assert_eq!(recent.high_by_clock_ns(), 2000 * US);
         // The first few may all be stalls.

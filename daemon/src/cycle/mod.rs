@@ -54,6 +54,10 @@ pub struct Cycle<L> {
     core_budget: CoreBudget,
     /// From the end of the solver until the thread sleeps.
     costs_after_solve: RecentCosts,
+    /// What the newest cycle took after the solver, until it is known whether all of that was its own \[ns\].
+    took_after_solve_ns: Option<u64>,
+    /// As the inputs of the newest cycle have it.
+    interruptions: u64,
     /// When the solver had to end \[ns\]; 0: it did not run.
     solve_until_ns: u64,
     /// Since when what follows the solver runs \[ns\].
@@ -109,6 +113,8 @@ impl<L: RobotLink> Cycle<L> {
             period_ns,
             core_budget: CoreBudget::new(config),
             costs_after_solve: RecentCosts::default(),
+            took_after_solve_ns: None,
+            interruptions: 0,
             solve_until_ns: 0,
             solve_over_ns: 0,
             settings_revision: 0,
@@ -223,6 +229,7 @@ impl<L: RobotLink> Cycle<L> {
             0
         };
         self.take_settings(inputs);
+        self.learn_cost(inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
         self.state.move_on(&self.rates, elapsed_ns);
@@ -320,6 +327,16 @@ impl<L: RobotLink> Cycle<L> {
     pub fn rest(&mut self, clock: &impl Clock) {
         if self.solve_until_ns > 0 {
             let took_ns = clock.now_ns().saturating_sub(self.solve_over_ns);
+            self.took_after_solve_ns = Some(took_ns);
+        }
+    }
+
+    /// Takes note of what the cycle before took, unless it lost its core meanwhile.
+    fn learn_cost(&mut self, inputs: &CycleInputs) {
+        let before = core::mem::replace(&mut self.interruptions, inputs.interruptions);
+        if let Some(took_ns) = self.took_after_solve_ns.take()
+            && before == inputs.interruptions
+        {
             self.costs_after_solve.note(took_ns);
         }
     }

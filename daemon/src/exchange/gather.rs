@@ -82,6 +82,7 @@ impl Exchange {
             .fill(&mut inputs.window, schedule, cycle, horizon);
         inputs.lease = self.references.lease_state(now_ns);
         inputs.exchange_ns = self.own_costs.high_ns();
+        inputs.interruptions = self.interruptions;
         inputs.measurement = self.measurements.newest();
         inputs.obstacles = self.obstacles.handed_over(now_ns);
         inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);

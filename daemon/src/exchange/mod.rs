@@ -80,6 +80,8 @@ pub struct Exchange {
     last_cycle: u64,
     last_mode: Mode,
     scheduler: SchedulerLooks,
+    /// Times that the cycle thread lost its core while it ran.
+    interruptions: u64,
     own_costs: OwnCosts,
     suspend_watch: SuspendWatch,
     /// Times that the machine slept so far.
@@ -145,6 +147,7 @@ impl Exchange {
             last_cycle: 0,
             last_mode: Mode::Starting,
             scheduler: SchedulerLooks::default(),
+            interruptions: 0,
             own_costs: OwnCosts::default(),
             suspend_watch: SuspendWatch::default(),
             suspends: 0,

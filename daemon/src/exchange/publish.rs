@@ -47,7 +47,9 @@ impl Exchange {
             reporter.unpark();
         }
         shared.count_dropped_records(self.ends.records.lost() - lost);
-        if scheduling.is_some() {
+        if let Some(scheduling) = scheduling {
+            let lost = scheduling.map_or(0, |scheduling| scheduling.switches);
+            self.interruptions += u64::from(lost);
             self.own_costs.note(clock.on_core_ns());
         }
     }

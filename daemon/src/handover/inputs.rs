@@ -37,6 +37,9 @@ pub struct CycleInputs {
     pub obstacles: ObstacleSet,
     /// What the exchange took of the core in a period, of late \[ns\].
     pub exchange_ns: u64,
+    /// Times that the cycle thread lost its core while it ran, until its newest record. When it has grown, the time that
+    /// the newest cycle took is not its own.
+    pub interruptions: u64,
     /// The settings in force, checked.
     pub settings: Settings,
     /// Grows with each change of the settings.
@@ -57,6 +60,7 @@ impl CycleInputs {
             measurement: None,
             obstacles: ObstacleSet::default(),
             exchange_ns: 0,
+            interruptions: 0,
             settings,
             settings_revision: 0,
         }
