@@ -1,9 +1,9 @@
 //! `cdcrd`: the real-time control daemon for cable-driven continuum robots.
 //!
-//! Three threads (see `ARCHITECTURE.md`): the **cycle** on a pinned core sleeps to each release of an
+//! Four threads matter (see `ARCHITECTURE.md`): the **cycle** on a pinned core sleeps to each release of an
 //! absolute time grid, estimates, decides, solves, limits, and hands a record on; the **exchange** on
-//! the same core below it moves messages between shared memory and the cycle; the **supervisor**
-//! elsewhere does what is slow or textual.
+//! the same core below it moves messages between shared memory and the cycle; the **reporter** publishes telemetry outside the
+//! control path; the **supervisor** elsewhere does what is slow or textual.
 //!
 //! | module | knows | must not know |
 //! |---|---|---|
@@ -11,9 +11,13 @@
 //! | [`cycle`] | the order of the steps | iceoryx2, files, the system |
 //! | [`core_budget`] | how long the solver may take | who measures the other parts |
 //! | [`obstacles`] | what is known around the robot | who says so |
-//! | [`ports`] | what the cycle needs | who provides it |
-//! | [`exchange`] | iceoryx2, messages | how a cycle is computed |
-//! | [`rt`] | clock, grid, hand-over, privileges | the robot |
+//! | [`handover`] | what threads hand to each other | what they do with it |
+//! | [`convert`] | messages and what they mean | who sends them, and when |
+//! | [`services`] | iceoryx2: services, ports, room for them | what the messages mean |
+//! | [`link`] | what the cycle needs of a robot | messages |
+//! | [`exchange`] | messages, clients | how a cycle is computed |
+//! | [`reporter`] | telemetry, why a cycle was late | references, obstacles, requests |
+//! | [`rt`] | clock, grid, privileges, why a thread was late | the robot, the configuration |
 //! | [`service_manager`] | what systemd is told | how a cycle is computed |
 //! | [`log`] | where the log goes, how much of it | what is logged |
 //! | [`supervisor`] | statistics, log, status | anything in the path of a cycle |

@@ -11,6 +11,7 @@ use cdcr_controller::estimator::Measurement;
 use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
 use cdcr_controller::robot::{CABLES_MAX, Configuration};
 use cdcr_controller::safety::{LeaseState, Request};
+use nalgebra::Vector3;
 
 use super::*;
 use crate::config::Config;

@@ -1,0 +1,80 @@
+//! Before the first cycle: whether one fits into its period, and code and data that are in memory.
+
+use cdcr_controller::nmpc::{HORIZON_STEPS_MAX, SolveInput};
+use cdcr_controller::optimizer::Budget;
+use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::robot::{Obstacle, Shape};
+use nalgebra::Vector3;
+
+use super::Cycle;
+use crate::core_budget::Costs;
+use crate::link::RobotLink;
+use crate::rt::clock::Clock;
+
+/// Longest time that the solver is warmed up \[ns\].
+const WARM_UP_MAX_NS: u64 = 300_000_000;
+/// Solves before the first release.
+const TRIALS: u64 = 20;
+
+impl<L: RobotLink> Cycle<L> {
+    /// Refuses settings that leave no time for a cycle that searches nothing, as measured.
+    ///
+    /// # Errors
+    /// In words, with the numbers.
+    pub fn check_that_it_fits(&mut self, clock: &impl Clock) -> Result<(), String> {
+        let measured_ns = (0..TRIALS).map(|seed| {
+            let begin_ns = clock.now_ns();
+            self.solve_once(seed, || true);
+            self.make_safe(&self.rates.clone(), true);
+            clock.now_ns() - begin_ns
+        });
+        let least_ns = measured_ns.min().unwrap_or_default();
+        self.nmpc.forget_plan();
+        let Some(lacks_ns) = self.core_budget.lacks_ns(least_ns) else {
+            return Ok(());
+        };
+        let ms = |ns: u64| ns as f64 / 1e6;
+        Err(format!(
+            "a cycle does not fit into cycle.period_ms = {}: without any search it takes {:.3} ms ({} sections, \
+             controller.horizon_steps = {}), which is {:.3} ms too much; {}",
+            ms(self.period_ns),
+            ms(least_ns),
+            self.robot.section_count(),
+            self.nmpc.settings().horizon_steps,
+            ms(lacks_ns),
+            self.core_budget.describe(Costs::default()),
+        ))
+    }
+
+    /// Runs code and data of the solver once, so that the first real solve finds them in memory.
+    pub fn warm_up(&mut self, clock: &impl Clock) {
+        let end_ns = clock.now_ns() + WARM_UP_MAX_NS;
+        for seed in 0..TRIALS {
+            self.solve_once(seed, || clock.now_ns() >= end_ns);
+        }
+        self.nmpc.forget_plan();
+    }
+
+    /// A solve near a reference that is out of reach, beside an obstacle.
+    fn solve_once(&mut self, seed: u64, is_over: impl FnMut() -> bool) {
+        let tip_m = self.robot.tip_position(self.state.configuration());
+        let sample = ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: tip_m * 0.99,
+            ..ReferenceSample::default()
+        };
+        let shape = Shape::Sphere {
+            centre_m: tip_m * 1.05,
+        };
+        let obstacle = Obstacle::new(shape, 0.01, Vector3::zeros()).ok();
+        let input = SolveInput {
+            configuration: self.state.configuration(),
+            previous_rates: &self.rates,
+            reference: &[sample; HORIZON_STEPS_MAX][..self.nmpc.settings().horizon_steps as usize],
+            obstacles: obstacle.as_slice(),
+            elapsed_periods: 1,
+            seed,
+        };
+        self.nmpc.solve(&input, &mut Budget::new(is_over));
+    }
+}
