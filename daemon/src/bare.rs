@@ -3,7 +3,7 @@
 //! The daemon's own code, without its daemon: the same plan of the thread, the same order at the start, the same
 //! grid, the same judgement of what is late and why. What `cdcrd run` does worse than this is its own fault.
 //!
-//! Invariant: nothing here knows a robot, a message or shared memory. After the first release nothing
+//! Invariant: nothing here knows a robot or shared memory; its summary alone has the words of the messages. After the first release nothing
 //! allocates until the loop is over.
 
 mod summary;

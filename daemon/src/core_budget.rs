@@ -127,9 +127,9 @@ fn exchange_ns(costs: Costs) -> u64 {
 const REMEMBERED: usize = 128;
 /// So many of the largest are stalls of the processor, which the clock of the thread counts where a hypervisor makes them.
 const STALLS: usize = 3;
-/// The part of the largest that are stalls where the clock goes on while the thread does not: one in ten. Where another task had
+/// The part of the largest that are stalls where the clock goes on while the thread does not: one in thirty. Where another task had
 /// the core, the scheduler says so, and nothing is noted; what a hypervisor takes, it may not know.
-const STALLED: usize = 10;
+const STALLED: usize = 30;
 
 /// The newest costs of one part.
 #[derive(Debug, Clone)]
@@ -164,7 +164,7 @@ impl RecentCosts {
         self.largest_but_ns(STALLS)
     }
 
-    /// The largest of costs that the clock of the machine counted, but for the tenth that stalls may have lengthened
+    /// The largest of costs that the clock of the machine counted, but for the thirtieth that stalls may have lengthened
     /// \[ns\]. The other clock is a system call, which the cycle thread must not make.
     pub fn high_by_clock_ns(&self) -> u64 {
         self.largest_but_ns((self.noted / STALLED).max(STALLS))

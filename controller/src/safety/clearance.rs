@@ -99,6 +99,11 @@ impl Guard<'_> {
         self.guarded(rates, false, |near| self.corrected(near, limits, rates))
     }
 
+    /// Whether `rates` keep the rule as they are.
+    pub(super) fn holds(&self, rates: &BendRates) -> bool {
+        !self.guarded(rates, false, |_| self.rest()).hit
+    }
+
     /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
     ///
     /// The ramp goes on along the stopping way of the command before it, and may end anywhere on it. So from an obstacle that
@@ -154,7 +159,7 @@ impl Guard<'_> {
         region.slow_down_to(fastest(wish));
         let mut rates = *wish;
         for _ in 0..CORRECTIONS {
-            if !near.bound(self, &rates, &mut region) {
+            if near.is_out_of_looks() || !near.bound(self, &rates, &mut region) {
                 break;
             }
             let Some(nearest) = limits.nearest_in(&mut region, wish) else {
@@ -204,6 +209,10 @@ impl Places<'_> {
         self.0.iter().copied().flatten()
     }
 
+    fn is_out_of_looks(&self) -> bool {
+        self.iter().any(Near::is_out_of_looks)
+    }
+
     fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
         self.iter().all(|near| way::holds(near, guard, rates))
     }
@@ -231,7 +240,7 @@ fn least_clearance_m(body: &Body, obstacles: &[Obstacle]) -> f64 {
     least_m
 }
 
-fn times(rates: &BendRates, factor: f64) -> BendRates {
+pub(super) fn times(rates: &BendRates, factor: f64) -> BendRates {
     let mut scaled = *rates;
     for rate in scaled.as_mut_slice() {
         *rate *= factor;

@@ -1,6 +1,6 @@
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::clearance::{Guard, StoppingWay, fastest, shortened_to};
+use super::clearance::{Guard, Guarded, StoppingWay, fastest, shortened_to, times};
 use super::{Limited, Limits, LimitsHit};
 
 /// What a command is checked against.
@@ -75,6 +75,25 @@ impl<'a> Situation<'a> {
         }
     }
 
+    /// What the guard made slower stops earlier than what it was given, by which it counted: so where obstacles move, it
+    /// looks again where they are then. Parts of the rates are tried, and rest at last.
+    fn in_their_own_time(&self, guarded: Guarded) -> Guarded {
+        let stands = |obstacle: &Obstacle| obstacle.velocity_m_s().norm() == 0.0;
+        if !guarded.hit || self.obstacles.iter().all(stands) {
+            return guarded;
+        }
+        for part in [1.0, 0.5, 0.25] {
+            let rates = times(&guarded.rates, part);
+            if self.guard(fastest(&rates)).holds(&rates) {
+                return Guarded { rates, ..guarded };
+            }
+        }
+        Guarded {
+            rates: BendRates::zero(self.robot.section_count()),
+            ..guarded
+        }
+    }
+
     fn guard(&self, fastest_rad_s: f64) -> Guard<'a> {
         Guard {
             robot: self.robot,
@@ -117,7 +136,8 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
             situation.guard(fastest_rad_s),
             situation.limits_moving(fastest_rad_s),
         );
-        (limited, guard.keep_clear(&limits, &limited.rates))
+        let guarded = guard.keep_clear(&limits, &limited.rates);
+        (limited, situation.in_their_own_time(guarded))
     };
     SafeCommand {
         rates: guarded.rates,

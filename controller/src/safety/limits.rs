@@ -101,7 +101,7 @@ impl<'a> Limits<'a> {
         self
     }
 
-    /// The command inside every limit that is nearest to `desired`. Unchanged where that is inside; zero where it or the state
+    /// The command inside every limit, and not faster than `desired`, that is nearest to it. Unchanged where that is inside; zero where it or the state
     /// is not finite.
     pub fn nearest(&self, desired: &BendRates) -> Limited {
         let hit = self.broken(desired);

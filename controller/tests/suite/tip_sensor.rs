@@ -99,7 +99,7 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
     for (noise_mm, beside_rad, mean_max_mm, max_max_mm) in [
         (0.1, 0.0, 0.1, 0.5),
         (0.1, 0.05, 0.15, 1.0),
-        (0.5, 0.0, 0.4, 2.0),
+        (0.5, 0.0, 0.25, 1.0),
     ] {
         let runs: Vec<_> = (1..=5)
             .map(|seed| follow_the_spiral(1e-3 * noise_mm, beside_rad, seed))

@@ -161,7 +161,7 @@ impl<L: RobotLink> Cycle<L> {
             0
         };
         self.take_settings(inputs);
-        self.learn_cost(inputs);
+        self.learn_cost(inputs, stale_inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
         self.state.count_silence(measurement, inputs);
         self.state.move_on(&self.rates, elapsed_ns);
@@ -263,11 +263,12 @@ impl<L: RobotLink> Cycle<L> {
         }
     }
 
-    /// Takes note of what the cycle before took, unless it lost its core meanwhile.
-    fn learn_cost(&mut self, inputs: &CycleInputs) {
+    /// Takes note of what the cycle before took, unless it lost its core meanwhile, or nobody has said so far whether it did.
+    fn learn_cost(&mut self, inputs: &CycleInputs, stale_inputs: bool) {
         let before = core::mem::replace(&mut self.interruptions, inputs.interruptions);
         if let Some(took_ns) = self.took_after_solve_ns.take()
             && before == inputs.interruptions
+            && !stale_inputs
         {
             self.costs_after_solve.note(took_ns);
         }

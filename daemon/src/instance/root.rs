@@ -14,8 +14,8 @@ const OPEN_TO_WRITE: u32 = 0o022;
 /// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
 const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
 
-/// How often the folder is tried that others have locked.
-const TRIES: usize = 20;
+/// How often the folder is tried that others have locked: for longer than a caretaker needs to set access back that somebody changed.
+const TRIES: usize = 150;
 /// Between two tries.
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 

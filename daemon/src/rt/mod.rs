@@ -1,6 +1,7 @@
 //! What the operating system owes a real-time loop: clock, grid, accounting, privileges.
 //!
-//! It must not know: the robot, a message, the configuration, anything else of this crate. `sys` is the only file of the
+//! It must not know: the robot, the configuration, anything else of this crate. Of the messages it knows two: percentiles, and
+//! the bits of what real time lacks. `sys` is the only file of the
 //! workspace with `unsafe` in it.
 
 pub mod attribution;

@@ -127,7 +127,8 @@ impl<'a> Near<'a> {
                 speed_m_s,
                 start_m,
                 kept_m: if is_continued {
-                    safe_m - dip_m - ROUNDING_M
+                    // But never contact by the ramp itself.
+                    (safe_m - dip_m - ROUNDING_M).max(safe_m.min(0.0))
                 } else {
                     safe_m
                 },

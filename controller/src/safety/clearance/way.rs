@@ -32,6 +32,9 @@ pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bo
     if near.is_empty() {
         return true;
     }
+    if near.is_out_of_looks() {
+        return false;
+    }
     let turn_rad_s = core::array::from_fn(|j| {
         let [u, v] = rates.section(j);
         u.hypot(v)

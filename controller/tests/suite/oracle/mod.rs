@@ -56,7 +56,11 @@ impl Account {
         self.changed += u32::from(command.clearance_hit);
         self.least = self.least.least(margins);
         let off_m = command.clearance_m - moment.clearance_m();
-        if !margins.hold() || off_m.abs() > ROUNDING {
+        // Margins do not see a NaN.
+        let is_finite = command.rates.as_slice().iter().all(|rate| rate.is_finite());
+        let is_right =
+            off_m.abs() <= ROUNDING || off_m.is_nan() && command.clearance_m == f64::INFINITY;
+        if !margins.hold() || !is_finite || !is_right {
             self.broken += 1;
             println!("{name}: {margins:?}, clearance {off_m:e} m off");
         }

@@ -70,7 +70,7 @@ impl Margins {
         ]
     }
 
-    /// Whether no rule is broken; a NaN breaks one.
+    /// Whether no rule is broken.
     pub(super) fn hold(&self) -> bool {
         self.rules().iter().all(|margin| *margin >= -ROUNDING)
     }

@@ -185,7 +185,7 @@ fn waiting_ends_when_the_robot_is_measured_to_rest() {
     for interface in [Interface::Position, Interface::Velocity] {
         let daemon = Daemon::start(&format!(
             "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{}\"\nmeasurement_timeout_ms = 2000.0\n\
-             [motion]\nhome_rate_rad_s = 0.4\n[safety]\nfollowing_fault_rad = 10.0\n",
+             [motion]\nhome_rate_rad_s = 0.1\n[safety]\nfollowing_fault_rad = 10.0\n",
             interface.text()
         ));
         let ending = AtomicBool::new(false);
