@@ -107,7 +107,8 @@ impl Guard<'_> {
     /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
     ///
     /// The ramp goes on along the stopping way of the command before it, and may end anywhere on it. So from an obstacle that
-    /// stands it keeps 1 mm less than D: what the command before was allowed, the ramp is allowed.
+    /// stands it keeps 1 mm less than D at its ends, and another 1 mm less between: what the command before was allowed, the ramp
+    /// is allowed.
     pub(super) fn scale_down(&self, ramp: &BendRates) -> Guarded {
         self.guarded(ramp, true, |near| self.scaled(near, ramp))
     }
