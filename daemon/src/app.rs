@@ -24,7 +24,7 @@ use crate::exit::{Ended, ExitCause};
 use crate::handover::{CycleEnds, ExchangeEnds, Policy, ReporterEnds, Settings, Shared, channels};
 use crate::instance::Instance;
 use crate::link::RobotLink;
-use crate::link::{DriverLink, SimulatedRobot};
+use crate::link::{DriverLink, MisbehavingLink, SimulatedRobot};
 use crate::reporter::Reporter;
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
@@ -66,6 +66,10 @@ pub fn run_until(
     let (location, robot) = (&validated.location, &validated.config.robot.name);
     let instance = Instance::claim(location, robot, validated.group_id)?;
     match validated.config.link.kind {
+        LinkKind::Simulated if !validated.config.link.is_ideal() => {
+            let link = MisbehavingLink::new(validated).context("the simulated robot")?;
+            run_with(validated, link, &instance, signals, should_end, watch)
+        }
         LinkKind::Simulated => {
             let period_ns = ns(validated.config.cycle.period_ms);
             let moving_ns = Policy::new(&validated.config).moving_ns(u64::MAX, period_ns);

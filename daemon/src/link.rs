@@ -1,10 +1,11 @@
-//! The two robots that a cycle can have: one simulated inside the daemon, one behind a driver.
+//! The robots that a cycle can have: the ideal one and a misbehaving one, simulated inside the daemon, and one behind a driver.
 
 use cdcr_controller::estimator::Measurement;
-use cdcr_controller::plant::KinematicPlant;
-use cdcr_controller::robot::BendRates;
+use cdcr_controller::plant::{KinematicPlant, MisbehavingRobot, MotorOrder};
+use cdcr_controller::robot::{BendRates, CABLES_MAX, Robot, RobotError};
 
-use crate::handover::{CycleInputs, TimedMeasurement};
+use crate::config::{Interface, Validated, ns};
+use crate::handover::{CycleInputs, Policy, TimedMeasurement};
 
 /// The robot, simulated or real, as the cycle sees it.
 ///
@@ -48,6 +49,99 @@ impl RobotLink for SimulatedRobot {
 
     fn command(&mut self, _: u64, rates: &BendRates) {
         self.plant.command(rates);
+    }
+}
+
+/// A robot that is not its model, with its driver. Its sensors are read at each release; its motors obey what the configuration says,
+/// as long as a command is valid.
+#[derive(Debug)]
+pub struct MisbehavingLink {
+    plant: MisbehavingRobot,
+    model: Robot,
+    interface: Interface,
+    measures_tip: bool,
+    valid_ns: u64,
+    rates: BendRates,
+    /// Where position motors are sent (m).
+    target_m: [f64; CABLES_MAX],
+    /// Until when the rates hold \[ns\].
+    until_ns: u64,
+    now_ns: Option<u64>,
+}
+
+/// The motors are moved on in steps of this, or in so many if that would be more.
+const STEP_NS: u64 = 1_000_000;
+const STEPS_MAX: u64 = 50;
+
+impl MisbehavingLink {
+    /// The robot of a configuration.
+    ///
+    /// # Errors
+    /// When its flaws make it no robot, which the presets do not.
+    pub fn new(validated: &Validated) -> Result<Self, RobotError> {
+        let Validated {
+            config,
+            robot,
+            initial,
+            ..
+        } = validated;
+        let (preset, seed) = (config.link.simulated, u64::from(config.link.simulated_seed));
+        Ok(Self {
+            plant: MisbehavingRobot::new(robot, initial, preset.flaws(), seed)?,
+            model: robot.clone(),
+            interface: config.link.interface,
+            measures_tip: preset.measures_tip(),
+            valid_ns: Policy::new(config).moving_ns(u64::MAX, ns(config.cycle.period_ms)),
+            rates: BendRates::zero(robot.section_count()),
+            target_m: robot.cable_lengths(initial),
+            until_ns: 0,
+            now_ns: None,
+        })
+    }
+
+    fn move_to(&mut self, release_ns: u64) {
+        let mut now_ns = self.now_ns.replace(release_ns).unwrap_or(release_ns);
+        let even_ns = (release_ns - now_ns).div_ceil(STEPS_MAX);
+        let speeds_m_s = self.model.cable_speeds(&self.rates);
+        while now_ns < release_ns {
+            let step_ns = STEP_NS.max(even_ns).min(release_ns - now_ns);
+            let step_s = step_ns as f64 * 1e-9;
+            let is_valid = now_ns < self.until_ns;
+            self.plant.order(match self.interface {
+                Interface::Velocity if is_valid => MotorOrder::Speeds(speeds_m_s),
+                Interface::Velocity => MotorOrder::Stand,
+                Interface::Position => {
+                    if is_valid {
+                        for (target_m, speed_m_s) in self.target_m.iter_mut().zip(&speeds_m_s) {
+                            *target_m += speed_m_s * step_s;
+                        }
+                    }
+                    MotorOrder::Lengths(self.target_m)
+                }
+            });
+            self.plant.advance(step_s);
+            now_ns += step_ns;
+        }
+    }
+}
+
+impl RobotLink for MisbehavingLink {
+    fn measure(&mut self, release_ns: u64, _: &CycleInputs) -> Option<TimedMeasurement> {
+        self.move_to(release_ns);
+        let measurement = if self.measures_tip {
+            Measurement::TipPosition(self.plant.measure_tip())
+        } else {
+            Measurement::CableLengths(self.plant.measure_cables())
+        };
+        Some(TimedMeasurement {
+            measurement,
+            measured_ns: release_ns,
+        })
+    }
+
+    fn command(&mut self, release_ns: u64, rates: &BendRates) {
+        self.rates = *rates;
+        self.until_ns = release_ns + self.valid_ns;
     }
 }
 

@@ -8,7 +8,6 @@
 
 pub mod driver;
 pub mod load;
-pub mod plant;
 pub mod record;
 pub mod robot;
 mod sweep;

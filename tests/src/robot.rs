@@ -1,4 +1,4 @@
-//! A robot behind a driver, played by a test: [`Plant`] at the ports of a [`Driver`].
+//! A robot behind a driver, played by a test: [`MisbehavingRobot`] at the ports of a [`Driver`].
 
 #![allow(
     clippy::unwrap_used,
@@ -6,12 +6,14 @@
 )]
 
 use cdcr_client::{CommandRefusal, Connection, Driver, monotonic_ns};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_shared_types::{Command, Measurement};
 
 use crate::PATIENCE;
-use crate::plant::{Flaws, MotorOrder, Plant};
+use crate::record::robot_of;
 
 /// The motors are moved on in steps of this \[ns\].
 const STEP_NS: u64 = 1_000_000;
@@ -23,20 +25,21 @@ const SEED: u64 = 11;
 pub struct DrivenRobot {
     driver: Driver,
     interface: Interface,
-    plant: Plant,
+    model: Robot,
+    plant: MisbehavingRobot,
     last_command: Option<Command>,
     /// Until when the motors have been moved on \[ns\].
     moved_ns: u64,
 }
 
 impl DrivenRobot {
-    /// A robot with the [usual flaws](Flaws::USUAL), bent by `bend_rad`.
+    /// The [laboratory](Preset::Laboratory)'s robot, bent by `bend_rad`.
     pub fn new(
         connection: &Connection,
         interface: Interface,
         bend_rad: [f64; COORDINATES_MAX],
     ) -> Self {
-        Self::with_flaws(connection, interface, bend_rad, Flaws::USUAL)
+        Self::with_flaws(connection, interface, bend_rad, Preset::Laboratory.flaws())
     }
 
     /// The same with these flaws.
@@ -46,11 +49,13 @@ impl DrivenRobot {
         bend_rad: [f64; COORDINATES_MAX],
         flaws: Flaws,
     ) -> Self {
-        let robot = connection.status(PATIENCE).unwrap().robot;
+        let model = robot_of(&connection.status(PATIENCE).unwrap().robot);
+        let at = Configuration::from_slice(&bend_rad[..model.coordinate_count()]).unwrap();
         Self {
             driver: connection.driver(interface).unwrap(),
             interface,
-            plant: Plant::new(&robot, &bend_rad, flaws, SEED),
+            plant: MisbehavingRobot::new(&model, &at, flaws, SEED).unwrap(),
+            model,
             last_command: None,
             moved_ns: monotonic_ns(),
         }
@@ -81,7 +86,8 @@ impl DrivenRobot {
                     }),
                 _ => MotorOrder::Speeds(self.driver.rates_at(self.moved_ns).cable_speed_m_s),
             };
-            self.plant.advance(&order, step_ns as f64 * 1e-9);
+            self.plant.order(order);
+            self.plant.advance(step_ns as f64 * 1e-9);
         }
     }
 
@@ -104,10 +110,11 @@ impl DrivenRobot {
             kind: kind.code(),
             ..Measurement::default()
         };
+        let lengths_m = self.plant.measure_cables();
         if kind == MeasurementKind::CableLengths {
-            measurement.cable_length_m = self.plant.measure_cables();
+            measurement.cable_length_m = lengths_m;
         } else {
-            measurement.bend_rad = self.plant.measure_bends();
+            measurement.bend_rad = padded(&self.model.bend_from_cable_lengths(&lengths_m));
         }
         measurement
     }
@@ -115,7 +122,7 @@ impl DrivenRobot {
     /// Sends what a driver of this robot says.
     pub fn send(&self, measurement: &Measurement) {
         let measurement = Measurement {
-            sections: self.plant.sections(),
+            sections: self.model.section_count() as u32,
             ..*measurement
         };
         self.driver.send(measurement).unwrap();
@@ -123,13 +130,17 @@ impl DrivenRobot {
 
     /// How it is bent in truth \[rad\].
     pub fn bend_rad(&self) -> [f64; COORDINATES_MAX] {
-        self.plant.bend_rad()
+        padded(&self.plant.configuration())
     }
 
     /// The last command that the driver took.
     pub fn last_command(&self) -> Option<Command> {
         self.last_command
     }
+}
+
+fn padded(bends: &Configuration) -> [f64; COORDINATES_MAX] {
+    core::array::from_fn(|i| bends.as_slice().get(i).copied().unwrap_or(0.0))
 }
 
 /// What a machine that stalls, or a daemon that was killed, brings about. Everything else is a daemon that commands what

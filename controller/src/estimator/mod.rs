@@ -1,13 +1,16 @@
-//! The configuration at the release, from what was measured before it.
+//! The configuration at the release, from what was measured before it and commanded meanwhile.
 //!
 //! Invariant: nothing here commands or decides. A measurement and its age come in, a configuration
 //! goes out.
 
+mod actuator;
 mod tip_filter;
 
 use nalgebra::Vector3;
 
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
+pub use actuator::Actuator;
+use actuator::ActuatorModel;
 use tip_filter::TipFilter;
 
 /// What a driver measured.
@@ -22,68 +25,69 @@ pub enum Measurement {
     TipPosition(Vector3<f64>),
 }
 
-/// Keeps the estimate of the configuration, and what was commanded lately.
+/// Keeps the estimate of the configuration.
+///
+/// The motors follow their commands after a delay and with a lag ([`Actuator`]), and beside what they were told by a disturbance:
+/// zero and load of the encoders and motors, errors of the model. The estimate is the sum of what was commanded and of the disturbance,
+/// so it says **where the commands up to now lead the robot**, from where the next one moves it on. Where it is
+/// meanwhile says [`Self::present`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
     estimate: Configuration,
-    /// Time constant with which the estimate follows what is measured \[s\]; 0: at once.
-    smoothing_s: f64,
+    /// Time constant with which the disturbance follows what is measured \[s\]; 0: at once.
+    time_constant_s: f64,
     /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
     uncorrected_s: Option<f64>,
     /// What tip positions have told.
     tip: TipFilter,
-    /// The last moves, newest at `newest`: what makes up for the age of a measurement.
-    moves: [Move; MOVES_MAX],
-    newest: usize,
+    motors: ActuatorModel,
 }
-
-/// Rates that were commanded for a time.
-#[derive(Debug, Clone, Copy)]
-struct Move {
-    rates: BendRates,
-    duration_s: f64,
-}
-
-/// Moves that are remembered: 0.64 s at 5 ms. Of an older measurement only so much is made up for.
-const MOVES_MAX: usize = 128;
 
 impl Estimator {
-    /// Begins with a configuration that is known or assumed.
+    /// Begins with a configuration that is known or assumed, and ideal motors. Measurements are believed at once.
     pub fn new(configuration: Configuration) -> Self {
-        let rest = Move {
-            rates: BendRates::zero(configuration.section_count()),
-            duration_s: 0.0,
-        };
         Self {
             estimate: configuration,
-            smoothing_s: 0.0,
+            time_constant_s: 0.0,
             uncorrected_s: None,
             tip: TipFilter::new(),
-            moves: [rest; MOVES_MAX],
-            newest: 0,
+            motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
 
-    /// The same for a robot whose motors go to commanded positions by themselves.
-    ///
-    /// What it measures lags behind what it was commanded, and the difference dies out without a new command. So the
-    /// estimate is the commanded configuration and a disturbance, which follows what is measured with the time constant
-    /// `smoothing_s`: one that is as large as the lag of the motors or larger keeps the loop stable, and a constant
-    /// offset between command and measurement is still learnt.
+    /// The same with motors that follow their commands like this.
     #[must_use]
-    pub fn with_smoothing(mut self, smoothing_s: f64) -> Self {
-        self.smoothing_s = smoothing_s;
+    pub fn with_actuator(mut self, actuator: Actuator) -> Self {
+        self.motors = ActuatorModel::new(actuator, self.estimate.section_count());
         self
     }
 
-    /// Begins anew at `configuration`.
-    pub fn begin(&mut self, configuration: Configuration) {
-        *self = Self::new(configuration).with_smoothing(self.smoothing_s);
+    /// The same with a disturbance that follows measured bends and cables with this time constant \[s\], 0 or more. Noise of one
+    /// measurement in a period T counts for T / (T + time constant). Where the motors lag by more than the [`Actuator`]
+    /// says, a time constant of four times what is missing or more keeps the loop from oscillating. (Measured
+    /// tips are weighed by the filter of their own.)
+    #[must_use]
+    pub fn with_time_constant(mut self, time_constant_s: f64) -> Self {
+        self.time_constant_s = time_constant_s;
+        self
     }
 
-    /// The last estimate.
+    /// Begins anew at `configuration`, with motors at rest.
+    pub fn begin(&mut self, configuration: Configuration) {
+        self.estimate = configuration;
+        self.uncorrected_s = None;
+        self.tip = TipFilter::new();
+        self.motors.begin();
+    }
+
+    /// Where the commands up to now lead the robot.
     pub fn configuration(&self) -> &Configuration {
         &self.estimate
+    }
+
+    /// Where the robot is: behind that by what its motors are behind their commands.
+    pub fn present(&self) -> Configuration {
+        self.motors.way_left(0.0).back_from(&self.estimate)
     }
 
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
@@ -91,62 +95,42 @@ impl Estimator {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
         self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.tip.predict(elapsed_s);
-        self.newest = (self.newest + 1) % MOVES_MAX;
-        self.moves[self.newest] = Move {
-            rates: *rates,
-            duration_s: elapsed_s,
-        };
+        self.motors.command(rates, elapsed_s);
         &self.estimate
     }
 
-    /// Takes a measurement that was made `age_s` before the instant of the last prediction. The rates
-    /// commanded since make up for its age, so take each measurement **once**.
+    /// Takes a measurement that was made `age_s` before the instant of the last prediction. What the motors did
+    /// since makes up for its age, so take each measurement **once**.
     pub fn correct(
         &mut self,
         robot: &Robot,
         measurement: &Measurement,
         age_s: f64,
     ) -> &Configuration {
-        let measured = match measurement {
-            Measurement::Configuration(measured) => {
-                self.tip = TipFilter::known();
-                self.since(*measured, age_s, 1.0)
-            }
+        let way = self.motors.way_left(age_s);
+        self.estimate = match measurement {
+            Measurement::Configuration(measured) => self.follow(&way.from(measured)),
             Measurement::CableLengths(lengths) => {
-                self.tip = TipFilter::known();
-                self.since(robot.bend_from_cable_lengths(lengths), age_s, 1.0)
+                self.follow(&way.from(&robot.bend_from_cable_lengths(lengths)))
             }
             Measurement::TipPosition(position_m) => {
-                let then = self.since(self.estimate, age_s, -1.0);
-                let then = self.tip.correct(robot, &then, position_m);
-                self.since(then, age_s, 1.0)
+                let then = way.back_from(&self.estimate);
+                way.from(&self.tip.correct(robot, &then, position_m))
             }
-        };
-        let since_s = self.uncorrected_s.replace(0.0);
-        self.estimate = match since_s {
-            Some(since_s) if self.smoothing_s > 0.0 => {
-                let gain = since_s / (since_s + self.smoothing_s);
-                towards(&self.estimate, &measured, gain)
-            }
-            _ => measured,
         };
         &self.estimate
     }
 
-    /// `configuration` moved along the commands of the last `age_s`, or back along them.
-    fn since(&self, configuration: Configuration, age_s: f64, direction: f64) -> Configuration {
-        let (mut moved, mut left_s) = (configuration, age_s);
-        for back in 0..MOVES_MAX {
-            let Move { rates, duration_s } =
-                self.moves[(self.newest + MOVES_MAX - back) % MOVES_MAX];
-            let part_s = duration_s.min(left_s);
-            if part_s <= 0.0 {
-                break;
+    /// The estimate after all bends were measured; what is commanded since would lead from there to `measured`.
+    fn follow(&mut self, measured: &Configuration) -> Configuration {
+        self.tip = TipFilter::known();
+        match self.uncorrected_s.replace(0.0) {
+            Some(since_s) if self.time_constant_s > 0.0 => {
+                let gain = since_s / (since_s + self.time_constant_s);
+                towards(&self.estimate, measured, gain)
             }
-            moved = moved.advanced(&rates, direction * part_s);
-            left_s -= part_s;
+            _ => *measured,
         }
-        moved
     }
 }
 

@@ -6,6 +6,9 @@ pub const HORIZON_STEPS_MAX: usize = 50;
 /// Samples of the reference on the grid of the cycle: at the release, and at each step of the longest
 /// horizon after it, plus slack for cycles that come late, and for an exchange that is held up.
 ///
+/// A robot whose motors are behind their commands has to be commanded ahead of the reference. For it the samples of the horizon
+/// are those of a time `lead_ns` later.
+///
 /// The exchange makes it before a release; the cycle reads it by grid index, so a cycle that was
 /// skipped does not make it wrong, only shorter.
 #[derive(Debug, Clone)]
@@ -14,17 +17,23 @@ pub struct ReferenceWindow {
     count: usize,
     /// How many periods past its last sample the window still holds.
     patience: u64,
-    /// As many as the longest window has, made once.
+    /// At the releases; as many as the longest window has, made once.
     samples: Box<[ReferenceSample]>,
+    /// The same ahead by the lead; not filled where that is 0.
+    led: Box<[ReferenceSample]>,
+    has_lead: bool,
 }
 
 impl Default for ReferenceWindow {
     fn default() -> Self {
+        let samples = vec![ReferenceSample::default(); Self::SAMPLES_MAX].into_boxed_slice();
         Self {
             first_cycle: 0,
             count: 0,
             patience: 0,
-            samples: vec![ReferenceSample::default(); Self::SAMPLES_MAX].into_boxed_slice(),
+            led: samples.clone(),
+            samples,
+            has_lead: false,
         }
     }
 }
@@ -55,7 +64,7 @@ impl ReferenceWindow {
     }
 
     /// Samples `trajectory` at the release of `first_cycle`, at those of the horizon, and for the
-    /// [slack](Self::slack) after it.
+    /// [slack](Self::slack) after it. What [`Self::ahead`] gives is by `lead_ns` later.
     pub fn fill(
         &mut self,
         trajectory: &Trajectory,
@@ -63,6 +72,7 @@ impl ReferenceWindow {
         release_ns: u64,
         period_ns: u64,
         horizon_steps: usize,
+        lead_ns: u64,
     ) {
         self.first_cycle = first_cycle;
         let slack = Self::slack(period_ns);
@@ -71,8 +81,14 @@ impl ReferenceWindow {
         if trajectory.is_empty() {
             self.count = 0;
         }
+        self.has_lead = lead_ns > 0;
         for (step, sample) in (0..).zip(&mut self.samples[..self.count]) {
             *sample = trajectory.sample(release_ns + step * period_ns);
+        }
+        if self.has_lead {
+            for (step, sample) in (0..).zip(&mut self.led[..self.count]) {
+                *sample = trajectory.sample(release_ns + lead_ns + step * period_ns);
+            }
         }
     }
 
@@ -104,12 +120,17 @@ impl ReferenceWindow {
         ReferenceSample { state, ..*last }
     }
 
-    /// The samples at the `steps` releases after that of `cycle`; fewer when the window ends before.
+    /// The samples at the `steps` releases after that of `cycle`, or the lead later; fewer when the window ends before.
     pub fn ahead(&self, cycle: u64, steps: usize) -> &[ReferenceSample] {
+        let samples = if self.has_lead {
+            &self.led
+        } else {
+            &self.samples
+        };
         let offset = cycle.saturating_sub(self.first_cycle) as usize + 1;
         let end = (offset + steps).min(self.count);
         // A cycle so late that nothing is ahead sees the last sample.
-        &self.samples[offset.min(self.count.saturating_sub(1)).min(end)..end]
+        &samples[offset.min(self.count.saturating_sub(1)).min(end)..end]
     }
 }
 
@@ -122,7 +143,7 @@ mod tests {
 
     const PERIOD_NS: u64 = 5_000_000;
 
-    fn window(first_cycle: u64) -> ReferenceWindow {
+    fn window(first_cycle: u64, lead_ns: u64) -> ReferenceWindow {
         let mut trajectory = Trajectory::with_capacity(1000, f64::INFINITY);
         let points = (0..900).map(|k| ReferencePoint {
             time_ns: k * PERIOD_NS,
@@ -133,7 +154,7 @@ mod tests {
         trajectory.replace(points).expect("legal points");
         let mut window = ReferenceWindow::default();
         let release_ns = first_cycle * PERIOD_NS;
-        window.fill(&trajectory, first_cycle, release_ns, PERIOD_NS, 2);
+        window.fill(&trajectory, first_cycle, release_ns, PERIOD_NS, 2, lead_ns);
         window
     }
 
@@ -143,7 +164,7 @@ mod tests {
 
     #[test]
     fn a_cycle_reads_the_samples_of_its_own_release() {
-        let window = window(100);
+        let window = window(100, 0);
         assert_eq!(window.at(100).position_m.x, 100.0);
         assert_eq!(x(window.ahead(100, 2)), [101.0, 102.0]);
         // Five periods late, with the same window.
@@ -152,8 +173,16 @@ mod tests {
     }
 
     #[test]
+    fn the_horizon_is_ahead_by_the_lead_and_the_release_is_not() {
+        let window = window(100, 2 * PERIOD_NS + PERIOD_NS / 2);
+        assert_eq!(window.at(100).position_m.x, 100.0);
+        assert_eq!(x(window.ahead(100, 2)), [103.5, 104.5]);
+        assert_eq!(x(window.ahead(500, 2)), [164.5]);
+    }
+
+    #[test]
     fn past_its_end_the_window_says_that_the_reference_ended() {
-        let window = window(100);
+        let window = window(100, 0);
         assert_eq!(window.at(500).state, ReferenceState::Ended);
         assert_eq!(x(window.ahead(500, 2)), [162.0]);
         assert_eq!(x(window.ahead(161, 2)), [162.0]);
@@ -179,12 +208,12 @@ mod tests {
             .replace(points.into_iter())
             .expect("legal points");
         let mut window = ReferenceWindow::default();
-        window.fill(&trajectory, 0, 0, 100_000, 2);
+        window.fill(&trajectory, 0, 0, 100_000, 2, 0);
         // 10 000 periods are a second, and the horizon comes on top.
         assert_eq!(window.at(10_002).state, ReferenceState::Inside);
         assert_eq!(window.at(10_003).state, ReferenceState::Ended);
         // A reference that ends within the window ends there.
-        window.fill(&trajectory, 0, 1_999_900_000, 100_000, 2);
+        window.fill(&trajectory, 0, 1_999_900_000, 100_000, 2, 0);
         assert_eq!(window.at(30).state, ReferenceState::Ended);
     }
 

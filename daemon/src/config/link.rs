@@ -1,3 +1,4 @@
+use cdcr_controller::plant::Preset;
 use cdcr_controller::robot::{Configuration, Robot};
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +9,7 @@ use super::{ConfigError, Origins, ns};
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum LinkKind {
-    /// The ideal kinematic robot inside the daemon.
+    /// A simulated robot inside the daemon.
     #[default]
     Simulated,
     /// A driver process on the measurement and command services.
@@ -34,6 +35,10 @@ pub enum Interface {
 pub struct LinkConfig {
     /// Which robot.
     pub kind: LinkKind,
+    /// Which simulated robot, where it is one.
+    pub simulated: Preset,
+    /// Of its noise.
+    pub simulated_seed: u32,
     /// What of a command the robot obeys. Its driver says so, too, and is refused where it says otherwise.
     pub interface: Interface,
     /// Bend vectors at the start \[rad\], one pair for each section; empty: straight.
@@ -49,6 +54,8 @@ impl Default for LinkConfig {
     fn default() -> Self {
         Self {
             kind: LinkKind::Simulated,
+            simulated: Preset::Ideal,
+            simulated_seed: 1,
             interface: Interface::Velocity,
             initial_bend_rad: Vec::new(),
             measurement_timeout_ms: 50.0,
@@ -58,6 +65,11 @@ impl Default for LinkConfig {
 }
 
 impl LinkConfig {
+    /// Whether the robot is exactly its model.
+    pub fn is_ideal(&self) -> bool {
+        self.kind == LinkKind::Simulated && self.simulated == Preset::Ideal
+    }
+
     /// How long after its release a command is valid \[ns\].
     pub fn command_valid_ns(&self, period_ns: u64) -> u64 {
         match ns(self.command_valid_ms) {

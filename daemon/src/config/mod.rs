@@ -13,8 +13,10 @@
 //!
 //! Schema, explanations and error messages are made of these, and tests compare them with each other.
 
+mod actuator;
 mod cycle;
 mod error;
+mod estimator;
 mod explain;
 mod keys;
 mod layers;
@@ -40,8 +42,10 @@ use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;
 use serde::{Deserialize, Serialize};
 
+pub use actuator::ActuatorConfig;
 pub use cycle::CycleConfig;
 pub use error::ConfigError;
+pub use estimator::EstimatorConfig;
 pub use explain::explain;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind};
@@ -68,6 +72,10 @@ pub struct Config {
     pub robot: RobotConfig,
     /// Where measurements come from and commands go to.
     pub link: LinkConfig,
+    /// How the robot's motors follow their commands.
+    pub actuator: ActuatorConfig,
+    /// How the configuration of the robot is estimated.
+    pub estimator: EstimatorConfig,
     /// The period and what counts as late.
     pub cycle: CycleConfig,
     /// Motions that the daemon makes by itself.

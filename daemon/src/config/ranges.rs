@@ -51,7 +51,7 @@ const NOT_FLAT: &str =
 const AT_MOST_HALF: &str = "at most half of cycle.period_ms";
 
 /// Every key that is a number and has constant limits. The unit ends the key.
-pub(super) const RANGES: [Range; 55] = [
+pub(super) const RANGES: [Range; 59] = [
     given(
         "robot.cable_speed_max_m_s",
         &robot::ranges::CABLE_SPEED_MAX_M_S,
@@ -79,8 +79,12 @@ pub(super) const RANGES: [Range; 55] = [
         "robot.sections.body_radius_m",
         &robot::ranges::BODY_RADIUS_M,
     ),
+    range("link.simulated_seed", 0.0, 4_294_967_295.0),
     range("link.measurement_timeout_ms", 1.0, 10_000.0),
     range("link.command_valid_ms", 0.0, 10_000.0),
+    range("actuator.delay_ms", 0.0, 300.0),
+    range("actuator.time_constant_ms", 0.0, 300.0),
+    range("estimator.time_constant_ms", 0.0, 10_000.0),
     range("cycle.period_ms", 0.1, 100.0).also("at least twice cycle.gather_lead_ms"),
     range("cycle.deadline_ms", 0.0, 100.0).also(AT_MOST_PERIOD),
     range("cycle.late_start_ms", 0.001, 100.0),

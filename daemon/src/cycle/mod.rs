@@ -233,7 +233,7 @@ impl<L: RobotLink> Cycle<L> {
             policy: self.policy,
             measurement,
             measurement_use,
-            tip: self.robot.tip_pose(&configuration),
+            tip: self.robot.tip_pose(&self.state.present()),
             configuration,
             commanded: *self.state.commanded(),
             following: *self.state.following().error(),

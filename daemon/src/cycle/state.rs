@@ -11,8 +11,6 @@ const BEND_TOLERANCE_RAD: f64 = 0.05;
 const HOME_EXACT_RAD: f64 = 1e-6;
 /// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
 const HOME_SETTLED_NS: u64 = 100_000_000;
-/// How fast the estimate of a robot that obeys positions follows what is measured \[s\]: slower than its motors.
-const POSITION_SMOOTHING_S: f64 = 0.1;
 
 /// What a cycle knows of the robot: where it was commanded to be, where it was measured, where it is.
 #[derive(Debug)]
@@ -47,16 +45,14 @@ impl RobotState {
         initial: Configuration,
     ) -> Self {
         let obeys_positions = policy.interface == Interface::Position;
-        let smoothing_s = if obeys_positions {
-            POSITION_SMOOTHING_S
-        } else {
-            0.0
-        };
+        let estimator = Estimator::new(initial)
+            .with_actuator(policy.actuator)
+            .with_time_constant(policy.estimator_time_constant_s);
         Self {
             robot,
             policy,
             period_ns,
-            estimator: Estimator::new(initial).with_smoothing(smoothing_s),
+            estimator,
             commanded: initial,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
@@ -69,9 +65,14 @@ impl RobotState {
         }
     }
 
-    /// Where the robot is, as far as that is known.
+    /// Where the commands up to now lead the robot, as far as that is known.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
+    }
+
+    /// Where it is now: behind that where its motors are behind their commands.
+    pub(super) fn present(&self) -> Configuration {
+        self.estimator.present()
     }
 
     /// Where it is commanded to be.
@@ -188,8 +189,9 @@ impl RobotState {
     }
 
     fn is_within(&self, tolerance_rad: f64) -> bool {
-        let bends = self.configuration().as_slice();
-        bends.iter().all(|bend| bend.abs() < tolerance_rad)
+        let present = self.present();
+        let mut bends = present.as_slice().iter();
+        bends.all(|bend| bend.abs() < tolerance_rad)
     }
 
     /// What is wrong with the measurement.

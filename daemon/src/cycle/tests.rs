@@ -1,230 +1,21 @@
-//! Cycles of a robot that is not its model, on a clock of the test.
+//! Cycles of a robot that is not its model.
 #![allow(
     clippy::unwrap_used,
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
-use std::cell::Cell;
+mod trial;
+
 use std::path::Path;
 
-use cdcr_controller::estimator::Measurement;
-use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
-use cdcr_controller::robot::{CABLES_MAX, Configuration};
-use cdcr_controller::safety::{LeaseState, Request};
-use nalgebra::Vector3;
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::safety::Request;
 
 use super::*;
 use crate::config::Config;
-use crate::convert;
 use crate::link::DriverLink;
-
-const PERIOD_NS: u64 = 5_000_000;
-const PERIOD_S: f64 = 0.005;
-/// Release of cycle 0.
-const BEGIN_NS: u64 = 1_000_000_000;
-
-#[derive(Debug, Default)]
-struct Watch(Cell<u64>);
-
-impl Clock for Watch {
-    fn now_ns(&self) -> u64 {
-        self.0.set(self.0.get() + 100);
-        self.0.get()
-    }
-
-    fn sleep_until(&self, _: u64) {}
-}
-
-/// What is wrong with a robot.
-#[derive(Debug, Clone, Copy)]
-struct Flaws {
-    interface: Interface,
-    /// Time constant of the motors \[s\].
-    lag_s: f64,
-    /// Each cable is measured so much longer than it is commanded \[m\].
-    offset_m: [f64; 3],
-    /// The motors stand still, whatever is commanded.
-    stands: bool,
-}
-
-const SLOPPY: Flaws = Flaws {
-    interface: Interface::Position,
-    lag_s: 0.03,
-    offset_m: [1e-4, 0.0, -0.5e-4],
-    stands: false,
-};
-
-/// A daemon's cycle, and the robot behind its driver.
-struct Trial {
-    cycle: Cycle<DriverLink>,
-    robot: Robot,
-    flaws: Flaws,
-    bend_rad: Vec<f64>,
-    inputs: CycleInputs,
-    trajectory: Trajectory,
-    clock: Watch,
-    next: u64,
-    asked: Option<Request>,
-    last: Option<CycleRecord>,
-    /// The last commanded position.
-    target_rad: Vec<f64>,
-}
-
-impl Trial {
-    fn new(flaws: Flaws) -> Self {
-        let interface = match flaws.interface {
-            Interface::Position => "position",
-            Interface::Velocity => "velocity",
-        };
-        let text = format!("[link]\nkind = \"driver\"\ninterface = \"{interface}\"\n");
-        let validated = Config::parse(&text, Path::new("trial")).unwrap();
-        let mut inputs = CycleInputs::new(Settings::new(&validated.config));
-        inputs.lease = LeaseState::Held;
-        Self {
-            cycle: Cycle::new(&validated, DriverLink).unwrap(),
-            bend_rad: vec![0.0; validated.robot.coordinate_count()],
-            trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
-            robot: validated.robot,
-            flaws,
-            inputs,
-            clock: Watch::default(),
-            next: 0,
-            asked: None,
-            last: None,
-            target_rad: Vec::new(),
-        }
-    }
-
-    fn ask(&mut self, request: Request) -> CycleRecord {
-        self.asked = Some(request);
-        self.turn()
-    }
-
-    fn shape(&self) -> Configuration {
-        Configuration::from_slice(&self.bend_rad).unwrap()
-    }
-
-    /// What the sensors say: cable lengths with the offsets.
-    fn measure(&mut self, release_ns: u64) {
-        let mut lengths = self.robot.cable_lengths(&self.shape());
-        for (cable, length_m) in lengths
-            .iter_mut()
-            .enumerate()
-            .take(self.robot.cable_count())
-        {
-            *length_m += self.flaws.offset_m[cable % 3];
-        }
-        let all: [f64; CABLES_MAX] = lengths;
-        self.inputs.measurement = Some(TimedMeasurement {
-            measurement: Measurement::CableLengths(all),
-            measured_ns: release_ns - 1_000_000,
-        });
-    }
-
-    fn gather(&mut self, release_ns: u64) {
-        self.inputs.gather += 1;
-        self.inputs.gather_ns = release_ns - 200_000;
-        let steps = self.inputs.settings.nmpc.horizon_steps as usize;
-        let window = &mut self.inputs.window;
-        window.fill(&self.trajectory, self.next, release_ns, PERIOD_NS, steps);
-        self.measure(release_ns);
-    }
-
-    /// One cycle, and what the robot does until the next.
-    fn turn(&mut self) -> CycleRecord {
-        self.gather(BEGIN_NS + self.next * PERIOD_NS);
-        self.cycle(0)
-    }
-
-    /// A cycle with whatever inputs there are, after `skipped` releases without one.
-    fn cycle(&mut self, skipped: u32) -> CycleRecord {
-        self.next += u64::from(skipped);
-        let release_ns = BEGIN_NS + self.next * PERIOD_NS;
-        let release = Release {
-            cycle: self.next,
-            release_ns,
-            due_ns: release_ns,
-            start_ns: release_ns + 20_000,
-            skipped,
-        };
-        self.clock.0.set(release.start_ns);
-        let mut asked = self.asked.take();
-        let next_request = || {
-            asked
-                .take()
-                .map(|request| CycleRequest { ticket: 1, request })
-        };
-        let record = self
-            .cycle
-            .run(release, &self.inputs, next_request, &self.clock);
-        let command = convert::command(&record, &self.robot, PERIOD_NS);
-        self.target_rad = command.bend_target_rad[..self.bend_rad.len()].to_vec();
-        self.obey(&record);
-        self.next += 1;
-        self.last = Some(record);
-        record
-    }
-
-    /// What follows the solver takes so long.
-    fn rest_after(&mut self, took_ns: u64) {
-        self.clock.0.set(self.cycle.solve_over_ns + took_ns);
-        self.cycle.rest(&self.clock);
-    }
-
-    fn obey(&mut self, record: &CycleRecord) {
-        let part = (PERIOD_S / self.flaws.lag_s).min(1.0);
-        for (i, bend) in self.bend_rad.iter_mut().enumerate() {
-            *bend += match self.flaws {
-                Flaws { stands: true, .. } => 0.0,
-                Flaws {
-                    interface: Interface::Position,
-                    ..
-                } => part * (self.target_rad[i] - *bend),
-                Flaws {
-                    interface: Interface::Velocity,
-                    ..
-                } => PERIOD_S * record.rates.as_slice()[i],
-            };
-        }
-    }
-
-    fn turns(&mut self, count: u32) -> CycleRecord {
-        for _ in 0..count {
-            self.turn();
-        }
-        self.last.unwrap()
-    }
-
-    /// A reference on a circle of `radius_m` about the axis, from now on, `duration_s` long.
-    fn feed_circle(&mut self, radius_m: f64, duration_s: f64) {
-        let start_ns = BEGIN_NS + (self.next + 2) * PERIOD_NS;
-        let count = (duration_s / 0.02) as u64;
-        let reach_m = self.robot.reach_m();
-        let points = (0..count).map(|k| {
-            let time_s = k as f64 * 0.02;
-            let (sin, cos) = (1.5 * time_s).sin_cos();
-            // Beginning where the robot is, at rest.
-            let radius_m = radius_m * (0.5 * time_s).min(1.0).powi(2);
-            ReferencePoint {
-                time_ns: start_ns + k * 20_000_000,
-                position_m: Vector3::new(radius_m * cos, radius_m * sin, 0.93 * reach_m),
-                orientation: Orientation::Free,
-                interpolation: Interpolation::Cubic,
-            }
-        });
-        self.trajectory.replace(points).unwrap();
-    }
-
-    fn begin_tracking(&mut self) {
-        self.feed_circle(0.2, 20.0);
-        let record = self.ask(Request::Track);
-        assert!(
-            matches!(record.mode, Mode::Tracking { .. }),
-            "{:?}",
-            record.answers[0]
-        );
-    }
-}
+use trial::{PERIOD_S, Trial, Watch};
 
 fn is_at_rest(record: &CycleRecord) -> bool {
     record.rates.as_slice().iter().all(|rate| *rate == 0.0)
@@ -240,10 +31,7 @@ fn bits(values: &[f64]) -> Vec<u64> {
 fn a_resting_robot_with_offset_and_droop_does_not_creep() {
     for interface in [Interface::Position, Interface::Velocity] {
         for asked in [Request::Hold, Request::Stop] {
-            let mut trial = Trial::new(Flaws {
-                interface,
-                ..SLOPPY
-            });
+            let mut trial = Trial::new(interface);
             trial.turns(3);
             trial.begin_tracking();
             trial.turns(600);
@@ -260,7 +48,10 @@ fn a_resting_robot_with_offset_and_droop_does_not_creep() {
             }
             // It hangs through when the motors let go, and nothing answers: that is a fault.
             if interface == Interface::Position && asked == Request::Hold {
-                trial.flaws.offset_m[1] += 0.01;
+                trial.plant.set_flaws(Flaws {
+                    offset_m: 0.01,
+                    ..Preset::Laboratory.flaws()
+                });
                 let faulted = trial.turns(10);
                 assert!(
                     matches!(faulted.mode, Mode::Faulted { .. }),
@@ -276,10 +67,54 @@ fn a_resting_robot_with_offset_and_droop_does_not_creep() {
     }
 }
 
-/// Motors with a lag of 30 ms behind a position interface: the loop is stable, and an offset is learnt.
+/// Motors with a lag that the configuration does not know, behind either interface: the loop is stable, and an offset is
+/// learnt. Without noise, which reverses small rates.
 #[test]
-fn tracking_with_lagging_position_motors_does_not_oscillate() {
-    let mut trial = Trial::new(SLOPPY);
+fn tracking_with_lagging_motors_does_not_oscillate() {
+    for (interface, lag_s) in [(Interface::Position, 0.03), (Interface::Velocity, 0.025)] {
+        let flaws = Flaws {
+            actuator: Actuator {
+                delay_s: 0.0,
+                time_constant_s: lag_s,
+            },
+            noise_m: 0.0,
+            ..Preset::Laboratory.flaws()
+        };
+        let (reversals, largest_m) = reversals(&mut Trial::with(interface, flaws, ""));
+        println!("{interface:?}: {reversals} reversals, {largest_m} m");
+        // Six components, a circle of 4.2 s: five turns reverse each component about five times.
+        assert!(reversals < 100, "{reversals} reversals");
+        assert!(largest_m < 0.01, "{largest_m} m");
+    }
+}
+
+/// What the configuration knows of the motors is no error of the robot.
+#[test]
+fn motors_that_are_known_are_led_and_believed() {
+    for interface in [Interface::Position, Interface::Velocity] {
+        let flaws = Flaws {
+            actuator: Actuator {
+                delay_s: 0.015,
+                time_constant_s: 0.03,
+            },
+            ..Flaws::default()
+        };
+        let known = "[actuator]\ndelay_ms = 15.0\ntime_constant_ms = 30.0\n";
+        let errors_m = ["", known].map(|more| {
+            let (_, largest_m) = reversals(&mut Trial::with(interface, flaws, more));
+            largest_m
+        });
+        println!("{interface:?}: {errors_m:?}");
+        // What is left is half the square of the time constant times the acceleration.
+        assert!(
+            errors_m[1] < 3e-4 && errors_m[0] > 5.0 * errors_m[1],
+            "{errors_m:?}"
+        );
+    }
+}
+
+/// Reversals of the rates on a circle, and the largest distance to it.
+fn reversals(trial: &mut Trial) -> (usize, f64) {
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(1000);
@@ -291,35 +126,29 @@ fn tracking_with_lagging_position_motors_does_not_oscillate() {
             "{:?}",
             record.mode
         );
-        let tip_m = trial.robot.tip_position(&trial.shape());
-        largest_m = largest_m.max((tip_m - record.reference.position_m).norm());
+        largest_m = largest_m.max((trial.tip_m - record.reference.position_m).norm());
         let pairs = record.rates.as_slice().iter().zip(before.as_slice());
         reversals += pairs.filter(|(now, before)| **now * **before < 0.0).count();
         before = record.rates;
     }
-    println!("{reversals} reversals, {largest_m} m");
-    // Six components, a circle of 4.2 s: five turns reverse each component about five times.
-    assert!(reversals < 100, "{reversals} reversals");
-    assert!(largest_m < 0.01, "{largest_m} m");
+    (reversals, largest_m)
 }
 
 /// A robot that does not move: a fault with the cause, and after a reset control begins where the robot is.
 #[test]
 fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
     for interface in [Interface::Position, Interface::Velocity] {
-        let mut trial = Trial::new(Flaws {
-            interface,
-            offset_m: [0.0; 3],
-            stands: true,
-            ..SLOPPY
-        });
+        // Compared exactly; bits of noise, or the measurement would be frozen.
+        let flaws = Flaws {
+            noise_m: 1e-9,
+            ..Flaws::default()
+        };
+        let mut trial = Trial::with(interface, flaws, "");
+        trial.stands = true;
         trial.turns(3);
         trial.begin_tracking();
         let mut record = trial.turn();
         while !record.mode.is_latched() {
-            // Bits of noise, or the measurement would be frozen.
-            trial.flaws.offset_m =
-                [1e-9, -1e-9, 1e-9].map(|m| m * f64::from(record.release.cycle as u32 % 7));
             record = trial.turn();
             assert!(record.release.cycle < 5000);
         }
@@ -351,7 +180,7 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
 /// where the robot is once it rests.
 #[test]
 fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
-    let mut trial = Trial::new(SLOPPY);
+    let mut trial = Trial::new(Interface::Position);
     trial.turns(3);
     trial.begin_tracking();
     // On its way to the first point, which is far from the straight robot.
@@ -388,7 +217,7 @@ fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
 /// In every message the position is that of the message before, moved on by the speeds.
 #[test]
 fn positions_are_the_integral_of_the_speeds() {
-    let mut trial = Trial::new(SLOPPY);
+    let mut trial = Trial::new(Interface::Position);
     trial.turns(3);
     trial.begin_tracking();
     for turn in 0..500_u32 {
@@ -407,7 +236,7 @@ fn positions_are_the_integral_of_the_speeds() {
 
 #[test]
 fn no_rate_grows_faster_than_the_acceleration() {
-    let mut trial = Trial::new(SLOPPY);
+    let mut trial = Trial::new(Interface::Position);
     trial.turns(3);
     // The first point is far from the straight robot: without the limit it would be at its largest rates at once.
     trial.begin_tracking();
@@ -438,7 +267,7 @@ const MOST_RAD_S2: f64 = crate::config::MotionConfig::ACCELERATION_RAD_S2;
 
 #[test]
 fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
-    let mut trial = Trial::new(SLOPPY);
+    let mut trial = Trial::new(Interface::Position);
     trial.turns(3);
     trial.begin_tracking();
     trial.turns(100);
@@ -487,7 +316,7 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
 
 #[test]
 fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
-    let mut trial = Trial::new(SLOPPY);
+    let mut trial = Trial::new(Interface::Position);
     trial.turns(20);
     trial.begin_tracking();
     let until_ns = |record: &CycleRecord| record.solve_until_ns - record.release.release_ns;

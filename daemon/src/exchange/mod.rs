@@ -132,7 +132,11 @@ impl Exchange {
             period_ns: ns(config.cycle.period_ms),
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
             spin_ns: ns(config.realtime.spin_us * 1e-3),
-            references: References::new(&validated.robot, ns(config.reference.lease_ms)),
+            references: References::new(
+                &validated.robot,
+                ns(config.reference.lease_ms),
+                ns(config.actuator.lead_ms()),
+            ),
             measurements: Measurements::new(config),
             obstacles: Obstacles::new(&config.obstacles),
             settings: SettingsInForce::new(config),

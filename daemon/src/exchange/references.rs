@@ -12,6 +12,8 @@ use crate::rt::schedule::Schedule;
 /// The reference, and who may feed it. A reference belongs to its lease: when that ends, so does the reference.
 #[derive(Debug)]
 pub(super) struct References {
+    /// How far ahead of the reference the motors are commanded \[ns\].
+    lead_ns: u64,
     trajectory: Trajectory,
     lease: Lease,
     last_chunk: Option<LastChunk>,
@@ -26,8 +28,9 @@ struct LastChunk {
 
 impl References {
     /// No reference, and a lease that nobody holds.
-    pub(super) fn new(robot: &Robot, lease_ns: u64) -> Self {
+    pub(super) fn new(robot: &Robot, lease_ns: u64, lead_ns: u64) -> Self {
         Self {
+            lead_ns,
             trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m()),
             lease: Lease::new(lease_ns),
             last_chunk: None,
@@ -141,6 +144,7 @@ impl References {
             schedule.release_ns(cycle),
             schedule.period_ns(),
             horizon,
+            self.lead_ns,
         );
     }
 

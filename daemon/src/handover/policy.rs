@@ -1,3 +1,4 @@
+use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
@@ -17,6 +18,10 @@ pub struct Policy {
     pub home_tolerance_rad: f64,
     /// What of a command the robot obeys.
     pub interface: Interface,
+    /// How the motors follow their commands.
+    pub actuator: Actuator,
+    /// Time constant with which the estimate follows what is measured \[s\].
+    pub estimator_time_constant_s: f64,
     /// How long after its release a command is valid \[ns\].
     pub command_valid_ns: u64,
     /// Deadline after the release \[ns\].
@@ -46,6 +51,8 @@ impl Policy {
             home_rate_rad_s: config.motion.home_rate_rad_s,
             home_tolerance_rad: config.motion.home_tolerance_rad,
             interface: config.link.interface,
+            actuator: config.actuator.model(),
+            estimator_time_constant_s: estimator_time_constant_s(config),
             command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),
@@ -108,13 +115,22 @@ fn miss_limit(config: &Config) -> u32 {
     }
 }
 
-/// Without a limit of its own, a robot behind a driver has the default one. A simulated robot has none: the paper's has
+/// Without a limit of its own, a robot with motors has the default one. The ideal robot has none: the paper's has
 /// none.
 fn acceleration_rad_s2(config: &Config) -> f64 {
-    match (config.motion.acceleration_rad_s2, config.link.kind) {
-        (0.0, LinkKind::Simulated) => f64::INFINITY,
-        (0.0, LinkKind::Driver) => MotionConfig::ACCELERATION_RAD_S2,
+    match (config.motion.acceleration_rad_s2, config.link.is_ideal()) {
+        (0.0, true) => f64::INFINITY,
+        (0.0, false) => MotionConfig::ACCELERATION_RAD_S2,
         (limit, _) => limit,
+    }
+}
+
+/// The ideal robot is measured exactly.
+fn estimator_time_constant_s(config: &Config) -> f64 {
+    if config.link.is_ideal() {
+        0.0
+    } else {
+        config.estimator.time_constant_ms * 1e-3
     }
 }
 

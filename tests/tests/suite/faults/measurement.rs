@@ -4,10 +4,10 @@ use std::collections::VecDeque;
 use std::time::Duration;
 
 use cdcr_client::{Connection, monotonic_ns};
+use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::plant::Flaws;
 use cdcr_tests::{Daemon, PATIENCE, wait_status, wait_until};
 use rustix::process::Signal;
 
@@ -295,7 +295,7 @@ fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
     let daemon = daemon_with("[safety]\nfollowing_fault_rad = 100.0\n");
     let connection = daemon.connect();
     // The bound is exact, and it counts from the exact place of the last measurement at rest.
-    let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::NONE);
+    let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::default());
     let mut trail = Trail::new(&connection);
     robot.until_held(&mut trail);
     let rest = trail.until_while(

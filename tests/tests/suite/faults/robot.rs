@@ -3,9 +3,9 @@
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
 use cdcr_shared_types::{Command, Measurement};
-use cdcr_tests::plant::Flaws;
 use cdcr_tests::robot::DrivenRobot;
 
 use crate::faults::trail::{Trail, is};
@@ -22,7 +22,7 @@ const EVERY: Duration = Duration::from_millis(1);
 impl Robot {
     /// A straight robot whose first section is bent by `bend_rad`.
     pub(crate) fn new(connection: &Connection, bend_rad: f64) -> Self {
-        Self::with_flaws(connection, bend_rad, Flaws::USUAL)
+        Self::with_flaws(connection, bend_rad, Preset::Laboratory.flaws())
     }
 
     /// The same with these flaws.

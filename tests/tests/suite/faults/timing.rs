@@ -244,7 +244,9 @@ fn unchecked_inputs(settings: Settings, position_m: f64) -> CycleInputs {
     });
     trajectory.replace(points).unwrap();
     let mut inputs = CycleInputs::new(settings);
-    inputs.window.fill(&trajectory, 1, PERIOD_NS, PERIOD_NS, 2);
+    inputs
+        .window
+        .fill(&trajectory, 1, PERIOD_NS, PERIOD_NS, 2, 0);
     inputs.lease = LeaseState::Held;
     inputs
 }

@@ -256,6 +256,7 @@ impl<L: RobotLink> Rig<L> {
             release_ns,
             self.period_ns,
             self.inputs.settings.nmpc.horizon_steps as usize,
+            0,
         );
     }
 

@@ -67,7 +67,7 @@ fn judge_chunk(chunk: &message::ReferenceChunk, robot: &Robot) -> bool {
         let cycle = near.time_ns.saturating_sub(BEGIN_NS) / PERIOD_NS;
         let release_ns = BEGIN_NS + cycle * PERIOD_NS;
         if release_ns < u64::MAX / 2 {
-            window.fill(&trajectory, cycle, release_ns, PERIOD_NS, 50);
+            window.fill(&trajectory, cycle, release_ns, PERIOD_NS, 50, 0);
             for sample in window.ahead(cycle, 50) {
                 assert!(sample.state != ReferenceState::None);
                 let within_m = robot.reach_m() + 2e-6;

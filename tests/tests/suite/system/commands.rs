@@ -3,10 +3,11 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
-use cdcr_tests::plant::Flaws;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status};
 
@@ -225,9 +226,12 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
     let mut bends = [0.0; 12];
     bends[0] = 1.2;
     let flaws = Flaws {
-        lag_s: LAG_S,
+        actuator: Actuator {
+            delay_s: 0.0,
+            time_constant_s: LAG_S,
+        },
         offset_m: 0.0,
-        ..Flaws::USUAL
+        ..Preset::Laboratory.flaws()
     };
     let mut robot = DrivenRobot::with_flaws(&connection, interface, bends, flaws);
     while !ending.load(Ordering::Relaxed) {

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, monotonic_ns};
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::plant::Flaws;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status, wait_until};
 
@@ -176,7 +176,7 @@ fn home_is_reached_with_noisy_sensors() {
     bends[..3].copy_from_slice(&[0.2, -0.1, 0.05]);
     let flaws = Flaws {
         noise_m: 5e-5,
-        ..Flaws::USUAL
+        ..Preset::Laboratory.flaws()
     };
     let robot = DrivenRobot::with_flaws(&connection, Interface::Velocity, bends, flaws);
     let mut robot = Robot(robot);

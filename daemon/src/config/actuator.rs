@@ -1,0 +1,28 @@
+use cdcr_controller::estimator::Actuator;
+use serde::{Deserialize, Serialize};
+
+/// How the robot's motors follow their commands.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[serde(default, deny_unknown_fields)]
+pub struct ActuatorConfig {
+    /// From the release of a command until the motors begin to follow it \[ms\].
+    pub delay_ms: f64,
+    /// Time constant of their lag, of first order \[ms\].
+    pub time_constant_ms: f64,
+}
+
+impl ActuatorConfig {
+    /// By how much a robot that moves evenly is behind its commands \[ms\].
+    pub fn lead_ms(&self) -> f64 {
+        self.delay_ms + self.time_constant_ms
+    }
+
+    /// The model of them.
+    pub fn model(&self) -> Actuator {
+        Actuator {
+            delay_s: self.delay_ms * 1e-3,
+            time_constant_s: self.time_constant_ms * 1e-3,
+        }
+    }
+}

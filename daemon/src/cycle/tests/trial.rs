@@ -1,0 +1,226 @@
+//! A robot that is not its model, its driver, and the cycle of its daemon, on a clock of the test.
+
+use std::cell::Cell;
+use std::path::Path;
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
+use cdcr_controller::robot::{CABLES_MAX, Configuration};
+use cdcr_controller::safety::{LeaseState, Request};
+use nalgebra::Vector3;
+
+use super::super::*;
+use crate::config::Config;
+use crate::convert;
+use crate::link::DriverLink;
+
+pub(super) const PERIOD_NS: u64 = 5_000_000;
+pub(super) const PERIOD_S: f64 = 0.005;
+/// A driver measures so long before the release.
+pub(super) const MEASURED_BEFORE_NS: u64 = 1_000_000;
+/// Release of cycle 0.
+pub(super) const BEGIN_NS: u64 = 1_000_000_000;
+
+#[derive(Debug, Default)]
+pub(super) struct Watch(Cell<u64>);
+
+impl Clock for Watch {
+    fn now_ns(&self) -> u64 {
+        self.0.set(self.0.get() + 100);
+        self.0.get()
+    }
+
+    fn sleep_until(&self, _: u64) {}
+}
+
+/// A daemon's cycle, and the robot behind its driver.
+pub(super) struct Trial {
+    pub(super) cycle: Cycle<DriverLink>,
+    robot: Robot,
+    pub(super) plant: MisbehavingRobot,
+    interface: Interface,
+    /// The motors stand still, whatever is commanded.
+    pub(super) stands: bool,
+    lead_ns: u64,
+    pub(super) inputs: CycleInputs,
+    trajectory: Trajectory,
+    clock: Watch,
+    next: u64,
+    asked: Option<Request>,
+    last: Option<CycleRecord>,
+    /// The last commanded position.
+    pub(super) target_rad: Vec<f64>,
+    /// The same in lengths \[m\].
+    sent_m: [f64; CABLES_MAX],
+    /// Where the tip was at the last release \[m\].
+    pub(super) tip_m: Vector3<f64>,
+}
+
+impl Trial {
+    /// The laboratory's robot.
+    pub(super) fn new(interface: Interface) -> Self {
+        Self::with(interface, Preset::Laboratory.flaws(), "")
+    }
+
+    /// A robot with these flaws, and more lines of the configuration.
+    pub(super) fn with(interface: Interface, flaws: Flaws, more: &str) -> Self {
+        let name = match interface {
+            Interface::Position => "position",
+            Interface::Velocity => "velocity",
+        };
+        let text = format!("[link]\nkind = \"driver\"\ninterface = \"{name}\"\n{more}");
+        let validated = Config::parse(&text, Path::new("trial")).unwrap();
+        let mut inputs = CycleInputs::new(Settings::new(&validated.config));
+        inputs.lease = LeaseState::Held;
+        let straight = Configuration::straight(validated.robot.section_count());
+        let sent_m = validated.robot.cable_lengths(&straight);
+        Self {
+            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
+            plant: MisbehavingRobot::new(&validated.robot, &straight, flaws, 7).unwrap(),
+            robot: validated.robot,
+            interface,
+            stands: false,
+            lead_ns: ns(validated.config.actuator.lead_ms()),
+            inputs,
+            clock: Watch::default(),
+            next: 0,
+            asked: None,
+            last: None,
+            target_rad: Vec::new(),
+            sent_m,
+            tip_m: Vector3::zeros(),
+        }
+    }
+
+    pub(super) fn ask(&mut self, request: Request) -> CycleRecord {
+        self.asked = Some(request);
+        self.turn()
+    }
+
+    /// What the encoders said a millisecond before the release: the robot is moved on to that.
+    pub(super) fn measure(&mut self, release_ns: u64) {
+        self.inputs.measurement = Some(TimedMeasurement {
+            measurement: Measurement::CableLengths(self.plant.measure_cables()),
+            measured_ns: release_ns - MEASURED_BEFORE_NS,
+        });
+    }
+
+    pub(super) fn gather(&mut self, release_ns: u64) {
+        self.inputs.gather += 1;
+        self.inputs.gather_ns = release_ns - 200_000;
+        let steps = self.inputs.settings.nmpc.horizon_steps as usize;
+        let window = &mut self.inputs.window;
+        window.fill(
+            &self.trajectory,
+            self.next,
+            release_ns,
+            PERIOD_NS,
+            steps,
+            self.lead_ns,
+        );
+        self.measure(release_ns);
+    }
+
+    /// One cycle, and what the robot does until the next.
+    pub(super) fn turn(&mut self) -> CycleRecord {
+        self.gather(BEGIN_NS + self.next * PERIOD_NS);
+        self.cycle(0)
+    }
+
+    /// A cycle with whatever inputs there are, after `skipped` releases without one.
+    pub(super) fn cycle(&mut self, skipped: u32) -> CycleRecord {
+        self.next += u64::from(skipped);
+        let release_ns = BEGIN_NS + self.next * PERIOD_NS;
+        let release = Release {
+            cycle: self.next,
+            release_ns,
+            due_ns: release_ns,
+            start_ns: release_ns + 20_000,
+            skipped,
+        };
+        self.clock.0.set(release.start_ns);
+        let mut asked = self.asked.take();
+        let next_request = || {
+            asked
+                .take()
+                .map(|request| CycleRequest { ticket: 1, request })
+        };
+        let record = self
+            .cycle
+            .run(release, &self.inputs, next_request, &self.clock);
+        let command = convert::command(&record, &self.robot, PERIOD_NS);
+        self.target_rad = command.bend_target_rad[..self.robot.coordinate_count()].to_vec();
+        self.obey(&command);
+        self.next += 1;
+        self.last = Some(record);
+        record
+    }
+
+    /// What follows the solver takes so long.
+    pub(super) fn rest_after(&mut self, took_ns: u64) {
+        self.clock.0.set(self.cycle.solve_over_ns + took_ns);
+        self.cycle.rest(&self.clock);
+    }
+
+    /// The motors go on with the old command until the release, and take the new one then.
+    pub(super) fn obey(&mut self, command: &cdcr_shared_types::Command) {
+        const STEPS: u32 = 5;
+        let before_m = self.sent_m;
+        self.plant.advance(MEASURED_BEFORE_NS as f64 * 1e-9);
+        self.tip_m = self.plant.tip_m();
+        self.sent_m = command.cable_length_m;
+        // Evenly to the target, as `cdcr_client::Driver` goes; the last step ends where the next measurement is made.
+        for step in 1..=STEPS {
+            let part = f64::from(step) / f64::from(STEPS);
+            self.plant.order(match self.interface {
+                _ if self.stands => MotorOrder::Stand,
+                Interface::Velocity => MotorOrder::Speeds(command.cable_speed_m_s),
+                Interface::Position => MotorOrder::Lengths(core::array::from_fn(|cable| {
+                    before_m[cable] + part * (self.sent_m[cable] - before_m[cable])
+                })),
+            });
+            if step < STEPS {
+                self.plant.advance(PERIOD_S / f64::from(STEPS));
+            }
+        }
+    }
+
+    pub(super) fn turns(&mut self, count: u32) -> CycleRecord {
+        for _ in 0..count {
+            self.turn();
+        }
+        self.last.unwrap()
+    }
+
+    /// A reference on a circle of `radius_m` about the axis, from now on, `duration_s` long.
+    pub(super) fn feed_circle(&mut self, radius_m: f64, duration_s: f64) {
+        let start_ns = BEGIN_NS + (self.next + 2) * PERIOD_NS;
+        let count = (duration_s / 0.02) as u64;
+        let reach_m = self.robot.reach_m();
+        let points = (0..count).map(|k| {
+            let time_s = k as f64 * 0.02;
+            let (sin, cos) = (1.5 * time_s).sin_cos();
+            // Beginning where the robot is, at rest.
+            let radius_m = radius_m * (0.5 * time_s).min(1.0).powi(2);
+            ReferencePoint {
+                time_ns: start_ns + k * 20_000_000,
+                position_m: Vector3::new(radius_m * cos, radius_m * sin, 0.93 * reach_m),
+                orientation: Orientation::Free,
+                interpolation: Interpolation::Cubic,
+            }
+        });
+        self.trajectory.replace(points).unwrap();
+    }
+
+    pub(super) fn begin_tracking(&mut self) {
+        self.feed_circle(0.2, 20.0);
+        let record = self.ask(Request::Track);
+        assert!(
+            matches!(record.mode, Mode::Tracking { .. }),
+            "{:?}",
+            record.answers[0]
+        );
+    }
+}
