@@ -54,7 +54,7 @@ impl StoppingWay {
 
 /// What the body must keep clear of.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Guard<'a> {
+pub(super) struct ClearanceGuard<'a> {
     /// The robot.
     pub(super) robot: &'a Robot,
     /// Where it is.
@@ -71,7 +71,7 @@ pub(super) struct Guard<'a> {
     pub(super) stopping: StoppingWay,
 }
 
-impl Guard<'_> {
+impl ClearanceGuard<'_> {
     /// Changes `rates`, which are inside the limits, as little as keeping clear of the obstacles asks for.
     ///
     /// Let cⱼ(s) be the clearance of section j to an obstacle: of the section at bend + s q̇, to the obstacle moved on by its
@@ -95,7 +95,7 @@ impl Guard<'_> {
     ///
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
-    pub(super) fn keep_clear(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
+    pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
         self.guarded(rates, false, |near| self.corrected(near, limits, rates))
     }
 
@@ -154,20 +154,25 @@ impl Guard<'_> {
     }
 
     /// The nearest rates inside the limits that hold the rule, as far as they are found.
-    fn corrected(&self, near: &Places<'_>, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
+    fn corrected(
+        &self,
+        near: &Places<'_>,
+        limits: &Limits<'_>,
+        desired_rates: &BendRates,
+    ) -> BendRates {
         let mut region = limits.region();
         // What is shortened afterwards may come nearer than what was found.
-        region.slow_down_to(fastest(wish));
-        let mut rates = *wish;
+        region.slow_down_to(fastest(desired_rates));
+        let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
             if near.is_out_of_looks() || !near.bound(self, &rates, &mut region) {
                 break;
             }
-            let Some(nearest) = limits.nearest_in(&mut region, wish) else {
+            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
                 break;
             };
-            rates = shortened_to(nearest, fastest(wish));
-            if fastest(&rates) <= STANDING * fastest(wish) {
+            rates = shortened_to(nearest, fastest(desired_rates));
+            if fastest(&rates) <= STANDING * fastest(desired_rates) {
                 return self.rest();
             }
             if near.hold(self, &rates) {
@@ -176,18 +181,18 @@ impl Guard<'_> {
         }
         let scaled = self.scaled(near, &rates);
         if scaled == self.rest() {
-            return self.scaled(near, wish);
+            return self.scaled(near, desired_rates);
         }
         scaled
     }
 
-    /// `wish`, scaled down to where the rule holds.
-    fn scaled(&self, near: &Places, wish: &BendRates) -> BendRates {
+    /// `desired_rates`, scaled down to where the rule holds.
+    fn scaled(&self, near: &Places, desired_rates: &BendRates) -> BendRates {
         let mut held = self.rest();
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
-            let rates = times(wish, middle);
+            let rates = times(desired_rates, middle);
             if near.hold(self, &rates) {
                 (low, held) = (middle, rates);
             } else {
@@ -214,12 +219,12 @@ impl Places<'_> {
         self.iter().any(Near::is_out_of_looks)
     }
 
-    fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
+    fn hold(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
         self.iter().all(|near| way::holds(near, guard, rates))
     }
 
     /// [`rows::bound`] of each.
-    fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
+    fn bound(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, region: &mut Region) -> bool {
         let is_bounded = |near: &Near<'_>| rows::bound(near, guard, rates, &mut *region);
         self.iter()
             .map(is_bounded)

@@ -1,6 +1,6 @@
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::clearance::{Guard, Guarded, StoppingWay, fastest, shortened_to, times};
+use super::clearance::{ClearanceGuard, Guarded, StoppingWay, fastest, shortened_to, times};
 use super::{Limited, Limits, LimitsHit};
 
 /// What a command is checked against.
@@ -94,8 +94,8 @@ impl<'a> Situation<'a> {
         }
     }
 
-    fn guard(&self, fastest_rad_s: f64) -> Guard<'a> {
-        Guard {
+    fn guard(&self, fastest_rad_s: f64) -> ClearanceGuard<'a> {
+        ClearanceGuard {
             robot: self.robot,
             at: self.at,
             commanded: self.commanded,
@@ -136,7 +136,7 @@ pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeComma
             situation.guard(fastest_rad_s),
             situation.limits_moving(fastest_rad_s),
         );
-        let guarded = guard.keep_clear(&limits, &limited.rates);
+        let guarded = guard.apply(&limits, &limited.rates);
         (limited, situation.in_their_own_time(guarded))
     };
     SafeCommand {

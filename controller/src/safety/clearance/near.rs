@@ -4,7 +4,7 @@ use core::cell::Cell;
 
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Pose, Robot, SECTIONS_MAX, Shape};
 
-use super::{Guard, fastest};
+use super::{ClearanceGuard, fastest};
 
 /// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
 pub(super) const NEAR_MAX: usize = 64;
@@ -90,7 +90,7 @@ impl Stance {
 impl<'a> Near<'a> {
     /// Those of a robot that is in this stance. `None` when there are more than fit.
     pub(super) fn find(
-        guard: &Guard<'_>,
+        guard: &ClearanceGuard<'_>,
         still: &'a Stance,
         rates: &BendRates,
         is_ramp: bool,
@@ -164,7 +164,11 @@ impl<'a> Near<'a> {
     }
 
     /// The sections that can come below what is kept along the way, when no point of theirs is faster than `travel_m_s`.
-    pub(super) fn open(&self, guard: &Guard<'_>, travel_m_s: &[f64; SECTIONS_MAX]) -> Sections {
+    pub(super) fn open(
+        &self,
+        guard: &ClearanceGuard<'_>,
+        travel_m_s: &[f64; SECTIONS_MAX],
+    ) -> Sections {
         let way_s = guard.stopping.way_s;
         let time_s = guard.stopping.time_s(way_s);
         let mut open = [0; NEAR_MAX];
@@ -179,7 +183,7 @@ impl<'a> Near<'a> {
     }
 
     /// Where the robot is at s = `way_s`.
-    pub(super) fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64) -> Place {
+    pub(super) fn place(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, way_s: f64) -> Place {
         let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
         Place {
             way_s,
@@ -204,7 +208,7 @@ impl<'a> Near<'a> {
     /// known any more. Where `is_exact` does not ask for more, a bound is enough.
     pub(super) fn spare_at(
         &self,
-        guard: &Guard<'_>,
+        guard: &ClearanceGuard<'_>,
         place: &Place,
         which: &Sections,
         is_exact: bool,
@@ -234,7 +238,7 @@ impl<'a> Near<'a> {
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
     pub(super) fn spare_m(
         &self,
-        guard: &Guard<'_>,
+        guard: &ClearanceGuard<'_>,
         place: &Place,
         watched: &Watched,
         j: usize,
@@ -254,14 +258,14 @@ impl<'a> Near<'a> {
             Shape::Capsule { .. } => CAPSULE_LOOKS,
         };
         self.looks.set(self.looks.get().saturating_sub(looks));
-        let obstacle = watched.at(place);
+        let obstacle = watched.obstacle_at(place);
         place.stance.body.clearance_of(j, &obstacle) - floor_m
     }
 
     /// What section j must keep at a place \[m\].
     pub(super) fn floor_m(
         &self,
-        guard: &Guard<'_>,
+        guard: &ClearanceGuard<'_>,
         place: &Place,
         watched: &Watched,
         j: usize,
@@ -297,7 +301,7 @@ impl<'a> Near<'a> {
 
 impl Watched {
     /// Where it is when the robot has come to a place.
-    pub(super) fn at(&self, place: &Place) -> Obstacle {
+    pub(super) fn obstacle_at(&self, place: &Place) -> Obstacle {
         if self.speed_m_s == 0.0 {
             return self.obstacle;
         }
@@ -336,13 +340,13 @@ pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
 }
 
 /// Where the rule holds exactly: after the period, and after the stopping way.
-pub(super) fn ends_s(guard: &Guard<'_>) -> [f64; 2] {
+pub(super) fn ends_s(guard: &ClearanceGuard<'_>) -> [f64; 2] {
     [guard.period_s, guard.stopping.way_s]
 }
 
 /// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are
 /// not faster.
-fn farthest_m(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
+fn farthest_m(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
     let mut change_rad = [0.0; SECTIONS_MAX];
     for (change_rad, section) in change_rad.iter_mut().zip(guard.robot.sections()) {
         let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);

@@ -12,7 +12,7 @@ const PERIOD_S: f64 = 0.005;
 struct Moment {
     robot: Robot,
     at: Configuration,
-    wish: BendRates,
+    desired_rates: BendRates,
     obstacles: Vec<Obstacle>,
     safe_distance_m: f64,
 }
@@ -24,8 +24,8 @@ const STOPPING: StoppingWay = StoppingWay {
 };
 
 impl Moment {
-    fn watch(&self) -> Guard<'_> {
-        Guard {
+    fn watch(&self) -> ClearanceGuard<'_> {
+        ClearanceGuard {
             robot: &self.robot,
             at: &self.at,
             commanded: None,
@@ -38,11 +38,11 @@ impl Moment {
 
     fn guard(&self) -> Guarded {
         let limits = Limits::new(&self.robot, &self.at, STOPPING.way_s);
-        self.watch().keep_clear(&limits, &self.wish)
+        self.watch().apply(&limits, &self.desired_rates)
     }
 
     fn guard_ramp(&self) -> Guarded {
-        self.watch().scale_down(&self.wish)
+        self.watch().scale_down(&self.desired_rates)
     }
 
     /// What is left of the clearances beyond what must be, at a place of the way \[m\]: and of what may be missing `between`.
@@ -71,7 +71,7 @@ impl Moment {
         least_m
     }
 
-    /// The rule of [`Guard::keep_clear`], or of [`Guard::scale_down`], looked at in many places.
+    /// The rule of [`ClearanceGuard::apply`], or of [`ClearanceGuard::scale_down`], looked at in many places.
     fn keeps(&self, rates: &BendRates, is_ramp: bool) -> bool {
         let is_exact = |way_s| self.spare_m(rates, way_s, false, is_ramp) >= 0.0;
         let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
@@ -143,14 +143,14 @@ fn moments() -> impl Strategy<Value = Moment> {
                 parameters.cable_stroke_max_m = stroke_m;
                 let robot = Robot::new(&parameters).unwrap();
                 let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
-                let wish = BendRates::from_slice(&rates[..2 * sections]).unwrap();
-                let wish = limit(&robot, &at, &wish, STOPPING.way_s).rates;
+                let desired_rates = BendRates::from_slice(&rates[..2 * sections]).unwrap();
+                let desired_rates = limit(&robot, &at, &desired_rates, STOPPING.way_s).rates;
                 let place = |numbers| placed(&robot, &at, numbers);
                 let obstacles = obstacles.into_iter().map(place).collect();
                 Moment {
                     robot,
                     at,
-                    wish,
+                    desired_rates,
                     obstacles,
                     safe_distance_m,
                 }
@@ -176,15 +176,15 @@ proptest! {
         prop_assert!(moment.keeps(&guarded.rates, false));
         let ramp = moment.guard_ramp();
         prop_assert!(moment.keeps(&ramp.rates, true));
-        for (rate, wish) in ramp.rates.as_slice().iter().zip(moment.wish.as_slice()) {
-            prop_assert!(rate.abs() <= wish.abs() && rate * wish >= 0.0);
+        for (rate, desired_rates) in ramp.rates.as_slice().iter().zip(moment.desired_rates.as_slice()) {
+            prop_assert!(rate.abs() <= desired_rates.abs() && rate * desired_rates >= 0.0);
         }
-        prop_assert!(guarded.hit || moment.keeps(&moment.wish, false));
+        prop_assert!(guarded.hit || moment.keeps(&moment.desired_rates, false));
         let again = limit(&moment.robot, &moment.at, &guarded.rates, STOPPING.way_s);
         for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
             prop_assert!((rate - limited).abs() < 1e-9);
         }
-        prop_assert!(fastest(&guarded.rates) <= fastest(&moment.wish));
+        prop_assert!(fastest(&guarded.rates) <= fastest(&moment.desired_rates));
         let least_m = moment.obstacles.iter().map(|o| moment.robot.clearance_m(&moment.at, o));
         prop_assert_eq!(guarded.clearance_m, least_m.fold(f64::INFINITY, f64::min));
     }
@@ -200,14 +200,19 @@ proptest! {
     fn far_from_everything_nothing_changes(mut moment in moments(), away in 1.2..1000.0_f64) {
         moment.obstacles = vec![ball(Vector3::new(away, 0.0, 0.0), 0.05); 3];
         let guarded = moment.guard();
-        prop_assert_eq!((guarded.rates, guarded.hit), (moment.wish, false));
+        prop_assert_eq!((guarded.rates, guarded.hit), (moment.desired_rates, false));
     }
 }
 
 /// A command that keeps D = 10 mm.
-fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obstacle]) -> Guarded {
+fn guard(
+    robot: &Robot,
+    at: &Configuration,
+    desired_rates: &BendRates,
+    obstacles: &[Obstacle],
+) -> Guarded {
     let limits = Limits::new(robot, at, STOPPING.way_s);
-    let guard = Guard {
+    let guard = ClearanceGuard {
         robot,
         at,
         commanded: None,
@@ -216,7 +221,7 @@ fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obsta
         period_s: PERIOD_S,
         stopping: STOPPING,
     };
-    guard.keep_clear(&limits, wish)
+    guard.apply(&limits, desired_rates)
 }
 
 #[test]
@@ -227,8 +232,8 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
     let [at, commanded] = [at, commanded].map(|bends| Configuration::from_slice(&bends).unwrap());
     let centre_m = robot.tip_position(&commanded) + Vector3::new(0.0451, 0.0, 0.0);
     let obstacles = [ball(centre_m, 0.02)];
-    let wish = BendRates::from_slice(&[1.0, 0.0]).unwrap();
-    let guard = |commanded| Guard {
+    let desired_rates = BendRates::from_slice(&[1.0, 0.0]).unwrap();
+    let guard = |commanded| ClearanceGuard {
         robot: &robot,
         at: &at,
         commanded,
@@ -238,8 +243,8 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
         stopping: STOPPING,
     };
     let limits = Limits::new(&robot, &at, STOPPING.way_s);
-    assert!(!guard(None).keep_clear(&limits, &wish).hit);
-    let kept = guard(Some(&commanded)).keep_clear(&limits, &wish);
+    assert!(!guard(None).apply(&limits, &desired_rates).hit);
+    let kept = guard(Some(&commanded)).apply(&limits, &desired_rates);
     let sent = commanded.advanced(&kept.rates, STOPPING.way_s);
     assert!(kept.hit && robot.clearance_m(&sent, &obstacles[0]) >= 0.01);
 }
@@ -250,8 +255,8 @@ fn push(sections: usize, ball: &Obstacle, rates: &[f64]) -> (Vec<f64>, Configura
     let mut at = Configuration::straight(sections);
     let mut clearances_m = Vec::new();
     for _ in 0..200 {
-        let wish = BendRates::from_slice(rates).unwrap();
-        let guarded = guard(&robot, &at, &wish, &[ball.moved(0.0)]);
+        let desired_rates = BendRates::from_slice(rates).unwrap();
+        let guarded = guard(&robot, &at, &desired_rates, &[ball.moved(0.0)]);
         at = at.advanced(&guarded.rates, PERIOD_S);
         clearances_m.push(robot.clearance_m(&at, ball));
     }
@@ -284,8 +289,8 @@ fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
     let mut before_m = robot.clearance_m(&at, &obstacle);
     assert!(before_m < 0.01 && before_m > 0.0);
     for _ in 0..200 {
-        let wish = BendRates::from_slice(&[1.0, 0.2, 1.0, -0.1]).unwrap();
-        let guarded = guard(&robot, &at, &wish, &[obstacle]);
+        let desired_rates = BendRates::from_slice(&[1.0, 0.2, 1.0, -0.1]).unwrap();
+        let guarded = guard(&robot, &at, &desired_rates, &[obstacle]);
         at = at.advanced(&guarded.rates, PERIOD_S);
         let after_m = robot.clearance_m(&at, &obstacle);
         assert!(after_m >= before_m.min(0.01), "{after_m} after {before_m}");
@@ -311,22 +316,22 @@ fn a_robot_at_rest_stays_at_rest_whatever_comes() {
 #[test]
 fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
     let robot = trunk(1);
-    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let desired_rates = BendRates::from_slice(&[0.1, 0.0]).unwrap();
     let near = ball(Vector3::new(0.03, 0.0, 0.3), 0.01);
     let lost = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
-    let guarded = guard(&robot, &lost, &wish, &[near]);
+    let guarded = guard(&robot, &lost, &desired_rates, &[near]);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
     assert!(guarded.clearance_m.is_nan());
     let many = vec![near; NEAR_MAX + 1];
     let at = Configuration::straight(1);
-    let guarded = guard(&robot, &at, &wish, &many);
+    let guarded = guard(&robot, &at, &desired_rates, &many);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
 }
 
 #[test]
 fn without_obstacles_there_is_no_clearance() {
-    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
-    let guarded = guard(&trunk(1), &Configuration::straight(1), &wish, &[]);
+    let desired_rates = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let guarded = guard(&trunk(1), &Configuration::straight(1), &desired_rates, &[]);
     assert_eq!(guarded.clearance_m, f64::INFINITY);
     assert!(!guarded.hit);
 }

@@ -2,7 +2,7 @@
 
 use crate::robot::{BendRates, SECTIONS_MAX};
 
-use super::Guard;
+use super::ClearanceGuard;
 use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
 
 /// How often a part of the way is halved before it counts as not clear.
@@ -11,7 +11,7 @@ const DEPTH: u32 = 6;
 /// The way of the robot at some rates.
 struct Way<'a> {
     near: &'a Near<'a>,
-    guard: &'a Guard<'a>,
+    guard: &'a ClearanceGuard<'a>,
     rates: &'a BendRates,
     /// What no point of each section moves faster than \[m/s\].
     travel_m_s: [f64; SECTIONS_MAX],
@@ -27,8 +27,8 @@ struct Left<'a> {
     spare_m: &'a Spare,
 }
 
-/// The rule of [`Guard::keep_clear`], from where `near` was found.
-pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bool {
+/// The rule of [`ClearanceGuard::apply`], from where `near` was found.
+pub(super) fn holds(near: &Near<'_>, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
     if near.is_empty() {
         return true;
     }

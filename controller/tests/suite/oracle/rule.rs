@@ -174,8 +174,8 @@ impl Moment {
             let most_rad_s = self.parameters.sections[i / 2].rate_max_rad_s;
             margins.rate = margins.rate.min(most_rad_s - rate.abs());
             let left_rad_s = if self.comes_to_rest {
-                let towards = self.wish[i].signum();
-                (rate * towards).min(self.wish[i].abs() - rate * towards)
+                let towards = self.desired_rates[i].signum();
+                (rate * towards).min(self.desired_rates[i].abs() - rate * towards)
             } else {
                 let above = previous.max(0.0) + grows_rad_s - rate;
                 above.min(rate - previous.min(0.0) + grows_rad_s)
