@@ -30,19 +30,37 @@ pub(super) struct Guarded {
     pub(super) clearance_m: f64,
 }
 
-/// How the robot moves by a command when no other follows: at its rates for as long as it obeys it, and then along
-/// a ramp to rest. All of that is on one line in bends: bend + s q̇, with s from 0 to `way_s`.
+/// How the robot comes to rest when no other command follows: it obeys the last one for a while, and then its rates shrink
+/// together, the fastest component evenly in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct StoppingWay {
+pub(super) struct Stopping {
     /// How long the robot obeys a command \[s\].
     pub(super) moving_s: f64,
-    /// s at the end: longer by half the time of the ramp \[s\].
+    /// How fast the fastest component shrinks after that \[rad/s²\]; infinite: at once.
+    pub(super) deceleration_rad_s2: f64,
+}
+
+/// What the robot does by one command: it moves on one line in bends, bend + s q̇, with s from 0 to `way_s`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StoppingWay {
+    moving_s: f64,
+    /// s at the end: longer than the command is obeyed by half the time of the ramp \[s\].
     pub(super) way_s: f64,
+}
+
+impl Stopping {
+    /// From rates of which no component is faster than this.
+    pub(super) fn way(&self, fastest_rad_s: f64) -> StoppingWay {
+        StoppingWay {
+            moving_s: self.moving_s,
+            way_s: self.moving_s + 0.5 * fastest_rad_s / self.deceleration_rad_s2,
+        }
+    }
 }
 
 impl StoppingWay {
     /// The time at which the robot is at s = `way_s`, after the command \[s\].
-    fn time_s(&self, way_s: f64) -> f64 {
+    pub(super) fn time_s(&self, way_s: f64) -> f64 {
         let (beyond_s, ramp_way_s) = (way_s - self.moving_s, self.way_s - self.moving_s);
         if beyond_s <= 0.0 || ramp_way_s <= 0.0 {
             return way_s;
@@ -68,7 +86,7 @@ pub(super) struct ClearanceGuard<'a> {
     /// Period \[s\].
     pub(super) period_s: f64,
     /// What follows a command.
-    pub(super) stopping: StoppingWay,
+    pub(super) stopping: Stopping,
 }
 
 impl ClearanceGuard<'_> {
@@ -87,7 +105,8 @@ impl ClearanceGuard<'_> {
     /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves. Standing still always holds. A robot that obeys
+    /// exactly, what was found is scaled down, and then `rates` themselves. Slower rates stop sooner: each that are looked at
+    /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
     /// positions keeps the same rule from where it is commanded to be, too.
     ///
     /// What it cannot do: it does not plan a way around; and it does not flee: an obstacle that runs into the standing robot
@@ -97,11 +116,6 @@ impl ClearanceGuard<'_> {
     /// same bits.
     pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
         self.guarded(rates, false, |near| self.corrected(near, limits, rates))
-    }
-
-    /// Whether `rates` keep the rule as they are.
-    pub(super) fn holds(&self, rates: &BendRates) -> bool {
-        !self.guarded(rates, false, |_| self.rest()).hit
     }
 
     /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.

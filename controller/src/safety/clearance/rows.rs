@@ -29,7 +29,7 @@ pub(super) fn bound(
     rates: &BendRates,
     region: &mut Region,
 ) -> bool {
-    let places = ends_s(guard).map(|way_s| near.place(guard, rates, way_s));
+    let places = ends_s(guard, rates).map(|way_s| near.place(guard, rates, way_s));
     let mut least = Least {
         rows: [None; ROWS_MAX],
         count: 0,
@@ -37,7 +37,7 @@ pub(super) fn bound(
     for place in &places {
         for (index, watched) in near.watched().enumerate() {
             for section in sections(watched.sections()) {
-                let spare_m = near.spare_m(guard, place, watched, section, false);
+                let spare_m = near.spare_m(place, watched, section, false);
                 if spare_m < 0.0 {
                     least.insert(Short {
                         spare_m,
@@ -105,7 +105,8 @@ impl Short<'_> {
         } else {
             rates.zip(slope).map(|(rate, slope)| rate * slope).sum()
         };
-        let floor_m = near.floor_m(guard, self.place, self.watched, self.section);
+        let (still, time_s) = (&near.still().body, self.place.time_s);
+        let floor_m = self.watched.floor_m(self.section, still, time_s);
         region.bound(&slope, gained_m + margin_m + floor_m - nearest.clearance_m);
     }
 }

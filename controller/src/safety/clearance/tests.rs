@@ -17,11 +17,20 @@ struct Moment {
     safe_distance_m: f64,
 }
 
-/// Commands that are obeyed for three periods, and a ramp of 40 rad/s² from 2 rad/s.
-const STOPPING: StoppingWay = StoppingWay {
+/// Commands that are obeyed for three periods, and a ramp of 40 rad/s².
+const STOPPING: Stopping = Stopping {
     moving_s: 3.0 * PERIOD_S,
-    way_s: 3.0 * PERIOD_S + 0.025,
+    deceleration_rad_s2: 40.0,
 };
+
+fn way(rates: &BendRates) -> StoppingWay {
+    STOPPING.way(fastest(rates))
+}
+
+/// That of the fastest rates of the paper's robot.
+fn longest_way_s() -> f64 {
+    STOPPING.way(2.0).way_s
+}
 
 impl Moment {
     fn watch(&self) -> ClearanceGuard<'_> {
@@ -37,7 +46,7 @@ impl Moment {
     }
 
     fn guard(&self) -> Guarded {
-        let limits = Limits::new(&self.robot, &self.at, STOPPING.way_s);
+        let limits = Limits::new(&self.robot, &self.at, longest_way_s());
         self.watch().apply(&limits, &self.desired_rates)
     }
 
@@ -51,7 +60,7 @@ impl Moment {
         let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
         let mut least_m = f64::INFINITY;
         for obstacle in &self.obstacles {
-            let moved = obstacle.moved(STOPPING.time_s(way_s));
+            let moved = obstacle.moved(way(rates).time_s(way_s));
             let [now, standing] =
                 [&body, &still].map(|body| body.clearances_in_reach(&moved, &[f64::INFINITY; 6]));
             let may_lack_m = if between {
@@ -74,9 +83,10 @@ impl Moment {
     /// The rule of [`ClearanceGuard::apply`], or of [`ClearanceGuard::scale_down`], looked at in many places.
     fn keeps(&self, rates: &BendRates, is_ramp: bool) -> bool {
         let is_exact = |way_s| self.spare_m(rates, way_s, false, is_ramp) >= 0.0;
-        let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
+        let end_s = way(rates).way_s;
+        let places = (0..=100).map(|part| end_s * f64::from(part) / 100.0);
         is_exact(PERIOD_S)
-            && is_exact(STOPPING.way_s)
+            && is_exact(end_s)
             && places
                 .into_iter()
                 .all(|way_s| self.spare_m(rates, way_s, true, is_ramp) >= 0.0)
@@ -144,7 +154,7 @@ fn moments() -> impl Strategy<Value = Moment> {
                 let robot = Robot::new(&parameters).unwrap();
                 let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
                 let desired_rates = BendRates::from_slice(&rates[..2 * sections]).unwrap();
-                let desired_rates = limit(&robot, &at, &desired_rates, STOPPING.way_s).rates;
+                let desired_rates = limit(&robot, &at, &desired_rates, longest_way_s()).rates;
                 let place = |numbers| placed(&robot, &at, numbers);
                 let obstacles = obstacles.into_iter().map(place).collect();
                 Moment {
@@ -180,7 +190,7 @@ proptest! {
             prop_assert!(rate.abs() <= desired_rates.abs() && rate * desired_rates >= 0.0);
         }
         prop_assert!(guarded.hit || moment.keeps(&moment.desired_rates, false));
-        let again = limit(&moment.robot, &moment.at, &guarded.rates, STOPPING.way_s);
+        let again = limit(&moment.robot, &moment.at, &guarded.rates, longest_way_s());
         for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
             prop_assert!((rate - limited).abs() < 1e-9);
         }
@@ -211,7 +221,7 @@ fn guard(
     desired_rates: &BendRates,
     obstacles: &[Obstacle],
 ) -> Guarded {
-    let limits = Limits::new(robot, at, STOPPING.way_s);
+    let limits = Limits::new(robot, at, longest_way_s());
     let guard = ClearanceGuard {
         robot,
         at,
@@ -242,10 +252,10 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
         period_s: PERIOD_S,
         stopping: STOPPING,
     };
-    let limits = Limits::new(&robot, &at, STOPPING.way_s);
+    let limits = Limits::new(&robot, &at, longest_way_s());
     assert!(!guard(None).apply(&limits, &desired_rates).hit);
     let kept = guard(Some(&commanded)).apply(&limits, &desired_rates);
-    let sent = commanded.advanced(&kept.rates, STOPPING.way_s);
+    let sent = commanded.advanced(&kept.rates, way(&kept.rates).way_s);
     assert!(kept.hit && robot.clearance_m(&sent, &obstacles[0]) >= 0.01);
 }
 
@@ -326,6 +336,40 @@ fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
     let at = Configuration::straight(1);
     let guarded = guard(&robot, &at, &desired_rates, &many);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
+}
+
+/// A command that is shortened stops sooner, so on the last part of its way it is later than the desired rates would be there:
+/// a ball that crosses behind those meets the robot that stops.
+#[test]
+fn a_shortened_command_keeps_clear_in_its_own_time() {
+    let mut parameters = RobotParameters::paper(1);
+    parameters.sections[0].rate_max_rad_s = 8.0;
+    let stands = ball(Vector3::new(0.14, 0.0, 0.28), 0.02);
+    let mut moment = Moment {
+        robot: Robot::new(&parameters).unwrap(),
+        at: Configuration::straight(1),
+        desired_rates: BendRates::from_slice(&[8.0, 0.0]).unwrap(),
+        obstacles: vec![stands],
+        safe_distance_m: 0.01,
+    };
+    let shortened = moment.guard().rates;
+    assert!(fastest(&shortened) < 7.0 && moment.keeps(&shortened, false));
+    let end_s = way(&shortened).way_s;
+    let end = moment.at.advanced(&shortened, end_s);
+    // 20 mm behind the tip when that rests, where it comes from the side at 1 m/s.
+    let rests_s = way(&shortened).time_s(end_s);
+    let centre_m = moment.robot.tip_position(&end) - Vector3::new(0.02, rests_s, 0.0);
+    let crosses = Obstacle::new(Shape::Sphere { centre_m }, 0.001, Vector3::y()).unwrap();
+    moment.obstacles.push(crosses);
+    // In the time of the desired rates it would keep clear of the ball, too; in its own it does not.
+    let clearance_m = |way: StoppingWay| {
+        let there = crosses.moved(way.time_s(end_s));
+        moment.robot.clearance_m(&end, &there)
+    };
+    assert!(clearance_m(way(&moment.desired_rates)) > 0.01);
+    assert!(clearance_m(way(&shortened)) < 0.005 && !moment.keeps(&shortened, false));
+    let kept = moment.guard().rates;
+    assert!(moment.keeps(&kept, false) && fastest(&kept) > 1.0);
 }
 
 #[test]
