@@ -14,7 +14,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
-use crate::closed_loop::{self, ClosedLoop, Judge};
+use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, percent, plain, word};
 use crate::experiment::{Solver, Task};
 use crate::interrupt;
@@ -273,11 +273,11 @@ impl Case {
     }
 }
 
-/// Who solves, who judges, and what was counted.
+/// The solver, the evaluator of its plans, and what was counted.
 struct Runner {
     budget: Duration,
     nmpc: Nmpc,
-    judge: Judge,
+    evaluator: PlanEvaluator,
     over_ns: Histogram<u64>,
     bare_over_ns: Histogram<u64>,
     ended_by_budget: u64,
@@ -294,7 +294,7 @@ impl Runner {
         Ok(Self {
             budget,
             nmpc,
-            judge: Judge::new(&case.scene, case.settings)?,
+            evaluator: PlanEvaluator::new(&case.scene, case.settings)?,
             over_ns: histogram()?,
             bare_over_ns: histogram()?,
             ended_by_budget: 0,
@@ -305,7 +305,8 @@ impl Runner {
     /// Asks the budget until it is spent, and does nothing else.
     fn wait(&mut self) {
         let begin = Instant::now();
-        let mut budget = Budget::new(|| begin.elapsed() >= self.budget);
+        let mut is_spent = || begin.elapsed() >= self.budget;
+        let mut budget = Budget::new(&mut is_spent);
         while budget.left() {}
         let over = begin.elapsed().saturating_sub(self.budget);
         self.bare_over_ns.saturating_record(over.as_nanos() as u64);
@@ -314,13 +315,14 @@ impl Runner {
     fn solve(&mut self, input: &SolveInput) {
         self.nmpc.forget_plan();
         let begin = Instant::now();
-        let mut budget = Budget::new(|| begin.elapsed() >= self.budget);
+        let mut is_spent = || begin.elapsed() >= self.budget;
+        let mut budget = Budget::new(&mut is_spent);
         let (_, report) = self.nmpc.solve(input, &mut budget);
         let over = begin.elapsed().saturating_sub(self.budget);
         self.over_ns.saturating_record(over.as_nanos() as u64);
         self.ended_by_budget += u64::from(report.budget_spent);
         let [plan_cost, warm_cost] =
-            [self.nmpc.plan(), self.nmpc.warm_plan()].map(|plan| self.judge.cost(input, plan));
+            [self.nmpc.plan(), self.nmpc.warm_plan()].map(|plan| self.evaluator.cost(input, plan));
         self.worse += u64::from(plan_cost > warm_cost);
     }
 }

@@ -70,12 +70,12 @@ impl<'a> ClosedLoop<'a> {
         self.inner.input()
     }
 
-    /// Makes the wish safe, moves the robot by it, and goes on to the next cycle.
-    pub fn advance(&mut self, wish: &BendRates) {
-        self.inner.advance(wish);
+    /// Makes `desired_rates` safe, moves the robot by what is left of them, and goes on to the next cycle.
+    pub fn advance(&mut self, desired_rates: &BendRates) {
+        self.inner.advance(desired_rates);
     }
 
-    /// Whether the guard changed the last wish, because it led too near to an obstacle.
+    /// Whether the guard changed the last desired rates, because they led too near to an obstacle.
     pub fn was_guarded(&self) -> bool {
         self.inner.command().clearance_hit
     }
@@ -112,19 +112,19 @@ pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut samples = Vec::with_capacity(scene.cycles as usize);
     while !closed.is_over() {
         let begin = Instant::now();
-        let (wish, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
+        let (desired_rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
         let solve_ns = begin.elapsed().as_nanos() as u64;
-        closed.advance(&wish);
+        closed.advance(&desired_rates);
         samples.push(closed.sample(solve_ns));
     }
     Ok(samples)
 }
 
-/// What a plan costs, found without a budget: a short solve may not even have judged its warm start.
-pub struct Judge(Nmpc);
+/// What a plan costs, found without a budget: a short solve may not even have evaluated its warm start.
+pub struct PlanEvaluator(Nmpc);
 
-impl Judge {
-    /// Judges plans that were made with these settings.
+impl PlanEvaluator {
+    /// Evaluates plans that were made with these settings.
     pub fn new(scene: &Scene, settings: NmpcSettings) -> Result<Self> {
         let settings = NmpcSettings {
             solver: SolverKind::GaussNewton,

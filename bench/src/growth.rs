@@ -127,7 +127,7 @@ fn slope(points: &[(f64, f64)]) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_controller::optimizer::Path;
+    use cdcr_controller::optimizer::Simd;
 
     use super::*;
 
@@ -135,7 +135,7 @@ mod tests {
         Case {
             solver: Solver::Kpso,
             curve: "spiral",
-            path: Path::Portable,
+            path: Simd::Portable,
             sections: 3,
             horizon,
             swarm: 6,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
-use cdcr_controller::optimizer::{Budget, Path};
+use cdcr_controller::optimizer::{Budget, Simd};
 use cdcr_controller::robot::{Obstacle, Robot, Shape};
 use hdrhistogram::Histogram;
 use nalgebra::Vector3;
@@ -188,7 +188,7 @@ pub struct Case {
     pub solver: Solver,
     /// Name of the curve; the line asks for an orientation.
     pub curve: &'static str,
-    pub path: Path,
+    pub path: Simd,
     pub sections: usize,
     pub horizon: u32,
     pub swarm: u32,
@@ -329,13 +329,13 @@ fn obstacles(robot: &Robot, safe_distance_m: f64, count: usize) -> Result<Vec<Ob
     Ok((0..count).map(obstacle).collect::<Result<_, _>>()?)
 }
 
-type Runner = (Path, Nmpc, Histogram<u64>);
+type Runner = (Simd, Nmpc, Histogram<u64>);
 
 pub fn measure(size: &Size) -> Result<Vec<Case>> {
     let (scene, settings) = (size.scene()?, size.settings());
     let mut runners = Vec::new();
-    for path in Path::available() {
-        let nmpc = Nmpc::on_path(path, scene.robot.clone(), scene.period_s, settings)?;
+    for path in Simd::available() {
+        let nmpc = Nmpc::with_simd(path, scene.robot.clone(), scene.period_s, settings)?;
         runners.push((path, nmpc, histogram()?));
     }
     race(&scene, settings, &mut runners)?;
@@ -363,21 +363,21 @@ fn race(scene: &Scene, settings: NmpcSettings, runners: &mut [Runner]) -> Result
     let mut closed = ClosedLoop::new(scene, settings);
     let begin = Instant::now();
     for cycle in 0..scene.cycles {
-        let mut wish = None;
+        let mut desired_rates = None;
         for (path, nmpc, times) in &mut *runners {
             let start = Instant::now();
             let (rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
             if cycle >= WARM_UP {
                 times.saturating_record(start.elapsed().as_nanos() as u64);
             }
-            let first = wish.get_or_insert(rates);
+            let first = desired_rates.get_or_insert(rates);
             ensure!(
                 *first == rates,
                 "{path:?} gives other rates than the scalar path"
             );
         }
-        if let Some(wish) = wish {
-            closed.advance(&wish);
+        if let Some(desired_rates) = desired_rates {
+            closed.advance(&desired_rates);
         }
         if begin.elapsed() > SIZE_TIME && cycle >= CYCLES_MIN {
             break;
@@ -423,7 +423,7 @@ mod tests {
     fn one_size_is_measured_on_every_path() {
         let size = Size::paper(Task::Spiral { sections: 1 }, Solver::KpsoRefined);
         let cases = measure(&size).expect("measured");
-        assert_eq!(cases.len(), Path::available().count());
+        assert_eq!(cases.len(), Simd::available().count());
         assert!((cases[0].speedup_vs_scalar - 1.0).abs() < 1e-12);
         assert!(
             cases
@@ -437,7 +437,7 @@ mod tests {
         let case = |sections: usize, p50_us: f64| Case {
             solver: Solver::Kpso,
             curve: "spiral",
-            path: Path::Scalar,
+            path: Simd::Scalar,
             sections,
             horizon: 2,
             swarm: 6,

@@ -74,8 +74,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
 
     /// One period: solves without a limit on time, makes the result safe, and moves on.
     pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
-        let (wish, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
-        self.advance(&wish);
+        let (desired_rates, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
+        self.advance(&desired_rates);
         report
     }
 
@@ -91,10 +91,10 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Makes `wish` safe as a daemon does (acceleration, limits, clearance guard; but that the robot gets every command, and stops
+    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard; but that the robot gets every command, and stops
     /// at once), moves the robot by what is left of it and
     /// the obstacles by their velocity, and goes on to the next period.
-    pub fn advance(&mut self, wish: &BendRates) {
+    pub fn advance(&mut self, desired_rates: &BendRates) {
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
@@ -109,7 +109,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             deceleration_rad_s2: f64::INFINITY,
             comes_to_rest: false,
         };
-        self.command = safe_command(&situation, wish);
+        self.command = safe_command(&situation, desired_rates);
         self.configuration = self
             .configuration
             .advanced(&self.command.rates, self.period_s);

@@ -55,8 +55,8 @@
 //! if none that keeps it was found; the same bits again for the same inputs, plan, seed and work done.
 //!
 //! The budget is asked once for each microsecond or two of work, inside a single evaluation, too: fifty steps
-//! against 64 obstacles are many quanta. Where it ends before even the warm start is judged, the warm start
-//! leaves unjudged.
+//! against 64 obstacles are many quanta. Where it ends before even the warm start is evaluated, the warm start
+//! leaves unevaluated.
 //!
 //! # Where the cost comes from
 //!

@@ -2,7 +2,7 @@
 //!
 //! Nothing here names a processor. Plain arrays and loops over them, inlined into a function that was
 //! compiled for AVX-512 or AVX2, become vector instructions there; see
-//! [`Path`](crate::optimizer::Path). Products and sums stay separate operations (no fused
+//! [`Simd`](crate::optimizer::Simd). Products and sums stay separate operations (no fused
 //! multiply-add), so every lane holds **the same bits on every path**, and `Wide<1>` is the scalar
 //! reference.
 

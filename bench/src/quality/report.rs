@@ -18,7 +18,7 @@ const EXPLANATION: &str = "<p>The controller in a closed loop with an ideal robo
          paper (their first seconds) and on three harder courses. In the gap the tip goes through \
          between two posts that leave 4 mm on either side of the body and its safe distance, and then to one \
          side. In the crossing a ball of 30 mm crosses the body at 0.2 m/s while the tip follows a line. In the \
-         jump the reference steps by 0.15 m, and back. The wishes of the solver pass the limits and the \
+         jump the reference steps by 0.15 m, and back. The rates that the solver desires pass the limits and the \
          clearance guard, as in the daemon, so no motion of the robot brings it below the safe distance; how \
          often the guard had to intervene stands beside it.</p>\
          <p>With a budget, a solve has more work than it can do: 64 particles with up to 1000 iterations, up to \

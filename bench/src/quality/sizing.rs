@@ -48,8 +48,8 @@ impl Sizing {
                 let us = begin.elapsed().as_secs_f64() * 1e6;
                 times_us.push(us / f64::from(report.iterations.max(1)));
             }
-            let (wish, _) = driver.solve(&closed.input(), &mut Budget::unlimited());
-            closed.advance(&wish);
+            let (desired_rates, _) = driver.solve(&closed.input(), &mut Budget::unlimited());
+            closed.advance(&desired_rates);
         }
         Ok(Self {
             iteration_us: median(times_us).unwrap_or(1.0),

@@ -9,7 +9,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::variant::Variant;
-use crate::closed_loop::{ClosedLoop, Judge};
+use crate::closed_loop::{ClosedLoop, PlanEvaluator};
 use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
 
@@ -26,7 +26,7 @@ pub struct Figures {
     pub min_clearance_mm: Option<f64>,
     /// Time below the safe distance \[ms\]; none without obstacles.
     pub below_safe_ms: Option<f64>,
-    /// Mean cost of the plans that were chosen, judged afterwards.
+    /// Mean cost of the plans that were chosen, evaluated afterwards.
     pub mean_cost: f64,
     /// Share of the solves that the budget ended.
     pub cut_short_share: f64,
@@ -40,7 +40,7 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     let mut sums = Sums::new()?;
     let settings = variant.settings(seed);
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-    let mut judge = Judge::new(scene, settings)?;
+    let mut evaluator = PlanEvaluator::new(scene, settings)?;
     let mut closed = ClosedLoop::new(scene, settings);
     // Touches all memory that a solve may need; a seed decides nothing of a plan that is forgotten.
     nmpc.solve(&closed.input(), &mut Budget::of_quanta(20));
@@ -48,13 +48,13 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
     let budget = variant.budget_us.map(Duration::from_micros);
     while !closed.is_over() {
         let begin = Instant::now();
-        let mut left = Budget::new(|| budget.is_some_and(|budget| begin.elapsed() >= budget));
-        let (wish, report) = nmpc.solve(&closed.input(), &mut left);
+        let mut is_spent = || budget.is_some_and(|budget| begin.elapsed() >= budget);
+        let (desired_rates, report) = nmpc.solve(&closed.input(), &mut Budget::new(&mut is_spent));
         let solve_ns = begin.elapsed().as_nanos() as u64;
         sums.solve_ns.saturating_record(solve_ns);
         sums.cut_short += u64::from(report.budget_spent);
-        sums.cost += judge.cost(&closed.input(), nmpc.plan());
-        closed.advance(&wish);
+        sums.cost += evaluator.cost(&closed.input(), nmpc.plan());
+        closed.advance(&desired_rates);
         sums.add(&closed, settings.safe_distance_m);
     }
     Ok(sums.figures(scene))
@@ -171,7 +171,7 @@ mod tests {
         assert_eq!(figures.cut_short_share, 1.0);
         let jump_mm = 1e3 * (scene.point_m(60) - scene.point_m(0)).norm();
         assert!((figures.max_error_mm - jump_mm).abs() < 1e-9, "{figures:?}");
-        // The plan is judged even if the solver did not come to it.
+        // The plan is evaluated even if the solver did not come to it.
         assert!(figures.mean_cost.is_finite() && figures.mean_cost > 0.0);
     }
 

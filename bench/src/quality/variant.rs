@@ -140,7 +140,7 @@ impl Variant {
 
     /// What a solve takes, about, for the progress \[µs\].
     pub(super) fn solve_us(&self) -> f64 {
-        // What surrounds a solve: its judge, the guard.
+        // What surrounds a solve: the evaluation of its plan, the guard.
         const AROUND_US: f64 = 15.0;
         let own = self.course.settings();
         let longer = f64::from(self.horizon) / f64::from(own.horizon_steps);

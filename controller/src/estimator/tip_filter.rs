@@ -65,14 +65,14 @@ impl TipFilter {
         let root = self.root();
         let mut jacobian = Jacobian::default();
         let mut damping = 0.0;
-        let mut now = Fit::at([0.0; COORDINATES_MAX], robot, before, &root, position_m);
+        let mut now = Fit::new([0.0; COORDINATES_MAX], robot, before, &root, position_m);
         for _ in 0..STEPS {
             robot.tip_jacobian(&now.bends, &mut jacobian);
             let by_unit = by_unit(&jacobian, &root);
             let Some(units) = now.improved(&by_unit, damping) else {
                 break;
             };
-            let next = Fit::at(units, robot, before, &root, position_m);
+            let next = Fit::new(units, robot, before, &root, position_m);
             let is_converged = next.farthest_rad(&now) < STEP_MIN_RAD;
             if next.cost < now.cost {
                 damping *= 0.1;
@@ -146,7 +146,7 @@ struct Fit {
 }
 
 impl Fit {
-    fn at(
+    fn new(
         units: [f64; COORDINATES_MAX],
         robot: &Robot,
         before: &Configuration,

@@ -18,11 +18,11 @@ impl Horizon {
     /// The horizon of validated settings; M = 0 stands for M = N, up to [`CONTROL_BLOCKS_MAX`].
     pub fn new(settings: &NmpcSettings) -> Self {
         let steps = (settings.horizon_steps as usize).clamp(1, HORIZON_STEPS_MAX);
-        let wished = match settings.control_blocks as usize {
+        let desired = match settings.control_blocks as usize {
             0 => steps,
             blocks => blocks,
         };
-        let blocks = wished.clamp(1, steps.min(CONTROL_BLOCKS_MAX));
+        let blocks = desired.clamp(1, steps.min(CONTROL_BLOCKS_MAX));
         let mut horizon = Self {
             steps,
             blocks,

@@ -5,7 +5,7 @@ use super::problem::TrackingProblem;
 use crate::optimizer::{Bounds, Budget, Candidate, GaussNewton, Incumbent, Problem};
 use crate::robot::COORDINATES_MAX;
 
-/// Candidates. The warm start is the first and the incumbent already; the swarm judges the others side by
+/// Candidates. The warm start is the first and the incumbent already; the swarm evaluates the others side by
 /// side with its own particles.
 #[derive(Debug, Clone)]
 pub(super) struct Knowledge {
@@ -56,44 +56,44 @@ impl Knowledge {
         self.origins.push(origin);
     }
 
-    /// Judges what was gathered, but for the warm start: for solvers without a swarm.
-    pub(super) fn judge<F: FnMut() -> bool>(
+    /// Evaluates what was gathered, but for the warm start: for solvers without a swarm.
+    pub(super) fn evaluate(
         &self,
         problem: &TrackingProblem,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
         let candidates = self.candidates.chunks_exact(problem.dimension());
         for (z, origin) in candidates.zip(&self.origins).skip(1) {
-            if let Some(judged) = problem.judge_at(z, budget) {
-                incumbent.offer(|i| z[i], &judged, 0, *origin);
+            if let Some(evaluation) = problem.evaluate_at(z, budget) {
+                incumbent.offer(|i| z[i], &evaluation, 0, *origin);
             }
         }
     }
 
     /// One damped least-squares step from the best so far.
-    pub(super) fn add_least_squares<F: FnMut() -> bool>(
+    pub(super) fn add_least_squares(
         &mut self,
         problem: &TrackingProblem,
         bounds: &Bounds,
         damping: f64,
         gauss_newton: &mut GaussNewton,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
         let (z, into) = (incumbent.z(), &mut self.scratch);
         if gauss_newton.propose(problem, bounds, damping, budget, z, into) {
-            self.judge_and_add(problem, Candidate::LeastSquares, budget, incumbent);
+            self.evaluate_and_add(problem, Candidate::LeastSquares, budget, incumbent);
         }
     }
 
     /// Steps along the Hessian's falling eigenvectors, held over the horizon, at several lengths. For a
     /// place where the gradient has vanished.
-    pub(super) fn add_ways_out<F: FnMut() -> bool>(
+    pub(super) fn add_ways_out(
         &mut self,
         problem: &TrackingProblem,
         bounds: &Bounds,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
         base: &mut [f64],
     ) {
@@ -110,7 +110,7 @@ impl Knowledge {
                     *control = base[i] + share * longest * controls[i % width];
                 }
                 bounds.project(&mut self.scratch);
-                self.judge_and_add(problem, Candidate::Eigenvector, budget, incumbent);
+                self.evaluate_and_add(problem, Candidate::Eigenvector, budget, incumbent);
             }
         }
     }
@@ -125,16 +125,16 @@ impl Knowledge {
         &self.origins
     }
 
-    fn judge_and_add<F: FnMut() -> bool>(
+    fn evaluate_and_add(
         &mut self,
         problem: &TrackingProblem,
         origin: Candidate,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) {
-        if let Some(judged) = problem.judge_at(&self.scratch, budget) {
+        if let Some(evaluation) = problem.evaluate_at(&self.scratch, budget) {
             let scratch = &self.scratch;
-            incumbent.offer(|i| scratch[i], &judged, 0, origin);
+            incumbent.offer(|i| scratch[i], &evaluation, 0, origin);
             if self.origins.len() < CANDIDATES_MAX {
                 self.add(origin);
             }

@@ -4,7 +4,7 @@
 //! the box can reach within the horizon costs nothing.
 
 use super::motion::Motion;
-use crate::optimizer::Judged;
+use crate::optimizer::Evaluation;
 use crate::robot::{CABLES_MAX, COORDINATES_MAX, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
@@ -85,24 +85,24 @@ impl<'a> Limits<'a> {
 
     /// Penalties after a step from `before` to `after`.
     #[inline(always)]
-    pub(super) fn judge<const W: usize>(
+    pub(super) fn add_penalties<const W: usize>(
         &self,
         before: &[Wide<W>; COORDINATES_MAX],
         after: &[Wide<W>; COORDINATES_MAX],
-        judged: &mut Judged<W>,
+        evaluation: &mut Evaluation<W>,
     ) {
         if self.bend {
             for (j, section) in self.robot.sections().iter().enumerate() {
                 let (u, v) = (after[2 * j], after[2 * j + 1]);
                 let bend = (u * u + v * v).sqrt();
-                self.punish(bend, section.bend_max_rad, BEND_WEIGHT, judged);
+                self.add_penalty(bend, section.bend_max_rad, BEND_WEIGHT, evaluation);
             }
         }
         if self.stroke {
             let strokes = self.robot.cable_shortening_wide(|i| after[i]);
             let most = self.robot.cable_stroke_max_m();
             for stroke in &strokes[..self.robot.cable_count()] {
-                self.punish(stroke.abs(), most, STROKE_WEIGHT, judged);
+                self.add_penalty(stroke.abs(), most, STROKE_WEIGHT, evaluation);
             }
         }
         if self.speed {
@@ -110,27 +110,27 @@ impl<'a> Limits<'a> {
             let speeds = self.robot.cable_shortening_wide(rate);
             let most = self.robot.cable_speed_max_m_s();
             for speed in &speeds[..self.robot.cable_count()] {
-                self.punish(speed.abs(), most, SPEED_WEIGHT, judged);
+                self.add_penalty(speed.abs(), most, SPEED_WEIGHT, evaluation);
             }
         }
     }
 
     #[inline(always)]
-    fn punish<const W: usize>(
+    fn add_penalty<const W: usize>(
         &self,
         value: Wide<W>,
         most: f64,
         weight: f64,
-        judged: &mut Judged<W>,
+        evaluation: &mut Evaluation<W>,
     ) {
         let zero = Wide::splat(0.0);
         let beyond = value + -most;
         // A NaN is not "less": it stays, and spoils the cost as it should.
         let beyond = zero.select(beyond, beyond.less(zero));
-        judged.cost = judged.cost + beyond * beyond * (weight * self.weight);
+        evaluation.cost = evaluation.cost + beyond * beyond * (weight * self.weight);
         let share = beyond * (1.0 / most);
-        let worst = judged.violations[LIMITS];
-        judged.violations[LIMITS] = share.select(worst, worst.less(share));
+        let worst = evaluation.violations[LIMITS];
+        evaluation.violations[LIMITS] = share.select(worst, worst.less(share));
     }
 
     /// The same limits for a Gauss-Newton step.

@@ -38,7 +38,7 @@ pub use horizon::Horizon;
 pub use report::{Constraint, SolveReport, SolveStatus};
 pub use settings::{Coordinates, NmpcSettings, SettingsError, SolverKind, ranges};
 
-use crate::optimizer::{Bounds, Budget, ErasedBudget, Path};
+use crate::optimizer::{Bounds, Budget, Simd};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Obstacle, Robot};
 use limits::Limits;
@@ -99,16 +99,16 @@ impl Nmpc {
     /// # Errors
     /// [`SettingsError`] when a setting is out of its range, or the period is outside [`ranges::PERIOD_S`].
     pub fn new(robot: Robot, period_s: f64, settings: NmpcSettings) -> Result<Self, SettingsError> {
-        Self::on_path(Path::best(), robot, period_s, settings)
+        Self::with_simd(Simd::best(), robot, period_s, settings)
     }
 
-    /// A controller whose swarm is computed on `path`. All paths give the same bits; this is for
+    /// A controller whose swarm is computed with `simd`. All of them give the same bits; this is for
     /// comparing their speed.
     ///
     /// # Errors
     /// As [`Nmpc::new`].
-    pub fn on_path(
-        path: Path,
+    pub fn with_simd(
+        simd: Simd,
         robot: Robot,
         period_s: f64,
         settings: NmpcSettings,
@@ -125,7 +125,7 @@ impl Nmpc {
             obstacles: Obstacles::with_capacity(),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
-            solver: Solver::with_capacity(path, unknowns),
+            solver: Solver::with_capacity(simd, unknowns),
         };
         nmpc.apply(settings);
         Ok(nmpc)
@@ -194,10 +194,10 @@ impl Nmpc {
     ///
     /// Bounded work, no allocation, never worse than the warm start, the best solution so far when
     /// the budget ends it, and the same bits for the same input, settings, plan and work done.
-    pub fn solve<F: FnMut() -> bool>(
+    pub fn solve(
         &mut self,
         input: &SolveInput,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> (BendRates, SolveReport) {
         let n = self.robot.section_count();
         let counts = [
@@ -208,13 +208,13 @@ impl Nmpc {
             self.forget_plan();
             return (BendRates::zero(n), SolveReport::default());
         }
-        budget.erased(|budget| self.solve_within(input, budget))
+        self.solve_within(input, budget)
     }
 
     fn solve_within(
         &mut self,
         input: &SolveInput,
-        budget: &mut ErasedBudget,
+        budget: &mut Budget<'_>,
     ) -> (BendRates, SolveReport) {
         let motion = Motion::new(
             &self.robot,

@@ -2,7 +2,7 @@
 
 use super::motion::Motion;
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
-use crate::optimizer::{Budget, Judged};
+use crate::optimizer::{Budget, Evaluation};
 use crate::robot::{COORDINATES_MAX, Configuration, Obstacle, Robot, SECTIONS_MAX, Shape};
 use crate::wide::Wide;
 
@@ -35,7 +35,7 @@ struct Near {
 
 /// The end of a step.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Instant {
+pub(super) struct StepTime {
     /// Step, 0-based.
     pub step: usize,
     /// Time since the release \[s\].
@@ -73,15 +73,15 @@ impl Obstacles {
     }
 
     /// Keeps what any plan in the box can bring within the safe distance. `fastest_rad_s` bounds the norm of
-    /// each section's bend rate. When the budget ends it, nothing will be judged either.
-    pub(super) fn gather<F: FnMut() -> bool>(
+    /// each section's bend rate. When the budget ends it, nothing will be evaluated either.
+    pub(super) fn gather(
         &mut self,
         robot: &Robot,
         motion: &Motion,
         obstacles: &[Obstacle],
         safe_distance_m: f64,
         fastest_rad_s: &[f64; SECTIONS_MAX],
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) {
         self.near.clear();
         if obstacles.is_empty() {
@@ -127,14 +127,14 @@ impl Obstacles {
 
     /// Penalties at the end of a step. None: the budget was spent.
     #[inline(always)]
-    pub(super) fn judge<const W: usize, F: FnMut() -> bool>(
+    pub(super) fn add_penalties<const W: usize>(
         &self,
         robot: &Robot,
         settings: &NmpcSettings,
-        at: Instant,
+        at: StepTime,
         bend_rad: &[Wide<W>; COORDINATES_MAX],
-        judged: &mut Judged<W>,
-        budget: &mut Budget<F>,
+        evaluation: &mut Evaluation<W>,
+        budget: &mut Budget<'_>,
     ) -> Option<()> {
         if !self.matter_at(at.step) {
             return Some(());
@@ -156,22 +156,22 @@ impl Obstacles {
             let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
             let beyond = depth_m * settings.obstacle_slope_penalty
                 + depth_m * depth_m * settings.obstacle_square_penalty;
-            judged.cost = judged.cost + (step + beyond);
-            let worst = judged.violations[CLEARANCE];
-            judged.violations[CLEARANCE] = depth_m.select(worst, worst.less(depth_m));
+            evaluation.cost = evaluation.cost + (step + beyond);
+            let worst = evaluation.violations[CLEARANCE];
+            evaluation.violations[CLEARANCE] = depth_m.select(worst, worst.less(depth_m));
         }
         Some(())
     }
 
     /// The nearest place of the body to each obstacle that a step could bring too near, for a
     /// Gauss-Newton step. False: the budget was spent.
-    pub(super) fn rows<F: FnMut() -> bool>(
+    pub(super) fn rows(
         &self,
         robot: &Robot,
         settings: &NmpcSettings,
-        at: Instant,
+        at: StepTime,
         shape: &Configuration,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         mut push: impl FnMut(ClearanceRow),
     ) -> bool {
         if !self.matter_at(at.step) {

@@ -1,9 +1,9 @@
 use super::limits::{LimitRow, Limits};
 use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
-use super::obstacles::{ClearanceRow, Instant, Obstacles};
+use super::obstacles::{ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
-use crate::optimizer::{Bounds, Budget, Judged, LinearModel, Problem};
+use crate::optimizer::{Bounds, Budget, Evaluation, LinearModel, Problem};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 use crate::wide::Wide;
@@ -93,8 +93,8 @@ impl<'a> TrackingProblem<'a> {
 
     /// The end of `step`.
     #[inline(always)]
-    fn instant(&self, step: usize) -> Instant {
-        Instant {
+    fn step_time(&self, step: usize) -> StepTime {
+        StepTime {
             step,
             time_s: self.motion.period_s() * (step + 1) as f64,
         }
@@ -103,15 +103,15 @@ impl<'a> TrackingProblem<'a> {
     /// Eq. 5 for W plans side by side, in the coordinates that P stands for. `FREE` is whether neither
     /// obstacle nor limit is in reach: code of its own, which is why a free scene is fast.
     #[inline(always)]
-    fn judge_in<const W: usize, const P: usize, const FREE: bool, F: FnMut() -> bool>(
+    fn evaluate_in<const W: usize, const P: usize, const FREE: bool>(
         &self,
         z: &impl Fn(usize) -> Wide<W>,
-        budget: &mut Budget<F>,
-    ) -> Option<Judged<W>> {
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<W>> {
         let step_ns = self.step_ns();
         let mut bends: Bends<W, P> = self.motion.start();
         let mut before = bends.bend_rad;
-        let mut judged = Judged::of(self.regularisation(z));
+        let mut evaluation = Evaluation::from_cost(self.regularisation(z));
         for step in 0..self.steps() {
             if !budget.spend(step_ns) {
                 return None;
@@ -121,27 +121,28 @@ impl<'a> TrackingProblem<'a> {
                 let bend_rad = |i: usize| bends.bend_rad[i];
                 let weights = self.weights(step);
                 let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
-                judged.cost = judged.cost + error;
+                evaluation.cost = evaluation.cost + error;
             }
             if FREE {
                 continue;
             }
             if self.limits.matter() {
-                self.limits.judge(&before, &bends.bend_rad, &mut judged);
+                self.limits
+                    .add_penalties(&before, &bends.bend_rad, &mut evaluation);
                 before = bends.bend_rad;
             }
             if self.obstacles.matter() {
-                self.obstacles.judge(
+                self.obstacles.add_penalties(
                     self.robot,
                     self.settings,
-                    self.instant(step),
+                    self.step_time(step),
                     &bends.bend_rad,
-                    &mut judged,
+                    &mut evaluation,
                     budget,
                 )?;
             }
         }
-        Some(judged)
+        Some(evaluation)
     }
 
     /// Weights on the rates and on their change from block to block.
@@ -246,12 +247,12 @@ impl<'a> TrackingProblem<'a> {
     }
 
     /// False: the budget was spent.
-    fn push_limit_rows<F: FnMut() -> bool>(
+    fn push_limit_rows(
         &self,
         before: &Bent,
         at: &Step,
         model: &mut LinearModel,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         if !self.limits.matter() {
             return true;
@@ -276,14 +277,14 @@ impl<'a> TrackingProblem<'a> {
     }
 
     /// False: the budget was spent.
-    fn push_clearance_rows<F: FnMut() -> bool>(
+    fn push_clearance_rows(
         &self,
         at: &Step,
         shape: &Configuration,
         model: &mut LinearModel,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
-        let instant = self.instant(at.index);
+        let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
             let periods = at.block_periods;
             self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
@@ -292,7 +293,7 @@ impl<'a> TrackingProblem<'a> {
             .rows(self.robot, self.settings, instant, shape, budget, push)
     }
 
-    /// Nominal time of one step of [`Problem::judge`] without obstacles.
+    /// Nominal time of one step of [`Problem::evaluate`] without obstacles.
     #[inline(always)]
     fn step_ns(&self) -> u32 {
         let limits_ns = if self.limits.matter() { LIMITS_NS } else { 0 };
@@ -323,25 +324,20 @@ impl Problem for TrackingProblem<'_> {
     }
 
     #[inline(always)]
-    fn judge<const W: usize, F: FnMut() -> bool>(
+    fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
-        budget: &mut Budget<F>,
-    ) -> Option<Judged<W>> {
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<W>> {
         let free = !self.limits.matter() && !self.obstacles.matter();
         match self.motion.coordinates() {
-            Coordinates::BendVector if free => self.judge_in::<W, VECTORS, true, F>(&z, budget),
-            Coordinates::BendVector => self.judge_in::<W, VECTORS, false, F>(&z, budget),
-            Coordinates::BendAngles => self.judge_in::<W, ANGLES, false, F>(&z, budget),
+            Coordinates::BendVector if free => self.evaluate_in::<W, VECTORS, true>(&z, budget),
+            Coordinates::BendVector => self.evaluate_in::<W, VECTORS, false>(&z, budget),
+            Coordinates::BendAngles => self.evaluate_in::<W, ANGLES, false>(&z, budget),
         }
     }
 
-    fn linearise<F: FnMut() -> bool>(
-        &self,
-        z: &[f64],
-        model: &mut LinearModel,
-        budget: &mut Budget<F>,
-    ) -> bool {
+    fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         let mut bends: Bent = self.motion.start();
         let mut block_periods = [0.0; CONTROL_BLOCKS_MAX];
         for step in 0..self.steps() {

@@ -40,13 +40,13 @@ pub enum SolveStatus {
 }
 
 impl SolveStatus {
-    pub(super) fn of(
+    pub(super) fn from_incumbent(
         incumbent: &Incumbent,
         settings: &NmpcSettings,
         refinement: &GaussNewtonOutcome,
         budget_is_over: bool,
     ) -> Self {
-        if !incumbent.is_judged() {
+        if !incumbent.is_evaluated() {
             return Self::BudgetSpent;
         }
         if !incumbent.cost().is_finite() {
@@ -87,7 +87,7 @@ pub struct SolveReport {
     /// Whether the budget ended it, whatever the status.
     pub budget_spent: bool,
     /// Cost of the solution, in the scale of the weights; infinite when the budget was spent before even
-    /// the warm start was judged.
+    /// the warm start was evaluated.
     pub cost: f64,
     /// Cost of the warm start; never below `cost`.
     pub warm_cost: f64,
@@ -109,14 +109,14 @@ pub struct SolveReport {
 
 impl SolveReport {
     /// What the incumbent says.
-    pub(super) fn of(
+    pub(super) fn from_incumbent(
         incumbent: &Incumbent,
         settings: &NmpcSettings,
         refinement: &GaussNewtonOutcome,
         budget_is_over: bool,
     ) -> Self {
         Self {
-            status: SolveStatus::of(incumbent, settings, refinement, budget_is_over),
+            status: SolveStatus::from_incumbent(incumbent, settings, refinement, budget_is_over),
             budget_spent: budget_is_over,
             cost: incumbent.cost(),
             evaluations: incumbent.evaluations(),

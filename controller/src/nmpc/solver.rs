@@ -6,7 +6,7 @@ use super::settings::STEP_TOLERANCE_RAD_S;
 use super::{HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
     self, Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso,
-    Path, Problem,
+    Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -35,11 +35,11 @@ pub(super) struct Solver {
 }
 
 impl Solver {
-    pub(super) fn with_capacity(path: Path, unknowns: usize) -> Self {
+    pub(super) fn with_capacity(simd: Simd, unknowns: usize) -> Self {
         let rows = POSE_ROWS * HORIZON_STEPS_MAX + 2 * unknowns;
         Self {
             knowledge: Knowledge::with_capacity(unknowns),
-            swarm: Kpso::with_capacity(path, SWARM_MAX, unknowns),
+            swarm: Kpso::with_capacity(simd, SWARM_MAX, unknowns),
             gauss_newton: GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX),
             incumbent: Incumbent::with_capacity(unknowns),
             scratch: Vec::with_capacity(unknowns),
@@ -52,14 +52,14 @@ impl Solver {
     }
 
     /// Starts from `warm_plan` and improves it while the budget lasts.
-    pub(super) fn solve<F: FnMut() -> bool>(
+    pub(super) fn solve(
         &mut self,
         task: &Task,
         warm_plan: &[f64],
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> SolveReport {
-        let judged = task.problem.judge_at(warm_plan, budget);
-        self.incumbent.restart(warm_plan, judged.as_ref());
+        let evaluation = task.problem.evaluate_at(warm_plan, budget);
+        self.incumbent.restart(warm_plan, evaluation.as_ref());
         let warm_cost = self.incumbent.cost();
 
         let mut refinement = GaussNewtonOutcome::default();
@@ -70,7 +70,7 @@ impl Solver {
                 iterations = self.search(task, budget);
             } else {
                 self.knowledge
-                    .judge(task.problem, budget, &mut self.incumbent);
+                    .evaluate(task.problem, budget, &mut self.incumbent);
             }
             if task.settings.solver.refines() {
                 refinement = self.refine(task, budget);
@@ -86,7 +86,7 @@ impl Solver {
             iterations,
             refinements: refinement.accepted,
             seed: task.seed,
-            ..SolveReport::of(
+            ..SolveReport::from_incumbent(
                 &self.incumbent,
                 task.settings,
                 &refinement,
@@ -96,7 +96,7 @@ impl Solver {
     }
 
     /// Knowledge, then the swarm around it. Returns the iterations begun.
-    fn search<F: FnMut() -> bool>(&mut self, task: &Task, budget: &mut Budget<F>) -> u32 {
+    fn search(&mut self, task: &Task, budget: &mut Budget<'_>) -> u32 {
         self.knowledge.add_least_squares(
             task.problem,
             task.bounds,
@@ -125,11 +125,7 @@ impl Solver {
         self.swarm.search(&swarm_task, budget, &mut self.incumbent)
     }
 
-    fn refine<F: FnMut() -> bool>(
-        &mut self,
-        task: &Task,
-        budget: &mut Budget<F>,
-    ) -> GaussNewtonOutcome {
+    fn refine(&mut self, task: &Task, budget: &mut Budget<'_>) -> GaussNewtonOutcome {
         let settings = GaussNewtonSettings {
             steps: task.settings.refinement_steps,
             damping: task.settings.damping,
@@ -150,11 +146,7 @@ impl Solver {
     }
 
     /// Tries the ways out of a place where the gradient vanishes. Whether that helped.
-    fn leave_singular_shape<F: FnMut() -> bool>(
-        &mut self,
-        task: &Task,
-        budget: &mut Budget<F>,
-    ) -> bool {
+    fn leave_singular_shape(&mut self, task: &Task, budget: &mut Budget<'_>) -> bool {
         let before = self.incumbent.cost();
         if self.error_is_left(task) {
             self.scratch.resize(task.problem.dimension(), 0.0);

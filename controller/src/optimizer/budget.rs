@@ -1,55 +1,64 @@
-/// How much a solve may still do: a closure that says whether it is spent.
+use core::fmt;
+
+/// How much a solve may still do.
 ///
-/// The solvers announce their work piece by piece ([`Budget::spend`]), and the closure is asked once in
-/// each *quantum* of about [`QUANTUM_NS`]. It may read a clock (the daemon), count (a replay:
-/// [`Budget::of_quanta`]) or never end ([`Budget::unlimited`]). Once it answered "spent" it is not asked
+/// The solvers announce their work piece by piece ([`Budget::spend`]), and what ends it is asked once in
+/// each *quantum* of about [`QUANTUM_NS`]: a closure that may read a clock ([`Budget::new`], the daemon), a count (a
+/// replay: [`Budget::of_quanta`]) or nothing ([`Budget::unlimited`]). Once the answer was "spent" it is not asked
 /// again.
 #[derive(Debug)]
-pub struct Budget<F> {
-    is_spent: F,
+pub struct Budget<'a> {
+    end: End<'a>,
     passed: u32,
     over: bool,
-    /// Work since the closure was asked \[ns\].
+    /// Work since the end was asked for \[ns\].
     meter_ns: u32,
+}
+
+/// What ends a budget.
+enum End<'a> {
+    Never,
+    AfterQuanta(u32),
+    When(&'a mut dyn FnMut() -> bool),
+}
+
+impl fmt::Debug for End<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Never => write!(f, "Never"),
+            Self::AfterQuanta(quanta) => write!(f, "AfterQuanta({quanta})"),
+            Self::When(_) => write!(f, "When(..)"),
+        }
+    }
 }
 
 /// Work between two looks at the budget, in nominal nanoseconds of a processor with vector registers.
 /// Others take some times longer, and stay below 5 µs.
 pub const QUANTUM_NS: u32 = 1500;
 
-/// A budget whose closure is behind a pointer.
-pub type ErasedBudget<'a> = Budget<&'a mut dyn FnMut() -> bool>;
+impl<'a> Budget<'a> {
+    /// A budget that is spent when `is_spent` answers true.
+    pub fn new(is_spent: &'a mut dyn FnMut() -> bool) -> Self {
+        Self::from_end(End::When(is_spent))
+    }
 
-impl Budget<fn() -> bool> {
     /// A budget that never ends; the iteration limits bound the work.
     pub fn unlimited() -> Self {
-        Self::new(|| false)
+        Self::from_end(End::Never)
     }
-}
 
-impl<F: FnMut() -> bool> Budget<F> {
-    /// A budget that is spent when `is_spent` answers true.
-    pub fn new(is_spent: F) -> Self {
+    /// A budget of exactly `quanta` pieces of work: what a replay uses to repeat a recorded solve.
+    pub fn of_quanta(quanta: u32) -> Self {
+        Self::from_end(End::AfterQuanta(quanta))
+    }
+
+    fn from_end(end: End<'a>) -> Self {
         Self {
-            is_spent,
+            end,
             passed: 0,
             over: false,
             meter_ns: 0,
         }
-    }
-
-    /// The same budget with its closure behind a pointer, for `work`: code that takes it is compiled once,
-    /// not once for each closure.
-    pub fn erased<R>(&mut self, work: impl FnOnce(&mut ErasedBudget) -> R) -> R {
-        let mut erased = Budget {
-            is_spent: &mut self.is_spent as &mut dyn FnMut() -> bool,
-            passed: self.passed,
-            over: self.over,
-            meter_ns: self.meter_ns,
-        };
-        let result = work(&mut erased);
-        (self.passed, self.over, self.meter_ns) = (erased.passed, erased.over, erased.meter_ns);
-        result
     }
 
     /// Announces a piece of work of about `work_ns`, at most a quantum, and says whether it may be done.
@@ -66,7 +75,11 @@ impl<F: FnMut() -> bool> Budget<F> {
     pub fn left(&mut self) -> bool {
         self.meter_ns = 0;
         if !self.over {
-            self.over = (self.is_spent)();
+            self.over = match &mut self.end {
+                End::Never => false,
+                End::AfterQuanta(quanta) => self.passed == *quanta,
+                End::When(is_spent) => is_spent(),
+            };
             self.passed += u32::from(!self.over);
         }
         !self.over
@@ -80,19 +93,6 @@ impl<F: FnMut() -> bool> Budget<F> {
     /// Whether the budget ended the work.
     pub fn is_over(&self) -> bool {
         self.over
-    }
-}
-
-/// A budget of exactly `quanta` pieces of work: what a replay uses to repeat a recorded solve.
-impl Budget<()> {
-    /// See the type.
-    pub fn of_quanta(quanta: u32) -> Budget<impl FnMut() -> bool> {
-        let mut left = quanta;
-        Budget::new(move || {
-            let spent = left == 0;
-            left = left.saturating_sub(1);
-            spent
-        })
     }
 }
 

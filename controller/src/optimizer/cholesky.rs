@@ -6,16 +6,16 @@ use super::linear_model::dot;
 /// Solves A x = b for symmetric positive definite A (`order`², row-major, only the lower triangle is
 /// read and it is overwritten by the factor); `b` becomes x. Answers false, leaving `b` undefined,
 /// when A is not positive definite to working precision, or the budget was spent on the way.
-pub(super) fn solve_in_place<F: FnMut() -> bool>(
+pub(super) fn solve_in_place(
     a: &mut [f64],
     order: usize,
     b: &mut [f64],
-    budget: &mut Budget<F>,
+    budget: &mut Budget<'_>,
 ) -> bool {
     factorise(a, order, budget) && substitute(a, order, b, budget)
 }
 
-fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budget<F>) -> bool {
+fn factorise(a: &mut [f64], order: usize, budget: &mut Budget<'_>) -> bool {
     for column in 0..order {
         for row in column..order {
             // A product and a sum in half a nanosecond.
@@ -37,12 +37,7 @@ fn factorise<F: FnMut() -> bool>(a: &mut [f64], order: usize, budget: &mut Budge
     true
 }
 
-fn substitute<F: FnMut() -> bool>(
-    factor: &[f64],
-    order: usize,
-    b: &mut [f64],
-    budget: &mut Budget<F>,
-) -> bool {
+fn substitute(factor: &[f64], order: usize, b: &mut [f64], budget: &mut Budget<'_>) -> bool {
     for row in 0..order {
         if !budget.spend(row as u32) {
             return false;

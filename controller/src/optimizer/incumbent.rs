@@ -1,4 +1,4 @@
-use super::{Judged, VIOLATIONS};
+use super::{Evaluation, VIOLATIONS};
 
 /// Where a solution comes from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -25,7 +25,7 @@ pub struct Incumbent {
     z: Vec<f64>,
     cost: f64,
     violations: [f64; VIOLATIONS],
-    judged: bool,
+    evaluated: bool,
     origin: Candidate,
     evaluations: u32,
 }
@@ -37,7 +37,7 @@ impl Incumbent {
             z: Vec::with_capacity(capacity),
             cost: f64::INFINITY,
             violations: [0.0; VIOLATIONS],
-            judged: false,
+            evaluated: false,
             origin: Candidate::WarmStart,
             evaluations: 0,
         }
@@ -45,42 +45,42 @@ impl Incumbent {
 
     /// Starts anew from the warm start `z`, and what is said of it; None when nothing is, because the
     /// budget was spent before.
-    pub fn restart(&mut self, z: &[f64], judged: Option<&Judged<1>>) {
+    pub fn restart(&mut self, z: &[f64], evaluation: Option<&Evaluation<1>>) {
         self.z.clear();
         self.z.extend_from_slice(z);
         self.cost = f64::INFINITY;
         self.violations = [0.0; VIOLATIONS];
-        self.judged = judged.is_some();
+        self.evaluated = evaluation.is_some();
         self.origin = Candidate::WarmStart;
-        self.evaluations = u32::from(self.judged);
-        if let Some(judged) = judged
-            && !judged.cost.0[0].is_nan()
+        self.evaluations = u32::from(self.evaluated);
+        if let Some(evaluation) = evaluation
+            && !evaluation.cost.0[0].is_nan()
         {
-            self.cost = judged.cost.0[0];
-            self.violations = judged.violations.map(|kind| kind.0[0]);
+            self.cost = evaluation.cost.0[0];
+            self.violations = evaluation.violations.map(|kind| kind.0[0]);
         }
     }
 
-    /// Counts one evaluation, and takes `z` (by its components) if lane `lane` of what was `judged` is
+    /// Counts one evaluation, and takes `z` (by its components) if lane `lane` of the `evaluation` is
     /// better. Says whether it was.
     #[inline(always)]
     pub fn offer<const W: usize>(
         &mut self,
         z: impl Fn(usize) -> f64,
-        judged: &Judged<W>,
+        evaluation: &Evaluation<W>,
         lane: usize,
         origin: Candidate,
     ) -> bool {
         self.evaluations += 1;
-        let cost = judged.cost.0[lane];
+        let cost = evaluation.cost.0[lane];
         let better = cost < self.cost;
         if better {
             for (i, target) in self.z.iter_mut().enumerate() {
                 *target = z(i);
             }
             self.cost = cost;
-            self.violations = judged.violations.map(|kind| kind.0[lane]);
-            self.judged = true;
+            self.violations = evaluation.violations.map(|kind| kind.0[lane]);
+            self.evaluated = true;
             self.origin = origin;
         }
         better
@@ -107,9 +107,9 @@ impl Incumbent {
         self.violations
     }
 
-    /// Whether anything was judged at all before the budget was spent.
-    pub fn is_judged(&self) -> bool {
-        self.judged
+    /// Whether anything was evaluated at all before the budget was spent.
+    pub fn is_evaluated(&self) -> bool {
+        self.evaluated
     }
 
     /// The candidate that it descends from. A refinement keeps the origin of what it refined.

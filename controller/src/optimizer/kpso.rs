@@ -3,7 +3,7 @@
 use pulp::NullaryFnOnce;
 
 use super::random::RandomLanes;
-use super::{Bounds, Budget, Candidate, Incumbent, Path, Problem};
+use super::{Bounds, Budget, Candidate, Incumbent, Problem, Simd};
 use crate::wide::{LANES, Wide};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
@@ -45,51 +45,51 @@ pub struct KpsoSettings {
 /// A swarm. Memory for the largest one is taken at construction.
 #[derive(Debug, Clone)]
 pub struct Kpso {
-    path: Path,
-    flock: Flock,
+    simd: Simd,
+    layout: SwarmLayout,
 }
 
 /// The particles, by lanes.
 #[derive(Debug, Clone)]
-enum Flock {
+enum SwarmLayout {
     #[cfg(any(test, feature = "scalar"))]
     Scalar(Swarm<1>),
     Wide(Swarm<LANES>),
 }
 
 impl Kpso {
-    /// Room for `size` particles of `dimension` unknowns, computed on `path`.
-    pub fn with_capacity(path: Path, size: usize, dimension: usize) -> Self {
-        let flock = match path {
+    /// Room for `size` particles of `dimension` unknowns, computed with `simd`.
+    pub fn with_capacity(simd: Simd, size: usize, dimension: usize) -> Self {
+        let layout = match simd {
             #[cfg(any(test, feature = "scalar"))]
-            Path::Scalar => Flock::Scalar(Swarm::with_capacity(size, dimension)),
-            _ => Flock::Wide(Swarm::with_capacity(size, dimension)),
+            Simd::Scalar => SwarmLayout::Scalar(Swarm::with_capacity(size, dimension)),
+            _ => SwarmLayout::Wide(Swarm::with_capacity(size, dimension)),
         };
-        Self { path, flock }
+        Self { simd, layout }
     }
 
     /// How it is computed.
-    pub fn path(&self) -> Path {
-        self.path
+    pub fn simd(&self) -> Simd {
+        self.simd
     }
 
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
-    pub fn search<P: Problem, F: FnMut() -> bool>(
+    pub fn search<P: Problem>(
         &mut self,
         task: &Task<P>,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> u32 {
-        match &mut self.flock {
+        match &mut self.layout {
             #[cfg(any(test, feature = "scalar"))]
-            Flock::Scalar(swarm) => Search {
+            SwarmLayout::Scalar(swarm) => Search {
                 swarm,
                 task,
                 budget,
                 incumbent,
             }
             .call(),
-            Flock::Wide(swarm) => self.path.run(Search {
+            SwarmLayout::Wide(swarm) => self.simd.run(Search {
                 swarm,
                 task,
                 budget,
@@ -116,15 +116,15 @@ pub struct Task<'a, P> {
     pub seed: u64,
 }
 
-/// One search, as work that is compiled for a path: everything it calls is inlined into it.
-struct Search<'a, P, F, const W: usize> {
+/// One search, as work that is compiled for a set of instructions: everything it calls is inlined into it.
+struct Search<'a, 'b, P, const W: usize> {
     swarm: &'a mut Swarm<W>,
     task: &'a Task<'a, P>,
-    budget: &'a mut Budget<F>,
+    budget: &'a mut Budget<'b>,
     incumbent: &'a mut Incumbent,
 }
 
-impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_, P, F, W> {
+impl<P: Problem, const W: usize> NullaryFnOnce for Search<'_, '_, P, W> {
     type Output = u32;
 
     /// Fig. 1 of the paper.
@@ -145,7 +145,7 @@ impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_
         {
             let before = incumbent.cost();
             let origins = if iterations == 0 { task.origins } else { &[] };
-            left = swarm.judge(task.problem, origins, budget, incumbent);
+            left = swarm.evaluate(task.problem, origins, budget, incumbent);
             iterations += 1;
             stagnant = if incumbent.cost() < before {
                 0
@@ -156,7 +156,7 @@ impl<P: Problem, F: FnMut() -> bool, const W: usize> NullaryFnOnce for Search<'_
                 left = left && swarm.scatter(1, task.bounds, budget, incumbent);
                 stagnant = 0;
             } else {
-                left = left && swarm.fly(settings, task.bounds, budget, incumbent);
+                left = left && swarm.update_particles(settings, task.bounds, budget, incumbent);
             }
         }
         iterations
@@ -209,11 +209,7 @@ impl<const W: usize> Swarm<W> {
     /// Sizes the swarm for the task, and puts the candidates in the first places. False: the budget was
     /// spent.
     #[inline(always)]
-    fn gather<P: Problem, F: FnMut() -> bool>(
-        &mut self,
-        task: &Task<P>,
-        budget: &mut Budget<F>,
-    ) -> bool {
+    fn gather<P: Problem>(&mut self, task: &Task<P>, budget: &mut Budget<'_>) -> bool {
         let knowledge = task.knowledge;
         self.dimension = task.problem.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
@@ -242,11 +238,11 @@ impl<const W: usize> Swarm<W> {
     /// Draws the particles from `first` on around the incumbent, at log-spaced distances. False: the
     /// budget was spent.
     #[inline(always)]
-    fn scatter<F: FnMut() -> bool>(
+    fn scatter(
         &mut self,
         first: usize,
         bounds: &Bounds,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &Incumbent,
     ) -> bool {
         let drawn = self.count.saturating_sub(first).max(2);
@@ -284,23 +280,23 @@ impl<const W: usize> Swarm<W> {
         true
     }
 
-    /// Judges every particle; the first come from `origins`. False: the budget was spent.
+    /// Evaluates every particle; the first come from `origins`. False: the budget was spent.
     #[inline(always)]
-    fn judge<P: Problem, F: FnMut() -> bool>(
+    fn evaluate<P: Problem>(
         &mut self,
         problem: &P,
         origins: &[Candidate],
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> bool {
         for block in 0..self.blocks() {
             let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
-            let Some(judged) = problem.judge(|i| position[i], budget) else {
+            let Some(evaluation) = problem.evaluate(|i| position[i], budget) else {
                 return false;
             };
-            let better = judged.cost.less(self.best_costs[block]);
-            self.best_costs[block] = judged.cost.select(self.best_costs[block], better);
+            let better = evaluation.cost.less(self.best_costs[block]);
+            self.best_costs[block] = evaluation.cost.select(self.best_costs[block], better);
             if better.contains(&true) {
                 for (best, &now) in self.best_positions[range].iter_mut().zip(position) {
                     *best = now.select(*best, better);
@@ -309,7 +305,7 @@ impl<const W: usize> Swarm<W> {
             let first = block * W;
             let particles = W.min(self.count - first);
             let best = Wide::splat(incumbent.cost());
-            if !judged.cost.less(best).contains(&true) {
+            if !evaluation.cost.less(best).contains(&true) {
                 incumbent.pass_over(particles);
                 continue;
             }
@@ -317,7 +313,7 @@ impl<const W: usize> Swarm<W> {
                 let z = |i: usize| position[i].0[lane];
                 let origin = origins.get(first + lane).copied();
                 let origin = origin.unwrap_or(Candidate::Swarm);
-                incumbent.offer(z, &judged, lane, origin);
+                incumbent.offer(z, &evaluation, lane, origin);
             }
         }
         true
@@ -325,11 +321,11 @@ impl<const W: usize> Swarm<W> {
 
     /// Eq. 6 and 7 for every particle. False: the budget was spent.
     #[inline(always)]
-    fn fly<F: FnMut() -> bool>(
+    fn update_particles(
         &mut self,
         settings: &KpsoSettings,
         bounds: &Bounds,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &Incumbent,
     ) -> bool {
         let factors = settings.factors();
@@ -352,8 +348,8 @@ impl<const W: usize> Swarm<W> {
                 let x = *position;
                 let pull = random.unit() * settings.cognitive * (*own_best - x)
                     + random.unit() * settings.social * (Wide::splat(global_best) - x);
-                let wish = (*velocity * factors.inertia + pull) * factors.constriction;
-                let target = (x + wish.clamp(-limit, limit)).clamp(low, high);
+                let desired = (*velocity * factors.inertia + pull) * factors.constriction;
+                let target = (x + desired.clamp(-limit, limit)).clamp(low, high);
                 *position = target;
                 // A particle that meets the border loses what it would have gone beyond.
                 *velocity = target - x;

@@ -97,11 +97,7 @@ impl LinearModel {
 
     /// Makes residuals of the constraints that `step` breaks. None when it breaks none that were not met
     /// before, or the budget was spent.
-    pub(super) fn meet_constraints<F: FnMut() -> bool>(
-        &mut self,
-        step: &[f64],
-        budget: &mut Budget<F>,
-    ) -> Option<()> {
+    pub(super) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
         let before = self.rows();
         for (index, h) in self.constraints.iter().enumerate() {
             if !budget.spend(self.columns as u32) {
@@ -119,11 +115,7 @@ impl LinearModel {
 
     /// Half the gradient of the cost, Jᵀr, and what its norm would be if all rows pulled one way: the Frobenius
     /// norm of J times the norm of r. None: the budget was spent.
-    pub(super) fn gradient<F: FnMut() -> bool>(
-        &self,
-        into: &mut [f64],
-        budget: &mut Budget<F>,
-    ) -> Option<f64> {
+    pub(super) fn gradient(&self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         into.fill(0.0);
         let (mut jacobian, mut residuals) = (0.0, 0.0);
         for (index, residual) in self.residuals.iter().enumerate() {

@@ -14,25 +14,25 @@ mod gauss_newton;
 mod incumbent;
 mod kpso;
 mod linear_model;
-mod path;
 mod random;
+mod simd;
 
 pub use bounds::Bounds;
-pub use budget::{Budget, ErasedBudget, QUANTUM_NS};
+pub use budget::{Budget, QUANTUM_NS};
 pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
 pub use incumbent::{Candidate, Incumbent};
 pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
 pub use linear_model::LinearModel;
-pub use path::Path;
+pub use simd::Simd;
 
 use crate::wide::Wide;
 
 /// Kinds of constraints that a problem may tell apart.
 pub const VIOLATIONS: usize = 2;
 
-/// What a problem says of W points side by side.
+/// What the evaluation of a problem gives for W points side by side.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Judged<const W: usize> {
+pub struct Evaluation<const W: usize> {
     /// The cost, penalties included; ≥ 0. It may be infinite or NaN where a point makes no sense; such
     /// a point never becomes the incumbent.
     pub cost: Wide<W>,
@@ -40,10 +40,10 @@ pub struct Judged<const W: usize> {
     pub violations: [Wide<W>; VIOLATIONS],
 }
 
-impl<const W: usize> Judged<W> {
+impl<const W: usize> Evaluation<W> {
     /// A cost without constraints.
     #[inline(always)]
-    pub fn of(cost: Wide<W>) -> Self {
+    pub fn from_cost(cost: Wide<W>) -> Self {
         Self {
             cost,
             violations: [Wide::splat(0.0); VIOLATIONS],
@@ -56,28 +56,23 @@ pub trait Problem {
     /// Number of unknowns d.
     fn dimension(&self) -> usize;
 
-    /// Judges W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
+    /// Evaluates W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
     /// spent on the way.
     ///
     /// Implementations are `#[inline(always)]` down to the last operation, so that the swarm's path
     /// decides the instructions; each lane must give the bits of W = 1.
-    fn judge<const W: usize, F: FnMut() -> bool>(
+    fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
-        budget: &mut Budget<F>,
-    ) -> Option<Judged<W>>;
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<W>>;
 
-    /// Judges one point of length d.
-    fn judge_at<F: FnMut() -> bool>(&self, z: &[f64], budget: &mut Budget<F>) -> Option<Judged<1>> {
-        self.judge(|i| Wide([z[i]]), budget)
+    /// Evaluates one point of length d.
+    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        self.evaluate(|i| Wide([z[i]]), budget)
     }
 
     /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|², and the constraints that a step
     /// may meet, into `model`. False when `budget` was spent on the way; the model is then not complete.
-    fn linearise<F: FnMut() -> bool>(
-        &self,
-        z: &[f64],
-        model: &mut LinearModel,
-        budget: &mut Budget<F>,
-    ) -> bool;
+    fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool;
 }

@@ -99,7 +99,7 @@ impl ReferenceWindow {
 
     /// The sample at the release of `cycle`. Past the window its last one, as long as the patience lasts; then the
     /// reference counts as ended, because nobody has said for so long how it goes on.
-    pub fn at(&self, cycle: u64) -> ReferenceSample {
+    pub fn get(&self, cycle: u64) -> ReferenceSample {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;
         match self.samples[..self.count].get(offset) {
             Some(sample) => *sample,
@@ -165,17 +165,17 @@ mod tests {
     #[test]
     fn a_cycle_reads_the_samples_of_its_own_release() {
         let window = window(100, 0);
-        assert_eq!(window.at(100).position_m.x, 100.0);
+        assert_eq!(window.get(100).position_m.x, 100.0);
         assert_eq!(x(window.ahead(100, 2)), [101.0, 102.0]);
         // Five periods late, with the same window.
-        assert_eq!(window.at(105).position_m.x, 105.0);
+        assert_eq!(window.get(105).position_m.x, 105.0);
         assert_eq!(x(window.ahead(105, 2)), [106.0, 107.0]);
     }
 
     #[test]
     fn the_horizon_is_ahead_by_the_lead_and_the_release_is_not() {
         let window = window(100, 2 * PERIOD_NS + PERIOD_NS / 2);
-        assert_eq!(window.at(100).position_m.x, 100.0);
+        assert_eq!(window.get(100).position_m.x, 100.0);
         assert_eq!(x(window.ahead(100, 2)), [103.5, 104.5]);
         assert_eq!(x(window.ahead(500, 2)), [164.5]);
     }
@@ -183,15 +183,15 @@ mod tests {
     #[test]
     fn past_its_end_the_window_says_that_the_reference_ended() {
         let window = window(100, 0);
-        assert_eq!(window.at(500).state, ReferenceState::Ended);
+        assert_eq!(window.get(500).state, ReferenceState::Ended);
         assert_eq!(x(window.ahead(500, 2)), [162.0]);
         assert_eq!(x(window.ahead(161, 2)), [162.0]);
         // A second, and the horizon on top; the last sample stands from 0.3 s on.
-        assert_eq!(window.at(302).position_m.x, 162.0);
-        assert_eq!(window.at(302).state, ReferenceState::Inside);
-        assert_eq!(window.at(303).state, ReferenceState::Ended);
+        assert_eq!(window.get(302).position_m.x, 162.0);
+        assert_eq!(window.get(302).state, ReferenceState::Inside);
+        assert_eq!(window.get(303).state, ReferenceState::Ended);
         let empty = ReferenceWindow::default();
-        assert_eq!(empty.at(7).state, ReferenceState::None);
+        assert_eq!(empty.get(7).state, ReferenceState::None);
         assert!(empty.ahead(7, 3).is_empty());
     }
 
@@ -210,11 +210,11 @@ mod tests {
         let mut window = ReferenceWindow::default();
         window.fill(&trajectory, 0, 0, 100_000, 2, 0);
         // 10 000 periods are a second, and the horizon comes on top.
-        assert_eq!(window.at(10_002).state, ReferenceState::Inside);
-        assert_eq!(window.at(10_003).state, ReferenceState::Ended);
+        assert_eq!(window.get(10_002).state, ReferenceState::Inside);
+        assert_eq!(window.get(10_003).state, ReferenceState::Ended);
         // A reference that ends within the window ends there.
         window.fill(&trajectory, 0, 1_999_900_000, 100_000, 2, 0);
-        assert_eq!(window.at(30).state, ReferenceState::Ended);
+        assert_eq!(window.get(30).state, ReferenceState::Ended);
     }
 
     #[test]

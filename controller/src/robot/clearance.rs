@@ -180,7 +180,7 @@ impl Body {
         Closest {
             clearance_m: distance_m - tube.radius_m - obstacle.radius_m(),
             section,
-            axis_m: axis.at(t).narrow(),
+            axis_m: axis.point(t).narrow(),
         }
     }
 }

@@ -101,7 +101,7 @@ impl Axis {
 
     /// The point start + t span (m, base frame).
     #[inline(always)]
-    pub(super) fn at<const W: usize>(&self, t: Wide<W>) -> WideVector<W> {
+    pub(super) fn point<const W: usize>(&self, t: Wide<W>) -> WideVector<W> {
         WideVector::splat(&self.start_m) + WideVector::splat(&self.span_m) * t
     }
 
@@ -119,7 +119,7 @@ impl Axis {
         let nearest_m = if self.is_point() {
             WideVector::splat(&self.start_m)
         } else {
-            self.at(self.share(point_m))
+            self.point(self.share(point_m))
         };
         (*point_m - nearest_m).norm_squared()
     }

@@ -144,7 +144,7 @@ impl Coefficients {
     /// f' 5.2e-17, g' 1.4e-17, that is a few units of the last place of each function's largest value, equally close to
     /// straight. f, g, f' and g' pass through zero (at θ = π, 2π, 4.49, 2π), and there the relative error is larger.
     #[inline]
-    pub fn at(w: f64) -> Self {
+    pub fn from_square(w: f64) -> Self {
         let (h, k) = h_and_k(w);
         let g = 0.5 - w * k;
         Self {
@@ -175,7 +175,7 @@ impl Arc {
         Self {
             length_m,
             bend_rad,
-            coefficients: Coefficients::at(u * u + v * v),
+            coefficients: Coefficients::from_square(u * u + v * v),
         }
     }
 
@@ -270,7 +270,7 @@ mod tests {
     #[test]
     fn coefficients_have_full_precision_from_straight_to_a_full_circle() {
         for [w, f, g, h, f_slope, g_slope] in EXACT {
-            let found = Coefficients::at(w);
+            let found = Coefficients::from_square(w);
             assert!((found.f - f).abs() < 4e-16, "f at {w}");
             assert!((found.g - g).abs() < 2e-16, "g at {w}");
             assert!((found.h - h).abs() < 6e-17, "h at {w}");
@@ -297,7 +297,7 @@ mod tests {
         for k in 0..390 {
             // Fourth-order central differences.
             let (w, step) = (0.1 + f64::from(k) * 0.1, 0.02);
-            let at = |i: f64| Coefficients::at(w + i * step);
+            let at = |i: f64| Coefficients::from_square(w + i * step);
             let slope = |of: fn(Coefficients) -> f64| {
                 (8.0 * (of(at(1.0)) - of(at(-1.0))) - (of(at(2.0)) - of(at(-2.0)))) / (12.0 * step)
             };

@@ -192,7 +192,7 @@ impl<const W: usize> Tube<W> {
             if i > 0 && all(is_end) {
                 continue;
             }
-            let found_m2 = self.square_m2(&axis.at(candidate));
+            let found_m2 = self.square_m2(&axis.point(candidate));
             // A NaN replaces what was found: it must not be lost.
             let nearer = either(found_m2.less(square_m2), found_m2.is_nan());
             t = candidate.select(t, nearer);

@@ -30,19 +30,37 @@ pub(super) struct Guarded {
     pub(super) clearance_m: f64,
 }
 
-/// How the robot moves by a command when no other follows: at its rates for as long as it obeys it, and then along
-/// a ramp to rest. All of that is on one line in bends: bend + s q̇, with s from 0 to `way_s`.
+/// How the robot comes to rest when no other command follows: it obeys the last one for a while, and then its rates shrink
+/// together, the fastest component evenly in time.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct StoppingWay {
+pub(super) struct Stopping {
     /// How long the robot obeys a command \[s\].
     pub(super) moving_s: f64,
-    /// s at the end: longer by half the time of the ramp \[s\].
+    /// How fast the fastest component shrinks after that \[rad/s²\]; infinite: at once.
+    pub(super) deceleration_rad_s2: f64,
+}
+
+/// What the robot does by one command: it moves on one line in bends, bend + s q̇, with s from 0 to `way_s`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct StoppingWay {
+    moving_s: f64,
+    /// s at the end: longer than the command is obeyed by half the time of the ramp \[s\].
     pub(super) way_s: f64,
+}
+
+impl Stopping {
+    /// From rates of which no component is faster than this.
+    pub(super) fn way(&self, fastest_rad_s: f64) -> StoppingWay {
+        StoppingWay {
+            moving_s: self.moving_s,
+            way_s: self.moving_s + 0.5 * fastest_rad_s / self.deceleration_rad_s2,
+        }
+    }
 }
 
 impl StoppingWay {
     /// The time at which the robot is at s = `way_s`, after the command \[s\].
-    fn time_s(&self, way_s: f64) -> f64 {
+    pub(super) fn time_s(&self, way_s: f64) -> f64 {
         let (beyond_s, ramp_way_s) = (way_s - self.moving_s, self.way_s - self.moving_s);
         if beyond_s <= 0.0 || ramp_way_s <= 0.0 {
             return way_s;
@@ -54,7 +72,7 @@ impl StoppingWay {
 
 /// What the body must keep clear of.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Guard<'a> {
+pub(super) struct ClearanceGuard<'a> {
     /// The robot.
     pub(super) robot: &'a Robot,
     /// Where it is.
@@ -68,10 +86,10 @@ pub(super) struct Guard<'a> {
     /// Period \[s\].
     pub(super) period_s: f64,
     /// What follows a command.
-    pub(super) stopping: StoppingWay,
+    pub(super) stopping: Stopping,
 }
 
-impl Guard<'_> {
+impl ClearanceGuard<'_> {
     /// Changes `rates`, which are inside the limits, as little as keeping clear of the obstacles asks for.
     ///
     /// Let cⱼ(s) be the clearance of section j to an obstacle: of the section at bend + s q̇, to the obstacle moved on by its
@@ -87,7 +105,8 @@ impl Guard<'_> {
     /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves. Standing still always holds. A robot that obeys
+    /// exactly, what was found is scaled down, and then `rates` themselves. Slower rates stop sooner: each that are looked at
+    /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
     /// positions keeps the same rule from where it is commanded to be, too.
     ///
     /// What it cannot do: it does not plan a way around; and it does not flee: an obstacle that runs into the standing robot
@@ -95,13 +114,8 @@ impl Guard<'_> {
     ///
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
-    pub(super) fn keep_clear(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
+    pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
         self.guarded(rates, false, |near| self.corrected(near, limits, rates))
-    }
-
-    /// Whether `rates` keep the rule as they are.
-    pub(super) fn holds(&self, rates: &BendRates) -> bool {
-        !self.guarded(rates, false, |_| self.rest()).hit
     }
 
     /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
@@ -154,20 +168,25 @@ impl Guard<'_> {
     }
 
     /// The nearest rates inside the limits that hold the rule, as far as they are found.
-    fn corrected(&self, near: &Places<'_>, limits: &Limits<'_>, wish: &BendRates) -> BendRates {
+    fn corrected(
+        &self,
+        near: &Places<'_>,
+        limits: &Limits<'_>,
+        desired_rates: &BendRates,
+    ) -> BendRates {
         let mut region = limits.region();
         // What is shortened afterwards may come nearer than what was found.
-        region.slow_down_to(fastest(wish));
-        let mut rates = *wish;
+        region.slow_down_to(fastest(desired_rates));
+        let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
             if near.is_out_of_looks() || !near.bound(self, &rates, &mut region) {
                 break;
             }
-            let Some(nearest) = limits.nearest_in(&mut region, wish) else {
+            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
                 break;
             };
-            rates = shortened_to(nearest, fastest(wish));
-            if fastest(&rates) <= STANDING * fastest(wish) {
+            rates = shortened_to(nearest, fastest(desired_rates));
+            if fastest(&rates) <= STANDING * fastest(desired_rates) {
                 return self.rest();
             }
             if near.hold(self, &rates) {
@@ -176,18 +195,18 @@ impl Guard<'_> {
         }
         let scaled = self.scaled(near, &rates);
         if scaled == self.rest() {
-            return self.scaled(near, wish);
+            return self.scaled(near, desired_rates);
         }
         scaled
     }
 
-    /// `wish`, scaled down to where the rule holds.
-    fn scaled(&self, near: &Places, wish: &BendRates) -> BendRates {
+    /// `desired_rates`, scaled down to where the rule holds.
+    fn scaled(&self, near: &Places, desired_rates: &BendRates) -> BendRates {
         let mut held = self.rest();
         let (mut low, mut high) = (0.0, 1.0);
         for _ in 0..HALVINGS {
             let middle = 0.5 * (low + high);
-            let rates = times(wish, middle);
+            let rates = times(desired_rates, middle);
             if near.hold(self, &rates) {
                 (low, held) = (middle, rates);
             } else {
@@ -214,12 +233,12 @@ impl Places<'_> {
         self.iter().any(Near::is_out_of_looks)
     }
 
-    fn hold(&self, guard: &Guard<'_>, rates: &BendRates) -> bool {
+    fn hold(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
         self.iter().all(|near| way::holds(near, guard, rates))
     }
 
     /// [`rows::bound`] of each.
-    fn bound(&self, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) -> bool {
+    fn bound(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, region: &mut Region) -> bool {
         let is_bounded = |near: &Near<'_>| rows::bound(near, guard, rates, &mut *region);
         self.iter()
             .map(is_bounded)

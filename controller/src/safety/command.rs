@@ -1,6 +1,6 @@
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::clearance::{Guard, Guarded, StoppingWay, fastest, shortened_to, times};
+use super::clearance::{ClearanceGuard, Stopping, fastest, shortened_to};
 use super::{Limited, Limits, LimitsHit};
 
 /// What a command is checked against.
@@ -31,20 +31,18 @@ pub struct Situation<'a> {
 }
 
 impl<'a> Situation<'a> {
-    /// How the robot comes to rest from rates of which no component is faster than this, inside the limits.
-    fn stopping(&self, fastest_rad_s: f64) -> StoppingWay {
-        let sections = self.robot.sections().iter();
-        let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
-        let moving_s = self.moving_s.max(self.period_s);
-        StoppingWay {
-            moving_s,
-            way_s: moving_s + 0.5 * fastest_rad_s.min(limit_rad_s) / self.deceleration_rad_s2,
+    fn stopping(&self) -> Stopping {
+        Stopping {
+            moving_s: self.moving_s.max(self.period_s),
+            deceleration_rad_s2: self.deceleration_rad_s2,
         }
     }
 
-    /// The limits of such rates.
+    /// The limits of rates of which no component is faster than this, or than any may be.
     fn limits(&self, fastest_rad_s: f64) -> Limits<'a> {
-        let way_s = self.stopping(fastest_rad_s).way_s;
+        let sections = self.robot.sections().iter();
+        let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
+        let way_s = self.stopping().way(fastest_rad_s.min(limit_rad_s)).way_s;
         Limits::new(self.robot, self.at, way_s).with_commanded(self.commanded)
     }
 
@@ -75,34 +73,15 @@ impl<'a> Situation<'a> {
         }
     }
 
-    /// What the guard made slower stops earlier than what it was given, by which it counted: so where obstacles move, it
-    /// looks again where they are then. Parts of the rates are tried, and rest at last.
-    fn in_their_own_time(&self, guarded: Guarded) -> Guarded {
-        let stands = |obstacle: &Obstacle| obstacle.velocity_m_s().norm() == 0.0;
-        if !guarded.hit || self.obstacles.iter().all(stands) {
-            return guarded;
-        }
-        for part in [1.0, 0.5, 0.25] {
-            let rates = times(&guarded.rates, part);
-            if self.guard(fastest(&rates)).holds(&rates) {
-                return Guarded { rates, ..guarded };
-            }
-        }
-        Guarded {
-            rates: BendRates::zero(self.robot.section_count()),
-            ..guarded
-        }
-    }
-
-    fn guard(&self, fastest_rad_s: f64) -> Guard<'a> {
-        Guard {
+    fn guard(&self) -> ClearanceGuard<'a> {
+        ClearanceGuard {
             robot: self.robot,
             at: self.at,
             commanded: self.commanded,
             obstacles: self.obstacles,
             safe_distance_m: self.safe_distance_m,
             period_s: self.period_s,
-            stopping: self.stopping(fastest_rad_s),
+            stopping: self.stopping(),
         }
     }
 }
@@ -124,20 +103,15 @@ pub struct SafeCommand {
 /// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
 /// hold at the end of the period and, when no other command follows, until the robot rests.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
+    let guard = situation.guard();
     let (limited, guarded) = if situation.comes_to_rest {
         let limited = situation.limits(fastest(desired)).shorten(desired);
-        let guard = situation.guard(fastest(&limited.rates));
         (limited, guard.scale_down(&limited.rates))
     } else {
         let limited = situation.limited(desired);
         // What the guard makes of them is not faster.
-        let fastest_rad_s = fastest(&limited.rates);
-        let (guard, limits) = (
-            situation.guard(fastest_rad_s),
-            situation.limits_moving(fastest_rad_s),
-        );
-        let guarded = guard.keep_clear(&limits, &limited.rates);
-        (limited, situation.in_their_own_time(guarded))
+        let limits = situation.limits_moving(fastest(&limited.rates));
+        (limited, guard.apply(&limits, &limited.rates))
     };
     SafeCommand {
         rates: guarded.rates,

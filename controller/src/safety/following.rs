@@ -85,7 +85,7 @@ impl FollowingWatch {
         *self = Self::new(self.rules, self.obeys_positions, at);
     }
 
-    /// What it judges by.
+    /// What it checks by.
     pub fn rules(&self) -> &FollowingRules {
         &self.rules
     }

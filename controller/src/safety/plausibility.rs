@@ -13,7 +13,7 @@ pub struct PlausibilityRules {
     pub frozen_rad: f64,
 }
 
-/// The verdict on one measurement.
+/// What the check of one measurement found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Plausibility {
     /// The robot can be there.
@@ -75,7 +75,7 @@ impl MeasurementWatch {
         }
     }
 
-    /// What it judges by.
+    /// What it checks by.
     pub fn rules(&self) -> &PlausibilityRules {
         &self.rules
     }
@@ -87,11 +87,11 @@ impl MeasurementWatch {
         }
     }
 
-    /// Judges a measurement that is newer than every one before. The caller leaves out what jumps.
+    /// Checks a measurement that is newer than every one before. The caller leaves out what jumps.
     ///
     /// A fault is said once. After a series of jumps nobody knows which side was right, so the next
     /// measurement is believed; the robot rests by then, and who resets it has looked.
-    pub fn judge(
+    pub fn check(
         &mut self,
         robot: &Robot,
         measurement: &Measurement,

@@ -106,9 +106,9 @@ mod tests {
             let change = acceleration_rad_s2 * PERIOD_S;
             let (mut bend, mut rates) = (begin, BendRates::zero(2));
             for _ in 0..2000 {
-                let wish = homing_rates(robot, &bend, &rates, 2.0, change, PERIOD_S);
+                let desired_rates = homing_rates(robot, &bend, &rates, 2.0, change, PERIOD_S);
                 let limits = Limits::new(robot, &bend, PERIOD_S).with_acceleration(&rates, change);
-                rates = limits.nearest(&wish).rates;
+                rates = limits.nearest(&desired_rates).rates;
                 bend = bend.advanced(&rates, PERIOD_S);
                 let left = bend.as_slice()[0];
                 for (bend, begin) in bend.as_slice().iter().zip(begin.as_slice()) {

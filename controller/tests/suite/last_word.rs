@@ -132,9 +132,11 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
                 elapsed_periods: 1,
                 seed: cycle_seed(1, 1000 * goal + cycle),
             };
-            let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
-            rates = command(&robot, &at, &rates, &[], &wish);
-            frozen += u32::from(norm(&rates) < 0.01 * norm(&wish) && norm(&wish) > 0.01);
+            let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            rates = command(&robot, &at, &rates, &[], &desired_rates);
+            frozen += u32::from(
+                norm(&rates) < 0.01 * norm(&desired_rates) && norm(&desired_rates) > 0.01,
+            );
             at = at.advanced(&rates, PERIOD_S);
             assert!(largest_stroke_m(&robot, &at) <= 0.015 + 1e-15);
         }

@@ -245,7 +245,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
         assert!(whole.quanta > least, "{solver:?}: {} quanta", whole.quanta);
         for quanta in [0, 1, 10, whole.quanta / 2] {
             nmpc.forget_plan();
-            let (_, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(quanta));
+            let (_, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
             assert_eq!(report.quanta, quanta);
             assert!(report.cost <= report.warm_cost);
         }
@@ -405,7 +405,7 @@ fn solve_case(
         elapsed_periods: 1,
         seed: case.seed,
     };
-    let (rates, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(quanta));
+    let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(quanta));
     let bits = nmpc.plan().iter().map(|rate| rate.to_bits()).collect();
     (rates, report, bits)
 }

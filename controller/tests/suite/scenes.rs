@@ -3,7 +3,7 @@
 use cdcr_controller::nmpc::{
     Constraint, Coordinates, Nmpc, NmpcSettings, SolveInput, SolveReport, SolveStatus, SolverKind,
 };
-use cdcr_controller::optimizer::{Budget, Candidate, Path, cycle_seed};
+use cdcr_controller::optimizer::{Budget, Candidate, Simd, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{
     BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape, ZyxAngles,
@@ -425,8 +425,8 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
             rate_change_weight: 1e-9,
             ..NmpcSettings::default()
         };
-        let mut plans = Path::available().map(|path| {
-            let mut nmpc = Nmpc::on_path(path, robot.clone(), PERIOD_S, settings).unwrap();
+        let mut plans = Simd::available().map(|simd| {
+            let mut nmpc = Nmpc::with_simd(simd, robot.clone(), PERIOD_S, settings).unwrap();
             let input = SolveInput {
                 configuration: &at,
                 previous_rates: &BendRates::zero(3),

@@ -61,7 +61,7 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
             elapsed_periods: 1,
             seed: cycle_seed(settings.seed, cycle),
         };
-        let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
+        let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
         let situation = Situation {
             robot: &robot,
             at: &estimate,
@@ -75,7 +75,7 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
             deceleration_rad_s2: 40.0,
             comes_to_rest: false,
         };
-        rates = safe_command(&situation, &wish).rates;
+        rates = safe_command(&situation, &desired_rates).rates;
         truth = truth.advanced(&rates, PERIOD_S);
         estimator.predict(&rates, PERIOD_S);
         let farthest_rad = truth.as_slice().iter().fold(0.0_f64, |a, b| a.max(b.abs()));

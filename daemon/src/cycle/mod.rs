@@ -169,7 +169,7 @@ impl<L: RobotLink> Cycle<L> {
         self.state.count_straight(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
-        let reference = inputs.window.at(release.cycle);
+        let reference = inputs.window.get(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
         let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
@@ -191,17 +191,18 @@ impl<L: RobotLink> Cycle<L> {
             exchange_ns: inputs.exchange_ns,
         };
         self.solve_until_ns = 0;
-        let (mut wish, report) = self.wish(&release, inputs, elapsed_ns, costs, clock);
+        let (mut desired_rates, report) =
+            self.desired_rates(&release, inputs, elapsed_ns, costs, clock);
         let comes_to_rest = self.modes.mode().comes_to_rest();
         if report.status == SolveStatus::NonFinite {
             // The solve itself has found a fault.
-            wish = self.ramp();
+            desired_rates = self.ramp();
         }
         let solve_end_ns = clock.now_ns();
         // What a solve takes beyond its end cannot be cut: it belongs to what follows.
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
-        let safe = self.make_safe(&wish, comes_to_rest);
+        let safe = self.make_safe(&desired_rates, comes_to_rest);
         self.clearance_m = safe.clearance_m;
         self.rates = safe.rates;
         self.link.command(release.release_ns, &safe.rates);
@@ -378,7 +379,7 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     /// The rates that the mode wants.
-    fn wish(
+    fn desired_rates(
         &mut self,
         release: &Release,
         inputs: &CycleInputs,
@@ -439,13 +440,13 @@ impl<L: RobotLink> Cycle<L> {
         };
         self.solve_until_ns = end_ns;
         let longest_gap_ns = &mut self.longest_gap_ns;
-        let mut budget = Budget::new(|| {
+        let mut is_spent = || {
             let now_ns = clock.now_ns();
             *longest_gap_ns = (*longest_gap_ns).max(now_ns - looked_ns);
             looked_ns = now_ns;
             now_ns >= end_ns
-        });
-        let (rates, report) = self.nmpc.solve(&input, &mut budget);
+        };
+        let (rates, report) = self.nmpc.solve(&input, &mut Budget::new(&mut is_spent));
         if report.status == SolveStatus::NonFinite {
             self.modes.fault(Reason::NonFinite);
         }
@@ -453,7 +454,7 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     /// In every mode, the last word: limits, and the clearance guard.
-    fn make_safe(&mut self, wish: &BendRates, comes_to_rest: bool) -> SafeCommand {
+    fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
         let obeys_positions = self.policy.interface == Interface::Position;
         let situation = Situation {
             robot: &self.robot,
@@ -468,7 +469,7 @@ impl<L: RobotLink> Cycle<L> {
             deceleration_rad_s2: self.policy.deceleration_rad_s2,
             comes_to_rest,
         };
-        let safe = safe_command(&situation, wish);
+        let safe = safe_command(&situation, desired_rates);
         if safe.limits_hit.non_finite {
             self.modes.fault(Reason::NonFinite);
         }

@@ -121,7 +121,7 @@ impl RobotState {
         self.last_measured_ns = measured_ns;
         match self
             .plausibility
-            .judge(&self.robot, &measurement, measured_ns)
+            .check(&self.robot, &measurement, measured_ns)
         {
             Plausibility::Jump => return MeasurementUse::Implausible,
             Plausibility::Lost => {

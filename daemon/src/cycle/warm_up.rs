@@ -56,7 +56,7 @@ impl<L: RobotLink> Cycle<L> {
     }
 
     /// A solve near a reference that is out of reach, beside an obstacle.
-    fn solve_once(&mut self, seed: u64, is_over: impl FnMut() -> bool) {
+    fn solve_once(&mut self, seed: u64, mut is_over: impl FnMut() -> bool) {
         let tip_m = self.robot.tip_position(self.state.configuration());
         let sample = ReferenceSample {
             state: ReferenceState::Inside,
@@ -75,6 +75,6 @@ impl<L: RobotLink> Cycle<L> {
             elapsed_periods: 1,
             seed,
         };
-        self.nmpc.solve(&input, &mut Budget::new(is_over));
+        self.nmpc.solve(&input, &mut Budget::new(&mut is_over));
     }
 }

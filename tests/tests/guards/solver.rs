@@ -1,7 +1,7 @@
 //! `Nmpc::solve` never touches the heap, whatever the solver, the coordinates and the scene.
 
 use cdcr_controller::nmpc::{Coordinates, Nmpc, NmpcSettings, SolveInput, SolverKind};
-use cdcr_controller::optimizer::{Budget, Path, cycle_seed};
+use cdcr_controller::optimizer::{Budget, Simd, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
 use cdcr_controller::safety::limit;
@@ -36,10 +36,10 @@ fn no_solver_touches_the_heap() {
                 orientation_tolerance_rad: 1e-3,
                 ..NmpcSettings::default()
             };
-            for path in Path::available() {
-                let mut nmpc = Nmpc::on_path(path, robot.clone(), PERIOD_S, settings).unwrap();
+            for simd in Simd::available() {
+                let mut nmpc = Nmpc::with_simd(simd, robot.clone(), PERIOD_S, settings).unwrap();
                 let (operations, ()) = count_allocations(|| run(&mut nmpc));
-                assert_eq!(operations, 0, "{solver:?}, {coordinates:?}, {path:?}");
+                assert_eq!(operations, 0, "{solver:?}, {coordinates:?}, {simd:?}");
             }
         }
     }
@@ -81,8 +81,8 @@ fn run(nmpc: &mut Nmpc) {
             elapsed_periods: 1,
             seed: cycle_seed(1, cycle),
         };
-        let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
-        rates = limit(&robot, &at, &wish, PERIOD_S).rates;
+        let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+        rates = limit(&robot, &at, &desired_rates, PERIOD_S).rates;
         at = at.advanced(&rates, PERIOD_S);
         if cycle == 40 {
             settings.horizon_steps = 10;

@@ -126,8 +126,8 @@ proptest! {
             let model = linearised(problem, &case.plan);
             let residuals = (0..model.rows()).map(|row| model.residual(row));
             let sum: f64 = residuals.map(|residual| residual * residual).sum();
-            let judged = problem.judge_at(&case.plan, &mut Budget::unlimited());
-            let cost = judged.expect("an unlimited budget").cost.0[0];
+            let evaluation = problem.evaluate_at(&case.plan, &mut Budget::unlimited());
+            let cost = evaluation.expect("an unlimited budget").cost.0[0];
             prop_assert!((sum - cost).abs() <= 1e-12 * cost, "{sum} {cost}");
             for i in 0..case.plan.len() {
                 let [behind, ahead] = [-STEP_RAD_S, STEP_RAD_S].map(|step| {

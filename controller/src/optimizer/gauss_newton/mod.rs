@@ -86,12 +86,12 @@ impl GaussNewton {
     }
 
     /// Improves the incumbent by at most `settings.steps` steps while the budget lasts.
-    pub fn refine<P: Problem, F: FnMut() -> bool>(
+    pub fn refine<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
         settings: &GaussNewtonSettings,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> GaussNewtonOutcome {
         let mut outcome = GaussNewtonOutcome::default();
@@ -125,14 +125,14 @@ impl GaussNewton {
         outcome
     }
 
-    /// One damped step from `z`, not judged: the least-squares particle of the swarm's knowledge.
+    /// One damped step from `z`, not evaluated: the least-squares particle of the swarm's knowledge.
     /// False, and `into` untouched, when the linear system is singular or the budget was spent.
-    pub fn propose<P: Problem, F: FnMut() -> bool>(
+    pub fn propose<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
         damping: f64,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         z: &[f64],
         into: &mut [f64],
     ) -> bool {
@@ -147,12 +147,12 @@ impl GaussNewton {
     }
 
     /// Linearises at `z` and marks what the gradient presses on a bound. False: the budget was spent.
-    fn linearise<P: Problem, F: FnMut() -> bool>(
+    fn linearise<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
         z: &[f64],
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         let dimension = z.len();
         self.model.clear(dimension);
@@ -175,11 +175,11 @@ impl GaussNewton {
 
     /// Whether the gradient nearly vanishes at `z` for what the residuals are. False, too, when the
     /// budget was spent.
-    pub fn vanishes_at<P: Problem, F: FnMut() -> bool>(
+    pub fn vanishes_at<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         z: &[f64],
     ) -> bool {
         self.linearise(problem, bounds, z, budget) && {
@@ -208,10 +208,10 @@ impl GaussNewton {
 
     /// Goes along the step, halved while it makes the cost worse. The box is convex, so every point
     /// on the way lies in it.
-    fn advance<P: Problem, F: FnMut() -> bool>(
+    fn advance<P: Problem>(
         &mut self,
         problem: &P,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> bool {
         let dimension = problem.dimension();
@@ -221,11 +221,11 @@ impl GaussNewton {
                 self.trial[i] = incumbent.z()[i] + fraction * self.step[i];
             }
             let trial = &self.trial[..dimension];
-            let Some(judged) = problem.judge_at(trial, budget) else {
+            let Some(evaluation) = problem.evaluate_at(trial, budget) else {
                 return false;
             };
             let origin = incumbent.origin();
-            if incumbent.offer(|i| trial[i], &judged, 0, origin) {
+            if incumbent.offer(|i| trial[i], &evaluation, 0, origin) {
                 return true;
             }
             fraction *= 0.5;
@@ -237,7 +237,7 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimizer::Judged;
+    use crate::optimizer::Evaluation;
     use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
@@ -249,22 +249,17 @@ mod tests {
         fn dimension(&self) -> usize {
             if self.extra_unknown { 3 } else { 2 }
         }
-        fn judge<const W: usize, F: FnMut() -> bool>(
+        fn evaluate<const W: usize>(
             &self,
             z: impl Fn(usize) -> Wide<W>,
-            budget: &mut Budget<F>,
-        ) -> Option<Judged<W>> {
+            budget: &mut Budget<'_>,
+        ) -> Option<Evaluation<W>> {
             let first = z(0) * z(0) + z(1) + -1.0;
             let second = (z(1) - z(0)) * 10.0;
-            let judged = Judged::of(first * first + second * second);
-            budget.spend(100).then_some(judged)
+            let evaluation = Evaluation::from_cost(first * first + second * second);
+            budget.spend(100).then_some(evaluation)
         }
-        fn linearise<F: FnMut() -> bool>(
-            &self,
-            z: &[f64],
-            model: &mut LinearModel,
-            budget: &mut Budget<F>,
-        ) -> bool {
+        fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
             model
                 .push(z[0] * z[0] + z[1] - 1.0)
                 .iter_mut()
@@ -287,7 +282,9 @@ mod tests {
         let start = &start[..problem.dimension()];
         incumbent.restart(
             start,
-            problem.judge_at(start, &mut Budget::unlimited()).as_ref(),
+            problem
+                .evaluate_at(start, &mut Budget::unlimited())
+                .as_ref(),
         );
         let settings = GaussNewtonSettings {
             steps,
@@ -344,7 +341,9 @@ mod tests {
         let start = [0.1, 0.2];
         incumbent.restart(
             &start,
-            problem.judge_at(&start, &mut Budget::unlimited()).as_ref(),
+            problem
+                .evaluate_at(&start, &mut Budget::unlimited())
+                .as_ref(),
         );
         let settings = GaussNewtonSettings {
             steps: 9,

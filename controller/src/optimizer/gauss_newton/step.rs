@@ -15,12 +15,12 @@ const CONSTRAINT_ROUNDS: usize = 3;
 impl GaussNewton {
     /// Finds the step inside the box that keeps the constraints: what it breaks is met and the rest
     /// solved again. False: the matrix was singular, or the budget was spent.
-    pub(super) fn find_step<F: FnMut() -> bool>(
+    pub(super) fn find_step(
         &mut self,
         bounds: &Bounds,
         z: &[f64],
         damping: f64,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         self.model.release_constraints();
         for _ in 0..CONSTRAINT_ROUNDS {
@@ -37,12 +37,12 @@ impl GaussNewton {
 
     /// Finds the step inside the box: unknowns that would leave it are fixed at its border and the
     /// others solved again.
-    fn find_step_in_box<F: FnMut() -> bool>(
+    fn find_step_in_box(
         &mut self,
         bounds: &Bounds,
         z: &[f64],
         damping: f64,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         let dimension = z.len();
         self.step[..dimension].fill(0.0);
@@ -108,12 +108,7 @@ impl GaussNewton {
     }
 
     /// Solves for the free unknowns with the fixed ones at their present step.
-    fn solve_free<F: FnMut() -> bool>(
-        &mut self,
-        dimension: usize,
-        damping: f64,
-        budget: &mut Budget<F>,
-    ) -> bool {
+    fn solve_free(&mut self, dimension: usize, damping: f64, budget: &mut Budget<'_>) -> bool {
         if self.free.is_empty() {
             return true;
         }
@@ -141,11 +136,7 @@ impl GaussNewton {
     }
 
     /// The columns of the free unknowns, row by row, side by side in memory.
-    fn gather_free_columns<F: FnMut() -> bool>(
-        &mut self,
-        rows: usize,
-        budget: &mut Budget<F>,
-    ) -> bool {
+    fn gather_free_columns(&mut self, rows: usize, budget: &mut Budget<'_>) -> bool {
         let width = self.free.len();
         for row in 0..rows {
             if !budget.spend(width as u32) {
@@ -161,11 +152,11 @@ impl GaussNewton {
     }
 
     /// Δ = -Jᵀ y with (J Jᵀ + λI) y = r.
-    fn solve_in_residual_space<F: FnMut() -> bool>(
+    fn solve_in_residual_space(
         &mut self,
         rows: usize,
         damping: f64,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         let width = self.free.len();
         if !self.gather_free_columns(rows, budget) {
@@ -203,7 +194,7 @@ impl GaussNewton {
     }
 
     /// JᵀJ of the cost's rows, lower triangle, once for each linearisation.
-    fn fill_gram<F: FnMut() -> bool>(&mut self, dimension: usize, budget: &mut Budget<F>) -> bool {
+    fn fill_gram(&mut self, dimension: usize, budget: &mut Budget<'_>) -> bool {
         if self.gram_is_current {
             return true;
         }
@@ -229,11 +220,11 @@ impl GaussNewton {
     }
 
     /// The part of JᵀJ that belongs to the free unknowns, with the rows of constraints that were met.
-    fn gather_free_matrix<F: FnMut() -> bool>(
+    fn gather_free_matrix(
         &mut self,
         dimension: usize,
         rows: usize,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         let order = self.free.len();
         for (a, &i) in self.free.iter().enumerate() {
@@ -259,12 +250,12 @@ impl GaussNewton {
     }
 
     /// (JᵀJ + λI) Δ = -Jᵀ r.
-    fn solve_in_unknown_space<F: FnMut() -> bool>(
+    fn solve_in_unknown_space(
         &mut self,
         dimension: usize,
         rows: usize,
         damping: f64,
-        budget: &mut Budget<F>,
+        budget: &mut Budget<'_>,
     ) -> bool {
         let order = self.free.len();
         if !self.fill_gram(dimension, budget) || !self.gather_free_matrix(dimension, rows, budget) {

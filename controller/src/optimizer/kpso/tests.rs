@@ -1,7 +1,7 @@
 //! The search on Rastrigin's function: its budget, its bits on every path, and what it finds.
 
 use super::*;
-use crate::optimizer::{Judged, LinearModel};
+use crate::optimizer::{Evaluation, LinearModel};
 
 use std::cell::Cell;
 
@@ -19,29 +19,24 @@ impl Problem for Rastrigin {
     fn dimension(&self) -> usize {
         2
     }
-    fn judge<const W: usize, F: FnMut() -> bool>(
+    fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
-        budget: &mut Budget<F>,
-    ) -> Option<Judged<W>> {
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<W>> {
         let part = |i| {
             let d = z(i) + -self.centre;
             let wave = d.0.map(|d| 1.0 - (std::f64::consts::TAU * d).cos());
             d * d + Wide(wave)
         };
-        let judged = Judged::of(part(0) + part(1));
+        let evaluation = Evaluation::from_cost(part(0) + part(1));
         if !budget.spend(EVALUATION_NS) {
             return None;
         }
         self.clock.set(self.clock.get() + u64::from(EVALUATION_NS));
-        Some(judged)
+        Some(evaluation)
     }
-    fn linearise<F: FnMut() -> bool>(
-        &self,
-        _: &[f64],
-        _: &mut LinearModel,
-        _: &mut Budget<F>,
-    ) -> bool {
+    fn linearise(&self, _: &[f64], _: &mut LinearModel, _: &mut Budget<'_>) -> bool {
         true
     }
 }
@@ -60,10 +55,10 @@ fn settings(rule: VelocityRule) -> KpsoSettings {
 }
 
 fn search(settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
-    search_on(Path::best(), settings, seed, quanta)
+    search_with(Simd::best(), settings, seed, quanta)
 }
 
-fn search_on(path: Path, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
+fn search_with(simd: Simd, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
     let problem = rastrigin();
     let mut bounds = Bounds::with_capacity(2);
     bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
@@ -71,7 +66,9 @@ fn search_on(path: Path, settings: &KpsoSettings, seed: u64, quanta: u32) -> Inc
     let start = [-4.0, 4.0];
     incumbent.restart(
         &start,
-        problem.judge_at(&start, &mut Budget::unlimited()).as_ref(),
+        problem
+            .evaluate_at(&start, &mut Budget::unlimited())
+            .as_ref(),
     );
     let mut budget = Budget::of_quanta(quanta);
     let task = Task {
@@ -82,7 +79,7 @@ fn search_on(path: Path, settings: &KpsoSettings, seed: u64, quanta: u32) -> Inc
         origins: &[],
         seed,
     };
-    Kpso::with_capacity(path, 24, 2).search(&task, &mut budget, &mut incumbent);
+    Kpso::with_capacity(simd, 24, 2).search(&task, &mut budget, &mut incumbent);
     assert!(bounds.contains(incumbent.z()));
     incumbent
 }
@@ -99,12 +96,13 @@ fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
     let mut bounds = Bounds::with_capacity(2);
     bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
     let settings = settings(VelocityRule::Inertia);
-    let mut swarm = Kpso::with_capacity(Path::best(), 24, 2);
+    let mut swarm = Kpso::with_capacity(Simd::best(), 24, 2);
     for budget_ns in (0..1_000_000).step_by(7_900) {
         let problem = rastrigin();
         let mut incumbent = Incumbent::with_capacity(2);
         incumbent.restart(&[-4.0, 4.0], None);
-        let mut budget = Budget::new(|| problem.clock.get() >= budget_ns);
+        let mut is_spent = || problem.clock.get() >= budget_ns;
+        let mut budget = Budget::new(&mut is_spent);
         let task = Task {
             problem: &problem,
             bounds: &bounds,
@@ -149,23 +147,23 @@ fn every_path_gives_the_same_bits() {
             ..settings(VelocityRule::Inertia)
         };
         // A quantum counts evaluations of W particles, so a limited budget goes further with eight.
-        let limited = search_on(Path::Portable, &kpso, 5, 40);
-        for path in Path::available().filter(|path| *path != Path::Scalar) {
+        let limited = search_with(Simd::Portable, &kpso, 5, 40);
+        for simd in Simd::available().filter(|simd| *simd != Simd::Scalar) {
             assert_eq!(
-                search_on(path, &kpso, 5, 40).z(),
+                search_with(simd, &kpso, 5, 40).z(),
                 limited.z(),
-                "{path:?}, {size}"
+                "{simd:?}, {size}"
             );
         }
-        let scalar = search_on(Path::Scalar, &kpso, 5, u32::MAX);
-        for path in Path::available() {
-            let other = search_on(path, &kpso, 5, u32::MAX);
+        let scalar = search_with(Simd::Scalar, &kpso, 5, u32::MAX);
+        for simd in Simd::available() {
+            let other = search_with(simd, &kpso, 5, u32::MAX);
             assert_eq!(
                 other.cost().to_bits(),
                 scalar.cost().to_bits(),
-                "{path:?}, {size}"
+                "{simd:?}, {size}"
             );
-            assert_eq!(other.z(), scalar.z(), "{path:?}, {size}");
+            assert_eq!(other.z(), scalar.z(), "{simd:?}, {size}");
         }
     }
 }

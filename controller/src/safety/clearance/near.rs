@@ -4,7 +4,7 @@ use core::cell::Cell;
 
 use crate::robot::{BendRates, Body, Configuration, Obstacle, Pose, Robot, SECTIONS_MAX, Shape};
 
-use super::{Guard, fastest};
+use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// Obstacles that are watched one by one. When more than these are within reach, the robot stands still.
 pub(super) const NEAR_MAX: usize = 64;
@@ -56,8 +56,6 @@ pub(super) struct Watched {
     start_m: [f64; SECTIONS_MAX],
     /// D, or what counts instead \[m\].
     kept_m: f64,
-    /// What each section must keep at the ends of [`ends_s`] \[m\].
-    floors_m: [[f64; SECTIONS_MAX]; 2],
     /// As [`DIP_M`].
     pub(super) dip_m: f64,
 }
@@ -65,7 +63,7 @@ pub(super) struct Watched {
 /// Where the robot is at s = `way_s`: bend + s q̇.
 pub(super) struct Place {
     pub(super) way_s: f64,
-    time_s: f64,
+    pub(super) time_s: f64,
     pub(super) stance: Stance,
     /// How far each section is from where it is now, at most \[m\].
     displacement_m: [f64; SECTIONS_MAX],
@@ -90,13 +88,14 @@ impl Stance {
 impl<'a> Near<'a> {
     /// Those of a robot that is in this stance. `None` when there are more than fit.
     pub(super) fn find(
-        guard: &Guard<'_>,
+        guard: &ClearanceGuard<'_>,
         still: &'a Stance,
         rates: &BendRates,
         is_ramp: bool,
     ) -> Option<Self> {
+        let way = guard.stopping.way(fastest(rates));
         let travel_m = farthest_m(guard, rates);
-        let time_s = guard.stopping.time_s(guard.stopping.way_s);
+        let time_s = way.time_s(way.way_s);
         let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
         let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
         let nearest_m = travel_m.iter().copied().fold(f64::INFINITY, f64::min);
@@ -122,7 +121,7 @@ impl<'a> Near<'a> {
             let dip_m = DIP_M.min(0.5 * (safe_m + thinnest_m + obstacle.radius_m()));
             // A ramp may end in what the command before was allowed between, and a rounding deeper.
             let is_continued = is_ramp && speed_m_s == 0.0;
-            let mut watched = Watched {
+            let watched = Watched {
                 obstacle: *obstacle,
                 speed_m_s,
                 start_m,
@@ -132,13 +131,8 @@ impl<'a> Near<'a> {
                 } else {
                     safe_m
                 },
-                floors_m: [[0.0; SECTIONS_MAX]; 2],
                 dip_m,
             };
-            watched.floors_m = ends_s(guard).map(|way_s| {
-                let time_s = guard.stopping.time_s(way_s);
-                core::array::from_fn(|j| watched.floor_m(j, body, time_s))
-            });
             *slots.next()? = Some(watched);
             near.watched_count += 1;
         }
@@ -164,14 +158,13 @@ impl<'a> Near<'a> {
     }
 
     /// The sections that can come below what is kept along the way, when no point of theirs is faster than `travel_m_s`.
-    pub(super) fn open(&self, guard: &Guard<'_>, travel_m_s: &[f64; SECTIONS_MAX]) -> Sections {
-        let way_s = guard.stopping.way_s;
-        let time_s = guard.stopping.time_s(way_s);
+    pub(super) fn open(&self, way: &StoppingWay, travel_m_s: &[f64; SECTIONS_MAX]) -> Sections {
+        let time_s = way.time_s(way.way_s);
         let mut open = [0; NEAR_MAX];
         for (open, watched) in open.iter_mut().zip(self.watched()) {
             let moved_m = watched.speed_m_s * time_s + ROUNDING_M;
             for (j, start_m) in watched.start_m.iter().enumerate() {
-                let is_clear = start_m - travel_m_s[j] * way_s - moved_m >= watched.kept_m;
+                let is_clear = start_m - travel_m_s[j] * way.way_s - moved_m >= watched.kept_m;
                 *open |= u8::from(!is_clear) << j;
             }
         }
@@ -179,11 +172,11 @@ impl<'a> Near<'a> {
     }
 
     /// Where the robot is at s = `way_s`.
-    pub(super) fn place(&self, guard: &Guard<'_>, rates: &BendRates, way_s: f64) -> Place {
+    pub(super) fn place(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, way_s: f64) -> Place {
         let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
         Place {
             way_s,
-            time_s: guard.stopping.time_s(way_s),
+            time_s: guard.stopping.way(fastest(rates)).time_s(way_s),
             displacement_m: stance.displacement_m(guard.robot, self.still),
             stance,
         }
@@ -204,7 +197,6 @@ impl<'a> Near<'a> {
     /// known any more. Where `is_exact` does not ask for more, a bound is enough.
     pub(super) fn spare_at(
         &self,
-        guard: &Guard<'_>,
         place: &Place,
         which: &Sections,
         is_exact: bool,
@@ -218,7 +210,7 @@ impl<'a> Near<'a> {
                 continue;
             };
             for j in sections(which[index]) {
-                let spare = self.spare_m(guard, place, watched, j, is_exact);
+                let spare = self.spare_m(place, watched, j, is_exact);
                 // A NaN is too little, too.
                 let is_enough = spare >= -lack_m(watched);
                 if !is_enough {
@@ -234,7 +226,6 @@ impl<'a> Near<'a> {
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
     pub(super) fn spare_m(
         &self,
-        guard: &Guard<'_>,
         place: &Place,
         watched: &Watched,
         j: usize,
@@ -245,31 +236,17 @@ impl<'a> Near<'a> {
         if !is_exact && least_m >= watched.kept_m {
             return least_m - watched.kept_m;
         }
-        let floor_m = self.floor_m(guard, place, watched, j);
-        if !is_exact && least_m >= floor_m {
-            return least_m - floor_m;
-        }
         let looks = match watched.obstacle.shape() {
             Shape::Sphere { .. } => 1,
             Shape::Capsule { .. } => CAPSULE_LOOKS,
         };
         self.looks.set(self.looks.get().saturating_sub(looks));
-        let obstacle = watched.at(place);
-        place.stance.body.clearance_of(j, &obstacle) - floor_m
-    }
-
-    /// What section j must keep at a place \[m\].
-    pub(super) fn floor_m(
-        &self,
-        guard: &Guard<'_>,
-        place: &Place,
-        watched: &Watched,
-        j: usize,
-    ) -> f64 {
-        match ends_s(guard).iter().position(|end_s| *end_s == place.way_s) {
-            Some(end) => watched.floors_m[end][j],
-            None => watched.floor_m(j, &self.still.body, place.time_s),
+        let obstacle = watched.obstacle_at(place);
+        let clearance_m = place.stance.body.clearance_of(j, &obstacle);
+        if clearance_m >= watched.kept_m {
+            return clearance_m - watched.kept_m;
         }
+        clearance_m - watched.floor_m(j, &self.still.body, place.time_s)
     }
 
     /// The robot that stands still.
@@ -297,7 +274,7 @@ impl<'a> Near<'a> {
 
 impl Watched {
     /// Where it is when the robot has come to a place.
-    pub(super) fn at(&self, place: &Place) -> Obstacle {
+    pub(super) fn obstacle_at(&self, place: &Place) -> Obstacle {
         if self.speed_m_s == 0.0 {
             return self.obstacle;
         }
@@ -317,7 +294,7 @@ impl Watched {
 
     /// What section j must keep after `time_s`: min(D, what is left to the robot that stands still). A NaN gives D, which
     /// no NaN reaches.
-    fn floor_m(&self, j: usize, still: &Body, time_s: f64) -> f64 {
+    pub(super) fn floor_m(&self, j: usize, still: &Body, time_s: f64) -> f64 {
         let start_m = self.start_m[j];
         if self.speed_m_s == 0.0 || start_m == f64::INFINITY {
             return start_m.min(self.kept_m);
@@ -335,18 +312,19 @@ pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
     (0..SECTIONS_MAX).filter(move |j| bits & (1 << j) != 0)
 }
 
-/// Where the rule holds exactly: after the period, and after the stopping way.
-pub(super) fn ends_s(guard: &Guard<'_>) -> [f64; 2] {
-    [guard.period_s, guard.stopping.way_s]
+/// Where the rule holds exactly for these rates: after the period, and after the stopping way.
+pub(super) fn ends_s(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; 2] {
+    [guard.period_s, guard.stopping.way(fastest(rates)).way_s]
 }
 
 /// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are
 /// not faster.
-fn farthest_m(guard: &Guard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
+fn farthest_m(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
+    let way_s = guard.stopping.way(fastest(rates)).way_s;
     let mut change_rad = [0.0; SECTIONS_MAX];
     for (change_rad, section) in change_rad.iter_mut().zip(guard.robot.sections()) {
         let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);
-        *change_rad = guard.stopping.way_s * core::f64::consts::SQRT_2 * largest_rad_s;
+        *change_rad = way_s * core::f64::consts::SQRT_2 * largest_rad_s;
     }
     guard.robot.travel_m(&change_rad)
 }

@@ -3,7 +3,7 @@
 use crate::robot::{BendRates, COORDINATES_MAX};
 use crate::safety::projection::Region;
 
-use super::Guard;
+use super::ClearanceGuard;
 use super::near::{Near, Place, Watched, ends_s, sections};
 
 /// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
@@ -25,11 +25,11 @@ struct Short<'a> {
 /// Whether there were some. Of very many the smallest are left out.
 pub(super) fn bound(
     near: &Near<'_>,
-    guard: &Guard<'_>,
+    guard: &ClearanceGuard<'_>,
     rates: &BendRates,
     region: &mut Region,
 ) -> bool {
-    let places = ends_s(guard).map(|way_s| near.place(guard, rates, way_s));
+    let places = ends_s(guard, rates).map(|way_s| near.place(guard, rates, way_s));
     let mut least = Least {
         rows: [None; ROWS_MAX],
         count: 0,
@@ -37,7 +37,7 @@ pub(super) fn bound(
     for place in &places {
         for (index, watched) in near.watched().enumerate() {
             for section in sections(watched.sections()) {
-                let spare_m = near.spare_m(guard, place, watched, section, false);
+                let spare_m = near.spare_m(place, watched, section, false);
                 if spare_m < 0.0 {
                     least.insert(Short {
                         spare_m,
@@ -77,7 +77,13 @@ impl<'a> Least<'a> {
 impl Short<'_> {
     /// To first order around the robot that stands still, where each clearance is as large as it must be, so that there is a
     /// region; around `rates` where that was not enough.
-    fn bound(&self, near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates, region: &mut Region) {
+    fn bound(
+        &self,
+        near: &Near<'_>,
+        guard: &ClearanceGuard<'_>,
+        rates: &BendRates,
+        region: &mut Region,
+    ) {
         let is_first = near.is_first_row(self.index, self.section);
         let (stance, margin_m) = if is_first {
             (near.still(), 0.0)
@@ -86,7 +92,7 @@ impl Short<'_> {
         };
         let nearest = stance
             .body
-            .nearest_of(self.section, &self.watched.at(self.place));
+            .nearest_of(self.section, &self.watched.obstacle_at(self.place));
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
         guard
             .robot
@@ -99,7 +105,8 @@ impl Short<'_> {
         } else {
             rates.zip(slope).map(|(rate, slope)| rate * slope).sum()
         };
-        let floor_m = near.floor_m(guard, self.place, self.watched, self.section);
+        let (still, time_s) = (&near.still().body, self.place.time_s);
+        let floor_m = self.watched.floor_m(self.section, still, time_s);
         region.bound(&slope, gained_m + margin_m + floor_m - nearest.clearance_m);
     }
 }

@@ -12,20 +12,29 @@ const PERIOD_S: f64 = 0.005;
 struct Moment {
     robot: Robot,
     at: Configuration,
-    wish: BendRates,
+    desired_rates: BendRates,
     obstacles: Vec<Obstacle>,
     safe_distance_m: f64,
 }
 
-/// Commands that are obeyed for three periods, and a ramp of 40 rad/s² from 2 rad/s.
-const STOPPING: StoppingWay = StoppingWay {
+/// Commands that are obeyed for three periods, and a ramp of 40 rad/s².
+const STOPPING: Stopping = Stopping {
     moving_s: 3.0 * PERIOD_S,
-    way_s: 3.0 * PERIOD_S + 0.025,
+    deceleration_rad_s2: 40.0,
 };
 
+fn way(rates: &BendRates) -> StoppingWay {
+    STOPPING.way(fastest(rates))
+}
+
+/// That of the fastest rates of the paper's robot.
+fn longest_way_s() -> f64 {
+    STOPPING.way(2.0).way_s
+}
+
 impl Moment {
-    fn watch(&self) -> Guard<'_> {
-        Guard {
+    fn watch(&self) -> ClearanceGuard<'_> {
+        ClearanceGuard {
             robot: &self.robot,
             at: &self.at,
             commanded: None,
@@ -37,12 +46,12 @@ impl Moment {
     }
 
     fn guard(&self) -> Guarded {
-        let limits = Limits::new(&self.robot, &self.at, STOPPING.way_s);
-        self.watch().keep_clear(&limits, &self.wish)
+        let limits = Limits::new(&self.robot, &self.at, longest_way_s());
+        self.watch().apply(&limits, &self.desired_rates)
     }
 
     fn guard_ramp(&self) -> Guarded {
-        self.watch().scale_down(&self.wish)
+        self.watch().scale_down(&self.desired_rates)
     }
 
     /// What is left of the clearances beyond what must be, at a place of the way \[m\]: and of what may be missing `between`.
@@ -51,7 +60,7 @@ impl Moment {
         let (body, still) = (self.robot.body(&next), self.robot.body(&self.at));
         let mut least_m = f64::INFINITY;
         for obstacle in &self.obstacles {
-            let moved = obstacle.moved(STOPPING.time_s(way_s));
+            let moved = obstacle.moved(way(rates).time_s(way_s));
             let [now, standing] =
                 [&body, &still].map(|body| body.clearances_in_reach(&moved, &[f64::INFINITY; 6]));
             let may_lack_m = if between {
@@ -71,12 +80,13 @@ impl Moment {
         least_m
     }
 
-    /// The rule of [`Guard::keep_clear`], or of [`Guard::scale_down`], looked at in many places.
+    /// The rule of [`ClearanceGuard::apply`], or of [`ClearanceGuard::scale_down`], looked at in many places.
     fn keeps(&self, rates: &BendRates, is_ramp: bool) -> bool {
         let is_exact = |way_s| self.spare_m(rates, way_s, false, is_ramp) >= 0.0;
-        let places = (0..=100).map(|part| STOPPING.way_s * f64::from(part) / 100.0);
+        let end_s = way(rates).way_s;
+        let places = (0..=100).map(|part| end_s * f64::from(part) / 100.0);
         is_exact(PERIOD_S)
-            && is_exact(STOPPING.way_s)
+            && is_exact(end_s)
             && places
                 .into_iter()
                 .all(|way_s| self.spare_m(rates, way_s, true, is_ramp) >= 0.0)
@@ -143,14 +153,14 @@ fn moments() -> impl Strategy<Value = Moment> {
                 parameters.cable_stroke_max_m = stroke_m;
                 let robot = Robot::new(&parameters).unwrap();
                 let at = Configuration::from_slice(&bends[..2 * sections]).unwrap();
-                let wish = BendRates::from_slice(&rates[..2 * sections]).unwrap();
-                let wish = limit(&robot, &at, &wish, STOPPING.way_s).rates;
+                let desired_rates = BendRates::from_slice(&rates[..2 * sections]).unwrap();
+                let desired_rates = limit(&robot, &at, &desired_rates, longest_way_s()).rates;
                 let place = |numbers| placed(&robot, &at, numbers);
                 let obstacles = obstacles.into_iter().map(place).collect();
                 Moment {
                     robot,
                     at,
-                    wish,
+                    desired_rates,
                     obstacles,
                     safe_distance_m,
                 }
@@ -176,15 +186,15 @@ proptest! {
         prop_assert!(moment.keeps(&guarded.rates, false));
         let ramp = moment.guard_ramp();
         prop_assert!(moment.keeps(&ramp.rates, true));
-        for (rate, wish) in ramp.rates.as_slice().iter().zip(moment.wish.as_slice()) {
-            prop_assert!(rate.abs() <= wish.abs() && rate * wish >= 0.0);
+        for (rate, desired_rates) in ramp.rates.as_slice().iter().zip(moment.desired_rates.as_slice()) {
+            prop_assert!(rate.abs() <= desired_rates.abs() && rate * desired_rates >= 0.0);
         }
-        prop_assert!(guarded.hit || moment.keeps(&moment.wish, false));
-        let again = limit(&moment.robot, &moment.at, &guarded.rates, STOPPING.way_s);
+        prop_assert!(guarded.hit || moment.keeps(&moment.desired_rates, false));
+        let again = limit(&moment.robot, &moment.at, &guarded.rates, longest_way_s());
         for (rate, limited) in guarded.rates.as_slice().iter().zip(again.rates.as_slice()) {
             prop_assert!((rate - limited).abs() < 1e-9);
         }
-        prop_assert!(fastest(&guarded.rates) <= fastest(&moment.wish));
+        prop_assert!(fastest(&guarded.rates) <= fastest(&moment.desired_rates));
         let least_m = moment.obstacles.iter().map(|o| moment.robot.clearance_m(&moment.at, o));
         prop_assert_eq!(guarded.clearance_m, least_m.fold(f64::INFINITY, f64::min));
     }
@@ -200,14 +210,19 @@ proptest! {
     fn far_from_everything_nothing_changes(mut moment in moments(), away in 1.2..1000.0_f64) {
         moment.obstacles = vec![ball(Vector3::new(away, 0.0, 0.0), 0.05); 3];
         let guarded = moment.guard();
-        prop_assert_eq!((guarded.rates, guarded.hit), (moment.wish, false));
+        prop_assert_eq!((guarded.rates, guarded.hit), (moment.desired_rates, false));
     }
 }
 
 /// A command that keeps D = 10 mm.
-fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obstacle]) -> Guarded {
-    let limits = Limits::new(robot, at, STOPPING.way_s);
-    let guard = Guard {
+fn guard(
+    robot: &Robot,
+    at: &Configuration,
+    desired_rates: &BendRates,
+    obstacles: &[Obstacle],
+) -> Guarded {
+    let limits = Limits::new(robot, at, longest_way_s());
+    let guard = ClearanceGuard {
         robot,
         at,
         commanded: None,
@@ -216,7 +231,7 @@ fn guard(robot: &Robot, at: &Configuration, wish: &BendRates, obstacles: &[Obsta
         period_s: PERIOD_S,
         stopping: STOPPING,
     };
-    guard.keep_clear(&limits, wish)
+    guard.apply(&limits, desired_rates)
 }
 
 #[test]
@@ -227,8 +242,8 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
     let [at, commanded] = [at, commanded].map(|bends| Configuration::from_slice(&bends).unwrap());
     let centre_m = robot.tip_position(&commanded) + Vector3::new(0.0451, 0.0, 0.0);
     let obstacles = [ball(centre_m, 0.02)];
-    let wish = BendRates::from_slice(&[1.0, 0.0]).unwrap();
-    let guard = |commanded| Guard {
+    let desired_rates = BendRates::from_slice(&[1.0, 0.0]).unwrap();
+    let guard = |commanded| ClearanceGuard {
         robot: &robot,
         at: &at,
         commanded,
@@ -237,10 +252,10 @@ fn a_robot_that_obeys_positions_keeps_clear_from_where_its_motors_go() {
         period_s: PERIOD_S,
         stopping: STOPPING,
     };
-    let limits = Limits::new(&robot, &at, STOPPING.way_s);
-    assert!(!guard(None).keep_clear(&limits, &wish).hit);
-    let kept = guard(Some(&commanded)).keep_clear(&limits, &wish);
-    let sent = commanded.advanced(&kept.rates, STOPPING.way_s);
+    let limits = Limits::new(&robot, &at, longest_way_s());
+    assert!(!guard(None).apply(&limits, &desired_rates).hit);
+    let kept = guard(Some(&commanded)).apply(&limits, &desired_rates);
+    let sent = commanded.advanced(&kept.rates, way(&kept.rates).way_s);
     assert!(kept.hit && robot.clearance_m(&sent, &obstacles[0]) >= 0.01);
 }
 
@@ -250,8 +265,8 @@ fn push(sections: usize, ball: &Obstacle, rates: &[f64]) -> (Vec<f64>, Configura
     let mut at = Configuration::straight(sections);
     let mut clearances_m = Vec::new();
     for _ in 0..200 {
-        let wish = BendRates::from_slice(rates).unwrap();
-        let guarded = guard(&robot, &at, &wish, &[ball.moved(0.0)]);
+        let desired_rates = BendRates::from_slice(rates).unwrap();
+        let guarded = guard(&robot, &at, &desired_rates, &[ball.moved(0.0)]);
         at = at.advanced(&guarded.rates, PERIOD_S);
         clearances_m.push(robot.clearance_m(&at, ball));
     }
@@ -284,8 +299,8 @@ fn what_appears_inside_the_safe_distance_never_gets_nearer_by_our_own_motion() {
     let mut before_m = robot.clearance_m(&at, &obstacle);
     assert!(before_m < 0.01 && before_m > 0.0);
     for _ in 0..200 {
-        let wish = BendRates::from_slice(&[1.0, 0.2, 1.0, -0.1]).unwrap();
-        let guarded = guard(&robot, &at, &wish, &[obstacle]);
+        let desired_rates = BendRates::from_slice(&[1.0, 0.2, 1.0, -0.1]).unwrap();
+        let guarded = guard(&robot, &at, &desired_rates, &[obstacle]);
         at = at.advanced(&guarded.rates, PERIOD_S);
         let after_m = robot.clearance_m(&at, &obstacle);
         assert!(after_m >= before_m.min(0.01), "{after_m} after {before_m}");
@@ -311,22 +326,56 @@ fn a_robot_at_rest_stays_at_rest_whatever_comes() {
 #[test]
 fn a_state_that_is_not_finite_and_too_many_obstacles_stand_still() {
     let robot = trunk(1);
-    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let desired_rates = BendRates::from_slice(&[0.1, 0.0]).unwrap();
     let near = ball(Vector3::new(0.03, 0.0, 0.3), 0.01);
     let lost = Configuration::from_slice(&[f64::NAN, 0.0]).unwrap();
-    let guarded = guard(&robot, &lost, &wish, &[near]);
+    let guarded = guard(&robot, &lost, &desired_rates, &[near]);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
     assert!(guarded.clearance_m.is_nan());
     let many = vec![near; NEAR_MAX + 1];
     let at = Configuration::straight(1);
-    let guarded = guard(&robot, &at, &wish, &many);
+    let guarded = guard(&robot, &at, &desired_rates, &many);
     assert_eq!((guarded.rates, guarded.hit), (BendRates::zero(1), true));
+}
+
+/// A command that is shortened stops sooner, so on the last part of its way it is later than the desired rates would be there:
+/// a ball that crosses behind those meets the robot that stops.
+#[test]
+fn a_shortened_command_keeps_clear_in_its_own_time() {
+    let mut parameters = RobotParameters::paper(1);
+    parameters.sections[0].rate_max_rad_s = 8.0;
+    let stands = ball(Vector3::new(0.14, 0.0, 0.28), 0.02);
+    let mut moment = Moment {
+        robot: Robot::new(&parameters).unwrap(),
+        at: Configuration::straight(1),
+        desired_rates: BendRates::from_slice(&[8.0, 0.0]).unwrap(),
+        obstacles: vec![stands],
+        safe_distance_m: 0.01,
+    };
+    let shortened = moment.guard().rates;
+    assert!(fastest(&shortened) < 7.0 && moment.keeps(&shortened, false));
+    let end_s = way(&shortened).way_s;
+    let end = moment.at.advanced(&shortened, end_s);
+    // 20 mm behind the tip when that rests, where it comes from the side at 1 m/s.
+    let rests_s = way(&shortened).time_s(end_s);
+    let centre_m = moment.robot.tip_position(&end) - Vector3::new(0.02, rests_s, 0.0);
+    let crosses = Obstacle::new(Shape::Sphere { centre_m }, 0.001, Vector3::y()).unwrap();
+    moment.obstacles.push(crosses);
+    // In the time of the desired rates it would keep clear of the ball, too; in its own it does not.
+    let clearance_m = |way: StoppingWay| {
+        let there = crosses.moved(way.time_s(end_s));
+        moment.robot.clearance_m(&end, &there)
+    };
+    assert!(clearance_m(way(&moment.desired_rates)) > 0.01);
+    assert!(clearance_m(way(&shortened)) < 0.005 && !moment.keeps(&shortened, false));
+    let kept = moment.guard().rates;
+    assert!(moment.keeps(&kept, false) && fastest(&kept) > 1.0);
 }
 
 #[test]
 fn without_obstacles_there_is_no_clearance() {
-    let wish = BendRates::from_slice(&[0.1, 0.0]).unwrap();
-    let guarded = guard(&trunk(1), &Configuration::straight(1), &wish, &[]);
+    let desired_rates = BendRates::from_slice(&[0.1, 0.0]).unwrap();
+    let guarded = guard(&trunk(1), &Configuration::straight(1), &desired_rates, &[]);
     assert_eq!(guarded.clearance_m, f64::INFINITY);
     assert!(!guarded.hit);
 }

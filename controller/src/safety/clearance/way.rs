@@ -2,8 +2,8 @@
 
 use crate::robot::{BendRates, SECTIONS_MAX};
 
-use super::Guard;
 use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
+use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// How often a part of the way is halved before it counts as not clear.
 const DEPTH: u32 = 6;
@@ -11,8 +11,9 @@ const DEPTH: u32 = 6;
 /// The way of the robot at some rates.
 struct Way<'a> {
     near: &'a Near<'a>,
-    guard: &'a Guard<'a>,
+    guard: &'a ClearanceGuard<'a>,
     rates: &'a BendRates,
+    stopping: StoppingWay,
     /// What no point of each section moves faster than \[m/s\].
     travel_m_s: [f64; SECTIONS_MAX],
     /// What none of them is accelerated by more \[m/s²\].
@@ -27,8 +28,8 @@ struct Left<'a> {
     spare_m: &'a Spare,
 }
 
-/// The rule of [`Guard::keep_clear`], from where `near` was found.
-pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bool {
+/// The rule of [`ClearanceGuard::apply`], from where `near` was found.
+pub(super) fn holds(near: &Near<'_>, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
     if near.is_empty() {
         return true;
     }
@@ -43,18 +44,19 @@ pub(super) fn holds(near: &Near<'_>, guard: &Guard<'_>, rates: &BendRates) -> bo
         near,
         guard,
         rates,
+        stopping: guard.stopping.way(fastest(rates)),
         travel_m_s: guard.robot.travel_m(&turn_rad_s),
         acceleration_m_s2: guard.robot.acceleration_m_s2(&turn_rad_s),
     };
-    let open = near.open(guard, &way.travel_m_s);
+    let open = near.open(&way.stopping, &way.travel_m_s);
     if open == [0; NEAR_MAX] {
         return true;
     }
     // What is not clear mostly is not at the end of the way.
-    let [period_s, end_s] = ends_s(guard);
+    let [period_s, end_s] = ends_s(guard, rates);
     let clear_at = |way_s| {
         let place = near.place(guard, rates, way_s);
-        let spare_m = near.spare_at(guard, &place, &open, false, |_| 0.0)?;
+        let spare_m = near.spare_at(&place, &open, false, |_| 0.0)?;
         Some((place, spare_m))
     };
     let (Some(end), Some(period)) = (clear_at(end_s), clear_at(period_s)) else {
@@ -95,8 +97,9 @@ impl Way<'_> {
         }
         let way_s = 0.5 * (from.way_s + to.way_s);
         let place: Place = self.near.place(self.guard, self.rates, way_s);
-        let (near, guard) = (self.near, self.guard);
-        let Some(spare_m) = near.spare_at(guard, &place, &open, true, |watched| watched.dip_m)
+        let Some(spare_m) = self
+            .near
+            .spare_at(&place, &open, true, |watched| watched.dip_m)
         else {
             return false;
         };
@@ -110,7 +113,7 @@ impl Way<'_> {
     /// A point that goes from p to p' in h seconds is nowhere farther from both together than |p' - p| and twice what it leaves
     /// the chord by: that is at most its acceleration · h²/8.
     fn unsettled(&self, from: Left<'_>, to: Left<'_>, which: &Sections) -> Sections {
-        let stopping = &self.guard.stopping;
+        let stopping = &self.stopping;
         let time_s = stopping.time_s(to.way_s) - stopping.time_s(from.way_s);
         let obstacles = if time_s > self.guard.period_s {
             2.0

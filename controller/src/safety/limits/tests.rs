@@ -28,9 +28,9 @@ fn a_bend_that_the_box_would_let_out_is_shortened_onto_its_limit() {
             let size = 2.8 - inside;
             let at = [size * angle.cos(), size * angle.sin()];
             let at = Configuration::from_slice(&at).unwrap();
-            for wish in [[2.0, 2.0], [-2.0, 2.0], [1.3, -2.0], [50.0, -3.0]] {
-                let wish = BendRates::from_slice(&wish).unwrap();
-                let limited = limit(&robot, &at, &wish, 0.005);
+            for desired_rates in [[2.0, 2.0], [-2.0, 2.0], [1.3, -2.0], [50.0, -3.0]] {
+                let desired_rates = BendRates::from_slice(&desired_rates).unwrap();
+                let limited = limit(&robot, &at, &desired_rates, 0.005);
                 let target = at.advanced(&limited.rates, 0.005);
                 over = over.max(target.bend_rad(0) - 2.8);
                 let rates = limited.rates.as_slice();
@@ -76,32 +76,35 @@ proptest! {
     #[test]
     fn speed_grows_by_the_acceleration_at_most(
         previous in prop::array::uniform4(-2.0..2.0_f64),
-        wish in prop::array::uniform4(-3.0..3.0_f64),
+        desired_rates in prop::array::uniform4(-3.0..3.0_f64),
         change_rad_s in 0.0..1.0_f64,
     ) {
         let (robot, straight) = (robot(), at([0.0; 4]));
         let limits = Limits::new(&robot, &straight, PERIOD_S);
         let limits = limits.with_acceleration(&rates(previous), change_rad_s);
-        let limited = limits.nearest(&rates(wish));
+        let limited = limits.nearest(&rates(desired_rates));
         for (rate, previous) in limited.rates.as_slice().iter().zip(previous) {
             let most = if rate * previous > 0.0 { previous.abs() } else { 0.0 };
             prop_assert!(rate.abs() <= (most + change_rad_s) * (1.0 + 1e-12));
         }
-        prop_assert_eq!(limited.hit.any(), limited.rates != rates(wish));
+        prop_assert_eq!(limited.hit.any(), limited.rates != rates(desired_rates));
         let slower = rates(previous.map(|rate| 0.3 * rate));
         prop_assert_eq!(limits.nearest(&slower), Limited { rates: slower, hit: LimitsHit::default() });
     }
 }
 
 #[test]
-fn a_legal_wish_passes_unchanged() {
-    let wish = rates([0.1, -0.2, 0.3, 0.4]);
-    let limited = limit(&robot(), &at([0.1; 4]), &wish, PERIOD_S);
-    assert_eq!((limited.rates, limited.hit), (wish, LimitsHit::default()));
+fn legal_rates_pass_unchanged() {
+    let desired_rates = rates([0.1, -0.2, 0.3, 0.4]);
+    let limited = limit(&robot(), &at([0.1; 4]), &desired_rates, PERIOD_S);
+    assert_eq!(
+        (limited.rates, limited.hit),
+        (desired_rates, LimitsHit::default())
+    );
 }
 
 #[test]
-fn rates_and_non_finite_wishes_are_cut() {
+fn rates_and_non_finite_rates_are_cut() {
     let limited = limit(
         &robot(),
         &at([0.0; 4]),
@@ -168,8 +171,8 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
     let (mut bend, mut hits) = (at([0.0; 4]), 0);
     for step in 0..400 {
         let turn = f64::from(step).sin();
-        let wish = rates([2.0, 0.3 * turn, 1.5, -turn]);
-        let limited = limit(&robot, &bend, &wish, PERIOD_S);
+        let desired_rates = rates([2.0, 0.3 * turn, 1.5, -turn]);
+        let limited = limit(&robot, &bend, &desired_rates, PERIOD_S);
         hits += u32::from(limited.hit.cable_stroke);
         bend = bend.advanced(&limited.rates, PERIOD_S);
         assert!(farthest_m(&bend) <= 0.02 + 1e-15, "{}", farthest_m(&bend));
@@ -183,7 +186,10 @@ fn no_cable_leaves_its_stroke_and_one_beyond_it_comes_back() {
         "{:?}",
         out.rates
     );
-    let wish = rates([-1.0, 0.0, 0.0, 0.0]);
-    let back = limit(&robot, &beyond, &wish, PERIOD_S);
-    assert_eq!((back.rates, back.hit), (wish, LimitsHit::default()));
+    let desired_rates = rates([-1.0, 0.0, 0.0, 0.0]);
+    let back = limit(&robot, &beyond, &desired_rates, PERIOD_S);
+    assert_eq!(
+        (back.rates, back.hit),
+        (desired_rates, LimitsHit::default())
+    );
 }

@@ -28,23 +28,23 @@ fn measured(u: f64) -> Measurement {
 fn what_the_rates_can_do_is_no_jump_and_more_is() {
     let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
     // 2 rad/s for 10 ms and the tolerance of 0.1 rad.
-    assert_eq!(watch.judge(&robot, &measured(0.0), 0), Plausibility::Good);
+    assert_eq!(watch.check(&robot, &measured(0.0), 0), Plausibility::Good);
     assert_eq!(
-        watch.judge(&robot, &measured(0.119), 10 * MS),
+        watch.check(&robot, &measured(0.119), 10 * MS),
         Plausibility::Good
     );
     // The tolerance is not granted anew: 20 ms are 0.04 rad.
     assert_eq!(
-        watch.judge(&robot, &measured(0.141), 20 * MS),
+        watch.check(&robot, &measured(0.141), 20 * MS),
         Plausibility::Jump
     );
     // Left out: the next one is compared with what was good.
     assert_eq!(
-        watch.judge(&robot, &measured(0.159), 30 * MS),
+        watch.check(&robot, &measured(0.159), 30 * MS),
         Plausibility::Good
     );
     assert_eq!(
-        watch.judge(&robot, &measured(f64::NAN), 40 * MS),
+        watch.check(&robot, &measured(f64::NAN), 40 * MS),
         Plausibility::Jump
     );
 }
@@ -52,8 +52,8 @@ fn what_the_rates_can_do_is_no_jump_and_more_is() {
 #[test]
 fn a_series_of_jumps_is_a_fault_and_then_the_next_measurement_is_believed() {
     let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
-    watch.judge(&robot, &measured(0.0), 0);
-    let verdicts = [1, 2, 3, 4, 5].map(|ms| watch.judge(&robot, &measured(1.0), ms * MS));
+    watch.check(&robot, &measured(0.0), 0);
+    let found = [1, 2, 3, 4, 5].map(|ms| watch.check(&robot, &measured(1.0), ms * MS));
     let expected = [
         Plausibility::Jump,
         Plausibility::Jump,
@@ -61,10 +61,10 @@ fn a_series_of_jumps_is_a_fault_and_then_the_next_measurement_is_believed() {
         Plausibility::Good,
         Plausibility::Good,
     ];
-    assert_eq!(verdicts, expected);
+    assert_eq!(found, expected);
     // Back again is a jump like any other.
     assert_eq!(
-        watch.judge(&robot, &measured(0.0), 6 * MS),
+        watch.check(&robot, &measured(0.0), 6 * MS),
         Plausibility::Jump
     );
 }
@@ -74,13 +74,13 @@ fn an_odd_one_now_and_then_is_no_series() {
     let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
     for ms in 0..100 {
         let odd = ms % 3 > 0;
-        let verdict = watch.judge(&robot, &measured(f64::from(u8::from(odd))), ms * MS);
+        let found = watch.check(&robot, &measured(f64::from(u8::from(odd))), ms * MS);
         let expected = if odd {
             Plausibility::Jump
         } else {
             Plausibility::Good
         };
-        assert_eq!(verdict, expected, "{ms}");
+        assert_eq!(found, expected, "{ms}");
     }
 }
 
@@ -114,15 +114,15 @@ fn noise_never_jumps_whether_the_robot_rests_or_moves_as_fast_as_it_can() {
             if f64::abs(u) > 2.0 {
                 rate = -rate;
             }
-            let verdict = watch.judge(&robot, &measured(u + 0.05 * noise()), cycle * 5 * MS);
-            assert_eq!(verdict, Plausibility::Good, "{cycle}");
+            let found = watch.check(&robot, &measured(u + 0.05 * noise()), cycle * 5 * MS);
+            assert_eq!(found, Plausibility::Good, "{cycle}");
         }
         // The worst noise: from one end to the other each time.
         for cycle in 20_000..21_000 {
             u += rate * 5e-3;
             let end = if cycle % 2 == 0 { 0.05 } else { -0.05 };
-            let verdict = watch.judge(&robot, &measured(u + end), cycle * 5 * MS);
-            assert_eq!(verdict, Plausibility::Good, "{cycle}");
+            let found = watch.check(&robot, &measured(u + end), cycle * 5 * MS);
+            assert_eq!(found, Plausibility::Good, "{cycle}");
         }
     }
 }
@@ -144,12 +144,12 @@ fn a_ramp_faster_than_the_robot_is_noticed_before_it_is_ahead_by_more_than_the_t
             stamps.sort_unstable();
             let noticed = stamps.into_iter().find(|&ms| {
                 let s = ms as f64 * 1e-3;
-                let verdict = watch.judge(&robot, &measured(rate_rad_s * s), ms * MS);
-                if verdict == Plausibility::Good {
+                let found = watch.check(&robot, &measured(rate_rad_s * s), ms * MS);
+                if found == Plausibility::Good {
                     ahead_rad = (f64::abs(rate_rad_s) - 2.0) * s;
                     last_ms = ms;
                 }
-                verdict == Plausibility::Lost
+                found == Plausibility::Lost
             });
             assert!(ahead_rad <= 0.2 + 1e-9, "{rate_rad_s}: {ahead_rad}");
             assert!(noticed.is_some(), "{rate_rad_s} after {last_ms} ms");
@@ -164,8 +164,8 @@ fn late_and_irregular_measurements_of_a_robot_at_its_largest_rate_are_good() {
     while ms < 60_000 {
         let u = (ms as f64 * 1e-3 * 2.0).rem_euclid(8.0);
         let triangle = if u < 4.0 { u - 2.0 } else { 6.0 - u };
-        let verdict = watch.judge(&robot, &measured(triangle), ms * MS);
-        assert_eq!(verdict, Plausibility::Good, "{ms}");
+        let found = watch.check(&robot, &measured(triangle), ms * MS);
+        assert_eq!(found, Plausibility::Good, "{ms}");
         ms += 1 + (noise().abs().powi(4) * 400.0) as u64;
     }
 }
@@ -176,10 +176,10 @@ fn a_step_is_noticed_at_once_in_every_component() {
     for k in 0..4 {
         let mut watch = usual();
         let mut stepped = bends(0.0);
-        watch.judge(&robot, &Measurement::Configuration(stepped), 0);
+        watch.check(&robot, &Measurement::Configuration(stepped), 0);
         stepped.as_mut_slice()[k] += 0.25;
-        let verdict = watch.judge(&robot, &Measurement::Configuration(stepped), 5 * MS);
-        assert_eq!(verdict, Plausibility::Jump, "{k}");
+        let found = watch.check(&robot, &Measurement::Configuration(stepped), 5 * MS);
+        assert_eq!(found, Plausibility::Jump, "{k}");
     }
 }
 
@@ -190,18 +190,18 @@ fn cables(robot: &Robot, bends: &Configuration) -> [f64; CABLES_MAX] {
 #[test]
 fn cables_are_compared_with_bends_and_the_tip_with_itself() {
     let (robot, mut watch) = (robot(), MeasurementWatch::new(RULES));
-    watch.judge(&robot, &measured(0.0), 0);
+    watch.check(&robot, &measured(0.0), 0);
     let cables = |u| Measurement::CableLengths(cables(&robot, &bends(u)));
-    assert_eq!(watch.judge(&robot, &cables(0.05), MS), Plausibility::Good);
+    assert_eq!(watch.check(&robot, &cables(0.05), MS), Plausibility::Good);
     assert_eq!(
-        watch.judge(&robot, &cables(0.5), 2 * MS),
+        watch.check(&robot, &cables(0.5), 2 * MS),
         Plausibility::Jump
     );
     let tip = |u| Measurement::TipPosition(robot.tip_position(&bends(u)));
-    assert_eq!(watch.judge(&robot, &tip(0.05), 3 * MS), Plausibility::Good);
-    assert_eq!(watch.judge(&robot, &tip(0.06), 4 * MS), Plausibility::Good);
+    assert_eq!(watch.check(&robot, &tip(0.05), 3 * MS), Plausibility::Good);
+    assert_eq!(watch.check(&robot, &tip(0.06), 4 * MS), Plausibility::Good);
     let far = Measurement::TipPosition(Vector3::new(0.5, 0.0, 0.0));
-    assert_eq!(watch.judge(&robot, &far, 5 * MS), Plausibility::Jump);
+    assert_eq!(watch.check(&robot, &far, 5 * MS), Plausibility::Jump);
 }
 
 #[test]
@@ -210,9 +210,9 @@ fn a_tip_may_step_by_what_one_jump_at_the_base_makes_and_no_farther() {
     let step = |step_m: f64| {
         let mut watch = usual();
         let tip_m = robot.tip_position(&bends(0.0));
-        watch.judge(&robot, &Measurement::TipPosition(tip_m), 0);
+        watch.check(&robot, &Measurement::TipPosition(tip_m), 0);
         let stepped = Measurement::TipPosition(tip_m + Vector3::new(0.0, step_m, 0.0));
-        watch.judge(&robot, &stepped, 1)
+        watch.check(&robot, &stepped, 1)
     };
     let jump_m = 0.2 * robot.sections().iter().map(|s| s.length_m).sum::<f64>();
     assert_eq!(step(jump_m * 0.999), Plausibility::Good);
@@ -226,8 +226,8 @@ fn a_tip_of_a_robot_at_its_largest_rates_is_good() {
         let bend = 2.0 * (ms as f64 * 1e-3) - 2.0;
         let tip_m =
             robot.tip_position(&Configuration::from_slice(&[bend, -bend, bend, bend]).unwrap());
-        let verdict = watch.judge(&robot, &Measurement::TipPosition(tip_m), ms * MS);
-        assert_eq!(verdict, Plausibility::Good, "{ms}");
+        let found = watch.check(&robot, &Measurement::TipPosition(tip_m), ms * MS);
+        assert_eq!(found, Plausibility::Good, "{ms}");
     }
 }
 
@@ -238,14 +238,14 @@ fn corrections_that_cancel_out_freeze_nothing() {
         let rate = if cycle % 2 == 0 { 2.0 } else { -2.0 };
         let rates = BendRates::from_slice(&[rate, -rate, rate, 0.0]).unwrap();
         watch.commanded(&rates, 5e-3);
-        let verdict = watch.judge(&robot, &measured(0.2), cycle * 5 * MS);
-        assert_eq!(verdict, Plausibility::Good, "{cycle}");
+        let found = watch.check(&robot, &measured(0.2), cycle * 5 * MS);
+        assert_eq!(found, Plausibility::Good, "{cycle}");
     }
     // Ways of different components are not added up: 0.039 rad each, and 0.01 left.
     let each = BendRates::from_slice(&[1.0, 1.0, -1.0, 1.0]).unwrap();
     watch.commanded(&each, 0.039);
     assert_eq!(
-        watch.judge(&robot, &measured(0.2), 10_001 * MS),
+        watch.check(&robot, &measured(0.2), 10_001 * MS),
         Plausibility::Good
     );
 }
@@ -259,11 +259,11 @@ fn frozen_after_ms(
     let mut watch = MeasurementWatch::new(RULES);
     let rates = BendRates::from_slice(&[1.0, -1.0, 1.0, 1.0]).unwrap();
     let mut bends = bends(0.2);
-    watch.judge(robot, &measure(bends), 0);
+    watch.check(robot, &measure(bends), 0);
     (1..=100).find(|ms| {
         watch.commanded(&rates, 1e-3);
         bends = bends.advanced(&rates, 1e-3);
-        watch.judge(robot, &measure(bends), ms * MS) == Plausibility::Frozen
+        watch.check(robot, &measure(bends), ms * MS) == Plausibility::Frozen
     })
 }
 
@@ -287,17 +287,17 @@ fn a_single_cable_that_stands_still_is_noticed_once_its_length_should_have_chang
     let robot = robot();
     let first = cables(&robot, &bends(0.2));
     for cable in 0..6 {
-        let (mut moved_m, mut judged_m) = (0.0_f64, 0.0);
+        let (mut moved_m, mut checked_m) = (0.0_f64, 0.0);
         let noticed = frozen_after_ms(&robot, |bends| {
             let mut lengths = cables(&robot, &bends);
-            judged_m = moved_m;
+            checked_m = moved_m;
             moved_m = (lengths[cable] - first[cable]).abs();
             lengths[cable] = first[cable];
             Measurement::CableLengths(lengths)
         });
         let allowed_m = 0.05 * robot.sections()[cable / 3].cable_radius_m;
         assert_eq!(noticed.is_some(), moved_m > allowed_m, "{cable}");
-        assert!(judged_m <= allowed_m + 1e-12, "{cable}");
+        assert!(checked_m <= allowed_m + 1e-12, "{cable}");
     }
     let all_move = frozen_after_ms(&robot, |bends| {
         Measurement::CableLengths(cables(&robot, &bends))
@@ -328,30 +328,30 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
     for ms in 0..1000 {
         watch.commanded(&still, 1e-3);
         assert_eq!(
-            watch.judge(&robot, &measured(0.2), ms * MS),
+            watch.check(&robot, &measured(0.2), ms * MS),
             Plausibility::Good
         );
     }
     for ms in 1000..1049 {
         watch.commanded(&moving, 1e-3);
         assert_eq!(
-            watch.judge(&robot, &measured(0.2), ms * MS),
+            watch.check(&robot, &measured(0.2), ms * MS),
             Plausibility::Good
         );
     }
     watch.commanded(&moving, 2e-3);
     assert_eq!(
-        watch.judge(&robot, &measured(0.2), 1050 * MS),
+        watch.check(&robot, &measured(0.2), 1050 * MS),
         Plausibility::Frozen
     );
     // Said once, and again when it should have moved as far again.
     assert_eq!(
-        watch.judge(&robot, &measured(0.2), 1051 * MS),
+        watch.check(&robot, &measured(0.2), 1051 * MS),
         Plausibility::Good
     );
     watch.commanded(&moving, 0.051);
     assert_eq!(
-        watch.judge(&robot, &measured(0.2), 1052 * MS),
+        watch.check(&robot, &measured(0.2), 1052 * MS),
         Plausibility::Frozen
     );
     // The smallest change shows that the sensor of this component lives, and of no other.
@@ -362,16 +362,16 @@ fn a_value_that_stands_still_is_frozen_only_while_the_robot_should_move() {
     };
     watch.commanded(&moving, 0.049);
     assert_eq!(
-        watch.judge(&robot, &changed(1), 1053 * MS),
+        watch.check(&robot, &changed(1), 1053 * MS),
         Plausibility::Good
     );
     watch.commanded(&moving, 0.049);
     assert_eq!(
-        watch.judge(&robot, &changed(1), 1054 * MS),
+        watch.check(&robot, &changed(1), 1054 * MS),
         Plausibility::Good
     );
     let mut other = MeasurementWatch::new(RULES);
-    other.judge(&robot, &measured(0.2), 0);
+    other.check(&robot, &measured(0.2), 0);
     other.commanded(&moving, 0.051);
-    assert_eq!(other.judge(&robot, &changed(2), MS), Plausibility::Frozen);
+    assert_eq!(other.check(&robot, &changed(2), MS), Plausibility::Frozen);
 }

@@ -91,13 +91,19 @@ impl Scene {
     }
 
     /// The moment of a cycle, for a robot that stops at once when no command follows.
-    fn moment(&self, time_s: f64, at: &[f64], previous: &[f64], wish: &BendRates) -> Moment {
+    fn moment(
+        &self,
+        time_s: f64,
+        at: &[f64],
+        previous: &[f64],
+        desired_rates: &BendRates,
+    ) -> Moment {
         Moment {
             parameters: self.parameters.clone(),
             at: at.to_vec(),
             commanded: None,
             previous: previous.to_vec(),
-            wish: wish.as_slice().to_vec(),
+            desired_rates: desired_rates.as_slice().to_vec(),
             balls: self.balls.iter().map(|ball| ball.after(time_s)).collect(),
             safe_m: self.safe_m,
             acceleration_rad_s2: self.acceleration_rad_s2,
@@ -118,11 +124,11 @@ impl Scene {
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &obstacles, reference)
             .with_acceleration(self.acceleration_rad_s2);
         for cycle in 0..CYCLES {
-            let (wish, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
+            let (desired_rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
             let before = closed.configuration().as_slice();
             let previous = closed.command().rates.as_slice();
-            let moment = self.moment(closed.time_s(), before, previous, &wish);
-            closed.advance(&wish);
+            let moment = self.moment(closed.time_s(), before, previous, &desired_rates);
+            closed.advance(&desired_rates);
             let command = closed.command();
             let name = format!("{}, cycle {cycle}", self.name);
             account.take(&name, &moment, command);
@@ -161,8 +167,8 @@ impl Scene {
                 elapsed_periods: 1,
                 seed: cycle_seed(1, u64::from(cycle)),
             };
-            let (wish, _) = nmpc.solve(&input, &mut Budget::unlimited());
-            moment.wish = wish.as_slice().to_vec();
+            let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            moment.desired_rates = desired_rates.as_slice().to_vec();
             moment.commanded = Some(commanded.clone());
             (moment.moving_s, moment.deceleration_rad_s2) = (3.0 * PERIOD_S, 40.0);
             let command = moment.command();

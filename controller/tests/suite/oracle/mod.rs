@@ -1,7 +1,7 @@
 //! The last word beside an independent oracle: its own kinematics, distances, limits, way to rest and quadratic program, from
 //! the formulas of docs/model.md and the words of [`safe_command`](cdcr_controller::safety::safe_command) alone.
 //!
-//! A moment is a robot, its surroundings and a wish, drawn from a number that a failed test prints.
+//! A moment is a robot, its surroundings and desired rates, drawn from a number that a failed test prints.
 
 mod body;
 mod loops;
@@ -70,16 +70,16 @@ impl Account {
     fn ask(&mut self, name: &str, moment: &Moment, command: &SafeCommand) {
         let rates = command.rates.as_slice();
         self.asked += 1;
-        if moment.comes_to_rest || !stands(rates, &moment.wish) {
+        if moment.comes_to_rest || !stands(rates, &moment.desired_rates) {
             return;
         }
-        let wish = moment.limited_wish();
-        if norm(&wish) > 1e-3 && stands(rates, &wish) {
+        let desired_rates = moment.limited_rates();
+        if norm(&desired_rates) > 1e-3 && stands(rates, &desired_rates) {
             self.stand += 1;
-            if let Some(out) = moment.way_out(&wish) {
+            if let Some(out) = moment.way_out(&desired_rates) {
                 self.stand_needlessly += 1;
-                let share = norm(&out) / norm(&wish);
-                println!("{name}: stands still, {share:.2} of the wish holds every rule");
+                let share = norm(&out) / norm(&desired_rates);
+                println!("{name}: stands still, {share:.2} of the desired rates holds every rule");
             }
         }
     }
@@ -98,13 +98,13 @@ impl Account {
     }
 }
 
-/// The oracle is not blind: what is wished breaks each of the rules.
+/// The oracle is not blind: the desired rates break each of the rules.
 #[test]
-fn wishes_break_every_rule() {
+fn desired_rates_break_every_rule() {
     let mut worst = Margins::ALL;
     for seed in 0..300 {
         let moment = Moment::random(seed);
-        worst = worst.least(moment.margins(&moment.wish));
+        worst = worst.least(moment.margins(&moment.desired_rates));
     }
     for margin in worst.rules() {
         assert!(margin < -1e-3, "{worst:?}");

@@ -1,4 +1,4 @@
-//! What is drawn: a robot somewhere, what it was told before and wishes now, and what is around it.
+//! What is drawn: a robot somewhere, what it was told before and desires now, and what is around it.
 
 use core::f64::consts::PI;
 
@@ -18,7 +18,7 @@ pub(super) struct Moment {
     pub(super) at: Vec<f64>,
     pub(super) commanded: Option<Vec<f64>>,
     pub(super) previous: Vec<f64>,
-    pub(super) wish: Vec<f64>,
+    pub(super) desired_rates: Vec<f64>,
     pub(super) balls: Vec<Ball>,
     pub(super) safe_m: f64,
     pub(super) acceleration_rad_s2: f64,
@@ -50,7 +50,10 @@ impl Moment {
             deceleration_rad_s2: self.deceleration_rad_s2,
             comes_to_rest: self.comes_to_rest,
         };
-        safe_command(&situation, &BendRates::from_slice(&self.wish).unwrap())
+        safe_command(
+            &situation,
+            &BendRates::from_slice(&self.desired_rates).unwrap(),
+        )
     }
 
     /// Where the robot is, and where it is commanded to be.
@@ -75,7 +78,7 @@ impl Moment {
             rates(&mut draw, share)
         };
         let comes_to_rest = draw.chance(0.15);
-        let wish = if comes_to_rest {
+        let desired_rates = if comes_to_rest {
             let left = draw.share();
             previous.iter().map(|rate| left * rate).collect()
         } else {
@@ -89,7 +92,7 @@ impl Moment {
         Self {
             commanded,
             previous,
-            wish,
+            desired_rates,
             balls,
             safe_m: draw.one_of(&[0.0, 0.003, 0.01, 0.03]),
             acceleration_rad_s2: draw.one_of(&[20.0, 40.0, 200.0, f64::INFINITY]),
@@ -226,7 +229,7 @@ impl Draw {
     }
 }
 
-/// Whether next to nothing is left of a wish.
-pub(super) fn stands(rates: &[f64], wish: &[f64]) -> bool {
-    norm(rates) < 1e-3 * norm(wish)
+/// Whether next to nothing is left of the desired rates.
+pub(super) fn stands(rates: &[f64], desired_rates: &[f64]) -> bool {
+    norm(rates) < 1e-3 * norm(desired_rates)
 }

@@ -1,4 +1,4 @@
-//! What the oracle would command: the nearest rates to a wish, where limits and clearances are linear.
+//! What the oracle would command: the nearest rates to the desired ones, where limits and clearances are linear.
 
 use super::body::{Arc, arcs};
 use super::moment::Moment;
@@ -14,7 +14,7 @@ const STEP_RAD: f64 = 1e-4;
 const BEYOND_M: f64 = 1e-7;
 /// What a clearance that is made linear may be too large by (m).
 const WITHIN_M: f64 = 1e-9;
-/// The share of a wish that counts as motion.
+/// The share of the desired rates that counts as motion.
 const LEAST: f64 = 0.05;
 /// Shares of a solution that are tried.
 const SHARES: [f64; 6] = [1.0, 0.999, 0.95, 0.7, 0.4, 0.2];
@@ -40,10 +40,10 @@ impl Row {
     }
 }
 
-/// The nearest point to `wish` inside all rows, by Hildreth's method: the multiplier of one row after another is set to
+/// The nearest point to `desired_rates` inside all rows, by Hildreth's method: the multiplier of one row after another is set to
 /// what that row alone needs.
-fn nearest(wish: &[f64], rows: &[Row]) -> Vec<f64> {
-    let mut at = wish.to_vec();
+fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
+    let mut at = desired_rates.to_vec();
     let mut multipliers = vec![0.0_f64; rows.len()];
     for _ in 0..SWEEPS {
         let mut changed = 0.0_f64;
@@ -68,27 +68,32 @@ fn nearest(wish: &[f64], rows: &[Row]) -> Vec<f64> {
 }
 
 impl Moment {
-    /// The nearest rates to the wish inside the limits, linear, without obstacles.
-    pub(super) fn limited_wish(&self) -> Vec<f64> {
-        nearest(&self.wish, &self.limit_rows(&self.wish, f64::INFINITY))
+    /// The nearest rates to the desired ones inside the limits, linear, without obstacles.
+    pub(super) fn limited_rates(&self) -> Vec<f64> {
+        nearest(
+            &self.desired_rates,
+            &self.limit_rows(&self.desired_rates, f64::INFINITY),
+        )
     }
 
-    /// Rates of [`LEAST`] of `wish` at least that hold every rule, where the quadratic program leads to some.
-    pub(super) fn way_out(&self, wish: &[f64]) -> Option<Vec<f64>> {
-        let mut rates = vec![0.0; wish.len()];
+    /// Rates of [`LEAST`] of `desired_rates` at least that hold every rule, where the quadratic program leads to some.
+    pub(super) fn way_out(&self, desired_rates: &[f64]) -> Option<Vec<f64>> {
+        let mut rates = vec![0.0; desired_rates.len()];
         for _ in 0..PASSES {
-            let mut rows = self.limit_rows(&rates, fastest(wish));
+            let mut rows = self.limit_rows(&rates, fastest(desired_rates));
             rows.extend(self.clearance_rows(&rates));
-            rows.retain(|row| row.can_bound(fastest(wish)));
-            let nearest = nearest(wish, &rows);
+            rows.retain(|row| row.can_bound(fastest(desired_rates)));
+            let nearest = nearest(desired_rates, &rows);
             let change = moved(&nearest, &rates, -1.0);
             rates = nearest;
-            if norm(&rates) < LEAST * norm(wish) || norm(&change) < 1e-6 * norm(wish) {
+            if norm(&rates) < LEAST * norm(desired_rates)
+                || norm(&change) < 1e-6 * norm(desired_rates)
+            {
                 return None;
             }
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
-                if norm(&candidate) >= LEAST * norm(wish) && self.hold(&candidate) {
+                if norm(&candidate) >= LEAST * norm(desired_rates) && self.hold(&candidate) {
                     return Some(candidate);
                 }
             }
@@ -97,7 +102,7 @@ impl Moment {
     }
 
     fn limit_rows(&self, near: &[f64], fastest_rad_s: f64) -> Vec<Row> {
-        let dimensions = self.wish.len();
+        let dimensions = self.desired_rates.len();
         let grows_rad_s = self.acceleration_rad_s2 * self.period_s;
         let mut rows = Vec::new();
         for (i, previous) in self.previous.iter().enumerate() {
@@ -113,7 +118,7 @@ impl Moment {
         let columns: Vec<Vec<f64>> = (0..dimensions)
             .map(|i| strokes_m(&self.parameters, &unit(i)))
             .collect();
-        let stopping = Stopping::new(self, &self.wish);
+        let stopping = Stopping::new(self, &self.desired_rates);
         let way_s = stopping.way_s(stopping.end_s());
         let max_m = self.parameters.cable_stroke_max_m;
         for place in self.places() {
@@ -152,8 +157,8 @@ impl Moment {
     fn clearance_rows(&self, near: &[f64]) -> Vec<Row> {
         let mut rows = Vec::new();
         for place in self.places() {
-            // All that the wish could come near to.
-            let way = Way::new(self, place, &self.wish);
+            // All that the desired rates could come near to.
+            let way = Way::new(self, place, &self.desired_rates);
             for time_s in [self.period_s, way.stopping.end_s()] {
                 let way_s = way.stopping.way_s(time_s);
                 let there = moved(place, near, way_s);

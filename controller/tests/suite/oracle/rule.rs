@@ -30,7 +30,7 @@ pub(super) struct Margins {
     pub(super) period: f64,
     /// on the whole way to rest, where 1 mm and what an obstacle moves in a period may lack,
     pub(super) way: f64,
-    /// and at rest, where nothing may lack in this number: it is reported, and no rule.
+    /// and at rest.
     pub(super) rest: f64,
 }
 
@@ -59,7 +59,7 @@ impl Margins {
     }
 
     /// Those that a rule bounds.
-    pub(super) fn rules(&self) -> [f64; 6] {
+    pub(super) fn rules(&self) -> [f64; 7] {
         [
             self.rate,
             self.cable_speed,
@@ -67,6 +67,7 @@ impl Margins {
             self.stroke,
             self.period,
             self.way,
+            self.rest,
         ]
     }
 
@@ -174,8 +175,8 @@ impl Moment {
             let most_rad_s = self.parameters.sections[i / 2].rate_max_rad_s;
             margins.rate = margins.rate.min(most_rad_s - rate.abs());
             let left_rad_s = if self.comes_to_rest {
-                let towards = self.wish[i].signum();
-                (rate * towards).min(self.wish[i].abs() - rate * towards)
+                let towards = self.desired_rates[i].signum();
+                (rate * towards).min(self.desired_rates[i].abs() - rate * towards)
             } else {
                 let above = previous.max(0.0) + grows_rad_s - rate;
                 above.min(rate - previous.min(0.0) + grows_rad_s)
@@ -220,7 +221,7 @@ impl Moment {
             ..Margins::ALL
         };
         if margins.hold() {
-            margins.rest = least_m(end_s, COARSE_M);
+            margins.rest = least_m(end_s, EXACT_M);
             way.descend([0.0, end_s], way.pairs.clone(), HALVINGS, &mut margins.way);
         }
         margins

@@ -28,7 +28,7 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
             };
         }
         rig.references.send_copy(chunk).unwrap();
-        let ahead = |inputs: &CycleInputs, cycle| inputs.window.at(cycle).state;
+        let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
         let cycle = rig.next_cycle;
         assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
         let (inputs, second, cycle) = if by_last_look {

@@ -91,7 +91,7 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
         elapsed_periods: 0,
         seed: record.report.seed,
     };
-    let (rates, report) = nmpc.solve(&input, &mut Budget::<()>::of_quanta(record.report.quanta));
+    let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(record.report.quanta));
     assert_eq!(report.evaluations, record.report.evaluations);
     assert_eq!(report.cost.to_bits(), record.report.cost.to_bits());
     let again = bits(nmpc.plan());
@@ -211,7 +211,7 @@ impl Recording {
                     apply(&event, &self.chunks, &robot, &mut trajectory);
                 }
             }
-            let wish = if record.plan_length > 0 {
+            let desired_rates = if record.plan_length > 0 {
                 solved += 1;
                 solve_again(record, &robot, &trajectory)
             } else if record.mode == Mode::Holding.code() {
@@ -221,7 +221,7 @@ impl Recording {
             } else {
                 continue;
             };
-            guarded += u32::from(command_again(record, &robot, &wish));
+            guarded += u32::from(command_again(record, &robot, &desired_rates));
         }
         assert!(solved > 100, "only {solved} cycles were solved");
         (solved, guarded)

@@ -1,11 +1,11 @@
 use pulp::NullaryFnOnce;
 
-/// How the swarm is computed. The same work gives the same bits on every path; they differ in speed. Under
+/// The instructions that compute the swarm. The same work gives the same bits with all of them; they differ in speed. Under
 /// a limited budget that holds for all but the scalar one, whose quanta hold one particle instead of eight.
-/// Each path is compiled whole, which takes seconds: a release has those that run.
+/// Each is compiled whole, which takes seconds: a release has those that run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Path {
+pub enum Simd {
     /// One particle after the other: the reference for tests and benchmarks. Only with the feature `scalar`.
     #[cfg(any(test, feature = "scalar"))]
     Scalar,
@@ -17,8 +17,8 @@ pub enum Path {
     Avx512,
 }
 
-impl Path {
-    /// The paths of this processor, slowest first.
+impl Simd {
+    /// Those of this processor, slowest first.
     pub fn available() -> impl Iterator<Item = Self> {
         [
             #[cfg(any(test, feature = "scalar"))]
@@ -28,10 +28,10 @@ impl Path {
             Self::Avx512,
         ]
         .into_iter()
-        .filter(|path| path.is_available())
+        .filter(|simd| simd.is_available())
     }
 
-    /// The fastest path of this processor.
+    /// The fastest of this processor.
     pub fn best() -> Self {
         Self::available().last().unwrap_or(Self::Portable)
     }
@@ -52,7 +52,7 @@ impl Path {
         !matches!(self, Self::Avx2 | Self::Avx512)
     }
 
-    /// Runs `work` compiled for this path; a path that this processor lacks runs as the portable one.
+    /// Runs `work` compiled for these instructions; those that this processor lacks are replaced by the portable ones.
     ///
     /// `work` is large and inlined whole, so each arm that calls it is paid for by the compiler: there is one
     /// for each set of instructions.
