@@ -250,20 +250,6 @@ impl dyn Struct + '_ {
         counters
     }
 
-    /// Adds what `more`, of the same kind, counts.
-    pub fn accumulate(&mut self, more: &dyn Struct) {
-        let mut others = more.counters().into_iter();
-        self.visit_mut(&mut |field, value| match (field.meaning, value) {
-            (Meaning::Sum(_), ValueMut::U64(number)) => {
-                *number += others.next().map_or(0, |other| other.1);
-            }
-            (Meaning::Max(_), ValueMut::U64(number)) => {
-                *number = others.next().map_or(0, |other| other.1).max(*number);
-            }
-            _ => {}
-        });
-    }
-
     /// Elements of the array `field` that are used; the field means nothing where it is `None`.
     pub fn used(&self, field: &Field) -> Option<usize> {
         if let Some((name, code)) = field.when
@@ -280,6 +266,20 @@ impl dyn Struct + '_ {
         });
         Some(used.map_or(elements, |used| used.min(elements)))
     }
+}
+
+/// Adds what `more` counts to `total`.
+pub fn accumulate<T: Struct>(total: &mut T, more: &T) {
+    let mut others = (more as &dyn Struct).counters().into_iter();
+    total.visit_mut(&mut |field, value| match (field.meaning, value) {
+        (Meaning::Sum(_), ValueMut::U64(number)) => {
+            *number += others.next().map_or(0, |other| other.1);
+        }
+        (Meaning::Max(_), ValueMut::U64(number)) => {
+            *number = others.next().map_or(0, |other| other.1).max(*number);
+        }
+        _ => {}
+    });
 }
 
 impl Field {
