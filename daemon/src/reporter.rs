@@ -196,6 +196,7 @@ impl Reporter {
             budget_hits: u64::from(record.report.budget_spent),
             stale_inputs: u64::from(record.stale_inputs),
             stale_measurements: u64::from(self.has_driver && is_repeated),
+            longest_gap_ns: record.longest_gap_ns,
             ..wire::Statistics::default()
         }
     }

@@ -55,7 +55,7 @@ message! {
 
     /// Counts and latencies of the cycles in one stretch of time.
     #[derive(Eq)]
-    pub struct Statistics "cdcr.Statistics.v1" {
+    pub struct Statistics "cdcr.Statistics.v2" {
         /// Cycles that ran.
         cycles: u64 [sum "cycles"],
         /// Cycles that started later than the late-start limit.
@@ -74,6 +74,9 @@ message! {
         stale_measurements: u64 [sum "stale measurements"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],
+        /// Longest time between two looks at the clock inside a cycle, until the solver was done \[ns\]: how long the processor
+        /// stood still, though no deadline was missed.
+        longest_gap_ns: u64 [max "longest gap"],
         /// Cycles that started late, missed their deadline or skipped periods, by their [`LateCause`]; index = code,
         /// so the first is 0. A punctual cycle whose skipped releases the late cycle before it took is not counted
         /// again.
@@ -93,7 +96,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
-    pub struct Status "cdcr.Status.v4" {
+    pub struct Status "cdcr.Status.v5" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
