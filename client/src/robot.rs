@@ -12,8 +12,7 @@ pub fn section_lengths_m(robot: &RobotDescription) -> Vec<f64> {
 /// What a daemon lacks for real time, each with its remedy; empty: nothing. `bits` is
 /// `realtime_missing` of its status.
 pub fn realtime_missing(bits: u32) -> Vec<(&'static str, &'static str)> {
-    let missing = realtime::ALL.iter().filter(|(bit, _, _)| bits & bit != 0);
-    missing.map(|&(_, name, remedy)| (name, remedy)).collect()
+    realtime::set(bits).collect()
 }
 
 /// The text in a message's fixed field: UTF-8, padded with zeros.

@@ -158,7 +158,6 @@ impl Reporter {
             core_budget: record.core_budget,
             costs: record.costs,
             solved: record.report.status != SolveStatus::Idle,
-            budget_hit: record.report.budget_spent,
             compute_ns: record.handed_over_ns - record.release.start_ns,
             response_ns: record.handed_over_ns - due_ns,
             gather_ns: inputs.gather_took_ns,
@@ -166,9 +165,7 @@ impl Reporter {
             skipped_periods: record.release.skipped,
             due_ns,
             late_cause,
-            stale_inputs: record.stale_inputs,
-            stale_measurement: self.has_driver
-                && record.measurement_use == MeasurementUse::Repeated,
+            counts: self.counts(record),
             position_error_m: self.tracking_error_m(record),
             lateness: record.lateness,
             misses_tolerated: record.policy.tolerates(record.miss_bucket),
@@ -190,6 +187,17 @@ impl Reporter {
             following_warning: record.following.largest_rad() > record.policy.following.warning_rad,
             dropped_events: inputs.dropped_events,
             outcomes: inputs.outcomes,
+        }
+    }
+
+    fn counts(&self, record: &CycleRecord) -> wire::Statistics {
+        let is_repeated = record.measurement_use == MeasurementUse::Repeated;
+        wire::Statistics {
+            budget_hits: u64::from(record.report.budget_spent),
+            stale_inputs: u64::from(record.stale_inputs),
+            stale_measurements: u64::from(self.has_driver && is_repeated),
+            longest_gap_ns: record.longest_gap_ns,
+            ..wire::Statistics::default()
         }
     }
 

@@ -85,10 +85,8 @@ pub(crate) fn arm<T>(config: &RealtimeConfig, threads: &[&Started<T>]) -> Result
 }
 
 fn not_granted(missing: u32) -> Ended {
-    let lines: Vec<_> = realtime::ALL
-        .iter()
-        .filter(|(bit, _, _)| missing & bit != 0)
-        .map(|(_, name, remedy)| format!("  {name} is missing: {remedy}"))
+    let lines: Vec<_> = realtime::set(missing)
+        .map(|(name, remedy)| format!("  {name} is missing: {remedy}"))
         .collect();
     Ended {
         cause: ExitCause::NotRealtime,
@@ -104,10 +102,7 @@ fn say_what_is_missing(missing: u32, core: Option<usize>) {
     if missing == 0 {
         tracing::info!(?core, "real time: SCHED_FIFO, pinned, memory locked");
     }
-    for (_, name, remedy) in realtime::ALL
-        .iter()
-        .filter(|(bit, _, _)| missing & bit != 0)
-    {
+    for (name, remedy) in realtime::set(missing) {
         tracing::warn!("not real time: {name} is missing; {remedy}");
     }
 }

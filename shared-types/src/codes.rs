@@ -7,6 +7,8 @@ mod bits;
 
 pub use bits::{guard, realtime, timing};
 
+use crate::message::Codes;
+
 /// Declares a wire enumeration with its values, its checked conversion and a sentence for people.
 macro_rules! wire_enum {
     ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal: $text:literal,)+ }) => {
@@ -29,10 +31,14 @@ macro_rules! wire_enum {
                 match self { $(Self::$variant => $text,)+ }
             }
 
+            /// Values, names and texts, for those who walk a message.
+            pub const CODES: &'static Codes = &Codes {
+                name: stringify!($name),
+                values: &[$(($value, stringify!($variant), $text),)+],
+            };
+
             /// The name in words for a code that came from the wire, known or not.
-            pub fn text_of(code: u32) -> &'static str {
-                Self::try_from(code).map_or("unknown code", Self::text)
-            }
+            pub fn text_of(code: u32) -> &'static str { Self::CODES.text(code) }
         }
 
         /// The first value: that of a message whose bytes are zero, if it has the code 0.

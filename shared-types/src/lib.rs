@@ -18,6 +18,8 @@
 //!
 //! # Rules that every type here keeps
 //!
+//! * Each is declared once, by the macro of [`message`]: struct, zero value, and the list of its fields with kind, unit,
+//!   codes and used length ([`LAYOUTS`]), which JSON, tables and tests walk.
 //! * `#[repr(C)]`, fixed size, no padding that a reader could mistake for data: gaps are spelt out
 //!   as `reserved` fields, which are zero: the daemon refuses a message in which one is not (but a stop). Sizes and offsets are pinned by `tests/layout.rs`.
 //! * An explicit iceoryx2 type name `cdcr.<Type>.v<n>`. iceoryx2 compares name, size and alignment
@@ -41,6 +43,7 @@ mod incident;
 pub mod ipc;
 pub mod limits;
 mod measurement;
+pub mod message;
 mod obstacles;
 mod presence;
 mod reference;
@@ -63,3 +66,30 @@ pub use services::{
 pub use settings::SolverSettings;
 pub use status::{LatencySummary, RobotDescription, SectionDescription, Statistics, Status};
 pub use telemetry::{InputEvent, ReferenceSample, SchedulingReport, SolverReport, Telemetry};
+
+use message::Layout;
+
+/// Every message and every part of one, each before those that hold it.
+pub const LAYOUTS: [&Layout; 21] = [
+    Header::LAYOUT,
+    ReferencePoint::LAYOUT,
+    ReferenceChunk::LAYOUT,
+    Obstacle::LAYOUT,
+    ObstacleUpdate::LAYOUT,
+    Measurement::LAYOUT,
+    Command::LAYOUT,
+    SolverSettings::LAYOUT,
+    Request::LAYOUT,
+    Response::LAYOUT,
+    SectionDescription::LAYOUT,
+    RobotDescription::LAYOUT,
+    LatencySummary::LAYOUT,
+    Statistics::LAYOUT,
+    Status::LAYOUT,
+    InputEvent::LAYOUT,
+    ReferenceSample::LAYOUT,
+    SolverReport::LAYOUT,
+    SchedulingReport::LAYOUT,
+    Telemetry::LAYOUT,
+    Incident::LAYOUT,
+];

@@ -1,65 +1,49 @@
-use iceoryx2::prelude::ZeroCopySend;
-
 use crate::Header;
 use crate::limits::OBSTACLES_MAX;
+use crate::message::message;
 
-/// A sphere or a capsule that the body of the robot must stay clear of.
-///
-/// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within
-/// 0 to 10⁶ m. In a telemetry record it is the obstacle as the cycle used it: moved on to the release.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, Default, ZeroCopySend)]
-#[type_name("cdcr.Obstacle.v1")]
-pub struct Obstacle {
-    /// Identity chosen by the sender, unique among all senders; an upsert with a known id replaces.
-    pub id: u32,
-    /// [`codes::ObstacleShape`](crate::codes::ObstacleShape).
-    pub shape: u32,
-    /// Centre of the sphere, or first end of the capsule's axis, in the base frame \[m\].
-    pub start_m: [f64; 3],
-    /// Second end of the capsule's axis \[m\]; unused for a sphere.
-    pub end_m: [f64; 3],
-    /// Radius \[m\], ≥ 0.
-    pub radius_m: f64,
-    /// Velocity of the whole shape \[m/s\]: it is predicted to each release, and over the horizon, at
-    /// constant velocity.
-    pub velocity_m_s: [f64; 3],
-    /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
-    pub measured_ns: u64,
-    /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
-    /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches those who send obstacles
-    /// (`obstacles.source_timeout_ms`), one does not expire before its sender has sent something after that
-    /// (`header.sent_ns`); in a telemetry record this is then 0.
-    pub lifetime_ns: u64,
-}
+message! {
+    /// A sphere or a capsule that the body of the robot must stay clear of.
+    ///
+    /// Numbers are finite, components of positions (m) and velocities (m/s) within ±10⁶, the radius within
+    /// 0 to 10⁶ m. In a telemetry record it is the obstacle as the cycle used it: moved on to the release.
+    pub struct Obstacle "cdcr.Obstacle.v1" {
+        /// Identity chosen by the sender, unique among all senders; an upsert with a known id replaces.
+        id: u32,
+        /// [`codes::ObstacleShape`](crate::codes::ObstacleShape).
+        shape: u32 [code ObstacleShape],
+        /// Centre of the sphere, or first end of the capsule's axis, in the base frame \[m\].
+        start_m: [f64; 3],
+        /// Second end of the capsule's axis \[m\]; unused for a sphere.
+        end_m: [f64; 3],
+        /// Radius \[m\], ≥ 0.
+        radius_m: f64,
+        /// Velocity of the whole shape \[m/s\]: it is predicted to each release, and over the horizon, at
+        /// constant velocity.
+        velocity_m_s: [f64; 3],
+        /// When `start_m` and `end_m` held \[ns, `CLOCK_MONOTONIC`\]; at most 1 ms ahead of the daemon.
+        measured_ns: u64,
+        /// How long it stays known after `measured_ns` \[ns\]; 0: until removed. An obstacle whose lifetime
+        /// is over when it arrives is refused as in the past, one that has left the range of positions by then as out of range. Where the daemon watches those who send obstacles
+        /// (`obstacles.source_timeout_ms`), one does not expire before its sender has sent something after that
+        /// (`header.sent_ns`); in a telemetry record this is then 0.
+        lifetime_ns: u64,
+    }
 
-/// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, taken whole or not at all.
-///
-/// Any client may send one, and all share the ids. Within one message the last obstacle of an id counts.
-/// Removing an id that is not known changes nothing. An upsert that would make more than
-/// [`OBSTACLES_MAX`] obstacles known is refused. The event that reports an accepted update has in
-/// `detail` how many obstacles are known after it. One without obstacles changes nothing, and is a sign of life.
-#[repr(C)]
-#[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
-#[type_name("cdcr.ObstacleUpdate.v1")]
-pub struct ObstacleUpdate {
-    /// Sender, sequence, time.
-    pub header: Header,
-    /// [`codes::ObstacleAction`](crate::codes::ObstacleAction): upsert, remove by id, clear all.
-    pub action: u32,
-    /// Obstacles used, 0 ..= [`OBSTACLES_MAX`].
-    pub count: u32,
-    /// The obstacles; only the first `count` are read, and of a removal only their ids.
-    pub obstacles: [Obstacle; OBSTACLES_MAX],
-}
-
-impl Default for ObstacleUpdate {
-    fn default() -> Self {
-        Self {
-            header: Header::default(),
-            action: 0,
-            count: 0,
-            obstacles: [Obstacle::default(); OBSTACLES_MAX],
-        }
+    /// A change to the set of obstacles; up to [`OBSTACLES_MAX`] at a time, taken whole or not at all.
+    ///
+    /// Any client may send one, and all share the ids. Within one message the last obstacle of an id counts.
+    /// Removing an id that is not known changes nothing. An upsert that would make more than
+    /// [`OBSTACLES_MAX`] obstacles known is refused. The event that reports an accepted update has in
+    /// `detail` how many obstacles are known after it. One without obstacles changes nothing, and is a sign of life.
+    pub struct ObstacleUpdate "cdcr.ObstacleUpdate.v1" {
+        /// Sender, sequence, time.
+        header: Header,
+        /// [`codes::ObstacleAction`](crate::codes::ObstacleAction): upsert, remove by id, clear all.
+        action: u32 [code ObstacleAction],
+        /// Obstacles used, 0 ..= [`OBSTACLES_MAX`].
+        count: u32 [length],
+        /// The obstacles; only the first `count` are read, and of a removal only their ids.
+        obstacles: [Obstacle; OBSTACLES_MAX] [used 1 count],
     }
 }

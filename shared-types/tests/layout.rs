@@ -1,200 +1,166 @@
-//! Pins the layout of every message. A failing line means that the wire contract changed: then the
-//! version in the type's name has to change with it.
+//! Pins the layout of every message: `layout.txt`. A line that differs means that the wire contract changed: then the
+//! version in the type's name has to change with it. `CDCR_GENERATE=1` writes the file anew.
 
-use std::mem::{align_of, offset_of, size_of};
+use std::fmt::Write as _;
 
+use cdcr_shared_types::message::{Field, Kind, Layout, Meaning, Struct, Value};
 use cdcr_shared_types::{
-    Command, Header, Incident, InputEvent, LatencySummary, Measurement, Obstacle, ObstacleUpdate,
-    ReferenceChunk, ReferencePoint, ReferenceSample, Request, Response, RobotDescription,
-    SchedulingReport, SectionDescription, SolverReport, SolverSettings, Statistics, Status,
-    Telemetry,
+    Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Response, Status, codes,
 };
 
-#[test]
-fn sizes_are_pinned() {
-    let sizes = [
-        ("Header", size_of::<Header>(), 24),
-        ("ReferencePoint", size_of::<ReferencePoint>(), 72),
-        ("ReferenceChunk", size_of::<ReferenceChunk>(), 9256),
-        ("Obstacle", size_of::<Obstacle>(), 104),
-        ("ObstacleUpdate", size_of::<ObstacleUpdate>(), 6688),
-        ("Measurement", size_of::<Measurement>(), 344),
-        ("Command", size_of::<Command>(), 552),
-        ("SolverSettings", size_of::<SolverSettings>(), 168),
-        ("Request", size_of::<Request>(), 200),
-        ("Response", size_of::<Response>(), 64),
-        ("InputEvent", size_of::<InputEvent>(), 40),
-        ("ReferenceSample", size_of::<ReferenceSample>(), 64),
-        ("SolverReport", size_of::<SolverReport>(), 72),
-        ("Telemetry", size_of::<Telemetry>(), 13856),
-        ("LatencySummary", size_of::<LatencySummary>(), 48),
-        ("SectionDescription", size_of::<SectionDescription>(), 48),
-        ("RobotDescription", size_of::<RobotDescription>(), 320),
-        ("Statistics", size_of::<Statistics>(), 408),
-        ("Status", size_of::<Status>(), 2048),
-        ("SchedulingReport", size_of::<SchedulingReport>(), 40),
-        ("Incident", size_of::<Incident>(), 13896),
-    ];
-    let changed: Vec<_> = sizes.iter().filter(|(_, is, was)| is != was).collect();
-    assert!(changed.is_empty(), "(type, is, was): {changed:?}");
-    assert_eq!(align_of::<Telemetry>(), 8);
+const PINNED: &str = include_str!("layout.txt");
+
+fn kind_text(kind: &Kind) -> String {
+    match kind {
+        Kind::U8 => "u8".to_owned(),
+        Kind::U32 => "u32".to_owned(),
+        Kind::U64 => "u64".to_owned(),
+        Kind::F64 => "f64".to_owned(),
+        Kind::Array(kind, count) => format!("{} x {count}", kind_text(kind)),
+        Kind::Struct(layout) => layout.type_name.to_owned(),
+    }
+}
+
+fn size(kind: &Kind) -> usize {
+    match kind {
+        Kind::U8 => 1,
+        Kind::U32 => 4,
+        Kind::U64 | Kind::F64 => 8,
+        Kind::Array(kind, count) => size(kind) * count,
+        Kind::Struct(layout) => layout.size,
+    }
+}
+
+fn fields() -> impl Iterator<Item = (&'static Layout, &'static Field)> {
+    let layouts = LAYOUTS.iter();
+    layouts.flat_map(|layout| layout.fields.iter().map(|field| (*layout, field)))
 }
 
 #[test]
-#[allow(clippy::too_many_lines, reason = "a table")]
-fn offsets_are_pinned() {
-    let offsets = [
-        (
-            "ReferencePoint.position_m",
-            offset_of!(ReferencePoint, position_m),
-            8,
-        ),
-        (
-            "ReferencePoint.orientation",
-            offset_of!(ReferencePoint, orientation),
-            32,
-        ),
-        (
-            "ReferencePoint.orientation_kind",
-            offset_of!(ReferencePoint, orientation_kind),
-            64,
-        ),
-        ("ReferenceChunk.mode", offset_of!(ReferenceChunk, mode), 24),
-        (
-            "ReferenceChunk.count",
-            offset_of!(ReferenceChunk, count),
-            32,
-        ),
-        (
-            "ReferenceChunk.points",
-            offset_of!(ReferenceChunk, points),
-            40,
-        ),
-        ("Obstacle.start_m", offset_of!(Obstacle, start_m), 8),
-        ("Obstacle.radius_m", offset_of!(Obstacle, radius_m), 56),
-        (
-            "Obstacle.lifetime_ns",
-            offset_of!(Obstacle, lifetime_ns),
-            96,
-        ),
-        (
-            "ObstacleUpdate.obstacles",
-            offset_of!(ObstacleUpdate, obstacles),
-            32,
-        ),
-        ("Measurement.kind", offset_of!(Measurement, kind), 32),
-        (
-            "Measurement.bend_rad",
-            offset_of!(Measurement, bend_rad),
-            48,
-        ),
-        (
-            "Measurement.tip_position_m",
-            offset_of!(Measurement, tip_position_m),
-            144,
-        ),
-        (
-            "Measurement.cable_length_m",
-            offset_of!(Measurement, cable_length_m),
-            200,
-        ),
-        ("Command.cycle", offset_of!(Command, cycle), 24),
-        (
-            "Command.bend_rate_rad_s",
-            offset_of!(Command, bend_rate_rad_s),
-            72,
-        ),
-        (
-            "Command.cable_length_m",
-            offset_of!(Command, cable_length_m),
-            264,
-        ),
-        (
-            "SolverSettings.inertia",
-            offset_of!(SolverSettings, inertia),
-            40,
-        ),
-        ("SolverSettings.seed", offset_of!(SolverSettings, seed), 160),
-        ("Request.kind", offset_of!(Request, kind), 24),
-        ("Request.settings", offset_of!(Request, settings), 32),
-        ("Response.outcome", offset_of!(Response, outcome), 40),
-        ("InputEvent.kind", offset_of!(InputEvent, kind), 24),
-        (
-            "Telemetry.release_ns",
-            offset_of!(Telemetry, release_ns),
-            32,
-        ),
-        ("Telemetry.mode", offset_of!(Telemetry, mode), 160),
-        ("Telemetry.events", offset_of!(Telemetry, events), 192),
-        (
-            "Telemetry.measurement",
-            offset_of!(Telemetry, measurement),
-            1152,
-        ),
-        ("Telemetry.bend_rad", offset_of!(Telemetry, bend_rad), 1496),
-        ("Telemetry.settings", offset_of!(Telemetry, settings), 1688),
-        (
-            "Telemetry.obstacles",
-            offset_of!(Telemetry, obstacles),
-            2272,
-        ),
-        (
-            "Telemetry.clearance_m",
-            offset_of!(Telemetry, clearance_m),
-            12976,
-        ),
-        ("Status.clearance_m", offset_of!(Status, clearance_m), 1288),
-        (
-            "Telemetry.warm_plan",
-            offset_of!(Telemetry, warm_plan),
-            8928,
-        ),
-        ("Telemetry.plan", offset_of!(Telemetry, plan), 10848),
-        ("Telemetry.report", offset_of!(Telemetry, report), 12768),
-        ("Telemetry.command", offset_of!(Telemetry, command), 12984),
-        ("Status.mode", offset_of!(Status, mode), 124),
-        ("Status.cycles", offset_of!(Status, cycles), 168),
-        ("Status.outcomes", offset_of!(Status, outcomes), 240),
-        ("Status.robot", offset_of!(Status, robot), 1296),
-        ("Status.settings", offset_of!(Status, settings), 1616),
-        (
-            "Status.misses_tolerated",
-            offset_of!(Status, misses_tolerated),
-            1784,
-        ),
-        (
-            "Status.safe_distance_min_m",
-            offset_of!(Status, safe_distance_min_m),
-            2032,
-        ),
-        (
-            "Status.statistics_since_ns",
-            offset_of!(Status, statistics_since_ns),
-            440,
-        ),
-        ("Status.since_reset", offset_of!(Status, since_reset), 448),
-        ("Status.last_minute", offset_of!(Status, last_minute), 856),
-        ("Statistics.causes", offset_of!(Statistics, causes), 72),
-        ("Statistics.wake", offset_of!(Statistics, wake), 120),
-        ("Statistics.publish", offset_of!(Statistics, publish), 360),
-        (
-            "Telemetry.scheduling",
-            offset_of!(Telemetry, scheduling),
-            120,
-        ),
-        (
-            "SchedulingReport.late_cause",
-            offset_of!(SchedulingReport, late_cause),
-            32,
-        ),
-        (
-            "Telemetry.measurement_state",
-            offset_of!(Telemetry, measurement_state),
-            2252,
-        ),
-        ("Incident.steal_ns", offset_of!(Incident, steal_ns), 24),
-        ("Incident.telemetry", offset_of!(Incident, telemetry), 40),
-    ];
-    let moved: Vec<_> = offsets.iter().filter(|(_, is, was)| is != was).collect();
-    assert!(moved.is_empty(), "(field, is, was): {moved:?}");
+fn sizes_and_offsets_are_pinned() {
+    let mut text = String::new();
+    for layout in LAYOUTS {
+        writeln!(text, "{} {}", layout.type_name, layout.size).unwrap();
+        for field in layout.fields {
+            let kind = kind_text(&field.kind);
+            writeln!(text, "{:>8} {} {kind}", field.offset, field.name).unwrap();
+        }
+    }
+    if std::env::var_os("CDCR_GENERATE").is_some() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/layout.txt");
+        std::fs::write(path, &text).unwrap();
+        return;
+    }
+    let mut lines = text.lines().zip(PINNED.lines());
+    let changed = lines.find(|(is, was)| is != was);
+    assert_eq!(changed, None, "(is, was)");
+    assert_eq!(text.lines().count(), PINNED.lines().count());
+}
+
+#[test]
+fn fields_follow_each_other_without_gaps() {
+    for layout in LAYOUTS {
+        let mut end = 0;
+        for field in layout.fields {
+            assert_eq!(field.offset, end, "{}.{}", layout.name, field.name);
+            end += size(&field.kind);
+        }
+        assert_eq!(end, layout.size, "{}", layout.name);
+        assert!(
+            layout
+                .type_name
+                .starts_with(&format!("cdcr.{}.v", layout.name))
+        );
+    }
+}
+
+#[test]
+fn what_is_zero_is_called_reserved() {
+    for (layout, field) in fields() {
+        let is_reserved = matches!(field.meaning, Meaning::Reserved);
+        assert_eq!(
+            is_reserved,
+            field.name == "reserved",
+            "{}.{}",
+            layout.name,
+            field.name
+        );
+    }
+}
+
+/// Where a code or a length is named, there is such a field, and a number in it.
+#[test]
+fn lengths_and_conditions_name_fields() {
+    fn check(message: &dyn Struct) {
+        message.visit(&mut |field, value| {
+            let name = format!("{}.{}", message.layout().name, field.name);
+            if let Some(used) = field.used {
+                assert_eq!(message.number(used.count), Some(0), "{name}");
+                assert_eq!(message.used(field).unwrap_or(0), 0, "{name}");
+            }
+            if let Some((other, _)) = field.when {
+                assert_eq!(message.number(other), Some(0), "{name}");
+            }
+            match value {
+                Value::Struct(part) => check(part),
+                Value::Array(parts) => {
+                    if let Value::Struct(part) = parts.element(0) {
+                        check(part);
+                    }
+                }
+                _ => {}
+            }
+        });
+    }
+    check(&Incident::default());
+    check(&Status::default());
+    check(&Response::default());
+    check(&ReferenceChunk::default());
+    check(&ObstacleUpdate::default());
+}
+
+#[test]
+fn only_what_is_meant_is_used() {
+    let field = |name: &str| {
+        let mut fields = Measurement::LAYOUT.fields.iter();
+        fields.find(|field| field.name == name).unwrap()
+    };
+    let mut measurement = Measurement {
+        kind: codes::MeasurementKind::Configuration.code(),
+        sections: 2,
+        ..Measurement::default()
+    };
+    let used = |measurement: &Measurement, name| (measurement as &dyn Struct).used(field(name));
+    assert_eq!(used(&measurement, "bend_rad"), Some(4));
+    assert_eq!(used(&measurement, "cable_length_m"), None);
+    measurement.sections = u32::MAX;
+    assert_eq!(
+        used(&measurement, "bend_rad"),
+        Some(12),
+        "never more than there is"
+    );
+    measurement.kind = codes::MeasurementKind::TipPose.code();
+    assert_eq!(used(&measurement, "tip_position_m"), Some(3));
+}
+
+#[test]
+fn units_come_from_the_names() {
+    let unit = |name: &str| {
+        let mut all = fields();
+        all.find(|(_, field)| field.name == name).unwrap().1.unit
+    };
+    assert_eq!(
+        [
+            "acceleration_rad_s2",
+            "bend_rate_rad_s",
+            "cable_speed_m_s",
+            "bend_rad",
+            "sent_ns",
+            "radius_m",
+            "cost",
+            "plan"
+        ]
+        .map(unit),
+        ["rad/s²", "rad/s", "m/s", "rad", "ns", "m", "", "rad/s"]
+    );
 }

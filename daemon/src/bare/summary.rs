@@ -123,9 +123,7 @@ fn causes(cycles: &[BareCycle]) -> BTreeMap<&'static str, u64> {
 }
 
 fn names(missing: u32) -> Vec<&'static str> {
-    let is_missing = |(bit, _, _): &&(u32, &str, &str)| missing & bit != 0;
-    let missing = realtime::ALL.iter().filter(is_missing);
-    missing.map(|(_, name, _)| *name).collect()
+    realtime::set(missing).map(|(name, _)| name).collect()
 }
 
 impl Percentiles {

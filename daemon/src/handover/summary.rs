@@ -21,8 +21,6 @@ pub struct Summary {
     pub costs: Costs,
     /// Whether it ran.
     pub solved: bool,
-    /// Whether the budget ended it.
-    pub budget_hit: bool,
     /// Start to hand-over \[ns\].
     pub compute_ns: u64,
     /// Release to hand-over \[ns\].
@@ -38,10 +36,8 @@ pub struct Summary {
     /// [`wire::codes::LateCause`]; none, too, when it only skipped the releases that the late cycle before it
     /// took.
     pub late_cause: u32,
-    /// Whether it used the inputs of the cycle before again.
-    pub stale_inputs: bool,
-    /// Whether its driver had measured nothing newer.
-    pub stale_measurement: bool,
+    /// What it adds to the counters of the statistics, beside the totals and what the supervisor finds out.
+    pub counts: wire::Statistics,
     /// Distance of the tip from its reference \[m\], while it follows one.
     pub position_error_m: Option<f64>,
     /// Whether the cycle was late.

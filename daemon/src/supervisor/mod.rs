@@ -172,7 +172,7 @@ impl Supervisor {
                 summary.late_cause = stolen.cause(summary.late_cause, summary.response_ns);
             }
             self.statistics.record(&summary);
-            self.budget_hits += u64::from(summary.budget_hit);
+            self.budget_hits += summary.counts.budget_hits;
             self.status.clearance_guarded += u64::from(summary.clearance_guarded);
             self.status.following_warnings += u64::from(summary.following_warning);
             self.log(&summary);

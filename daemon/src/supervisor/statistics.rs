@@ -2,6 +2,7 @@ use std::time::Duration;
 
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::LateCause;
+use cdcr_shared_types::message::accumulate;
 use hdrhistogram::Histogram;
 
 use crate::accounting::Totals;
@@ -39,12 +40,8 @@ pub(super) struct Statistics {
 #[derive(Debug)]
 struct Window {
     counts: wire::Statistics,
-    wake: Histogram<u64>,
-    gather: Histogram<u64>,
-    compute: Histogram<u64>,
-    solve: Histogram<u64>,
-    response: Histogram<u64>,
-    publish: Histogram<u64>,
+    /// Wake-up, gather, compute, response, publish, solve.
+    latencies: [Histogram<u64>; 6],
     streak: u64,
 }
 
@@ -120,12 +117,14 @@ impl Window {
         let histogram = || latency::histogram(digits);
         Ok(Self {
             counts: wire::Statistics::default(),
-            wake: histogram()?,
-            gather: histogram()?,
-            compute: histogram()?,
-            solve: histogram()?,
-            response: histogram()?,
-            publish: histogram()?,
+            latencies: [
+                histogram()?,
+                histogram()?,
+                histogram()?,
+                histogram()?,
+                histogram()?,
+                histogram()?,
+            ],
             streak: 0,
         })
     }
@@ -141,9 +140,7 @@ impl Window {
     fn record(&mut self, summary: &Summary) {
         let counts = &mut self.counts;
         let missed = summary.lateness.deadline_miss;
-        counts.budget_hits += u64::from(summary.budget_hit);
-        counts.stale_inputs += u64::from(summary.stale_inputs);
-        counts.stale_measurements += u64::from(summary.stale_measurement);
+        accumulate(counts, &summary.counts);
         let cause = summary.late_cause;
         if cause != LateCause::None.code()
             && let Some(count) = counts.causes.get_mut(cause as usize)
@@ -157,42 +154,24 @@ impl Window {
         if !missed {
             self.streak = 0;
         }
-        self.wake.saturating_record(summary.wake_ns);
-        self.gather.saturating_record(summary.gather_ns);
-        self.compute.saturating_record(summary.compute_ns);
-        self.response.saturating_record(summary.response_ns);
-        self.publish.saturating_record(summary.publish_ns);
-        if summary.solved {
-            self.solve.saturating_record(summary.solve_ns);
+        let values = [
+            summary.wake_ns,
+            summary.gather_ns,
+            summary.compute_ns,
+            summary.response_ns,
+            summary.publish_ns,
+            summary.solve_ns,
+        ];
+        let counted = if summary.solved { 6 } else { 5 };
+        for (histogram, value_ns) in self.latencies.iter_mut().zip(values).take(counted) {
+            histogram.saturating_record(value_ns);
         }
-    }
-
-    fn histograms(&self) -> [&Histogram<u64>; 6] {
-        [
-            &self.wake,
-            &self.gather,
-            &self.compute,
-            &self.solve,
-            &self.response,
-            &self.publish,
-        ]
-    }
-
-    fn histograms_mut(&mut self) -> [&mut Histogram<u64>; 6] {
-        [
-            &mut self.wake,
-            &mut self.gather,
-            &mut self.compute,
-            &mut self.solve,
-            &mut self.response,
-            &mut self.publish,
-        ]
     }
 
     fn clear(&mut self) {
         self.counts = wire::Statistics::default();
         self.streak = 0;
-        for histogram in self.histograms_mut() {
+        for histogram in &mut self.latencies {
             histogram.reset();
         }
     }
@@ -200,32 +179,26 @@ impl Window {
     /// Adds what another window of the same digits counted.
     fn add(&mut self, other: &Self) {
         let (counts, more) = (&mut self.counts, &other.counts);
-        counts.cycles += more.cycles;
-        counts.late_starts += more.late_starts;
-        counts.deadline_misses += more.deadline_misses;
-        counts.skipped_periods += more.skipped_periods;
-        counts.longest_streak = counts.longest_streak.max(more.longest_streak);
-        counts.budget_hits += more.budget_hits;
-        counts.stale_inputs += more.stale_inputs;
-        counts.stale_measurements += more.stale_measurements;
-        counts.dropped_records += more.dropped_records;
+        accumulate(counts, more);
         for (count, more) in counts.causes.iter_mut().zip(more.causes) {
             *count += more;
         }
-        for (sum, part) in self.histograms_mut().into_iter().zip(other.histograms()) {
+        for (sum, part) in self.latencies.iter_mut().zip(&other.latencies) {
             // The bounds are the same, so every value fits.
             let _ = sum.add(part);
         }
     }
 
     fn summary(&self) -> wire::Statistics {
+        let [wake, gather, compute, response, publish, solve] =
+            self.latencies.each_ref().map(latency::summary);
         wire::Statistics {
-            wake: latency::summary(&self.wake),
-            gather: latency::summary(&self.gather),
-            compute: latency::summary(&self.compute),
-            solve: latency::summary(&self.solve),
-            response: latency::summary(&self.response),
-            publish: latency::summary(&self.publish),
+            wake,
+            gather,
+            compute,
+            solve,
+            response,
+            publish,
             ..self.counts
         }
     }

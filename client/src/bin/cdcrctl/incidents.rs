@@ -75,7 +75,7 @@ fn newest(kept: &[Incident], count: Option<u64>) -> &[Incident] {
 fn print(out: &mut impl Write, incident: &Incident, format: Format) -> std::io::Result<()> {
     match format {
         Format::Text => writeln!(out, "{}", line::incident_at(incident, monotonic_ns()))?,
-        Format::Json => writeln!(out, "{}", json::incident(incident))?,
+        Format::Json => writeln!(out, "{}", json::message(incident))?,
     }
     out.flush()
 }

@@ -62,7 +62,7 @@ fn list(connection: &Connection, format: Format) -> anyhow::Result<Done> {
     let shown = match format {
         Format::Text => table(&known)?,
         Format::Json => {
-            let known: Vec<_> = known.iter().map(json::obstacle).collect();
+            let known: Vec<_> = known.iter().map(|known| json::message(known)).collect();
             serde_json::to_string_pretty(&known)? + "\n"
         }
     };

@@ -7,6 +7,7 @@ use cdcr_client::{Connection, monotonic_ns, realtime_missing, text};
 use cdcr_shared_types::codes::{
     Interface, LateCause, Mode, Outcome, Reason, RobotLink, SolverKind,
 };
+use cdcr_shared_types::message::{Field, Struct};
 use cdcr_shared_types::{LatencySummary, Statistics, Status};
 
 use crate::Done;
@@ -39,7 +40,7 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
     let status = connection.status(EVERY)?;
     let shown = match options.format {
         Format::Text => table(&status, monotonic_ns())?,
-        Format::Json => serde_json::to_string_pretty(&json::status(&status))? + "\n",
+        Format::Json => serde_json::to_string_pretty(&json::message(&status))? + "\n",
     };
     std::io::stdout().write_all(shown.as_bytes())?;
     Ok(Done::Good)
@@ -56,7 +57,7 @@ fn watch(connection: &Connection, format: Format) -> anyhow::Result<Done> {
     while !interrupt.is_raised() {
         let shown = match (connection.status(EVERY), format) {
             (Ok(status), Format::Text) => table(&status, monotonic_ns())?,
-            (Ok(status), Format::Json) => json::status(&status).to_string() + "\n",
+            (Ok(status), Format::Json) => json::message(&status).to_string() + "\n",
             (Err(silent), Format::Text) => format!("{silent}\n"),
             (Err(_), Format::Json) => String::new(),
         };
@@ -181,21 +182,26 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     )?;
     latency_row(out, "solve", both.map(|statistics| &statistics.solve))?;
     writeln!(out)?;
-    for (name, of) in COUNTERS {
-        count_row(out, name, both.map(of))?;
+    let [left, right] = both.map(|statistics| (statistics as &dyn Struct).counters());
+    let mut counters: Vec<_> = left.into_iter().zip(right).collect();
+    // The number of cycles first, that of late starts last, where the causes follow.
+    counters[1..].reverse();
+    for ((field, left), (_, right)) in counters {
+        let (heading, left, right) = counter_texts(field, [left, right]);
+        writeln!(out, "{heading:<30}{left:>23}   {right:>33}")?;
     }
     for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
         let counts = both.map(|statistics| statistics.causes[index]);
         if counts != [0, 0] {
-            count_row(out, &format!("  by {cause}"), counts)?;
+            let [left, right] = counts;
+            let name = format!("  by {cause}");
+            writeln!(out, "{name:<30}{left:>23}   {right:>33}")?;
         }
     }
     Ok(())
 }
 
 type LatencyOf = fn(&Statistics) -> &LatencySummary;
-type CountOf = fn(&Statistics) -> u64;
-
 /// Of every cycle. What is indented is a part of the line above it.
 const LATENCIES: [(&str, LatencyOf); 5] = [
     ("response", |s| &s.response),
@@ -203,19 +209,6 @@ const LATENCIES: [(&str, LatencyOf); 5] = [
     ("  compute", |s| &s.compute),
     ("gather before it", |s| &s.gather),
     ("publish after it", |s| &s.publish),
-];
-
-/// Those of the causes follow the last of them.
-const COUNTERS: [(&str, CountOf); 9] = [
-    ("cycles", |s| s.cycles),
-    ("budget hits", |s| s.budget_hits),
-    ("stale inputs", |s| s.stale_inputs),
-    ("stale measurements", |s| s.stale_measurements),
-    ("dropped records", |s| s.dropped_records),
-    ("longest streak", |s| s.longest_streak),
-    ("skipped periods", |s| s.skipped_periods),
-    ("deadline misses", |s| s.deadline_misses),
-    ("late starts", |s| s.late_starts),
 ];
 
 fn latency_row(out: &mut String, name: &str, both: [&LatencySummary; 2]) -> std::fmt::Result {
@@ -227,8 +220,16 @@ fn latency_row(out: &mut String, name: &str, both: [&LatencySummary; 2]) -> std:
     writeln!(out, "{name:<20}{left}   {right}")
 }
 
-fn count_row(out: &mut String, name: &str, [left, right]: [u64; 2]) -> std::fmt::Result {
-    writeln!(out, "{name:<30}{left:>23}   {right:>33}")
+/// A count as it is; a time in µs.
+fn counter_texts(field: &Field, both: [u64; 2]) -> (String, String, String) {
+    let heading = field.heading();
+    match field.unit {
+        "ns" => {
+            let [left, right] = both.map(|ns| format!("{:.1}", ns as f64 * 1e-3));
+            (format!("{heading} µs"), left, right)
+        }
+        _ => (heading.to_owned(), both[0].to_string(), both[1].to_string()),
+    }
 }
 
 fn inputs(out: &mut String, status: &Status) -> std::fmt::Result {

@@ -242,10 +242,8 @@ impl<'a> Checker<'a> {
             .iter()
             .any(|rate| *rate != 0.0);
         seen.tracked_moving += u64::from(mode == Mode::Tracking && moves);
-        for (bit, name) in guard::ALL {
-            if record.guard_flags & bit != 0 {
-                *seen.limited.entry(name).or_default() += 1;
-            }
+        for (name, _) in guard::set(record.guard_flags) {
+            *seen.limited.entry(name).or_default() += 1;
         }
         let before = self.before.as_deref().map(place).transpose()?;
         if let Some((from, _)) = before

@@ -3,10 +3,7 @@
 
 use std::fmt;
 
-use cdcr_shared_types::{
-    Header, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, ReferencePoint, Request,
-    SolverSettings,
-};
+use cdcr_shared_types::message::{Struct, ValueMut};
 
 /// One number of a message.
 #[derive(Debug)]
@@ -135,28 +132,34 @@ pub(crate) trait Fields {
     }
 }
 
-macro_rules! number {
-    ($($type:ty => $variant:ident),+) => { $(
-        impl Fields for $type {
-            fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
-                visit(path, Number::$variant(self));
-            }
-        }
-    )+ };
-}
-number!(u32 => U32, u64 => U64, f64 => F64);
-
-impl<T: Fields, const N: usize> Fields for [T; N] {
+impl<T: Struct> Fields for T {
     fn walk(&mut self, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
-        for (index, element) in self.iter_mut().enumerate() {
-            path.push(Part::Index(index));
-            element.walk(path, visit);
-            path.pop();
-        }
+        walk(ValueMut::Struct(self), path, visit);
     }
 }
 
-/// Names every field of a struct, in order: a field that is forgotten does not compile.
+fn walk(value: ValueMut<'_>, path: &mut Vec<Part>, visit: &mut Visit<'_>) {
+    match value {
+        ValueMut::U8(_) => unreachable!("only the daemon sends text"),
+        ValueMut::U32(number) => visit(path, Number::U32(number)),
+        ValueMut::U64(number) => visit(path, Number::U64(number)),
+        ValueMut::F64(number) => visit(path, Number::F64(number)),
+        ValueMut::Array(array) => {
+            for index in 0..array.count() {
+                path.push(Part::Index(index));
+                walk(array.element_mut(index), path, visit);
+                path.pop();
+            }
+        }
+        ValueMut::Struct(message) => message.visit_mut(&mut |field, value| {
+            path.push(Part::Field(field.name));
+            walk(value, path, visit);
+            path.pop();
+        }),
+    }
+}
+
+/// Names the fields of a struct that is no message; all of them are `u32`.
 macro_rules! fields {
     ($type:ident { $($field:ident),+ $(,)? }) => {
         impl $crate::fuzz::fields::Fields for $type {
@@ -168,7 +171,7 @@ macro_rules! fields {
                 let Self { $($field),+ } = self;
                 $(
                     path.push($crate::fuzz::fields::Part::Field(stringify!($field)));
-                    $field.walk(path, visit);
+                    visit(path, $crate::fuzz::fields::Number::U32($field));
                     path.pop();
                 )+
             }
@@ -177,112 +180,11 @@ macro_rules! fields {
 }
 pub(crate) use fields;
 
-fields!(Header {
-    sender_id,
-    sequence,
-    sent_ns
-});
-fields!(ReferencePoint {
-    time_ns,
-    position_m,
-    orientation,
-    orientation_kind,
-    reserved,
-});
-fields!(ReferenceChunk {
-    header,
-    mode,
-    interpolation,
-    count,
-    reserved,
-    points,
-});
-fields!(Obstacle {
-    id,
-    shape,
-    start_m,
-    end_m,
-    radius_m,
-    velocity_m_s,
-    measured_ns,
-    lifetime_ns,
-});
-fields!(ObstacleUpdate {
-    header,
-    action,
-    count,
-    obstacles
-});
-fields!(Measurement {
-    header,
-    measured_ns,
-    kind,
-    sections,
-    interface,
-    reserved,
-    bend_rad,
-    tip_position_m,
-    tip_orientation,
-    cable_length_m,
-});
-fields!(SolverSettings {
-    solver,
-    coordinates,
-    horizon_steps,
-    control_blocks,
-    swarm_size,
-    swarm_iterations,
-    regenerate_after,
-    velocity_rule,
-    refinement_steps,
-    reserved,
-    inertia,
-    cognitive,
-    social,
-    damping,
-    position_weight,
-    orientation_weight,
-    orientation_tolerance_rad,
-    rate_weight,
-    rate_change_weight,
-    terminal_weight,
-    safe_distance_m,
-    obstacle_step_penalty,
-    obstacle_slope_penalty,
-    obstacle_square_penalty,
-    budget_ns,
-    seed,
-});
-fields!(Request {
-    header,
-    kind,
-    reserved,
-    settings
-});
-
-/// A message has no gaps, so its numbers in their order are its bytes.
-#[test]
-fn the_numbers_of_a_message_fill_it() {
-    fn filled<T: Fields + Default>() -> (usize, usize) {
-        let mut bytes = 0;
-        T::default().for_each(|_, number| bytes += number.size());
-        (bytes, size_of::<T>())
-    }
-    for (bytes, size) in [
-        filled::<ReferenceChunk>(),
-        filled::<ObstacleUpdate>(),
-        filled::<Measurement>(),
-        filled::<Request>(),
-    ] {
-        assert_eq!(bytes, size);
-    }
-}
-
 #[test]
 fn numbers_are_where_the_bytes_say() {
     let mut bytes = [0; 56];
     bytes[32..36].copy_from_slice(&7_u32.to_le_bytes());
     bytes[48..56].copy_from_slice(&f64::NEG_INFINITY.to_le_bytes());
-    let message = Measurement::from_bytes(&bytes);
+    let message = cdcr_shared_types::Measurement::from_bytes(&bytes);
     assert_eq!((message.kind, message.bend_rad[0]), (7, f64::NEG_INFINITY));
 }

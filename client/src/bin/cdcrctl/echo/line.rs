@@ -3,14 +3,12 @@
 use cdcr_client::events;
 use cdcr_shared_types::codes::{
     ChunkMode, Interpolation, LateCause, MeasurementState, Mode, ObstacleAction, ObstacleShape,
-    Outcome, Reason, ReferenceState, SolverStatus, timing,
+    Outcome, Reason, ReferenceState, SolverStatus, guard, timing,
 };
 use cdcr_shared_types::limits::{CHUNK_POINTS_MAX, OBSTACLES_MAX, SECTIONS_MAX};
 use cdcr_shared_types::{
     Command, Incident, LatencySummary, ObstacleUpdate, ReferenceChunk, Status, Telemetry,
 };
-
-use super::json::guards;
 
 pub(super) const TELEMETRY_HEADING: &str = "     cycle  mode        reference        tip x mm      \
     y mm      z mm      error mm   wake µs  waited µs  solve µs  response µs  measurement  obstacles  clearance mm  \
@@ -88,9 +86,11 @@ fn remarks(record: &Telemetry) -> String {
         Ok(LateCause::None) => String::new(),
         _ => format!("late: {}", LateCause::text_of(record.scheduling.late_cause)),
     };
-    let limited = guards(record.guard_flags).join(", ");
+    let limited: Vec<_> = guard::set(record.guard_flags)
+        .map(|(name, _)| name)
+        .collect();
     let refused = refusals(record);
-    let parts = [late, limited, refused];
+    let parts = [late, limited.join(", "), refused];
     let parts: Vec<_> = parts.into_iter().filter(|part| !part.is_empty()).collect();
     parts.join("; ")
 }
@@ -232,8 +232,6 @@ pub(super) fn obstacles(update: &ObstacleUpdate) -> String {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_shared_types::codes::guard;
-
     use super::*;
 
     #[test]

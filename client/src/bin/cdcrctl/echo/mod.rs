@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Message, Stream};
 use cdcr_shared_types::Service;
-use serde_json::Value;
+use cdcr_shared_types::message::Struct;
 
 use crate::Done;
 use crate::args::{EchoOptions, Format, Target, Topic};
@@ -23,7 +23,6 @@ const LOOK: Duration = Duration::from_millis(100);
 struct Look<T> {
     heading: &'static str,
     line: fn(&T) -> String,
-    json: fn(&T) -> Value,
 }
 
 /// `cdcrctl echo …`
@@ -34,7 +33,6 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::TELEMETRY_HEADING,
                 line: line::telemetry,
-                json: json::telemetry,
             };
             print_all(&connection, connection.telemetry()?, options, &look)
         }
@@ -42,7 +40,6 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::COMMAND_HEADING,
                 line: line::command,
-                json: json::command,
             };
             print_all(&connection, connection.commands()?, options, &look)
         }
@@ -50,7 +47,6 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::STATUS_HEADING,
                 line: line::status,
-                json: json::status,
             };
             print_all(&connection, connection.statuses()?, options, &look)
         }
@@ -58,7 +54,6 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::INCIDENT_HEADING,
                 line: line::incident,
-                json: json::incident,
             };
             print_all(&connection, connection.incidents()?, options, &look)
         }
@@ -66,7 +61,6 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::REFERENCE_HEADING,
                 line: line::reference,
-                json: json::reference,
             };
             print_all(&connection, connection.references()?, options, &look)
         }
@@ -74,14 +68,13 @@ pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done
             let look = Look {
                 heading: line::OBSTACLES_HEADING,
                 line: line::obstacles,
-                json: json::obstacles,
             };
             print_all(&connection, connection.obstacle_updates()?, options, &look)
         }
     }
 }
 
-fn print_all<T: Message>(
+fn print_all<T: Message + Struct>(
     connection: &Connection,
     mut stream: Stream<T>,
     options: &EchoOptions,
@@ -107,7 +100,7 @@ fn print_all<T: Message>(
         if pace.is_due(heard) {
             match options.format {
                 Format::Text => writeln!(out, "{}", (look.line)(&message))?,
-                Format::Json => writeln!(out, "{}", (look.json)(&message))?,
+                Format::Json => writeln!(out, "{}", json::message(&message))?,
             }
             out.flush()?;
             printed += 1;

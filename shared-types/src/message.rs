@@ -1,0 +1,495 @@
+//! One declaration of a message: struct, zero value and the list of its fields, which JSON, tables, tests and
+//! recordings walk.
+//!
+//! ```text
+//! message! {
+//!     /// What it is.
+//!     pub struct Name "cdcr.Name.v1" {
+//!         /// Which fields there are; the unit ends the name.
+//!         cable_length_m: [f64; CABLES_MAX] [used 3 sections],
+//!     }
+//! }
+//! ```
+//!
+//! | note | meaning |
+//! |---|---|
+//! | `[code Mode]` | a value of that enumeration of [`codes`](crate::codes) |
+//! | `[bits guard]` | bits of that module of [`codes`](crate::codes) |
+//! | `[per Outcome 1]` | one element for each code, from this one on |
+//! | `[yes]` | 1: yes, 0: no |
+//! | `[or_none]` | the largest value says that there is none |
+//! | `[text]` | UTF-8, padded with zeros |
+//! | `[length]` | says how much of an array is used |
+//! | `[used 3 sections]` | the first 3 · `sections` elements are used |
+//! | `[when kind = MeasurementKind::TipPose]` | of meaning only then |
+//! | `[sum "late starts"]`, `[max "longest streak"]` | a counter: how two stretches of time add up, and its heading |
+//! | `[unit "rad/s"]` | where the name does not say it |
+//! | `[reserved]` | zero |
+
+/// A message, or a part of one that has fields.
+pub trait Struct {
+    /// Its name, size and fields.
+    fn layout(&self) -> &'static Layout;
+    /// Shows each field and what it holds, in order.
+    fn visit<'a>(&'a self, see: &mut dyn FnMut(&'static Field, Value<'a>));
+    /// As [`visit`](Self::visit), to change it.
+    fn visit_mut<'a>(&'a mut self, see: &mut dyn FnMut(&'static Field, ValueMut<'a>));
+}
+
+/// The name, the size and the fields of a message.
+#[derive(Debug)]
+pub struct Layout {
+    /// Name of the struct.
+    pub name: &'static str,
+    /// Name and version on the wire.
+    pub type_name: &'static str,
+    /// Bytes.
+    pub size: usize,
+    /// In the order in which they lie in memory, without gaps.
+    pub fields: &'static [Field],
+}
+
+/// One field of a message.
+#[derive(Debug, Clone, Copy)]
+pub struct Field {
+    /// Name, with the unit at its end.
+    pub name: &'static str,
+    /// What it is, in words.
+    pub doc: &'static str,
+    /// Bytes before it.
+    pub offset: usize,
+    /// What it is made of.
+    pub kind: Kind,
+    /// What its numbers mean.
+    pub meaning: Meaning,
+    /// Unit of its numbers; empty: none.
+    pub unit: &'static str,
+    /// How much of an array is used: all where this is `None`.
+    pub used: Option<Used>,
+    /// Field and value without which this one means nothing.
+    pub when: Option<(&'static str, u32)>,
+}
+
+/// What a field is made of.
+#[derive(Debug, Clone, Copy)]
+pub enum Kind {
+    /// A byte.
+    U8,
+    /// An unsigned number of 32 bits.
+    U32,
+    /// An unsigned number of 64 bits.
+    U64,
+    /// A number of double precision.
+    F64,
+    /// So many of one kind.
+    Array(&'static Kind, usize),
+    /// A struct with fields of its own.
+    Struct(&'static Layout),
+}
+
+/// What the numbers of a field mean.
+#[derive(Debug, Clone, Copy)]
+pub enum Meaning {
+    /// A quantity.
+    Quantity,
+    /// A code of an enumeration.
+    Code(&'static Codes),
+    /// Bits with these names, and what to do about each.
+    Bits(&'static [(u32, &'static str, &'static str)]),
+    /// One element for each code from the given one on; those before are zero.
+    Per(&'static Codes, usize),
+    /// 1: yes, 0: no.
+    Yes,
+    /// The largest value says that there is none.
+    OrNone,
+    /// UTF-8, padded with zeros.
+    Text,
+    /// How much of an array is used.
+    Length,
+    /// Counted, under this heading: the number of two stretches of time is the sum.
+    Sum(&'static str),
+    /// Kept, under this heading: the number of two stretches of time is the larger one.
+    Max(&'static str),
+    /// Zero.
+    Reserved,
+}
+
+/// Names and texts of an enumeration.
+#[derive(Debug)]
+pub struct Codes {
+    /// Name of the enumeration.
+    pub name: &'static str,
+    /// Value, name and text of each code.
+    pub values: &'static [(u32, &'static str, &'static str)],
+}
+
+impl Codes {
+    /// What a code that came from the wire means, in words.
+    pub fn text(&self, code: u32) -> &'static str {
+        let known = self.values.iter().find(|(value, ..)| *value == code);
+        known.map_or("unknown code", |(_, _, text)| text)
+    }
+}
+
+/// How much of an array is used: `each` elements for each of the number in the field `count`.
+#[derive(Debug, Clone, Copy)]
+pub struct Used {
+    /// Elements for each.
+    pub each: usize,
+    /// The field, from the message that holds the array: `command.sections`.
+    pub count: &'static str,
+}
+
+/// What a field holds.
+#[derive(Clone, Copy)]
+#[allow(missing_docs, reason = "as Kind")]
+pub enum Value<'a> {
+    U8(u8),
+    U32(u32),
+    U64(u64),
+    F64(f64),
+    Array(&'a dyn Array),
+    Struct(&'a dyn Struct),
+}
+
+/// What a field holds, to be changed.
+#[allow(missing_docs, reason = "as Kind")]
+pub enum ValueMut<'a> {
+    U8(&'a mut u8),
+    U32(&'a mut u32),
+    U64(&'a mut u64),
+    F64(&'a mut f64),
+    Array(&'a mut dyn Array),
+    Struct(&'a mut dyn Struct),
+}
+
+/// An array of any length and kind.
+pub trait Array {
+    /// How many elements it has.
+    fn count(&self) -> usize;
+    /// The element `index`.
+    fn element(&self, index: usize) -> Value<'_>;
+    /// The element `index`, to be changed.
+    fn element_mut(&mut self, index: usize) -> ValueMut<'_>;
+}
+
+/// What messages are made of.
+pub trait Part: Sized {
+    /// All bytes zero.
+    const ZERO: Self;
+    /// What it is made of.
+    const KIND: Kind;
+    /// What it holds.
+    fn value(&self) -> Value<'_>;
+    /// What it holds, to be changed.
+    fn value_mut(&mut self) -> ValueMut<'_>;
+}
+
+macro_rules! number {
+    ($($type:ty, $variant:ident, $zero:literal;)+) => { $(
+        impl Part for $type {
+            const ZERO: Self = $zero;
+            const KIND: Kind = Kind::$variant;
+            fn value(&self) -> Value<'_> { Value::$variant(*self) }
+            fn value_mut(&mut self) -> ValueMut<'_> { ValueMut::$variant(self) }
+        }
+    )+ };
+}
+number! { u8, U8, 0; u32, U32, 0; u64, U64, 0; f64, F64, 0.0; }
+
+impl<T: Part, const N: usize> Part for [T; N] {
+    const ZERO: Self = [T::ZERO; N];
+    const KIND: Kind = Kind::Array(&T::KIND, N);
+    fn value(&self) -> Value<'_> {
+        Value::Array(self)
+    }
+    fn value_mut(&mut self) -> ValueMut<'_> {
+        ValueMut::Array(self)
+    }
+}
+
+impl<T: Part, const N: usize> Array for [T; N] {
+    fn count(&self) -> usize {
+        N
+    }
+    fn element(&self, index: usize) -> Value<'_> {
+        self[index].value()
+    }
+    fn element_mut(&mut self, index: usize) -> ValueMut<'_> {
+        self[index].value_mut()
+    }
+}
+
+impl dyn Struct + '_ {
+    /// The number of the field at `path`, such as `command.sections`; `None`: there is no such number.
+    pub fn number(&self, path: &str) -> Option<u64> {
+        let (name, rest) = path.split_once('.').unwrap_or((path, ""));
+        let mut found = None;
+        self.visit(&mut |field, value| {
+            if field.name == name {
+                found = match value {
+                    Value::U32(number) if rest.is_empty() => Some(u64::from(number)),
+                    Value::U64(number) if rest.is_empty() => Some(number),
+                    Value::Struct(message) => message.number(rest),
+                    _ => None,
+                };
+            }
+        });
+        found
+    }
+
+    /// What it counts, in order.
+    pub fn counters(&self) -> Vec<(&'static Field, u64)> {
+        let mut counters = Vec::new();
+        self.visit(&mut |field, value| {
+            if let (Meaning::Sum(_) | Meaning::Max(_), Value::U64(number)) = (field.meaning, value)
+            {
+                counters.push((field, number));
+            }
+        });
+        counters
+    }
+
+    /// Elements of the array `field` that are used; the field means nothing where it is `None`.
+    pub fn used(&self, field: &Field) -> Option<usize> {
+        if let Some((name, code)) = field.when
+            && self.number(name) != Some(u64::from(code))
+        {
+            return None;
+        }
+        let Kind::Array(_, elements) = field.kind else {
+            return Some(1);
+        };
+        let used = field.used.and_then(|used| {
+            let count = usize::try_from(self.number(used.count)?).ok()?;
+            count.checked_mul(used.each)
+        });
+        Some(used.map_or(elements, |used| used.min(elements)))
+    }
+}
+
+/// Adds what `more` counts to `total`.
+pub fn accumulate<T: Struct>(total: &mut T, more: &T) {
+    let mut others = (more as &dyn Struct).counters().into_iter();
+    total.visit_mut(&mut |field, value| match (field.meaning, value) {
+        (Meaning::Sum(_), ValueMut::U64(number)) => {
+            *number += others.next().map_or(0, |other| other.1);
+        }
+        (Meaning::Max(_), ValueMut::U64(number)) => {
+            *number = others.next().map_or(0, |other| other.1).max(*number);
+        }
+        _ => {}
+    });
+}
+
+impl Field {
+    /// What a table says above a counter: its heading; of another field its name.
+    pub fn heading(&self) -> &'static str {
+        match self.meaning {
+            Meaning::Sum(heading) | Meaning::Max(heading) => heading,
+            _ => self.name,
+        }
+    }
+
+    pub(crate) const fn new(
+        name: &'static str,
+        doc: &'static str,
+        offset: usize,
+        kind: Kind,
+    ) -> Self {
+        Self {
+            name,
+            doc,
+            offset,
+            kind,
+            meaning: Meaning::Quantity,
+            unit: unit_of(name),
+            used: None,
+            when: None,
+        }
+    }
+
+    pub(crate) const fn meaning(self, meaning: Meaning) -> Self {
+        Self { meaning, ..self }
+    }
+
+    pub(crate) const fn unit(self, unit: &'static str) -> Self {
+        Self { unit, ..self }
+    }
+
+    pub(crate) const fn used(self, each: usize, count: &'static str) -> Self {
+        let used = Some(Used { each, count });
+        Self { used, ..self }
+    }
+
+    pub(crate) const fn when(self, field: &'static str, code: u32) -> Self {
+        let when = Some((field, code));
+        Self { when, ..self }
+    }
+}
+
+/// The unit that a name ends with; longer endings first.
+const fn unit_of(name: &str) -> &'static str {
+    const UNITS: [(&str, &str); 6] = [
+        ("_rad_s2", "rad/s²"),
+        ("_rad_s", "rad/s"),
+        ("_m_s", "m/s"),
+        ("_rad", "rad"),
+        ("_ns", "ns"),
+        ("_m", "m"),
+    ];
+    let mut at = 0;
+    while at < UNITS.len() {
+        let (ending, unit) = UNITS[at];
+        if ends_with(name.as_bytes(), ending.as_bytes()) {
+            return unit;
+        }
+        at += 1;
+    }
+    ""
+}
+
+const fn ends_with(name: &[u8], ending: &[u8]) -> bool {
+    if name.len() < ending.len() {
+        return false;
+    }
+    let (_, end) = name.split_at(name.len() - ending.len());
+    let mut at = 0;
+    while at < ending.len() {
+        if end[at] != ending[at] {
+            return false;
+        }
+        at += 1;
+    }
+    true
+}
+
+/// Declares messages; see the top of `message.rs`.
+macro_rules! message {
+    ($($(#[$meta:meta])* pub struct $name:ident $type_name:literal {
+        $($(#[doc = $doc:literal])+ $field:ident: $type:ty $([$($note:tt)+])*,)+
+    })+) => {
+        use iceoryx2::prelude::ZeroCopySend;
+        $(
+        $(#[$meta])*
+        #[repr(C)]
+        #[derive(Debug, Clone, Copy, PartialEq, ZeroCopySend)]
+        #[type_name($type_name)]
+        pub struct $name { $($(#[doc = $doc])+ pub $field: $type,)+ }
+
+        impl $name {
+            /// Name, size and fields.
+            pub const LAYOUT: &'static $crate::message::Layout = &$crate::message::Layout {
+                name: stringify!($name),
+                type_name: $type_name,
+                size: size_of::<$name>(),
+                fields: &[$($crate::message::noted!($crate::message::Field::new(
+                    stringify!($field),
+                    concat!($($doc),+),
+                    core::mem::offset_of!($name, $field),
+                    <$type as $crate::message::Part>::KIND,
+                ); $([$($note)+])*),)+],
+            };
+        }
+
+        /// All bytes zero.
+        impl Default for $name {
+            fn default() -> Self { <Self as $crate::message::Part>::ZERO }
+        }
+
+        impl $crate::message::Part for $name {
+            const ZERO: Self = Self { $($field: <$type as $crate::message::Part>::ZERO,)+ };
+            const KIND: $crate::message::Kind = $crate::message::Kind::Struct(Self::LAYOUT);
+            fn value(&self) -> $crate::message::Value<'_> { $crate::message::Value::Struct(self) }
+            fn value_mut(&mut self) -> $crate::message::ValueMut<'_> { $crate::message::ValueMut::Struct(self) }
+        }
+
+        impl $crate::message::Struct for $name {
+            fn layout(&self) -> &'static $crate::message::Layout { Self::LAYOUT }
+            fn visit<'a>(
+                &'a self,
+                see: &mut dyn FnMut(&'static $crate::message::Field, $crate::message::Value<'a>),
+            ) {
+                let mut fields = Self::LAYOUT.fields.iter();
+                $(if let Some(field) = fields.next() {
+                    see(field, $crate::message::Part::value(&self.$field));
+                })+
+            }
+            fn visit_mut<'a>(
+                &'a mut self,
+                see: &mut dyn FnMut(&'static $crate::message::Field, $crate::message::ValueMut<'a>),
+            ) {
+                let mut fields = Self::LAYOUT.fields.iter();
+                $(if let Some(field) = fields.next() {
+                    see(field, $crate::message::Part::value_mut(&mut self.$field));
+                })+
+            }
+        }
+        )+
+    };
+}
+pub(crate) use message;
+
+/// Adds the notes of a field to it.
+macro_rules! noted {
+    ($field:expr;) => { $field };
+    ($field:expr; [unit $unit:literal] $($more:tt)*) => {
+        $crate::message::noted!($field.unit($unit); $($more)*)
+    };
+    ($field:expr; [used $each:literal $($count:ident).+] $($more:tt)*) => {
+        $crate::message::noted!($field.used($each, $crate::message::field_path!($($count)+)); $($more)*)
+    };
+    ($field:expr; [when $other:ident = $codes:ident::$code:ident] $($more:tt)*) => {
+        $crate::message::noted!(
+            $field.when(stringify!($other), $crate::codes::$codes::$code.code()); $($more)*
+        )
+    };
+    ($field:expr; [$($meaning:tt)+] $($more:tt)*) => {
+        $crate::message::noted!($field.meaning($crate::message::meaning!($($meaning)+)); $($more)*)
+    };
+}
+pub(crate) use noted;
+
+macro_rules! meaning {
+    (code $codes:ident) => {
+        $crate::message::Meaning::Code($crate::codes::$codes::CODES)
+    };
+    (bits $bits:ident) => {
+        $crate::message::Meaning::Bits($crate::codes::$bits::ALL)
+    };
+    (per $codes:ident $first:literal) => {
+        $crate::message::Meaning::Per($crate::codes::$codes::CODES, $first)
+    };
+    (yes) => {
+        $crate::message::Meaning::Yes
+    };
+    (or_none) => {
+        $crate::message::Meaning::OrNone
+    };
+    (text) => {
+        $crate::message::Meaning::Text
+    };
+    (length) => {
+        $crate::message::Meaning::Length
+    };
+    (sum $heading:literal) => {
+        $crate::message::Meaning::Sum($heading)
+    };
+    (max $heading:literal) => {
+        $crate::message::Meaning::Max($heading)
+    };
+    (reserved) => {
+        $crate::message::Meaning::Reserved
+    };
+}
+pub(crate) use meaning;
+
+macro_rules! field_path {
+    ($field:ident) => {
+        stringify!($field)
+    };
+    ($message:ident $field:ident) => {
+        concat!(stringify!($message), ".", stringify!($field))
+    };
+}
+pub(crate) use field_path;
