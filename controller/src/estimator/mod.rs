@@ -26,6 +26,8 @@ pub enum Measurement {
 #[derive(Debug, Clone)]
 pub struct Estimator {
     estimate: Configuration,
+    /// What the measurements alone say, moved on as commanded; where nothing is smoothed, it is the estimate.
+    measured: Configuration,
     /// Time constant with which the estimate follows what is measured \[s\]; 0: at once.
     smoothing_s: f64,
     /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
@@ -56,6 +58,7 @@ impl Estimator {
         };
         Self {
             estimate: configuration,
+            measured: configuration,
             smoothing_s: 0.0,
             uncorrected_s: None,
             tip: TipFilter::new(),
@@ -89,6 +92,7 @@ impl Estimator {
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
+        self.measured = self.measured.advanced(rates, elapsed_s);
         self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.tip.predict(elapsed_s);
         self.newest = (self.newest + 1) % MOVES_MAX;
@@ -107,7 +111,7 @@ impl Estimator {
         measurement: &Measurement,
         age_s: f64,
     ) -> &Configuration {
-        let measured = match measurement {
+        self.measured = match measurement {
             Measurement::Configuration(measured) => {
                 self.tip = TipFilter::known();
                 self.since(*measured, age_s, 1.0)
@@ -117,7 +121,7 @@ impl Estimator {
                 self.since(robot.bend_from_cable_lengths(lengths), age_s, 1.0)
             }
             Measurement::TipPosition(position_m) => {
-                let then = self.since(self.estimate, age_s, -1.0);
+                let then = self.since(self.measured, age_s, -1.0);
                 let then = self.tip.correct(robot, &then, position_m);
                 self.since(then, age_s, 1.0)
             }
@@ -126,9 +130,9 @@ impl Estimator {
         self.estimate = match since_s {
             Some(since_s) if self.smoothing_s > 0.0 => {
                 let gain = since_s / (since_s + self.smoothing_s);
-                towards(&self.estimate, &measured, gain)
+                towards(&self.estimate, &self.measured, gain)
             }
-            _ => measured,
+            _ => self.measured,
         };
         &self.estimate
     }
@@ -209,6 +213,31 @@ mod tests {
             let error = (robot.tip_position(&estimate) - robot.tip_position(&now)).norm();
             // Nothing was known before, so that the noise which the filter expects counts for little.
             assert!(error < 5e-4, "{error}");
+        }
+    }
+
+    /// A robot that obeys positions is pushed aside, and only its tip is measured: filter and smoothing follow each other, and
+    /// do not weaken each other's gain.
+    #[test]
+    fn the_offset_of_a_tip_is_learnt_within_a_second() {
+        for sections in 1..=3 {
+            let robot = robot(sections);
+            let truth = Configuration::from_slice(&vec![0.31; 2 * sections]).unwrap();
+            let begin = Configuration::from_slice(&vec![0.3; 2 * sections]).unwrap();
+            let mut estimator = Estimator::new(begin).with_smoothing(0.1);
+            // It was known where it is.
+            estimator.correct(&robot, &Measurement::Configuration(begin), 0.0);
+            let tip = robot.tip_position(&truth);
+            let error_m = |estimate: &Configuration| (robot.tip_position(estimate) - tip).norm();
+            let begin_m = error_m(&begin);
+            let rest = BendRates::zero(sections);
+            let mut left = 0.0;
+            for _ in 0..200 {
+                estimator.predict(&rest, 0.005);
+                let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), 0.0);
+                left = error_m(&estimate) / begin_m;
+            }
+            assert!(left < 0.05, "{sections} sections: {left} is left");
         }
     }
 
