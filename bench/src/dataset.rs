@@ -222,8 +222,28 @@ impl Sheet {
     /// Every value of the rows: those that the table shows first, in its order.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
-        let known = rows.iter().flatten().filter(|(_, value)| !value.is_null());
-        let known: BTreeSet<&str> = known.map(|(key, _)| key.as_str()).collect();
+        let keys: BTreeSet<&str> = rows
+            .iter()
+            .flat_map(BTreeMap::keys)
+            .map(String::as_str)
+            .collect();
+        // What is missing in all rows has a column, but an object that is missing in one has those that others give it.
+        let is_said = |key: &str| {
+            rows.iter()
+                .any(|row| row.get(key).is_some_and(|value| !value.is_null()))
+        };
+        let has_fields = |key: &str| {
+            keys.iter().any(|other| {
+                other
+                    .strip_prefix(key)
+                    .is_some_and(|rest| rest.starts_with('_'))
+            })
+        };
+        let known: BTreeSet<&str> = keys
+            .iter()
+            .copied()
+            .filter(|key| is_said(key) || !has_fields(key))
+            .collect();
         let shown = self.columns.iter().map(|column| column.key);
         let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
         heads.extend(
@@ -391,6 +411,17 @@ mod tests {
     fn csv_joins_nested_names_and_leaves_what_is_missing_empty() {
         let expected = "name,times_mean,more,ends,good,times_count\na,5e-9,,\"[1.0,2.5]\",true,3\n\"b, c\",,0.5,,false,0\n";
         assert_eq!(sheet().csv().expect("written"), expected);
+    }
+
+    #[test]
+    fn a_csv_has_a_column_for_what_nobody_measured() {
+        let rows = serde_json::json!([
+            {"a": null, "b": {"x": 1, "y": null}, "c": {"x": null}},
+            {"a": null, "b": null, "c": {"x": null}},
+        ]);
+        let rows: &Vec<Value> = rows.as_array().expect("a list");
+        let csv = Sheet::new(rows).expect("rows").csv().expect("written");
+        assert_eq!(csv, "a,b_x,b_y,c_x\n,1,,\n,,,\n");
     }
 
     #[test]

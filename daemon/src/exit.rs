@@ -26,6 +26,8 @@ pub enum ExitCause {
     SharedMemory,
     /// The root folder cannot be used or belongs to another user.
     Root,
+    /// Another process has locked the root folder.
+    RootLocked,
     /// Real time is required and not granted.
     NotRealtime,
     /// The configuration is wrong.
@@ -42,7 +44,7 @@ pub enum ExitCause {
 
 impl ExitCause {
     /// Every cause.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Asked,
         Self::Other,
         Self::Usage,
@@ -50,6 +52,7 @@ impl ExitCause {
         Self::Panicked,
         Self::SharedMemory,
         Self::Root,
+        Self::RootLocked,
         Self::NotRealtime,
         Self::Configuration,
         Self::CycleHung,
@@ -68,6 +71,7 @@ impl ExitCause {
             Self::Panicked => 70,
             Self::SharedMemory => 71,
             Self::Root => 73,
+            Self::RootLocked => 75,
             Self::NotRealtime => 77,
             Self::Configuration => 78,
             Self::CycleHung => 80,
@@ -85,6 +89,7 @@ impl ExitCause {
             }
             match cause.downcast_ref::<InstanceError>() {
                 Some(InstanceError::Runs { .. }) => return Some(Self::AlreadyRuns),
+                Some(InstanceError::RootLocked { .. }) => return Some(Self::RootLocked),
                 Some(_) => return Some(Self::Root),
                 None => {}
             }

@@ -21,6 +21,9 @@ use crate::services::remains;
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 
+/// Whoever may write to a lock file may write more than a process id into it \[bytes\].
+const PROCESS_ID_MAX: u64 = 32;
+
 /// Longer than a client holds the lock to see whether a daemon does.
 const LOOK_MAX: Duration = Duration::from_millis(200);
 
@@ -107,6 +110,26 @@ pub enum InstanceError {
         daemons: String,
         /// Whom this one wants to let in.
         group: String,
+    },
+    /// Other users could enter the root folder, which is not empty.
+    #[error(
+        "other users could enter the root folder {root} (mode {mode:04o}), and who has opened a file in it keeps it\n\
+         empty it, or choose another with --root"
+    )]
+    EnteredRoot {
+        /// Root folder.
+        root: String,
+        /// Its permissions.
+        mode: u32,
+    },
+    /// Somebody who is no daemon that runs has locked the root folder.
+    #[error(
+        "another process has locked the root folder {root}: a daemon that only starts, a program that deletes old files, or one \
+         that should not (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
+    )]
+    RootLocked {
+        /// Root folder.
+        root: String,
     },
     /// The root folder is not in memory.
     #[error(
@@ -252,7 +275,7 @@ fn file_error(path: &Path, cause: std::io::Error) -> InstanceError {
 
 fn owner_of(file: &mut File) -> String {
     let mut text = String::new();
-    match file.read_to_string(&mut text) {
+    match file.take(PROCESS_ID_MAX).read_to_string(&mut text) {
         Ok(_) if !text.trim().is_empty() => text.trim().to_owned(),
         _ => "unknown".to_owned(),
     }

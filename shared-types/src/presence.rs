@@ -110,12 +110,13 @@ impl Location {
         // Neither a link nor a pipe in its place leads anywhere.
         let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NOFOLLOW | OFlags::NONBLOCK;
         let opened = open(self.lock_file(robot), flags, Mode::empty()).ok()?;
-        let mut file = File::from(opened);
+        let file = File::from(opened);
         let Err(TryLockError::WouldBlock) = file.try_lock_shared() else {
             return None;
         };
         let mut text = String::new();
-        let read = file.read_to_string(&mut text);
+        // Whoever may write to it may write more than that.
+        let read = file.take(32).read_to_string(&mut text);
         let process_id = read.ok().and_then(|_| text.trim().parse().ok());
         Some(Presence { process_id })
     }

@@ -115,8 +115,10 @@ impl Options {
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
         let launch = Launch::patient(self.config.clone())
             .with("link.kind", link)
-            // A machine that stalls is no broken sensor.
+            // A machine that stalls is no broken sensor: the driver measures where the newest command that it has leads.
             .with("link.measurement_timeout_ms", "2000.0")
+            .with("safety.measurement_jump_rad", "1000.0")
+            .with("safety.following_fault_rad", "1000.0")
             .with(
                 "motion.deceleration_rad_s2",
                 format!("{:.1}", stops::DECELERATION_RAD_S2),

@@ -1,14 +1,20 @@
 //! The references that the client sends: far enough ahead that no stall makes them late.
 
+use std::thread;
+use std::time::{Duration, Instant};
+
 use anyhow::{Context, Result};
-use cdcr_client::{ReferenceFeed, monotonic_ns};
-use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
+use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns};
+use cdcr_shared_types::codes::{ChunkMode, Interpolation, Outcome, RequestKind};
 use cdcr_shared_types::{Header, ReferencePoint};
 
 use super::hands::Hands;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
+/// How long the reference may take to be there, and how often the robot is asked to follow it.
+const PATIENCE: Duration = Duration::from_secs(2);
+const ASK_AGAIN: Duration = Duration::from_millis(5);
 /// When it ends: longer than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
 
@@ -42,8 +48,18 @@ pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
-    connection
-        .request(RequestKind::Track)
-        .context("the robot shall follow a reference")?;
-    Ok(feed)
+    let deadline = Instant::now() + PATIENCE;
+    loop {
+        match connection.request(RequestKind::Track) {
+            // The last look before a release takes requests alone: the reference comes with the next gather.
+            Err(RequestError::Refused {
+                outcome: Outcome::NoReference,
+                ..
+            }) if Instant::now() < deadline => thread::sleep(ASK_AGAIN),
+            answer => {
+                answer.context("the robot shall follow a reference")?;
+                return Ok(feed);
+            }
+        }
+    }
 }

@@ -34,6 +34,8 @@ pub enum Measurement {
 #[derive(Debug, Clone)]
 pub struct Estimator {
     estimate: Configuration,
+    /// What the measurements alone say, moved on as commanded; where they are believed at once, it is the estimate.
+    measured: Configuration,
     /// Time constant with which the disturbance follows what is measured \[s\]; 0: at once.
     time_constant_s: f64,
     /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
@@ -48,6 +50,7 @@ impl Estimator {
     pub fn new(configuration: Configuration) -> Self {
         Self {
             estimate: configuration,
+            measured: configuration,
             time_constant_s: 0.0,
             uncorrected_s: None,
             tip: TipFilter::new(),
@@ -62,10 +65,9 @@ impl Estimator {
         self
     }
 
-    /// The same with a disturbance that follows measured bends and cables with this time constant \[s\], 0 or more. Noise of one
+    /// The same with a disturbance that follows what is measured with this time constant \[s\], 0 or more. Noise of one
     /// measurement in a period T counts for T / (T + time constant). Where the motors lag by more than the [`Actuator`]
-    /// says, a time constant of four times what is missing or more keeps the loop from oscillating. (Measured
-    /// tips are weighed by the filter of their own.)
+    /// says, a time constant of four times what is missing or more keeps the loop from oscillating.
     #[must_use]
     pub fn with_time_constant(mut self, time_constant_s: f64) -> Self {
         self.time_constant_s = time_constant_s;
@@ -75,6 +77,7 @@ impl Estimator {
     /// Begins anew at `configuration`, with motors at rest.
     pub fn begin(&mut self, configuration: Configuration) {
         self.estimate = configuration;
+        self.measured = configuration;
         self.uncorrected_s = None;
         self.tip = TipFilter::new();
         self.motors.begin();
@@ -93,6 +96,7 @@ impl Estimator {
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
+        self.measured = self.measured.advanced(rates, elapsed_s);
         self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.tip.predict(elapsed_s);
         self.motors.command(rates, elapsed_s);
@@ -108,29 +112,28 @@ impl Estimator {
         age_s: f64,
     ) -> &Configuration {
         let way = self.motors.way_left(age_s);
-        self.estimate = match measurement {
-            Measurement::Configuration(measured) => self.follow(&way.from(measured)),
+        self.measured = match measurement {
+            Measurement::Configuration(measured) => {
+                self.tip = TipFilter::known();
+                way.from(measured)
+            }
             Measurement::CableLengths(lengths) => {
-                self.follow(&way.from(&robot.bend_from_cable_lengths(lengths)))
+                self.tip = TipFilter::known();
+                way.from(&robot.bend_from_cable_lengths(lengths))
             }
             Measurement::TipPosition(position_m) => {
-                let then = way.back_from(&self.estimate);
+                let then = way.back_from(&self.measured);
                 way.from(&self.tip.correct(robot, &then, position_m))
             }
         };
-        &self.estimate
-    }
-
-    /// The estimate after all bends were measured; what is commanded since would lead from there to `measured`.
-    fn follow(&mut self, measured: &Configuration) -> Configuration {
-        self.tip = TipFilter::known();
-        match self.uncorrected_s.replace(0.0) {
+        self.estimate = match self.uncorrected_s.replace(0.0) {
             Some(since_s) if self.time_constant_s > 0.0 => {
                 let gain = since_s / (since_s + self.time_constant_s);
-                towards(&self.estimate, measured, gain)
+                towards(&self.estimate, &self.measured, gain)
             }
-            _ => *measured,
-        }
+            _ => self.measured,
+        };
+        &self.estimate
     }
 }
 
@@ -193,6 +196,31 @@ mod tests {
             let error = (robot.tip_position(&estimate) - robot.tip_position(&now)).norm();
             // Nothing was known before, so that the noise which the filter expects counts for little.
             assert!(error < 5e-4, "{error}");
+        }
+    }
+
+    /// A robot that obeys positions is pushed aside, and only its tip is measured: filter and smoothing follow each other, and
+    /// do not weaken each other's gain.
+    #[test]
+    fn the_offset_of_a_tip_is_learnt_within_a_second() {
+        for sections in 1..=3 {
+            let robot = robot(sections);
+            let truth = Configuration::from_slice(&vec![0.31; 2 * sections]).unwrap();
+            let begin = Configuration::from_slice(&vec![0.3; 2 * sections]).unwrap();
+            let mut estimator = Estimator::new(begin).with_time_constant(0.1);
+            // It was known where it is.
+            estimator.correct(&robot, &Measurement::Configuration(begin), 0.0);
+            let tip = robot.tip_position(&truth);
+            let error_m = |estimate: &Configuration| (robot.tip_position(estimate) - tip).norm();
+            let begin_m = error_m(&begin);
+            let rest = BendRates::zero(sections);
+            let mut left = 0.0;
+            for _ in 0..200 {
+                estimator.predict(&rest, 0.005);
+                let estimate = *estimator.correct(&robot, &Measurement::TipPosition(tip), 0.0);
+                left = error_m(&estimate) / begin_m;
+            }
+            assert!(left < 0.05, "{sections} sections: {left} is left");
         }
     }
 

@@ -1,15 +1,22 @@
+use std::ffi::OsStr;
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
+use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use cdcr_shared_types::Location;
-use rustix::fs::{FlockOperation, OFlags, flock, statfs};
+use rustix::fs::{
+    Dir, FlockOperation, Mode, OFlags, StatFs, flock, fstatfs, open, openat, readlinkat, statfs,
+};
+use rustix::io::Errno;
 
 use super::{InstanceError, acl, file_error, owner_of, runs_already};
 
-/// Write permission of group and others.
+/// Permission of group and others to write.
 const OPEN_TO_WRITE: u32 = 0o022;
+/// And to open what is inside.
+const OPEN_TO_ENTER: u32 = 0o011;
 
 /// File systems that have nothing but memory: tmpfs and ramfs (`linux/magic.h`).
 const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
@@ -34,24 +41,9 @@ pub(super) fn prepare(
         .mode(0o700)
         .create(root)
         .map_err(failed)?;
-    let user = rustix::process::geteuid().as_raw();
-    let link = std::fs::symlink_metadata(root).map_err(failed)?;
-    if link.is_symlink() && link.uid() != user && link.uid() != 0 {
-        return Err(InstanceError::ForeignLink {
-            root: root.display().to_string(),
-            owner: link.uid(),
-            user,
-        });
-    }
-    let owner = std::fs::metadata(root).map_err(failed)?.uid();
-    if owner != user {
-        return Err(InstanceError::ForeignRoot {
-            root: root.display().to_string(),
-            owner,
-            user,
-        });
-    }
-    if !is_in_memory(root).map_err(failed)? {
+    let folder = open_own(root)?;
+    let file_system = fstatfs(&folder).map_err(|cause| failed(cause.into()))?;
+    if !is_memory(file_system) {
         return Err(InstanceError::RootOnDisk {
             root: root.display().to_string(),
         });
@@ -59,9 +51,49 @@ pub(super) fn prepare(
     if group_id.is_some() {
         may_share(location)?;
     }
-    let folder = File::open(root).map_err(failed)?;
     settle(&folder, location, robot, group_id)?;
     Ok(folder)
+}
+
+/// Opens the folder if it is this user's. Whose it is, and what a link in its place is, is asked of what is open, which nobody
+/// can replace.
+fn open_own(root: &Path) -> Result<File, InstanceError> {
+    let failed = |cause: Errno| file_error(root, cause.into());
+    let at = |path: &Path| {
+        // With a slash at its end a link would be followed.
+        let path: PathBuf = path.components().collect();
+        let flags = OFlags::PATH | OFlags::NOFOLLOW | OFlags::CLOEXEC;
+        open(path, flags, Mode::empty()).map(File::from)
+    };
+    let metadata = |file: &File| file.metadata().map_err(|cause| file_error(root, cause));
+    let user = rustix::process::geteuid().as_raw();
+    let mut place = at(root).map_err(failed)?;
+    let found = metadata(&place)?;
+    if found.is_symlink() {
+        if found.uid() != user && found.uid() != 0 {
+            return Err(InstanceError::ForeignLink {
+                root: root.display().to_string(),
+                owner: found.uid(),
+                user,
+            });
+        }
+        let target = readlinkat(&place, c"", Vec::new()).map_err(failed)?;
+        let beside = root.parent().unwrap_or(root);
+        let target = beside.join(OsStr::from_bytes(target.to_bytes()));
+        let target = target.canonicalize();
+        place = at(&target.map_err(|cause| file_error(root, cause))?).map_err(failed)?;
+    }
+    let owner = metadata(&place)?.uid();
+    if owner != user {
+        return Err(InstanceError::ForeignRoot {
+            root: root.display().to_string(),
+            owner,
+            user,
+        });
+    }
+    let flags = OFlags::DIRECTORY | OFlags::CLOEXEC;
+    let folder = openat(&place, c".", flags, Mode::empty());
+    folder.map(File::from).map_err(failed)
 }
 
 /// Sees that the folder is open to the owner and the group alone, and locks it. Each daemon shares the lock for as long as it
@@ -97,6 +129,10 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
         let root = root.display().to_string();
         return Err(InstanceError::OpenRoot { root, mode });
     }
+    if mode & OPEN_TO_ENTER != 0 && !is_empty(folder).map_err(failed)? {
+        let root = root.display().to_string();
+        return Err(InstanceError::EnteredRoot { root, mode });
+    }
     acl::set_for(folder, None).map_err(failed)?;
     if group_id.is_some() {
         open_folders(root).map_err(failed)?;
@@ -105,32 +141,40 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
     Ok(())
 }
 
-/// The refusal of a daemon that would change the folder under others.
+fn is_empty(folder: &File) -> std::io::Result<bool> {
+    for entry in Dir::read_from(folder)? {
+        if ![c".", c".."].contains(&entry?.file_name()) {
+            return Ok(false);
+        }
+    }
+    Ok(true)
+}
+
+/// The refusal of a daemon that would change the folder under others, or cannot lock it.
 fn in_use(folder: &File, location: &Location, robot: &str, group_id: Option<u32>) -> InstanceError {
     if let Some(daemon) = location.presence(robot) {
         let process = daemon.process_id.map(|id| id.to_string());
         return runs_already(location, robot, process.unwrap_or("unknown".to_owned()));
     }
-    if acl::is_for(folder, group_id) {
-        let cause =
-            "another process has locked it alone; `fuser -v` with its path names the process";
-        return file_error(location.root(), std::io::Error::other(cause));
+    let (root, daemons) = (location.root().display().to_string(), living(location));
+    if acl::is_for(folder, group_id) || daemons.is_empty() {
+        return InstanceError::RootLocked { root };
     }
     let is_closed = acl::is_for(folder, None);
     InstanceError::RootInUse {
-        root: location.root().display().to_string(),
+        root,
         access: if is_closed {
             "closed to all but its user"
         } else {
             "open to others"
         },
-        daemons: living(location),
+        daemons: daemons.join(", "),
         group: group_id.map_or("\"\"".to_owned(), |id| id.to_string()),
     }
 }
 
 /// The daemons in the root folder, of whatever prefix.
-fn living(location: &Location) -> String {
+fn living(location: &Location) -> Vec<String> {
     let entries = std::fs::read_dir(location.root()).into_iter().flatten();
     let locked = entries.flatten().filter_map(|entry| {
         let name = entry.file_name().into_string().ok()?;
@@ -151,10 +195,7 @@ fn living(location: &Location) -> String {
     });
     let mut daemons: Vec<_> = locked.collect();
     daemons.sort();
-    if daemons.is_empty() {
-        return "one that only starts, or a process that has locked the folder (`fuser -v` with its path names it)".to_owned();
-    }
-    daemons.join(", ")
+    daemons
 }
 
 /// Whether a group may be let into the root.
@@ -186,13 +227,17 @@ fn open_folders(root: &Path) -> std::io::Result<()> {
 /// # Errors
 /// When the system does not tell, because there is no such folder, for example.
 pub fn is_in_memory(folder: &Path) -> std::io::Result<bool> {
-    let kind = statfs(folder)?.f_type;
+    Ok(is_memory(statfs(folder)?))
+}
+
+fn is_memory(file_system: StatFs) -> bool {
+    let kind = file_system.f_type;
     #[allow(
         clippy::useless_conversion,
         reason = "the type differs between processors"
     )]
     let kind = i64::from(kind);
-    Ok(IN_MEMORY.contains(&kind))
+    IN_MEMORY.contains(&kind)
 }
 
 #[cfg(test)]
@@ -258,16 +303,27 @@ mod tests {
         let locked = File::open(folder.path()).expect("it is there");
         locked.lock().expect("nobody else has it");
         let error = prepare(folder.path()).expect_err("it is locked");
-        assert!(error.to_string().contains("has locked it alone"), "{error}");
+        assert!(matches!(error, InstanceError::RootLocked { .. }), "{error}");
         locked.lock_shared().expect("it is ours");
         prepare(folder.path()).expect("it is shared");
         // Another daemon may live there.
         set_permissions(folder.path(), Permissions::from_mode(0o755)).expect("it is ours");
         let error = prepare(folder.path()).expect_err("it would be changed");
-        assert!(
-            error.to_string().contains("has locked the folder"),
-            "{error}"
-        );
+        assert!(matches!(error, InstanceError::RootLocked { .. }), "{error}");
+    }
+
+    #[test]
+    fn a_lock_that_is_given_up_in_time_keeps_no_daemon_out() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let locked = File::open(folder.path()).expect("it is there");
+        locked.lock().expect("nobody else has it");
+        std::thread::scope(|scope| {
+            scope.spawn(|| {
+                std::thread::sleep(TRY_AGAIN);
+                locked.unlock().expect("it was locked");
+            });
+            prepare(folder.path()).expect("it is free after a while");
+        });
     }
 
     #[test]
@@ -302,12 +358,51 @@ mod tests {
     }
 
     #[test]
+    fn a_root_that_others_could_enter_is_refused_unless_it_is_empty() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let root = folder.path();
+        std::fs::write(root.join("left"), "").expect("it is ours");
+        for mode in [0o711, 0o755, 0o750, 0o701] {
+            set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
+            let error = prepare(root).expect_err("a file in it may be open");
+            let text = error.to_string();
+            for part in [&format!("mode {mode:04o}"), "empty it", "--root"] {
+                assert!(text.contains(part), "{part}: {text}");
+            }
+            let after = std::fs::metadata(root).expect("it is there").mode();
+            assert_eq!(after & 0o7777, mode);
+        }
+        set_permissions(root, Permissions::from_mode(0o744)).expect("it is ours");
+        prepare(root).expect("names are all that others could read");
+    }
+
+    #[test]
     fn a_link_of_our_own_may_lead_to_the_root() {
         let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
         let (root, link) = (folder.path().join("root"), folder.path().join("link"));
         prepare(&root).expect("it is made");
         std::os::unix::fs::symlink(&root, &link).expect("a link");
         prepare(&link).expect("both are ours");
+        prepare(&link.join("")).expect("with a slash, too");
+        // Beside the link, not beside the process.
+        std::fs::remove_file(&link).expect("it is ours");
+        std::os::unix::fs::symlink("root", &link).expect("a link");
+        prepare(&link).expect("both are ours");
+    }
+
+    #[test]
+    fn what_is_no_folder_is_refused() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let root = folder.path().join("root");
+        for make in [
+            |at: &Path| std::fs::write(at, ""),
+            |at: &Path| std::os::unix::fs::symlink("nowhere", at),
+        ] {
+            make(&root).expect("it is ours");
+            let error = prepare(&root).expect_err("it is no folder");
+            assert!(matches!(error, InstanceError::File { .. }), "{error}");
+            std::fs::remove_file(&root).expect("it is ours");
+        }
     }
 
     #[test]

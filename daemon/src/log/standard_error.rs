@@ -160,12 +160,14 @@ mod tests {
 
     /// Nobody reads it until the other end of the channel goes.
     struct Unread {
+        taken: Sender<()>,
         shut: Receiver<()>,
         text: Arc<Mutex<Vec<u8>>>,
     }
 
     impl Write for Unread {
         fn write(&mut self, bytes: &[u8]) -> Result<usize> {
+            let _ = self.taken.send(());
             let _ = self.shut.recv();
             self.text.lock().unwrap().write(bytes)
         }
@@ -175,14 +177,16 @@ mod tests {
         }
     }
 
-    fn unread() -> (Unread, Sender<()>, Arc<Mutex<Vec<u8>>>) {
-        let (open, shut) = channel();
+    /// With it: what tells that a line was taken, what opens it, and what was written.
+    fn unread() -> (Unread, Receiver<()>, Sender<()>, Arc<Mutex<Vec<u8>>>) {
+        let ((open, shut), (taken, takes)) = (channel(), channel());
         let text = Arc::<Mutex<Vec<u8>>>::default();
         let writer = Unread {
+            taken,
             shut,
             text: Arc::clone(&text),
         };
-        (writer, open, text)
+        (writer, takes, open, text)
     }
 
     /// A line comes as a whole, as from the log.
@@ -194,14 +198,16 @@ mod tests {
     fn what_nobody_reads_is_lost_and_counted_and_said() {
         const LINES: usize = 100;
         const LINES_MAX: usize = 8;
-        let (writer, open, written) = unread();
+        let (writer, takes, open, written) = unread();
         let (mut text, guard) = Text::onto(writer, LINES_MAX, "test", lost_text);
-        for line in 0..LINES {
+        put(&mut text, "line 0");
+        // In the hands of the thread, which waits: one that came later would make room, and a first loss would be said.
+        takes.recv_timeout(PATIENCE).unwrap();
+        for line in 1..LINES {
             put(&mut text, &format!("line {line}"));
         }
-        // One more may be in the hands of the thread that waits.
         let lost = text.lost();
-        assert!(lost >= LINES - LINES_MAX - 1, "{lost}");
+        assert_eq!(lost, LINES - LINES_MAX - 1);
         drop(open);
         let read = || String::from_utf8(written.lock().unwrap().clone()).unwrap();
         let begin = Instant::now();
@@ -224,7 +230,7 @@ mod tests {
 
     #[test]
     fn the_end_does_not_wait_for_ever() {
-        let (writer, open, _) = unread();
+        let (writer, _, open, _) = unread();
         let (mut text, guard) = Text::onto(writer, 1, "test", lost_text);
         for _ in 0..10 {
             put(&mut text, "a line");

@@ -6,7 +6,7 @@ use cdcr_shared_types::{
     Command, Header, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
     Request, Response, Service, Telemetry, ipc,
 };
-use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{
     BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend,
@@ -49,6 +49,15 @@ pub enum ServiceError {
         service: String,
         /// What iceoryx2 says.
         cause: String,
+    },
+    /// Another process is the writer of a service that has one.
+    #[error(
+        "another process writes to the service {service} already\n\
+         another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
+    )]
+    Taken {
+        /// Its name.
+        service: String,
     },
     /// Shared memory has less room than is needed.
     #[error(
@@ -153,8 +162,12 @@ impl Ports {
     }
 }
 
+fn full_name(service: Service, robot: &str) -> String {
+    format!("cdcr/{robot}/{}", service.key())
+}
+
 fn failed(service: Service, robot: &str) -> impl Fn(&dyn Debug) -> ServiceError {
-    let service = format!("cdcr/{robot}/{}", service.key());
+    let service = full_name(service, robot);
     move |cause| ServiceError::Service {
         service: service.clone(),
         cause: ipc::words(cause),
@@ -170,7 +183,7 @@ fn with_room<P>(
     create: impl FnOnce() -> Result<P, ServiceError>,
 ) -> Result<P, ServiceError> {
     let full = |no_room: NoRoom| {
-        let service = format!("the service cdcr/{robot}/{}", service.key());
+        let service = format!("the service {}", full_name(service, robot));
         ServiceError::full(service, &no_room)
     };
     let room = Room::of(node);
@@ -218,7 +231,12 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
             .publisher_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .map_err(|cause| failed(service, robot)(&cause))
+            .map_err(|cause| match cause {
+                PublisherCreateError::ExceedsMaxSupportedPublishers => ServiceError::Taken {
+                    service: full_name(service, robot),
+                },
+                cause => failed(service, robot)(&cause),
+            })
     })
 }
 

@@ -182,7 +182,7 @@ pub(crate) struct WaitOptions {
     /// Wait until it is done and the robot is measured to rest, 60s at most or TIME; fail when it takes longer, or something
     /// else comes between. At rest: over 0.2 s no bend moves by more than 0.02 rad/s on average
     #[arg(long, value_name = "TIME", num_args = 0..=1, require_equals = true, default_missing_value = "60s",
-        value_parser = value::curve_duration)]
+        value_parser = value::wait_duration)]
     pub(crate) wait: Option<Duration>,
 }
 

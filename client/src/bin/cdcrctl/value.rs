@@ -73,6 +73,11 @@ pub(crate) fn curve_duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.01..=86_400.0)
 }
 
+/// How long to wait for a robot that is measured to rest, which takes a fifth of a second at least.
+pub(crate) fn wait_duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.3..=86_400.0)
+}
+
 /// A time between points, or before the start; the library checks the range.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.0..=86_400.0)

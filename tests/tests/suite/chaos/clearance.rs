@@ -68,12 +68,14 @@ fn check_at(
         let [standing_m, commanded_m] = [&standing, &commanded]
             .map(|body| body.clearances_in_reach(&later, &[f64::INFINITY; SECTIONS_MAX]));
         let stands = obstacle.velocity_m_s().norm() == 0.0;
-        let kept_m = record.settings.safe_distance_m - if stands { lack_m } else { 0.0 };
+        // One of the two: nothing may lack twice.
+        let slack_m = tolerance_m.max(if stands { lack_m } else { 0.0 });
+        let kept_m = record.settings.safe_distance_m - slack_m;
         for j in 0..robot.section_count() {
-            let floor_m = standing_m[j].min(kept_m);
+            let floor_m = (standing_m[j] - tolerance_m).min(kept_m);
             let clearance_m = commanded_m[j];
             // A NaN breaks it, too.
-            ensure(clearance_m >= floor_m - tolerance_m, || {
+            ensure(clearance_m >= floor_m, || {
                 format!(
                     "the command leaves {clearance_m} m between section {j} and obstacle {index} after {time_s} s, below {floor_m} m"
                 )

@@ -22,6 +22,8 @@ struct Kept {
     gather: u64,
     gather_ns: u64,
     measured_ns: u64,
+    elapsed_ns: u64,
+    previous_rate_rad_s: f64,
 }
 
 impl History {
@@ -39,6 +41,8 @@ impl History {
             gather: record.gather,
             gather_ns: record.gather_ns,
             measured_ns: record.measurement.measured_ns,
+            elapsed_ns: record.elapsed_ns,
+            previous_rate_rad_s: record.previous_rate_rad_s[0],
         });
     }
 
@@ -47,6 +51,18 @@ impl History {
     pub(crate) fn late_since_ns(&self, begin_ns: u64) -> u64 {
         let since = self.0.iter().filter(|kept| kept.release_ns > begin_ns);
         since.map(|kept| kept.late_ns).sum()
+    }
+
+    /// How far the commands have moved the first bend since `begin_ns` until the newest release \[rad\]: each from its release,
+    /// for three periods at most.
+    pub(crate) fn way_rad(&self, begin_ns: u64) -> f64 {
+        let way_rad = |kept: &Kept| {
+            let from_ns = kept.release_ns - kept.elapsed_ns;
+            let until_ns = from_ns + kept.elapsed_ns.min(3 * kept.period_ns);
+            let moved_ns = until_ns.saturating_sub(from_ns.max(begin_ns));
+            kept.previous_rate_rad_s * moved_ns as f64 * 1e-9
+        };
+        self.0.iter().map(way_rad).sum()
     }
 
     /// Pairs of neighbours, newest first.
@@ -131,5 +147,27 @@ mod tests {
         // Each of the five started 1 ns late, and one had old inputs.
         assert_eq!(history.late_since_ns(100), 5 + 5);
         assert_eq!(history.late_since_ns(131), 1);
+    }
+
+    #[test]
+    fn a_command_moves_for_three_periods_at_most() {
+        let mut history = History::default();
+        for (release_ns, elapsed_ns, rate_rad_s) in [(105, 5, 1e9), (145, 40, 2e9), (150, 5, 4e9)] {
+            let mut record = Telemetry {
+                period_ns: 5,
+                release_ns,
+                start_ns: release_ns,
+                elapsed_ns,
+                ..Telemetry::default()
+            };
+            record.previous_rate_rad_s[0] = rate_rad_s;
+            history.note(&record);
+        }
+        for (begin_ns, way_rad) in [(147, 12.0), (130, 20.0), (110, 40.0), (102, 53.0)] {
+            assert!(
+                (history.way_rad(begin_ns) - way_rad).abs() < 1e-9,
+                "{begin_ns}"
+            );
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Daemons that do not start, end, or meet another version; and the number that each end has.
 
-use std::fs::OpenOptions;
-use std::os::unix::fs::{OpenOptionsExt, chown};
+use std::fs::{File, OpenOptions, Permissions};
+use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, chown};
 use std::path::PathBuf;
 use std::process::Output;
 use std::time::{Duration, Instant};
@@ -239,6 +239,40 @@ fn a_root_folder_on_a_disk_ends_with_73() {
     let output = run(&place, &["run", "--root", root.path().to_str().unwrap()]);
     assert_refused(&place, &output, 73, &["on a disk", "/dev/shm", "--root"]);
     assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 0);
+}
+
+#[test]
+fn a_root_folder_with_files_that_others_could_open_ends_with_73() {
+    let place = Place::new();
+    let root = place.location().root();
+    std::fs::create_dir(root).unwrap();
+    std::fs::write(root.join("left"), "by a killed daemon").unwrap();
+    std::fs::set_permissions(root, Permissions::from_mode(0o711)).unwrap();
+    let output = run(&place, &["run"]);
+    assert_refused(&place, &output, 73, &["mode 0711", "empty it", "--root"]);
+    std::fs::remove_file(root.join("left")).unwrap();
+    let mut program = Program::start(place.command("cdcrd").arg("run"));
+    wait_until("it is closed", || {
+        std::fs::metadata(root).unwrap().mode() & 0o777 == 0o700
+    });
+    program.signal(Signal::TERM);
+    assert!(program.output().status.success());
+}
+
+#[test]
+fn a_root_folder_that_somebody_has_locked_ends_with_75() {
+    let place = Place::new();
+    let root = place.location().root();
+    std::fs::create_dir(root).unwrap();
+    let locked = File::open(root).unwrap();
+    locked.lock().unwrap();
+    let output = run(&place, &["run"]);
+    assert_refused(
+        &place,
+        &output,
+        75,
+        &["another process has locked", "--root"],
+    );
 }
 
 #[test]

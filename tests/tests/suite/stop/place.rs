@@ -2,8 +2,14 @@
 //! starts beside it, and no stop is said to have succeeded that did not.
 
 use std::fs;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixStream};
 use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
 
+use cdcr_shared_types::NameHolder;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Daemon, PATIENT, Program, ROBOT, text, wait_mode, wait_until};
 use rustix::fs::{FlockOperation, flock};
@@ -114,4 +120,67 @@ fn programs_that_delete_old_files_leave_the_root_folder_alone() {
         }
         locked.is_err()
     });
+}
+
+/// Asks without end who has the daemon's name, so that nobody else is answered.
+struct Flood {
+    is_over: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Flood {
+    fn of(daemon: &Daemon) -> Self {
+        let name = daemon.place().location().daemon_name(ROBOT);
+        let address = SocketAddr::from_abstract_name(name).unwrap();
+        let is_over = Arc::new(AtomicBool::new(false));
+        let ask = |(address, seen): (SocketAddr, Arc<AtomicBool>)| {
+            while !seen.load(Ordering::Relaxed) {
+                // Waits until there is room in the queue, and fills it again. The daemon that ends refuses.
+                let _ = UnixStream::connect_addr(&address);
+            }
+        };
+        let threads = (0..4).map(|_| (address.clone(), Arc::clone(&is_over)));
+        let threads = threads.map(|what| std::thread::spawn(move || ask(what)));
+        Self {
+            threads: threads.collect(),
+            is_over,
+        }
+    }
+}
+
+impl Drop for Flood {
+    fn drop(&mut self) {
+        self.is_over.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            let _ = thread.join();
+        }
+    }
+}
+
+#[test]
+fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services() {
+    let mut daemon = Daemon::start(PATIENT);
+    let location = daemon.place().location().clone();
+    let flood = Flood::of(&daemon);
+    wait_until("nobody is answered", || {
+        location.name_holder(ROBOT) == NameHolder::Foreign
+    });
+    fs::remove_file(location.lock_file(ROBOT)).unwrap();
+    let output = daemon.place().command("cdcrd").arg("run").output().unwrap();
+    let said = text(&output);
+    // Where the machine stalls, the first has made its lock file again.
+    let status = output.status.code();
+    assert!(matches!(status, Some(71 | 69)), "{status:?}: {said}");
+    let words = ["writes to the service", "runs already"];
+    assert!(words.iter().any(|words| said.contains(words)), "{said}");
+    drop(flood);
+    // Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
+    wait_until("it has mended its place, or ended", || {
+        !daemon.runs() || location.lock_file(ROBOT).exists()
+    });
+    if daemon.runs() {
+        assert!(daemon.stop().success(), "{}", daemon.log());
+    } else {
+        assert_eq!(daemon.stop_after_signal().code(), Some(83));
+    }
 }

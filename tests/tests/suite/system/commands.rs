@@ -135,12 +135,17 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
 #[test]
 fn waiting_ends_when_the_robot_is_there_and_rests() {
     let bent = "[link]\ninitial_bend_rad = [[0.2, 0.0], [0.0, -0.1], [0.0, 0.0]]\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.4\n"));
+    // The way home takes two seconds.
+    let daemon = Daemon::start(&format!("{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.1\n"));
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let said = refused(&daemon, "home --wait=20ms");
+    let short = daemon.place().cdcrctl(&["home", "--wait=290ms"]);
+    assert_eq!(short.status.code(), Some(2));
+    let said = text(&short);
+    assert!(said.contains("must be 0.3 s to"), "{said}");
+    let said = refused(&daemon, "home --wait=300ms");
     assert!(
-        said.contains("not done within 20ms; the robot goes on"),
+        said.contains("not done within 300ms; the robot goes on"),
         "{said}"
     );
     wait_status(&connection, |status| status.mode == Mode::Homing.code());

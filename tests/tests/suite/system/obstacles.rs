@@ -240,7 +240,9 @@ impl Watch {
             let one_period = record.cycle == before.cycle + 1;
             self.skipped |= !one_period;
             // A ramp to rest may end in the millimetre that the command before it was allowed.
-            let is_ramp = before.mode != Mode::Tracking.code();
+            let is_ramp = ![Mode::Tracking, Mode::Homing]
+                .map(Mode::code)
+                .contains(&before.mode);
             let kept_m = SAFE_DISTANCE_M - if is_ramp { 1.001e-3 } else { 0.0 };
             let floor_m = before.clearance_m.min(kept_m);
             assert!(
