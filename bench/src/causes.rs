@@ -1,12 +1,11 @@
 //! Late cycles by what made them late.
 
-use std::ops::AddAssign;
-
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::LateCause;
+use derive_more::AddAssign;
 use serde::Serialize;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, AddAssign)]
 pub struct Causes {
     /// The timer or the processor itself came late: hypervisor, firmware.
     pub platform: u64,
@@ -61,15 +60,5 @@ impl Causes {
         let there = all.iter().filter(|(count, _)| *count > 0);
         let words = there.map(|(count, name)| format!("{count} {name}"));
         words.collect::<Vec<_>>().join(", ")
-    }
-}
-
-impl AddAssign for Causes {
-    fn add_assign(&mut self, other: Self) {
-        self.platform += other.platform;
-        self.load += other.load;
-        self.compute += other.compute;
-        self.fault += other.fault;
-        self.other += other.other;
     }
 }

@@ -25,6 +25,9 @@ pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
 const WORSE_MARGIN: usize = 2;
 /// More names than this are not listed.
 const NAMES_MAX: usize = 12;
+const OTHER_MACHINE: &str = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
+                             each run measured itself, can";
+const OTHER_OPTIONS: &str = "numbers may differ for this reason alone, ratios too";
 
 /// What the comparison needs of a result, of one benchmark or of all.
 #[derive(Debug, Clone, Deserialize)]
@@ -83,10 +86,6 @@ impl Spread {
             rounds: rounds.len(),
         })
     }
-
-    fn is_apart_from(&self, other: &Self) -> bool {
-        self.range.1 < other.range.0 || other.range.1 < self.range.0
-    }
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -111,27 +110,33 @@ impl Change {
         let change_percent =
             (before.median != 0.0).then(|| 100.0 * difference / before.median.abs());
         let is_small = change_percent.is_some_and(|percent| percent.abs() <= LEAST_CHANGE_PERCENT);
-        let is_same = is_small || !before.is_apart_from(&after);
+        let is_apart = before.range.1 < after.range.0 || after.range.1 < before.range.0;
         let is_better = (new.better == Better::Lower) == (difference < 0.0);
         let is_one_value = (before.rounds, after.rounds) == (1, 1);
-        let is_few = before.rounds.min(after.rounds) < ROUNDS_MIN;
-        let verdict = match (is_one_value, is_few, is_same, is_better) {
-            (true, _, true, _) => Verdict::OneValueAlike,
-            (true, _, false, true) => Verdict::OneValueBetter,
-            (true, _, false, false) => Verdict::OneValueWorse,
-            (false, true, _, _) => Verdict::TooFewRounds,
-            (false, false, true, _) => Verdict::WithinNoise,
-            (false, false, false, true) => Verdict::Better,
-            (false, false, false, false) => Verdict::Worse,
+        let (same, better, worse) = match before.rounds.min(after.rounds) {
+            _ if is_one_value => (
+                Verdict::OneValueAlike,
+                Verdict::OneValueBetter,
+                Verdict::OneValueWorse,
+            ),
+            ..ROUNDS_MIN => (
+                Verdict::TooFewRounds,
+                Verdict::TooFewRounds,
+                Verdict::TooFewRounds,
+            ),
+            _ => (Verdict::WithinNoise, Verdict::Better, Verdict::Worse),
         };
-        let is_apart = !is_one_value && before.is_apart_from(&after);
         Some(Self {
             name: new.name.clone(),
             unit: new.unit.clone(),
             better: new.better,
             change_percent,
-            verdict,
-            chance: is_apart.then(|| chance_apart(before.rounds, after.rounds)),
+            verdict: match is_apart && !is_small {
+                false => same,
+                true if is_better => better,
+                true => worse,
+            },
+            chance: (is_apart && !is_one_value).then(|| chance_apart(before.rounds, after.rounds)),
             before,
             after,
         })
@@ -149,11 +154,10 @@ impl Change {
 
     /// By which the larger ones come first; from zero, every change is large.
     fn size(&self) -> f64 {
-        let percent = self.change_percent.map_or(f64::INFINITY, f64::abs);
-        if self.verdict.is_change() {
-            percent
-        } else {
-            0.0
+        match self.change_percent {
+            _ if !self.verdict.is_change() => 0.0,
+            Some(percent) => percent.abs(),
+            None => f64::INFINITY,
         }
     }
 }
@@ -289,29 +293,24 @@ fn warnings(before: &Input, after: &Input) -> Vec<String> {
         .map(|(what, old, new)| format!("another {what}: {old} before, {new} after"))
         .collect();
     if !warnings.is_empty() {
-        let hint = "absolute times of the two runs cannot be compared then; the ratios to the bare loop, which \
-                    each run measured itself, can";
-        warnings.push(hint.to_owned());
+        warnings.push(OTHER_MACHINE.to_owned());
     }
-    match (&before.options, &after.options) {
-        (Some(old), Some(new)) => {
-            let differing = old.differing(new);
-            warnings.extend(differing.iter().map(|(name, old, new)| {
-                format!("asked for with another value of {name}: {old} before, {new} after")
-            }));
-            if !differing.is_empty() {
-                let hint = "numbers may differ for this reason alone, ratios too";
-                warnings.push(hint.to_owned());
-            }
-        }
-        (None, None) => {}
+    let (old, new) = match (&before.options, &after.options) {
+        (Some(old), Some(new)) => (old, new),
+        (None, None) => return warnings,
         (old, _) => {
             let when = if old.is_none() { "before" } else { "after" };
             warnings.push(format!(
                 "the run {when} does not say what it was asked for: it may have measured something else"
             ));
+            return warnings;
         }
-    }
+    };
+    let differing = old.differing(new);
+    warnings.extend(differing.iter().map(|(name, old, new)| {
+        format!("asked for with another value of {name}: {old} before, {new} after")
+    }));
+    warnings.extend((!differing.is_empty()).then(|| OTHER_OPTIONS.to_owned()));
     warnings
 }
 

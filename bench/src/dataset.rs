@@ -12,7 +12,6 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::metric::{Better, Metric};
-use crate::page::escape;
 
 /// Cells with more letters than this may be broken into several lines.
 const SENTENCE: usize = 32;
@@ -385,6 +384,12 @@ pub(crate) fn short(value: f64) -> String {
         Some(_) => text.trim_end_matches('0').trim_end_matches('.').to_owned(),
         None => text,
     }
+}
+
+/// A text between tags, or an attribute within quotes.
+pub(crate) fn escape(text: &str) -> String {
+    let text = text.replace('&', "&amp;").replace('"', "&quot;");
+    text.replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

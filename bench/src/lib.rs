@@ -8,12 +8,12 @@
 //! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
 //! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
 //! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@figures`] | the paper's simulations |
-//! | [`solver`], [`growth`] | solve times on every path, and how they grow |
+//! | [`solver`] | solve times on every path, and how they grow |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
 //! | [`progress`] | how far a run is |
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
-//! | [`report`], `page`, `chart`, [`hlog`] | results as documents, one page, plots, raw latencies |
+//! | [`report`], `chart`, [`hlog`] | results as documents and one page, plots, raw latencies |
 //! | [`environment`] | the machine that a result comes from |
 //! | [`compare`] | what changed between two runs beyond noise |
 //!
@@ -45,12 +45,10 @@ pub mod environment;
 pub mod experiment;
 pub mod figures;
 pub mod footprint;
-pub mod growth;
 pub mod hlog;
 pub mod latency;
 pub mod metric;
 mod named;
-mod page;
 pub mod paper;
 pub mod progress;
 pub mod quality;

@@ -4,6 +4,8 @@
 //! All paths give the same bits, so in each cycle every path solves the same problem, one after the
 //! other, and the speed-up is a ratio of times that were measured side by side.
 
+mod growth;
+
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, ensure};
@@ -18,12 +20,12 @@ use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, sheet};
 use crate::closed_loop::ClosedLoop;
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
 use crate::experiment::{Experiment, Solver, Task};
-use crate::growth::{COLUMNS as GROWTH_COLUMNS, growth};
 use crate::interrupt;
 use crate::metric::median;
 use crate::progress::Progress;
 use crate::quantiles::{histogram, quantile_us};
 use crate::scene::Scene;
+use growth::{COLUMNS as GROWTH_COLUMNS, growth};
 
 const CYCLES_MAX: u64 = 400;
 /// Cycles of a case with obstacles: in the first second the robot bends so little that all of them stay

@@ -10,14 +10,11 @@ pub mod driver;
 pub mod load;
 pub mod record;
 pub mod robot;
-mod sweep;
 pub mod system_calls;
 
-use std::fs::DirEntry;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -25,6 +22,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, TelemetryStream};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, Status, Telemetry};
+pub use cdcr_testbed::subject::place::in_public_memory;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Robot name of every test.
@@ -55,50 +53,34 @@ pub fn binary(name: &str) -> PathBuf {
 /// A place in shared memory that no other test uses, and a folder for what else it needs, which may lie on a disk. Both
 /// are removed when it is dropped.
 #[derive(Debug)]
-pub struct Place {
-    location: Location,
-    folder: tempfile::TempDir,
-    /// Held as long as the place is in use.
-    _lock: std::fs::File,
-}
+pub struct Place(cdcr_testbed::subject::place::Place);
 
 impl Place {
     /// A fresh place. The first of a process sweeps what killed processes left.
     pub fn new() -> Self {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        sweep::sweep_once();
-        let count = COUNT.fetch_add(1, Ordering::Relaxed);
-        let prefix = sweep::place_name(std::process::id(), count);
-        let (folder, lock) = sweep::locked_folder(&prefix);
-        let root = Path::new(Location::MEMORY).join(format!("{prefix}root"));
-        let location = Location::new(&prefix, &root).expect("a legal place");
-        Self {
-            location,
-            folder,
-            _lock: lock,
-        }
+        Self(cdcr_testbed::subject::place::Place::new().expect("a place"))
     }
 
     /// Where daemon and clients meet.
     pub fn location(&self) -> &Location {
-        &self.location
+        self.0.location()
     }
 
     /// A file in the place's folder.
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
-        let path = self.folder.path().join(name);
+        let path = self.folder().join(name);
         std::fs::write(&path, text).expect("the folder is writable");
         path
     }
 
     /// The place's folder.
     pub fn folder(&self) -> &Path {
-        self.folder.path()
+        self.0.folder()
     }
 
     /// Files of this place that are mapped into memory.
     pub fn shared_memory_files(&self) -> Vec<PathBuf> {
-        self.location.memory_files()
+        self.0.memory_files()
     }
 
     /// A command of ours that looks at this place.
@@ -107,8 +89,8 @@ impl Place {
         command
             .env_remove("CDCR_CONFIG")
             .env("CDCR_ROBOT", ROBOT)
-            .env("CDCR_PREFIX", self.location.prefix())
-            .env("CDCR_ROOT", self.location.root())
+            .env("CDCR_PREFIX", self.location().prefix())
+            .env("CDCR_ROOT", self.location().root())
             .stdin(Stdio::null());
         command
     }
@@ -122,19 +104,6 @@ impl Place {
     }
 }
 
-/// What the folder in memory that is open to all has with names that begin with `prefix`.
-pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(Location::MEMORY).expect("it is there");
-    let is_meant = |entry: &DirEntry| {
-        entry
-            .file_name()
-            .as_encoded_bytes()
-            .starts_with(prefix.as_bytes())
-    };
-    let entries = entries.flatten().filter(is_meant);
-    entries.map(|entry| entry.path()).collect()
-}
-
 /// Everything that a program printed.
 pub fn text(output: &Output) -> String {
     let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
@@ -144,15 +113,6 @@ pub fn text(output: &Output) -> String {
 impl Default for Place {
     fn default() -> Self {
         Self::new()
-    }
-}
-
-impl Drop for Place {
-    fn drop(&mut self) {
-        // The root folder, also one that a test has given another name.
-        for path in in_public_memory(self.location.prefix()) {
-            let _ = std::fs::remove_dir_all(path);
-        }
     }
 }
 

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::Setup;
 use super::segment::{Segment, Subject};
-use super::tally::{Counts, Tally, TimeQuantiles};
+use super::tally::{Counts, PerTime, Tally, TimeQuantiles};
 use crate::load::{Done, Load};
 use crate::quantiles::Quantiles;
 
@@ -64,9 +64,16 @@ impl Case {
         let budget_hits = self.rounds.iter().map(|round| round.segment.budget_hits);
         let rounds = self.rounds.iter().map(|r| r.segment.tally.quantiles());
         let rounds: Vec<TimeQuantiles> = rounds.collect();
-        let middle = |value: fn(&TimeQuantiles) -> Option<Quantiles>| {
-            Quantiles::over_rounds(&rounds.iter().filter_map(value).collect::<Vec<_>>())
+        let index = PerTime {
+            wake: 0,
+            compute: 1,
+            response: 2,
+            command: 3,
         };
+        let median_of_rounds = index.map(|time| {
+            let of_time = rounds.iter().filter_map(|times| *times.named()[*time].1);
+            Quantiles::over_rounds(&of_time.collect::<Vec<_>>())
+        });
         Row {
             load: self.key.load,
             set_up: self.key.setup,
@@ -75,12 +82,7 @@ impl Case {
             counts: self.total.counts,
             budget_hits: budget_hits.sum(),
             times: self.total.quantiles(),
-            median_of_rounds: TimeQuantiles {
-                wake_us: middle(|times| times.wake_us),
-                compute_us: middle(|times| times.compute_us),
-                response_us: middle(|times| times.response_us),
-                command_us: middle(|times| times.command_us),
-            },
+            median_of_rounds,
             tracking_share: shares.reduce(f64::min),
             rounds: self.round_rows(),
         }

@@ -73,11 +73,11 @@ pub fn ratios(cases: &Cases) -> Vec<Ratio> {
 impl Ratio {
     fn of(daemon: &Case, bare: &Case, unloaded: Option<&Case>) -> Self {
         let rounds = Rounds {
-            wake_p50: over(daemon, bare, |t| t.wake_us.map(|q| q.p50)),
-            wake_p99: over(daemon, bare, |t| t.wake_us.map(|q| q.p99)),
-            command_beyond_wake: daemon.each(|t| Some(t.command_us?.p50 - t.wake_us?.p50)),
+            wake_p50: over(daemon, bare, |t| t.wake.map(|q| q.p50)),
+            wake_p99: over(daemon, bare, |t| t.wake.map(|q| q.p99)),
+            command_beyond_wake: daemon.each(|t| Some(t.command?.p50 - t.wake?.p50)),
             response_p99_to_unloaded: unloaded.map_or_else(Vec::new, |unloaded| {
-                over(daemon, unloaded, |t| t.response_us.map(|q| q.p99))
+                over(daemon, unloaded, |t| t.response.map(|q| q.p99))
             }),
         };
         let (ours, theirs) = (&daemon.total.counts, &bare.total.counts);

@@ -172,28 +172,29 @@ fn forget(row: &mut Value, subject: Subject) {
 }
 
 fn time_rows(case: &Case) -> Vec<TimeRow> {
-    let times = case.total.quantiles();
-    let kinds = [
-        ("start (wake-up)", times.wake_us),
-        ("hand-over, from the start (compute)", times.compute_us),
-        ("hand-over (response)", times.response_us),
-        ("the client (command)", times.command_us),
+    const TO: [&str; 4] = [
+        "start (wake-up)",
+        "hand-over, from the start (compute)",
+        "hand-over (response)",
+        "the client (command)",
     ];
+    let times = case.total.quantiles();
+    let kinds = TO.into_iter().zip(times.named());
     let Key {
         load,
         setup,
         subject,
     } = case.key;
-    let row = |(to, quantiles): (_, Option<Quantiles>)| {
+    let row = |(to, (_, quantiles)): (_, (_, &Option<Quantiles>))| {
         Some(TimeRow {
             load,
             set_up: setup,
             subject,
             to,
-            quantiles: quantiles?,
+            quantiles: (*quantiles)?,
         })
     };
-    kinds.into_iter().filter_map(row).collect()
+    kinds.filter_map(row).collect()
 }
 
 fn ratio_metrics(dataset: &mut Dataset, ratio: &Ratio) {
@@ -219,13 +220,16 @@ fn case_metrics(dataset: &mut Dataset, case: &Case) {
         dataset.lower(name("own_misses"), "", counts(|c| c.own_misses as f64));
         dataset.lower(name("misses"), "per million", counts(per_million));
     }
-    let (wake, response, command): (Times, Times, Times) =
-        (|t| t.wake_us, |t| t.response_us, |t| t.command_us);
-    for (kind, times) in [("wake", wake), ("response", response), ("command", command)] {
-        let p50 = case.each(|t| Some(times(t)?.p50));
-        dataset.lower(name(&format!("{kind}_p50")), "µs", p50);
-        let p99 = case.each(|t| Some(times(t)?.p99));
-        dataset.lower(name(&format!("{kind}_p99")), "µs", p99);
+    for (kind, times) in [
+        ("wake", (|t| t.wake) as Times),
+        ("response", |t| t.response),
+        ("command", |t| t.command),
+    ] {
+        let quantiles: [(_, fn(Quantiles) -> f64); 2] = [("p50", |q| q.p50), ("p99", |q| q.p99)];
+        for (quantile, value) in quantiles {
+            let rounds = case.each(|t| Some(value(times(t)?)));
+            dataset.lower(name(&format!("{kind}_{quantile}")), "µs", rounds);
+        }
     }
 }
 
@@ -234,13 +238,14 @@ fn recordings(cases: Cases, options: &Options) -> Vec<Recording> {
     for case in cases.into_values() {
         let path = path(&case.key).join(".");
         for round in case.rounds {
-            let named = round.segment.tally.times.named().into_iter();
+            let times = round.segment.tally.times;
+            let named = times.named().into_iter();
             let measured = named.filter(|(_, histogram_ns)| !histogram_ns.is_empty());
             all.extend(measured.map(|(name, histogram_ns)| Recording {
                 tag: format!("{path}.{name}"),
                 start_s: round.start_s,
                 duration_s: options.segment().as_secs_f64(),
-                histogram_ns,
+                histogram_ns: histogram_ns.clone(),
             }));
         }
     }

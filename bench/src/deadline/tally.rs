@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 use cdcr_shared_types::codes::LateCause;
+use derive_more::AddAssign;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
@@ -10,46 +11,57 @@ use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-#[derive(Debug, Clone)]
-pub struct Times {
-    pub wake: Histogram<u64>,
-    /// Start to hand-over of the command; empty for what does not compute.
-    pub compute: Histogram<u64>,
-    /// Release to hand-over of the command; empty for what hands nothing over.
-    pub response: Histogram<u64>,
-    /// Release to the command in the client's hands; empty where there is no client.
-    pub command: Histogram<u64>,
+/// One thing for each time of a cycle, all from the release that was due but for `compute`.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PerTime<T> {
+    #[serde(rename = "wake_us")]
+    pub wake: T,
+    /// Start to hand-over of the command.
+    #[serde(rename = "compute_us")]
+    pub compute: T,
+    /// To the hand-over of the command.
+    #[serde(rename = "response_us")]
+    pub response: T,
+    /// To the command in the client's hands.
+    #[serde(rename = "command_us")]
+    pub command: T,
 }
 
-impl Times {
-    fn new() -> Result<Self> {
-        Ok(Self {
-            wake: histogram()?,
-            compute: histogram()?,
-            response: histogram()?,
-            command: histogram()?,
-        })
+impl<T> PerTime<T> {
+    pub fn map<U>(&self, value: impl Fn(&T) -> U) -> PerTime<U> {
+        PerTime {
+            wake: value(&self.wake),
+            compute: value(&self.compute),
+            response: value(&self.response),
+            command: value(&self.command),
+        }
     }
 
-    pub fn named(self) -> [(&'static str, Histogram<u64>); 4] {
+    pub fn named(&self) -> [(&'static str, &T); 4] {
         [
-            ("wake", self.wake),
-            ("compute", self.compute),
-            ("response", self.response),
-            ("command", self.command),
+            ("wake", &self.wake),
+            ("compute", &self.compute),
+            ("response", &self.response),
+            ("command", &self.command),
         ]
     }
 
-    fn add(&mut self, other: &Self) -> Result<()> {
-        self.wake.add(&other.wake)?;
-        self.compute.add(&other.compute)?;
-        self.response.add(&other.response)?;
-        self.command.add(&other.command)?;
-        Ok(())
+    fn each_mut(&mut self) -> [&mut T; 4] {
+        [
+            &mut self.wake,
+            &mut self.compute,
+            &mut self.response,
+            &mut self.command,
+        ]
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+/// All latencies \[ns\]; empty for what has no such time.
+pub type Times = PerTime<Histogram<u64>>;
+/// The latencies of a stretch in five numbers each \[µs\]; none of those that were not measured.
+pub(super) type TimeQuantiles = PerTime<Option<Quantiles>>;
+
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, AddAssign)]
 pub struct Counts {
     pub cycles: u64,
     pub late_starts: u64,
@@ -68,21 +80,6 @@ pub struct Counts {
     pub run_delay_ms: f64,
 }
 
-impl Counts {
-    fn add(&mut self, other: &Self) {
-        self.cycles += other.cycles;
-        self.late_starts += other.late_starts;
-        self.deadline_misses += other.deadline_misses;
-        self.own_misses += other.own_misses;
-        self.skipped_periods += other.skipped_periods;
-        self.causes += other.causes;
-        self.lost_records += other.lost_records;
-        self.lost_commands += other.lost_commands;
-        self.steal_ms += other.steal_ms;
-        self.run_delay_ms += other.run_delay_ms;
-    }
-}
-
 #[derive(Debug, Clone)]
 pub struct Tally {
     pub counts: Counts,
@@ -93,7 +90,12 @@ impl Tally {
     pub fn new() -> Result<Self> {
         Ok(Self {
             counts: Counts::default(),
-            times: Times::new()?,
+            times: Times {
+                wake: histogram()?,
+                compute: histogram()?,
+                response: histogram()?,
+                command: histogram()?,
+            },
         })
     }
 
@@ -143,32 +145,17 @@ impl Tally {
     }
 
     pub fn add(&mut self, other: &Self) -> Result<()> {
-        self.counts.add(&other.counts);
-        self.times.add(&other.times)
+        self.counts += other.counts;
+        let others = other.times.named().into_iter();
+        for (mine, (_, theirs)) in self.times.each_mut().into_iter().zip(others) {
+            mine.add(theirs)?;
+        }
+        Ok(())
     }
 
     pub fn quantiles(&self) -> TimeQuantiles {
-        TimeQuantiles {
-            wake_us: Quantiles::of(&self.times.wake),
-            compute_us: Quantiles::of(&self.times.compute),
-            response_us: Quantiles::of(&self.times.response),
-            command_us: Quantiles::of(&self.times.command),
-        }
+        self.times.map(Quantiles::of)
     }
-}
-
-/// The latencies of a stretch in five numbers each \[µs\]; none of those that were not measured.
-#[allow(
-    clippy::struct_field_names,
-    reason = "the keys of the JSON end with their unit"
-)]
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct TimeQuantiles {
-    pub wake_us: Option<Quantiles>,
-    pub compute_us: Option<Quantiles>,
-    pub response_us: Option<Quantiles>,
-    /// Release to the command in the client's hands.
-    pub command_us: Option<Quantiles>,
 }
 
 #[cfg(test)]
@@ -230,7 +217,7 @@ mod tests {
     fn what_does_not_compute_has_no_response() {
         let tally = Tally::of(&[cycle(20, 21, LateCause::None)], false).unwrap();
         let quantiles = tally.quantiles();
-        assert!(quantiles.wake_us.is_some() && quantiles.response_us.is_none());
+        assert!(quantiles.wake.is_some() && quantiles.response.is_none());
         let json = serde_json::to_value(quantiles).unwrap();
         assert!(json["response_us"].is_null(), "{json}");
     }

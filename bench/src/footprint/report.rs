@@ -45,23 +45,9 @@ const THREADS: [Column; 4] = [
     ),
 ];
 
-/// A program, with its debug information, as it was built.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-struct Program {
-    name: &'static str,
-    bytes: u64,
-    mb: f64,
-}
-
-fn programs() -> Vec<Program> {
-    let length = |name| {
-        let bytes = fs::metadata(program(name).ok()?).ok()?.len();
-        Some(Program {
-            name,
-            bytes,
-            mb: bytes as f64 / MB,
-        })
-    };
+/// Names and sizes \[bytes\] of our programs, with their debug information, as they were built.
+fn programs() -> Vec<(&'static str, u64)> {
+    let length = |name| Some((name, fs::metadata(program(name).ok()?).ok()?.len()));
     let names = ["cdcrd", "cdcrctl", "cdcr-bench"];
     names.into_iter().filter_map(length).collect()
 }
@@ -99,6 +85,10 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
     let title =
         format!("What a daemon takes at 200 Hz, three sections: medians of {count} daemons{how}");
     let (rows, threads, programs) = (rows(rounds), thread_rows(rounds), programs());
+    let program_rows: Vec<Value> = programs
+        .iter()
+        .map(|(name, bytes)| json!({ "name": name, "bytes": bytes, "mb": *bytes as f64 / MB }))
+        .collect();
     let mut dataset = Dataset {
         name: "footprint",
         heading: "What a daemon takes",
@@ -112,7 +102,7 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
                     format!("Share of a core that each thread uses{how}"),
                     &THREADS,
                 ),
-            Sheet::new(&programs)?
+            Sheet::new(&program_rows)?
                 .key("programs")
                 .file("footprint-programs")
                 .table(
@@ -156,12 +146,9 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
             shares,
         );
     }
-    for program in &programs {
-        dataset.lower(
-            format!("footprint/program/{}", program.name),
-            "MB",
-            [program.mb],
-        );
+    for (name, bytes) in &programs {
+        let name = format!("footprint/program/{name}");
+        dataset.lower(name, "MB", [*bytes as f64 / MB]);
     }
     Ok(dataset)
 }

@@ -362,9 +362,9 @@ mod tests {
             "/",
             "/dev/shm",
             "/dev/shm/root",
-            "/dev/shm/cdcr-bench-1_root/..",
-            "/dev/shm/cdcr-bench-1_lock",
-            "/tmp/cdcr-bench-1_root",
+            "/dev/shm/cdcrbed_1_0_root/..",
+            "/dev/shm/cdcrbed_1_0_lock",
+            "/tmp/cdcrbed_1_0_root",
         ] {
             assert!(!is_root_of_place(Path::new(root)), "{root}");
         }

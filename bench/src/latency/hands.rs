@@ -84,7 +84,7 @@ pub(super) struct Seen<'a> {
     pub(super) received_ns: Option<u64>,
 }
 
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
 pub struct Looks {
     pub all: u64,
     /// The command was there before its first look.

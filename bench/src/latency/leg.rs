@@ -6,99 +6,67 @@
 //! lease is stamped by that look, so its `grid` ends there.
 
 use crate::named::named;
-named! {
-    pub enum Leg {
-        /// Two processes and iceoryx2, nothing else: one way.
-        BareOneWay = "bare.one_way",
-        BareRoundTrip = "bare.round_trip",
-        BareRequest = "bare.request",
-        /// A command from the release of its cycle.
-        CommandRelease = "command.release",
-        /// A command from its hand-over by the cycle thread.
-        CommandHandover = "command.handover",
-        /// A command from the stamp in its header.
-        CommandHop = "command.hop",
-        ReferenceCommand = "reference.command",
-        /// The part of it that waits for the grid.
-        ReferenceGrid = "reference.grid",
-        ReferenceMachinery = "reference.machinery",
-        ObstacleCommand = "obstacle.command",
-        /// The part of it that waits for the grid.
-        ObstacleGrid = "obstacle.grid",
-        ObstacleMachinery = "obstacle.machinery",
-        MeasurementCommand = "measurement.command",
-        /// The part of it that waits for the grid.
-        MeasurementGrid = "measurement.grid",
-        MeasurementMachinery = "measurement.machinery",
-        /// A renewal of the lease, whole: the exchange answers it.
-        LeaseAnswer = "lease.answer",
-        /// The part of it that waits for the grid.
-        LeaseGrid = "lease.grid",
-        LeaseMachinery = "lease.machinery",
-        /// A request to track, whole: the cycle decides it.
-        TrackAnswer = "track.answer",
-        /// The part of it that waits for the grid.
-        TrackGrid = "track.grid",
-        TrackMachinery = "track.machinery",
-        /// A stop until the first command of mode stopped.
-        StopCommand = "stop.command",
-        /// The part of it that waits for the grid.
-        StopGrid = "stop.grid",
-        StopMachinery = "stop.machinery",
-        /// A stop until zero rates are handed over, without the ramp.
-        StopZeroHandover = "stop.zero_handover",
-        /// A stop until zero rates are in the client's hands, without the ramp.
-        StopZeroCommand = "stop.zero_command",
-    }
+
+const GATHER: &str = "start of the gather that takes it";
+// The last look, too, takes requests.
+const LOOK: &str = "start of the gather or last look that takes it";
+const CYCLE: &str = "start of the gather of its cycle; sending itself, if the last look takes it";
+const STOPPED: &str = "first command of mode stopped in the client's hands";
+const SENT: &str = "sent_ns of the message, read before it is sent";
+const MEASURED: &str = "measured_ns, read before it is sent";
+const HANDS: &str = "command in the client's hands";
+const FIRST: &str = "first command that uses it in the client's hands";
+const ANSWER: &str = "answer in the client's hands";
+
+/// Each leg with its name, the stamp that it begins with and the one that it ends with.
+macro_rules! legs {
+    ($($leg:ident = $name:literal: $from:expr => $to:expr;)+) => {
+        named! { pub enum Leg { $($leg = $name,)+ } }
+
+        impl Leg {
+            pub fn definition(self) -> (&'static str, &'static str) {
+                match self {
+                    $(Self::$leg => ($from, $to),)+
+                }
+            }
+        }
+    };
+}
+
+// `bare`: two processes and iceoryx2, nothing else. `grid` is the part of a way that waits for the grid, `machinery` the
+// rest. A renewal of the lease is answered by the exchange, a request to track by the cycle.
+legs! {
+    BareOneWay = "bare.one_way": "stamp in the answer, read before it is sent" => "answer received";
+    BareRoundTrip = "bare.round_trip": "before a message is sent" => "answer received";
+    BareRequest = "bare.request": "before a request is sent" => "its response received";
+    CommandRelease = "command.release": "release that its cycle slept for" => HANDS;
+    CommandHandover = "command.handover": "handed over by the cycle thread" => HANDS;
+    CommandHop = "command.hop": "sent_ns of the command, read by the exchange" => HANDS;
+    ReferenceCommand = "reference.command": SENT => FIRST;
+    ReferenceGrid = "reference.grid": SENT => GATHER;
+    ReferenceMachinery = "reference.machinery": GATHER => FIRST;
+    ObstacleCommand = "obstacle.command": SENT => FIRST;
+    ObstacleGrid = "obstacle.grid": SENT => GATHER;
+    ObstacleMachinery = "obstacle.machinery": GATHER => FIRST;
+    MeasurementCommand = "measurement.command": MEASURED => FIRST;
+    MeasurementGrid = "measurement.grid": MEASURED => GATHER;
+    MeasurementMachinery = "measurement.machinery": GATHER => FIRST;
+    LeaseAnswer = "lease.answer": SENT => ANSWER;
+    LeaseGrid = "lease.grid": SENT => LOOK;
+    LeaseMachinery = "lease.machinery": LOOK => ANSWER;
+    TrackAnswer = "track.answer": SENT => ANSWER;
+    TrackGrid = "track.grid": SENT => CYCLE;
+    TrackMachinery = "track.machinery": CYCLE => ANSWER;
+    StopCommand = "stop.command": SENT => STOPPED;
+    StopGrid = "stop.grid": SENT => CYCLE;
+    StopMachinery = "stop.machinery": CYCLE => STOPPED;
+    StopZeroHandover = "stop.zero_handover":
+        SENT => "first zero rates handed over by the cycle thread, less the ramp";
+    StopZeroCommand = "stop.zero_command":
+        SENT => "first command of zero rates in the client's hands, less the ramp";
 }
 
 impl Leg {
-    pub fn definition(self) -> (&'static str, &'static str) {
-        const GATHER: &str = "start of the gather that takes it";
-        // The last look, too, takes requests.
-        const LOOK: &str = "start of the gather or last look that takes it";
-        const CYCLE: &str =
-            "start of the gather of its cycle; sending itself, if the last look takes it";
-        const STOPPED: &str = "first command of mode stopped in the client's hands";
-        const SENT: &str = "sent_ns of the message, read before it is sent";
-        const HANDS: &str = "command in the client's hands";
-        const FIRST: &str = "first command that uses it in the client's hands";
-        const ANSWER: &str = "answer in the client's hands";
-        match self {
-            Self::BareOneWay => (
-                "stamp in the answer, read before it is sent",
-                "answer received",
-            ),
-            Self::BareRoundTrip => ("before a message is sent", "answer received"),
-            Self::BareRequest => ("before a request is sent", "its response received"),
-            Self::CommandRelease => ("release that its cycle slept for", HANDS),
-            Self::CommandHandover => ("handed over by the cycle thread", HANDS),
-            Self::CommandHop => ("sent_ns of the command, read by the exchange", HANDS),
-            Self::ReferenceCommand | Self::ObstacleCommand => (SENT, FIRST),
-            Self::MeasurementCommand => ("measured_ns, read before it is sent", FIRST),
-            Self::ReferenceGrid | Self::ObstacleGrid => (SENT, GATHER),
-            Self::LeaseGrid => (SENT, LOOK),
-            Self::TrackGrid | Self::StopGrid => (SENT, CYCLE),
-            Self::MeasurementGrid => ("measured_ns, read before it is sent", GATHER),
-            Self::ReferenceMachinery | Self::ObstacleMachinery | Self::MeasurementMachinery => {
-                (GATHER, FIRST)
-            }
-            Self::LeaseAnswer | Self::TrackAnswer => (SENT, ANSWER),
-            Self::LeaseMachinery => (LOOK, ANSWER),
-            Self::TrackMachinery => (CYCLE, ANSWER),
-            Self::StopCommand => (SENT, STOPPED),
-            Self::StopMachinery => (CYCLE, STOPPED),
-            Self::StopZeroHandover => (
-                SENT,
-                "first zero rates handed over by the cycle thread, less the ramp",
-            ),
-            Self::StopZeroCommand => (
-                SENT,
-                "first command of zero rates in the client's hands, less the ramp",
-            ),
-        }
-    }
-
     /// Whether it is mere waiting for the grid: evenly spread over a period by the way it is measured, so
     /// that two runs cannot differ in it.
     pub fn is_grid(self) -> bool {
@@ -106,45 +74,26 @@ impl Leg {
     }
 }
 
-/// The three legs of something that waits for a gather.
+/// The three legs of something that waits for a gather: the whole, its `grid` and its `machinery`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Way {
-    pub(super) whole: Leg,
-    pub(super) grid: Leg,
-    pub(super) machinery: Leg,
-}
+pub(super) struct Way(pub(super) [Leg; 3]);
 
 impl Way {
-    pub(super) const REFERENCE: Self = Self {
-        whole: Leg::ReferenceCommand,
-        grid: Leg::ReferenceGrid,
-        machinery: Leg::ReferenceMachinery,
-    };
-    pub(super) const OBSTACLE: Self = Self {
-        whole: Leg::ObstacleCommand,
-        grid: Leg::ObstacleGrid,
-        machinery: Leg::ObstacleMachinery,
-    };
-    pub(super) const MEASUREMENT: Self = Self {
-        whole: Leg::MeasurementCommand,
-        grid: Leg::MeasurementGrid,
-        machinery: Leg::MeasurementMachinery,
-    };
-    pub(super) const LEASE: Self = Self {
-        whole: Leg::LeaseAnswer,
-        grid: Leg::LeaseGrid,
-        machinery: Leg::LeaseMachinery,
-    };
-    pub(super) const TRACK: Self = Self {
-        whole: Leg::TrackAnswer,
-        grid: Leg::TrackGrid,
-        machinery: Leg::TrackMachinery,
-    };
-    pub(super) const STOP: Self = Self {
-        whole: Leg::StopCommand,
-        grid: Leg::StopGrid,
-        machinery: Leg::StopMachinery,
-    };
+    pub(super) const REFERENCE: Self = Self::from_whole(Leg::ReferenceCommand);
+    pub(super) const OBSTACLE: Self = Self::from_whole(Leg::ObstacleCommand);
+    pub(super) const MEASUREMENT: Self = Self::from_whole(Leg::MeasurementCommand);
+    pub(super) const LEASE: Self = Self::from_whole(Leg::LeaseAnswer);
+    pub(super) const TRACK: Self = Self::from_whole(Leg::TrackAnswer);
+    pub(super) const STOP: Self = Self::from_whole(Leg::StopCommand);
+
+    /// The parts follow the whole in the list of legs.
+    const fn from_whole(whole: Leg) -> Self {
+        Self([
+            whole,
+            Leg::ALL[whole as usize + 1],
+            Leg::ALL[whole as usize + 2],
+        ])
+    }
 }
 
 #[cfg(test)]
@@ -152,11 +101,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_leg_has_its_place_and_a_name_of_its_own() {
+    fn every_leg_has_its_place_and_a_name_of_its_own_and_the_parts_follow_their_whole() {
         for (index, leg) in Leg::ALL.iter().enumerate() {
             assert_eq!(*leg as usize, index);
             let same = Leg::ALL.iter().filter(|other| other.name() == leg.name());
             assert_eq!(same.count(), 1, "{}", leg.name());
+        }
+        let ways = [
+            Way::REFERENCE,
+            Way::OBSTACLE,
+            Way::MEASUREMENT,
+            Way::LEASE,
+            Way::TRACK,
+            Way::STOP,
+        ];
+        for Way(legs) in ways {
+            let [whole, grid, machinery] = legs.map(|leg| leg.name().split_once('.').unwrap());
+            assert!(whole.0 == grid.0 && grid.0 == machinery.0);
+            assert_eq!([grid.1, machinery.1], ["grid", "machinery"]);
         }
     }
 }

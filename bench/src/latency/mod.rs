@@ -208,8 +208,7 @@ impl Told {
         self.period_ns = other.period_ns;
         self.lead_ns = self.lead_ns.max(other.lead_ns);
         self.realtime_missing |= other.realtime_missing;
-        self.looks.all += other.looks.all;
-        self.looks.late += other.looks.late;
+        self.looks += other.looks;
     }
 }
 

@@ -3,7 +3,7 @@
 use anyhow::Result;
 use hdrhistogram::Histogram;
 use serde::Serialize;
-use serde_json::{Value, to_value};
+use serde_json::{Value, json, to_value};
 
 use super::hands::Looks;
 use super::leg::Leg;
@@ -100,13 +100,6 @@ struct Target {
     limit_us: f64,
     p99_us: f64,
     kept: bool,
-}
-
-#[derive(Serialize)]
-struct Remark {
-    what: String,
-    found: String,
-    beside: String,
 }
 
 pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
@@ -267,12 +260,8 @@ fn remarks(
     ratios: &[Ratio],
     targets: &[Target],
     unmeasured: Unmeasured,
-) -> Vec<Remark> {
-    let remark = |what: String, found: String, beside: String| Remark {
-        what,
-        found,
-        beside,
-    };
+) -> Vec<Value> {
+    let remark = |what: String, found: String, beside: String| json!({ "what": what, "found": found, "beside": beside });
     let ratios = ratios.iter().map(|ratio| {
         let ends = range(ratio.rounds.iter().copied());
         let (low, high) = ends.unwrap_or((ratio.p50, ratio.p50));
@@ -348,8 +337,6 @@ fn quantile_of(round: &Round, leg: Leg, quantile: f64) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn setting() -> Setting {
@@ -447,7 +434,13 @@ mod tests {
             ];
             assert_eq!(times.map(Value::is_null), absent);
             let remark = &remarks(&setting(), &[], &[target(&row, 1.0)], Unmeasured::default())[0];
-            assert_eq!(remark.beside.contains("too few values"), count < 100);
+            assert_eq!(
+                remark["beside"]
+                    .as_str()
+                    .unwrap()
+                    .contains("too few values"),
+                count < 100
+            );
         }
     }
 

@@ -1,9 +1,8 @@
 //! What one round measured.
 
-use std::ops::AddAssign;
-
 use anyhow::Result;
 use cdcr_client::monotonic_ns;
+use derive_more::AddAssign;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
@@ -19,19 +18,12 @@ pub struct Sampled {
 }
 
 /// What was tried and could not be measured.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, AddAssign)]
 pub struct Unmeasured {
     /// Stops that could not be judged: a record or a command is missing, or the robot was hardly moving.
     pub spoilt_stops: u64,
     /// Samples whose command never was in the client's hands, because the client was away too long.
     pub without_command: u64,
-}
-
-impl AddAssign for Unmeasured {
-    fn add_assign(&mut self, other: Self) {
-        self.spoilt_stops += other.spoilt_stops;
-        self.without_command += other.without_command;
-    }
 }
 
 /// The latencies of all legs in one round.
@@ -87,9 +79,10 @@ impl Round {
             .gather_ns
             .saturating_sub(passage.sent_ns)
             .min(whole_ns);
-        self.record(way.whole, whole_ns);
-        self.record(way.grid, grid_ns);
-        self.record(way.machinery, whole_ns - grid_ns);
+        let times_ns = [whole_ns, grid_ns, whole_ns - grid_ns];
+        for (leg, time_ns) in way.0.into_iter().zip(times_ns) {
+            self.record(leg, time_ns);
+        }
     }
 }
 

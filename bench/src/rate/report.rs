@@ -1,7 +1,7 @@
 //! What the rates say, as rows, plots and single numbers.
 
 use anyhow::Result;
-use serde::Serialize;
+use serde_json::{Value, json, to_value};
 
 use super::case::Case;
 use super::figures::Figures;
@@ -67,8 +67,8 @@ const SHORTEST: [Column; 16] = [
 ];
 
 pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
-    let steps: Vec<StepRow> = measured.steps.iter().map(Step::row).collect();
-    let shortest: Vec<ShortestRow> = measured.shortest.iter().map(Shortest::row).collect();
+    let steps: Vec<Value> = measured.steps.iter().map(Step::row).collect();
+    let shortest: Result<Vec<Value>> = measured.shortest.iter().map(Shortest::row).collect();
     let rounds: Vec<&Trial> = measured
         .steps
         .iter()
@@ -85,7 +85,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         heading: "How fast the loop can go",
         explanation: EXPLANATION,
         sheets: vec![
-            Sheet::new(&shortest)?
+            Sheet::new(&shortest?)?
                 .key("shortest")
                 .file("rate")
                 .table(format!("Shortest period that holds{how}"), &SHORTEST),
@@ -154,10 +154,13 @@ fn metrics(dataset: &mut Dataset, measured: &Measured) {
     }
 }
 
-fn plot(rows: &[StepRow]) -> Result<Plot> {
-    let line = |label: &str, value: fn(&StepRow) -> f64, colour| {
-        let points = rows.iter().map(|row| (row.rate_hz * 1e-3, value(row)));
-        Curve::line(label, points.filter(|p| p.1.is_finite()).collect(), colour)
+fn plot(rows: &[Value]) -> Result<Plot> {
+    let line = |label: &str, key: &str, factor: f64, colour| {
+        let point = |row: &Value| {
+            let (rate_hz, value) = (row["rate_hz"].as_f64()?, row[key].as_f64()?);
+            Some((rate_hz * 1e-3, value * factor))
+        };
+        Curve::line(label, rows.iter().filter_map(point).collect(), colour)
     };
     let times = Panel {
         title: "Response of the default".to_owned(),
@@ -165,21 +168,20 @@ fn plot(rows: &[StepRow]) -> Result<Plot> {
         y: "[µs]",
         scale: Scale::LogLog { floor: 1.0 },
         curves: vec![
-            line("period", |row| row.period_ms * 1e3, DARK),
-            line("p99.9", |row| row.response_p999_us, ORANGE),
-            line("p99", |row| row.response_p99_us, GREEN),
-            line("p50", |row| row.response_p50_us, BLUE),
+            line("period", "period_ms", 1e3, DARK),
+            line("p99.9", "response_p999_us", 1.0, ORANGE),
+            line("p99", "response_p99_us", 1.0, GREEN),
+            line("p50", "response_p50_us", 1.0, BLUE),
         ],
     };
-    let cut_short: fn(&StepRow) -> f64 = |row| 100.0 * row.budget_hit_share;
     let shares = Panel {
         title: "What it costs".to_owned(),
         x: "rate [kHz]",
         y: "[%]",
         scale: Scale::Linear,
         curves: vec![
-            line("of the core", |row| 100.0 * row.core_share, BLUE),
-            line("solves cut short", cut_short, ORANGE),
+            line("of the core", "core_share", 100.0, BLUE),
+            line("solves cut short", "budget_hit_share", 100.0, ORANGE),
         ],
     };
     Ok(Plot {
@@ -190,81 +192,36 @@ fn plot(rows: &[StepRow]) -> Result<Plot> {
     })
 }
 
-/// The shortest period of one case, as a row of JSON and CSV.
-#[derive(Serialize)]
-struct ShortestRow<'a> {
-    #[serde(flatten)]
-    case: Case,
-    shortest_period_ms: Option<f64>,
-    rate_hz: Option<f64>,
-    trials_held: usize,
-    trials: usize,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    held: Option<&'a Trial>,
-    core_share: Option<f64>,
-    lost_share: Option<f64>,
-    /// Why the next shorter period failed, in words.
-    ended_by: String,
-    held_in: String,
-    failed_period_ms: Option<f64>,
-    failed_trials_held: usize,
-    failed_trials: usize,
-    failed_remarks: Option<&'a str>,
-}
-
-/// The default with one period: medians over the rounds.
-#[derive(Serialize)]
-struct StepRow {
-    period_ms: f64,
-    rate_hz: f64,
-    rounds: usize,
-    rounds_held: usize,
-    wake_p50_us: f64,
-    wake_p99_us: f64,
-    solve_p50_us: f64,
-    response_p50_us: f64,
-    response_p99_us: f64,
-    response_p999_us: f64,
-    core_share: f64,
-    budget_hit_share: f64,
-    stale_input_share: f64,
-    error_p99_mm: f64,
-    cycles: u64,
-    own_misses: u64,
-    late_cycles: u64,
-    deadline_misses: u64,
-    skipped_periods: u64,
-    lost_share: f64,
-    dropped_records: u64,
-    tracking_share_least: f64,
-    remarks: String,
-    held_in: String,
-}
-
 impl Shortest {
     pub fn period_ms(&self) -> Option<f64> {
         self.held.as_ref().map(|trial| trial.period_ms)
     }
 
-    fn row(&self) -> ShortestRow<'_> {
+    fn row(&self) -> Result<Value> {
         let failed = self.failed.as_ref();
         let figures = self.held.as_ref().and_then(|trial| trial.figures.as_ref());
-        ShortestRow {
-            case: self.case,
-            shortest_period_ms: self.period_ms(),
-            rate_hz: self.period_ms().map(rate_hz),
-            trials_held: self.held_tally.held,
-            trials: self.held_tally.trials,
-            held: self.held.as_ref(),
-            core_share: figures.map(Figures::core_share),
-            lost_share: figures.map(Figures::lost_share),
-            ended_by: self.ended_by(),
-            held_in: self.held_tally.words(),
-            failed_period_ms: failed.map(|trial| trial.period_ms),
-            failed_trials_held: self.failed_tally.held,
-            failed_trials: self.failed_tally.trials,
-            failed_remarks: failed.map(|trial| trial.remarks.as_str()),
+        let mut row = to_value(self.case)?;
+        let of_case = json!({
+            "shortest_period_ms": self.period_ms(),
+            "rate_hz": self.period_ms().map(rate_hz),
+            "trials_held": self.held_tally.held,
+            "trials": self.held_tally.trials,
+            "core_share": figures.map(Figures::core_share),
+            "lost_share": figures.map(Figures::lost_share),
+            "ended_by": self.ended_by(),
+            "held_in": self.held_tally.words(),
+            "failed_period_ms": failed.map(|trial| trial.period_ms),
+            "failed_trials_held": self.failed_tally.held,
+            "failed_trials": self.failed_tally.trials,
+            "failed_remarks": failed.map(|trial| &trial.remarks),
+        });
+        if let (Value::Object(row), Value::Object(of_case)) = (&mut row, of_case) {
+            row.extend(of_case);
         }
+        if let Some(held) = &self.held {
+            row["held"] = to_value(held)?;
+        }
+        Ok(row)
     }
 
     fn ended_by(&self) -> String {
@@ -296,36 +253,37 @@ impl Step {
         self.rounds.iter().filter(|trial| trial.holds).count()
     }
 
-    fn row(&self) -> StepRow {
-        let middle = |value: fn(&Figures) -> f64| median(self.values(value)).unwrap_or(f64::NAN);
+    /// Medians over the rounds, and sums of what was counted.
+    fn row(&self) -> Value {
+        let middle = |value: fn(&Figures) -> f64| median(self.values(value));
         let sum = |count: fn(&Figures) -> u64| -> u64 { self.measured().map(count).sum() };
         let tracking = range(self.values(|f| f.tracking_share));
-        StepRow {
-            period_ms: self.period_ms,
-            rate_hz: rate_hz(self.period_ms),
-            rounds: self.rounds.len(),
-            rounds_held: self.held(),
-            wake_p50_us: middle(|f| f.wake_us.p50),
-            wake_p99_us: middle(|f| f.wake_us.p99),
-            solve_p50_us: middle(|f| f.solve_us.p50),
-            response_p50_us: middle(|f| f.response_us.p50),
-            response_p99_us: middle(|f| f.response_us.p99),
-            response_p999_us: middle(|f| f.response_us.p999),
-            core_share: middle(Figures::core_share),
-            budget_hit_share: middle(|f| f.budget_hit_share),
-            stale_input_share: middle(|f| f.stale_input_share),
-            error_p99_mm: middle(|f| f.error_p99_mm),
-            cycles: sum(|f| f.cycles),
-            own_misses: sum(|f| f.causes.own()),
-            late_cycles: sum(|f| f.causes.all()),
-            deadline_misses: sum(|f| f.deadline_misses),
-            skipped_periods: sum(|f| f.skipped_periods),
-            lost_share: sum(Figures::lost) as f64 / sum(Figures::due).max(1) as f64,
-            dropped_records: sum(|f| f.dropped_records),
-            tracking_share_least: tracking.map_or(0.0, |(least, _)| least),
-            remarks: self.remarks(),
-            held_in: format!("{} of {}", self.held(), self.rounds.len()),
-        }
+        json!({
+            "period_ms": self.period_ms,
+            "rate_hz": rate_hz(self.period_ms),
+            "rounds": self.rounds.len(),
+            "rounds_held": self.held(),
+            "wake_p50_us": middle(|f| f.wake_us.p50),
+            "wake_p99_us": middle(|f| f.wake_us.p99),
+            "solve_p50_us": middle(|f| f.solve_us.p50),
+            "response_p50_us": middle(|f| f.response_us.p50),
+            "response_p99_us": middle(|f| f.response_us.p99),
+            "response_p999_us": middle(|f| f.response_us.p999),
+            "core_share": middle(Figures::core_share),
+            "budget_hit_share": middle(|f| f.budget_hit_share),
+            "stale_input_share": middle(|f| f.stale_input_share),
+            "error_p99_mm": middle(|f| f.error_p99_mm),
+            "cycles": sum(|f| f.cycles),
+            "own_misses": sum(|f| f.causes.own()),
+            "late_cycles": sum(|f| f.causes.all()),
+            "deadline_misses": sum(|f| f.deadline_misses),
+            "skipped_periods": sum(|f| f.skipped_periods),
+            "lost_share": sum(Figures::lost) as f64 / sum(Figures::due).max(1) as f64,
+            "dropped_records": sum(|f| f.dropped_records),
+            "tracking_share_least": tracking.map_or(0.0, |(least, _)| least),
+            "remarks": self.remarks(),
+            "held_in": format!("{} of {}", self.held(), self.rounds.len()),
+        })
     }
 
     /// Those of the first round that did not hold, or else of the last one.

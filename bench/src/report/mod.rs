@@ -4,7 +4,8 @@
 
 pub mod benchmark;
 mod bundle;
-pub(crate) mod targets;
+mod page;
+mod targets;
 
 use std::collections::BTreeMap;
 use std::time::SystemTime;
@@ -19,10 +20,9 @@ use crate::dataset::{Dataset, Sheet};
 use crate::environment::{Environment, Options};
 use crate::hlog;
 use crate::metric::Metric;
-use crate::page;
 
 /// Said of a report of `--quick`.
-pub(crate) const QUICK: &str =
+const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
 /// Keys of a report beside those of its results.
@@ -248,7 +248,7 @@ fn add_data(bundle: &mut Bundle, started: SystemTime, dataset: &Dataset) -> Resu
 }
 
 /// A name that begins with that of its benchmark, so that no two benchmarks write the same file.
-pub(crate) fn file_name(benchmark: &str, name: &str) -> String {
+fn file_name(benchmark: &str, name: &str) -> String {
     let rest = name.strip_prefix(benchmark);
     if rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-')) {
         name.to_owned()

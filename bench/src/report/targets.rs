@@ -58,99 +58,41 @@ struct Worst {
     of: String,
 }
 
-const WANTED: &[Wanted] = &[
-    Wanted {
-        what: "wake-up p50, daemon / bare loop",
-        target: "≤ 1.1 for every load",
-        unit: "",
-        found: |found| found.most("deadline/*/realtime/wake_p50_to_bare"),
-        reached: |ratio| ratio <= 1.1,
-    },
-    Wanted {
-        what: "wake-up p99, daemon / bare loop",
-        target: "≤ 1.1 for every load",
-        unit: "",
-        found: |found| found.most("deadline/*/realtime/wake_p99_to_bare"),
-        reached: |ratio| ratio <= 1.1,
-    },
-    Wanted {
-        what: "misses with cause compute or fault, all loads",
-        target: "0",
-        unit: "",
-        found: |found| found.own_misses(),
-        reached: |count| count == 0.0,
-    },
-    Wanted {
-        what: "misses beyond the bare loop's, all loads: probability by chance",
-        target: "not below 0.05",
-        unit: "",
-        found: |found| found.chance_of_misses(),
-        reached: |probability| probability >= CHANCE,
-    },
-    Wanted {
-        what: "release to command in the client, p50 less wake-up p50, no load",
-        target: "≤ 40 µs",
-        unit: "µs",
-        found: |found| found.most("deadline/none/realtime/command_beyond_wake_p50"),
-        reached: |us| us <= 40.0,
-    },
-    Wanted {
-        what: "response p99 under clients that connect, loaded / unloaded",
-        target: "≤ 1.3",
-        unit: "",
-        found: |found| found.most("deadline/clients/realtime/response_p99_to_unloaded"),
-        reached: |ratio| ratio <= 1.3,
-    },
-    Wanted {
-        what: "response p99 under a flood, loaded / unloaded",
-        target: "≤ 1.3",
-        unit: "",
-        found: |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"),
-        reached: |ratio| ratio <= 1.3,
-    },
-    Wanted {
-        what: "shortest period that holds, kpso-refined, 3 sections, 2 steps",
-        target: "≤ 0.5 ms",
-        unit: "ms",
-        found: |found| found.most("rate/shortest/3-sections/kpso-refined/n2"),
-        reached: |ms| ms <= 0.5,
-    },
-    Wanted {
-        what: "CPU of the real-time core at 200 Hz, tracking",
-        target: "≤ 3 %",
-        unit: "%",
-        found: |found| found.most("footprint/core_tracking_percent"),
-        reached: |percent| percent <= 3.0,
-    },
-    Wanted {
-        what: "resident memory",
-        target: "≤ 64 MB",
-        unit: "MB",
-        found: |found| found.most("footprint/resident_mb"),
-        reached: |mb| mb <= 64.0,
-    },
-    Wanted {
-        what: "resident memory that tracking adds",
-        target: "0",
-        unit: "kB",
-        found: |found| found.most("footprint/growth_kb"),
-        reached: |kb| kb <= 0.0,
-    },
-    Wanted {
-        what: "memory is locked (1: in every round)",
-        target: "1",
-        unit: "",
-        found: |found| found.least("footprint/locked"),
-        reached: |locked| locked == 1.0,
-    },
-    Wanted {
-        what: "stop request to zero rates without ramp, p99, beyond one period",
-        target: "≤ 100 µs",
-        unit: "µs",
-        found: |found| found.stop_beyond_period(),
-        reached: |us| us <= STOP_MARGIN_US,
-    },
-];
+/// One line for each: what, the target in words, unit, where it is found, and the condition on what was found.
+macro_rules! wanted {
+    ($($what:literal, $target:literal, $unit:literal, $found:expr, $reached:expr;)+) => {
+        &[$(Wanted { what: $what, target: $target, unit: $unit, found: $found, reached: $reached }),+]
+    };
+}
+
+const WANTED: &[Wanted] = wanted! {
+    "wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
+        |found| found.most("deadline/*/realtime/wake_p50_to_bare"), |ratio| ratio <= 1.1;
+    "wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
+        |found| found.most("deadline/*/realtime/wake_p99_to_bare"), |ratio| ratio <= 1.1;
+    "misses with cause compute or fault, all loads", "0", "",
+        |found| found.own_misses(), |count| count == 0.0;
+    "misses beyond the bare loop's, all loads: probability by chance", "not below 0.05", "",
+        |found| found.chance_of_misses(), |probability| probability >= CHANCE;
+    "release to command in the client, p50 less wake-up p50, no load", "≤ 40 µs", "µs",
+        |found| found.most("deadline/none/realtime/command_beyond_wake_p50"), |us| us <= 40.0;
+    "response p99 under clients that connect, loaded / unloaded", "≤ 1.3", "",
+        |found| found.most("deadline/clients/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3;
+    "response p99 under a flood, loaded / unloaded", "≤ 1.3", "",
+        |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3;
+    "shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
+        |found| found.most("rate/shortest/3-sections/kpso-refined/n2"), |ms| ms <= 0.5;
+    "CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
+        |found| found.most("footprint/core_tracking_percent"), |percent| percent <= 3.0;
+    "resident memory", "≤ 64 MB", "MB",
+        |found| found.most("footprint/resident_mb"), |mb| mb <= 64.0;
+    "resident memory that tracking adds", "0", "kB",
+        |found| found.most("footprint/growth_kb"), |kb| kb <= 0.0;
+    "memory is locked (1: in every round)", "1", "",
+        |found| found.least("footprint/locked"), |locked| locked == 1.0;
+    "stop request to zero rates without ramp, p99, beyond one period", "≤ 100 µs", "µs",
+        |found| found.stop_beyond_period(), |us| us <= STOP_MARGIN_US;
+};
 
 /// The figures that the metrics and results of a run tell.
 pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> {
@@ -282,14 +224,9 @@ fn counts((misses, due): (u64, u64)) -> String {
 
 /// Whether a name is as the pattern says; a `*` stands for one of its words.
 fn fits(pattern: &str, name: &str) -> bool {
-    let (mut wanted, mut words) = (pattern.split('/'), name.split('/'));
-    loop {
-        match (wanted.next(), words.next()) {
-            (None, None) => return true,
-            (Some(pattern), Some(word)) if pattern == "*" || pattern == word => {}
-            _ => return false,
-        }
-    }
+    let mut pairs = pattern.split('/').zip(name.split('/'));
+    pattern.split('/').count() == name.split('/').count()
+        && pairs.all(|(pattern, word)| pattern == "*" || pattern == word)
 }
 
 /// The words of a name where the pattern has a `*`.

@@ -213,7 +213,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
         .stderr(Stdio::piped())
         .spawn()
         .expect("the program runs");
-    let own = format!("cdcr-bench-{}-", child.id());
+    let own = format!("cdcrbed_{}_", child.id());
     let shared = Path::new("/dev/shm");
 
     // A daemon with a client runs when it has files; how soon is up to the machine.
@@ -227,7 +227,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     };
     thread::sleep(Duration::from_secs(1));
     let daemons = daemons_of(child.id());
-    let folders = names_with(place.path(), "cdcr-bench-");
+    let folders = names(place.path());
     if !has_ended {
         kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
     }
@@ -240,7 +240,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     assert!(errors.contains("interrupted"), "{errors}");
     assert!(!daemons.iter().any(|process| is_daemon(*process)));
     assert!(names_with(shared, &own).is_empty());
-    assert!(names_with(place.path(), "cdcr-bench-").is_empty());
+    assert!(names(place.path()).is_empty());
 }
 
 #[test]

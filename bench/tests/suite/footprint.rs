@@ -19,7 +19,7 @@ fn bench(temporary: &Path, args: &[&str]) -> (u32, Output) {
 
 /// Files of a process of ours in shared memory.
 fn left_by(process: u32) -> Vec<String> {
-    let mark = format!("cdcr-bench-{process}-");
+    let mark = format!("cdcrbed_{process}_");
     let entries = std::fs::read_dir("/dev/shm").unwrap().flatten();
     let names = entries.map(|entry| entry.file_name().to_string_lossy().into_owned());
     names.filter(|name| name.contains(&mark)).collect()

@@ -5,7 +5,7 @@ use cdcr_shared_types::Location;
 use tempfile::TempDir;
 
 /// A folder in memory for all files of a test, and the prefix of its daemon. What a killed run leaves, the next run of the
-/// system's tests removes (tests/src/sweep.rs): it knows the name, and leaves alone what is locked.
+/// system's tests removes (testbed/src/subject/sweep.rs): it knows the name, and leaves alone what is locked.
 #[derive(Debug)]
 pub(crate) struct Place {
     prefix: String,
@@ -16,7 +16,7 @@ pub(crate) struct Place {
 impl Place {
     /// `name` is without underscores, and of one test only.
     pub(crate) fn new(name: &str) -> Self {
-        let prefix = format!("cdcrtest_{}_{name}_", std::process::id());
+        let prefix = format!("cdcrbed_{}_{name}_", std::process::id());
         let builder = tempfile::Builder::new()
             .prefix(&prefix)
             .tempdir_in(Location::MEMORY);

@@ -1,13 +1,12 @@
 //! What a load did.
 
-use std::ops::AddAssign;
-
+use derive_more::AddAssign;
 use serde::Serialize;
 
 use super::Load;
 
 /// Counts of a load from its start to its end: the proof that it was there, and how strong.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, AddAssign)]
 pub struct Done {
     /// How long the load worked, from when all of its threads worked to its end: with it, counts are rates \[s\].
     /// Of one thread, zero.
@@ -58,21 +57,6 @@ impl Done {
             Load::CpuEverywhere => [self.of(Load::Cpu), self.of(Load::Memory)].concat(),
             Load::StressNg => vec![("stress_operations", self.stress_operations)],
         }
-    }
-}
-
-impl AddAssign for Done {
-    fn add_assign(&mut self, other: Self) {
-        self.seconds += other.seconds;
-        self.spins += other.spins;
-        self.copied_bytes += other.copied_bytes;
-        self.written_bytes += other.written_bytes;
-        self.read_bytes += other.read_bytes;
-        self.clients += other.clients;
-        self.failed_clients += other.failed_clients;
-        self.chunks += other.chunks;
-        self.updates += other.updates;
-        self.stress_operations += other.stress_operations;
     }
 }
 

@@ -4,6 +4,7 @@ pub mod bare;
 pub mod cyclictest;
 pub mod daemon;
 pub mod place;
+mod sweep;
 pub mod tracking;
 
 use cdcr_shared_types::codes::LateCause;

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use crate::dataset::{Dataset, Sheet};
-use crate::report::{QUICK, Report, Start, file_name};
+use super::{Part, QUICK, Report, Start, file_name, targets};
+use crate::dataset::{Dataset, Sheet, escape};
 
 const STYLE: &str = include_str!("page.css");
 
@@ -14,7 +14,7 @@ latency says little; the ratio to the bare loop, taken in turns with it, says wh
 numbers are in <code>report.json</code>, for <code>cdcr-bench compare</code>, each case in a CSV, and every \
 latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n";
 
-pub(crate) fn of_dataset(start: &Start, dataset: &Dataset) -> String {
+pub(super) fn of_dataset(start: &Start, dataset: &Dataset) -> String {
     let mut html = String::new();
     add(&mut html, dataset);
     machine(&mut html, start);
@@ -22,7 +22,7 @@ pub(crate) fn of_dataset(start: &Start, dataset: &Dataset) -> String {
 }
 
 /// All results, with contents, machine and targets first.
-pub(crate) fn of_report(report: &Report, targets: Option<&Sheet>) -> String {
+pub(super) fn of_report(report: &Report, targets: Option<&Sheet>) -> String {
     let mut html = INTRODUCTION.to_owned();
     if report.extent.quick {
         failure(&mut html, QUICK);
@@ -32,8 +32,7 @@ pub(crate) fn of_report(report: &Report, targets: Option<&Sheet>) -> String {
     if targets.is_some() || judged.is_some() {
         entries.push(("targets", "Figures to reach"));
     }
-    let heading =
-        |part: &crate::report::Part| part.result.as_ref().map_or(part.name, |r| r.heading);
+    let heading = |part: &Part| part.result.as_ref().map_or(part.name, |r| r.heading);
     entries.extend(report.parts.iter().map(|part| (part.name, heading(part))));
     html += "<nav><ul>\n";
     for (id, words) in entries {
@@ -45,7 +44,7 @@ pub(crate) fn of_report(report: &Report, targets: Option<&Sheet>) -> String {
         title(&mut html, "targets", "Figures to reach");
     }
     if let Some(targets) = targets {
-        html += crate::report::targets::EXPLANATION;
+        html += targets::EXPLANATION;
         let _ = writeln!(html, "<div class=\"wide plain\">\n{}</div>", targets.html());
     }
     if let Some(why) = judged {
@@ -102,12 +101,6 @@ fn add(html: &mut String, dataset: &Dataset) {
         let log = format!("histograms/{name}.hlog");
         let _ = writeln!(html, "<p>Every latency of it is in <code>{log}</code>.</p>");
     }
-}
-
-/// A text between tags, or an attribute within quotes.
-pub(crate) fn escape(text: &str) -> String {
-    let text = text.replace('&', "&amp;").replace('"', "&quot;");
-    text.replace('<', "&lt;").replace('>', "&gt;")
 }
 
 #[cfg(test)]

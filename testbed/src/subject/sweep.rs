@@ -1,45 +1,34 @@
-//! What a test run that was killed left behind: its places in shared memory and in the folder for temporary files,
-//! and the programs that it ran there.
+//! What a killed measurement or test run left behind: its places in shared memory and in the folder for temporary files,
+//! and the programs that a test ran there.
+//!
+//! Everybody may write to these folders: only what belongs to this user and has a name of ours is opened or removed, no
+//! link is followed, nothing is waited for.
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::Write as _;
 use std::os::unix::ffi::OsStrExt as _;
-use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
+use cdcr_shared_types::Location;
+use rustix::fs::OFlags;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
 /// What the names of all places begin with. The number of the process follows.
-const PREFIX: &str = "cdcrtest_";
+pub const PREFIX: &str = "cdcrbed_";
 
 /// How long a killed program may take to end: it writes its files until then.
 const END_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Name of place `number` of `process`.
-pub(crate) fn place_name(process: u32, number: u32) -> String {
+pub(super) fn place_name(process: u32, number: u32) -> String {
     format!("{PREFIX}{process}_{number}_")
 }
 
-/// Makes the folder of a place, and locks it: a process of another container has no number here, so its lock is what
-/// says that it lives.
-pub(crate) fn locked_folder(name: &str) -> (tempfile::TempDir, File) {
-    loop {
-        let builder = tempfile::Builder::new().prefix(name).tempdir();
-        let folder = builder.expect("a folder");
-        // Another sweep may have been faster than the lock.
-        let lock = File::open(folder.path()).and_then(|lock| lock.lock().map(|()| lock));
-        if let Ok(lock) = lock
-            && folder.path().exists()
-        {
-            return (folder, lock);
-        }
-    }
-}
-
 /// Sweeps when a process asks for it the first time, and says on standard error what was there.
-pub(crate) fn sweep_once() {
+pub(super) fn sweep_once() {
     static SWEPT: Once = Once::new();
     SWEPT.call_once(|| {
         for line in sweep() {
@@ -54,28 +43,26 @@ pub(crate) fn sweep_once() {
 /// A process number that was given to another process since keeps its files.
 fn sweep() -> Vec<String> {
     let mut swept = end_programs();
-    let temporary = std::env::temp_dir();
-    let used = places_in_use(&temporary);
-    for folder in [Path::new("/dev/shm"), &temporary] {
-        for path in entries(folder) {
-            let name = path.file_name().unwrap_or_default().as_bytes();
-            let is_used = used.iter().any(|place| name.starts_with(place));
-            if is_abandoned(name) && !is_used && is_ours(&path) && remove(&path) {
-                swept.push(path.display().to_string());
-            }
+    let folders = [Path::new(Location::MEMORY), &std::env::temp_dir()];
+    let found: Vec<PathBuf> = folders.into_iter().flat_map(entries).collect();
+    let found = found
+        .into_iter()
+        .filter(|path| is_abandoned(name(path)) && is_ours(path));
+    let found: Vec<PathBuf> = found.collect();
+    // The names of the places of which somebody holds a part locked: a process of another container has no number here.
+    let locked = found.iter().filter(|path| is_locked(path));
+    let used: Vec<&[u8]> = locked.filter_map(|path| place_of(name(path))).collect();
+    for path in &found {
+        let is_used = used.iter().any(|place| name(path).starts_with(place));
+        if !is_used && remove(path) {
+            swept.push(path.display().to_string());
         }
     }
     swept
 }
 
-/// The names of the places whose folder somebody holds locked.
-fn places_in_use(temporary: &Path) -> Vec<Vec<u8>> {
-    let folders = entries(temporary).into_iter();
-    let names = folders.filter_map(|folder| {
-        let place = place_of(folder.file_name()?.as_bytes())?.to_owned();
-        is_locked(&folder).then_some(place)
-    });
-    names.collect()
+pub(super) fn name(path: &Path) -> &[u8] {
+    path.file_name().unwrap_or_default().as_bytes()
 }
 
 /// The name of the place that a file belongs to: process and number, up to the third underscore.
@@ -85,15 +72,26 @@ fn place_of(name: &[u8]) -> Option<&[u8]> {
     name.starts_with(PREFIX.as_bytes()).then(|| &name[..=end])
 }
 
-fn is_locked(folder: &Path) -> bool {
-    // Shared, so that two sweeps at a time do not take each other for the test.
-    let lock = File::open(folder).map(|folder| folder.try_lock_shared());
+/// Neither a link nor a pipe.
+fn open(path: &Path) -> std::io::Result<File> {
+    let flags = OFlags::NOFOLLOW | OFlags::NONBLOCK;
+    let mut options = OpenOptions::new();
+    options.read(true).custom_flags(flags.bits().cast_signed());
+    options.open(path)
+}
+
+fn is_locked(path: &Path) -> bool {
+    // Shared, so that two sweeps at a time do not take each other for the place's process.
+    let lock = open(path).map(|file| file.try_lock_shared());
     matches!(lock, Ok(Err(TryLockError::WouldBlock)))
 }
 
 /// The programs first, because they would go on writing files.
 fn end_programs() -> Vec<String> {
     let mut ended = Vec::new();
+    let Some(programs) = folder_of_test_programs() else {
+        return ended;
+    };
     for process in entries(Path::new("/proc")) {
         let Some(id) = number(process.file_name().unwrap_or_default().as_bytes()) else {
             continue;
@@ -106,7 +104,7 @@ fn end_programs() -> Vec<String> {
             .any(is_abandoned);
         if is_abandoned
             && is_ours(&process)
-            && is_built_with_us(&process)
+            && runs_from(&programs, &process)
             && is_beside_us(&process)
             && let Some(pid) = Pid::from_raw(id.cast_signed())
             && kill_process(pid, Signal::KILL).is_ok()
@@ -126,23 +124,19 @@ fn wait_for_end(process: &Path) {
     }
 }
 
-/// Whether it runs one of the programs that were built with this test: nobody else's process has its end here, whatever
-/// its environment says.
-fn is_built_with_us(process: &Path) -> bool {
-    let is_in = |folder: &Path| {
-        fs::read_link(process.join("exe")).is_ok_and(|program| program.starts_with(folder))
-    };
-    let test = std::env::current_exe().unwrap_or_default();
-    // target/<profile>/deps/<test>
-    id_of(process) != std::process::id()
-        && test.ancestors().nth(2).is_some_and(is_in)
-        && !fs::read_link(process.join("exe"))
-            .is_ok_and(|program| program.parent() == test.parent())
+/// Where a test finds the programs that were built with it: the folder above its own, `target/<profile>/deps`. None of any
+/// other program, whose daemons end with it.
+fn folder_of_test_programs() -> Option<PathBuf> {
+    let test = std::env::current_exe().ok()?;
+    let folder = test.parent().filter(|folder| folder.ends_with("deps"))?;
+    folder.parent().map(Path::to_owned)
 }
 
-fn id_of(process: &Path) -> u32 {
-    let name = process.file_name().unwrap_or_default();
-    number(name.as_bytes()).unwrap_or_default()
+/// Whether it runs one of these programs, and no test: nobody else's process has its end here, whatever its environment
+/// says.
+fn runs_from(programs: &Path, process: &Path) -> bool {
+    let program = fs::read_link(process.join("exe")).unwrap_or_default();
+    program.starts_with(programs) && !program.starts_with(programs.join("deps"))
 }
 
 /// Whether process numbers mean the same to it and to us: a container counts its own.
@@ -177,28 +171,23 @@ fn is_ours(path: &Path) -> bool {
         .is_ok_and(|file| file.uid() == geteuid().as_raw())
 }
 
-/// Removes a file, or a folder with all that is in it, unless somebody locked it; no link is followed.
+/// Removes a file, or a folder with all that is in it, unless somebody locked it.
 fn remove(path: &Path) -> bool {
-    let is_folder = path.symlink_metadata().is_ok_and(|file| file.is_dir());
-    if is_folder {
-        // Held until it is gone: see `locked_folder`.
-        let Ok(lock) = File::open(path) else {
-            return false;
-        };
-        lock.try_lock().is_ok() && fs::remove_dir_all(path).is_ok()
-    } else {
-        fs::remove_file(path).is_ok()
-    }
+    // Held until it is gone, so that its process, if it has just begun, makes another.
+    open(path).is_ok_and(|file| {
+        file.try_lock().is_ok()
+            && (fs::remove_file(path).is_ok() || fs::remove_dir_all(path).is_ok())
+    })
 }
 
 #[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
 mod tests {
     use std::os::unix::process::ExitStatusExt as _;
     use std::process::{Child, Command, Stdio};
     use std::sync::Mutex;
 
     use super::*;
+    use crate::subject::daemon::program;
 
     /// One sweep at a time: while one removes a folder, another takes it for one in use.
     static ONE: Mutex<()> = Mutex::new(());
@@ -220,7 +209,7 @@ mod tests {
         fs::write(&memory, "").unwrap();
         fs::create_dir_all(folder.join("root")).unwrap();
         fs::write(folder.join("root/file"), "").unwrap();
-        let mut daemon = Command::new(crate::binary("cdcrd"));
+        let mut daemon = Command::new(program("cdcrd").unwrap());
         daemon.args(["bare", "--duration", "60s"]);
         let mut daemon = daemon
             .env("CDCR_PREFIX", &name)
@@ -229,10 +218,9 @@ mod tests {
             .unwrap();
         // A program that begins has no environment yet.
         let environment = PathBuf::from(format!("/proc/{}/environ", daemon.id()));
-        crate::wait_until("the daemon has its environment", || {
-            let environment = fs::read(&environment).unwrap();
-            String::from_utf8_lossy(&environment).contains(&name)
-        });
+        while !String::from_utf8_lossy(&fs::read(&environment).unwrap()).contains(&name) {
+            std::thread::sleep(Duration::from_millis(1));
+        }
         // What somebody else runs with a variable that was left over in a shell.
         let mut foreign = waiting(&name);
 
@@ -244,7 +232,7 @@ mod tests {
         test.wait().unwrap();
         sweep();
         assert!(!memory.exists() && !folder.exists());
-        assert_eq!(daemon.wait().unwrap().signal(), Some(libc::SIGKILL));
+        assert_eq!(daemon.wait().unwrap().signal(), Some(Signal::KILL.as_raw()));
         assert!(foreign.try_wait().unwrap().is_none());
         foreign.kill().unwrap();
         foreign.wait().unwrap();
@@ -256,14 +244,35 @@ mod tests {
         let _one = ONE.lock();
         // No system has so many processes.
         let name = place_name(4_000_000_001, 0);
-        let memory = Path::new("/dev/shm").join(format!("{name}memory"));
-        fs::write(&memory, "").unwrap();
-        let (folder, lock) = locked_folder(&name);
+        let parts = [Path::new(Location::MEMORY), &std::env::temp_dir()];
+        let [memory, folder] = parts.map(|folder| folder.join(format!("{name}part")));
+        for locked in [&memory, &folder] {
+            fs::write(&memory, "").unwrap();
+            fs::create_dir(&folder).unwrap();
+            let lock = File::open(locked).unwrap();
+            lock.lock().unwrap();
+            sweep();
+            assert!(memory.exists() && folder.exists());
+            drop(lock);
+            sweep();
+            assert!(!memory.exists() && !folder.exists());
+        }
+    }
+
+    #[test]
+    fn a_pipe_or_a_link_with_the_name_of_a_place_holds_up_nothing() {
+        let _one = ONE.lock();
+        let place = std::env::temp_dir().join(place_name(4_000_000_002, 0));
+        let kept = tempfile::NamedTempFile::new().unwrap();
+        let [pipe, link] = ["pipe", "link"].map(|part| format!("{}{part}", place.display()));
+        let made = Command::new("mkfifo").arg(&pipe).status().unwrap();
+        assert!(made.success());
+        std::os::unix::fs::symlink(kept.path(), &link).unwrap();
         sweep();
-        assert!(memory.exists() && folder.path().exists());
-        drop(lock);
-        sweep();
-        assert!(!memory.exists() && !folder.path().exists());
+        assert!(kept.path().exists());
+        for left in [pipe, link] {
+            let _ = fs::remove_file(left);
+        }
     }
 
     #[test]
@@ -280,10 +289,7 @@ mod tests {
         ] {
             assert!(!is_abandoned(name.as_bytes()), "{name}");
         }
-        assert_eq!(
-            place_of(b"cdcrtest_12_3_left_"),
-            Some(&b"cdcrtest_12_3_"[..])
-        );
-        assert_eq!(place_of(b"cdcrtest_12"), None);
+        assert_eq!(place_of(b"cdcrbed_12_3_left_"), Some(&b"cdcrbed_12_3_"[..]));
+        assert_eq!(place_of(b"cdcrbed_12"), None);
     }
 }
