@@ -98,7 +98,7 @@ message! {
     ///
     /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
     /// in the order that the events of the records tell; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v2" {
+    pub struct Telemetry "cdcr.Telemetry.v3" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -154,7 +154,8 @@ message! {
         /// The measurement as used, header zero; `kind` 0 when there was none. The simulated robot measures
         /// its own configuration.
         measurement: Measurement,
-        /// Estimated bend vector at the release \[rad\].
+        /// Estimated bend vector that the commands up to this release lead to \[rad\]: what the next one is planned from. Of motors
+        /// without lag and delay it is the one at the release.
         bend_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// Rates of the previous command \[rad/s\].
         previous_rate_rad_s: [f64; COORDINATES_MAX] [used 2 command.sections],
@@ -207,7 +208,9 @@ message! {
         report: SolverReport,
         /// Reference at the release.
         reference: ReferenceSample,
-        /// Tip position at the release, from `bend_rad` \[m\].
+        /// Bend vector at the release \[rad\]: behind `bend_rad` by what the motors are behind their commands.
+        present_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
+        /// Tip position at the release, from `present_rad` \[m\].
         tip_position_m: [f64; 3],
         /// Tip orientation at the release, unit quaternion (x, y, z, w).
         tip_orientation: [f64; 4],
@@ -238,5 +241,7 @@ message! {
         following_lag_ns: u64,
         /// Largest acceleration of a component \[rad/s²\]; infinite: no limit.
         acceleration_rad_s2: f64,
+        /// How far ahead of the reference the motors are commanded \[ns\]: the delay and time constant of `[actuator]` together.
+        reference_lead_ns: u64,
     }
 }

@@ -173,6 +173,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         following_fault_rad: record.policy.following.fault_rad,
         following_lag_ns: (record.policy.following.lag_s * 1e9) as u64,
         acceleration_rad_s2: record.policy.acceleration_rad_s2,
+        reference_lead_ns: record.policy.reference_lead_ns,
         obstacle_count: record.obstacles.count() as u32,
         ..wire::Telemetry::default()
     };
@@ -185,6 +186,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
     }
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
     copy(record.commanded.as_slice(), &mut telemetry.commanded_rad);
+    copy(record.present.as_slice(), &mut telemetry.present_rad);
     copy(
         record.previous_rates.as_slice(),
         &mut telemetry.previous_rate_rad_s,

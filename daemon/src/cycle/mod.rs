@@ -184,6 +184,7 @@ impl<L: RobotLink> Cycle<L> {
 
         let previous_rates = self.rates;
         let configuration = *self.state.configuration();
+        let present = self.state.present();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = Costs {
@@ -234,7 +235,8 @@ impl<L: RobotLink> Cycle<L> {
             policy: self.policy,
             measurement,
             measurement_use,
-            tip: self.robot.tip_pose(&self.state.present()),
+            tip: self.robot.tip_pose(&present),
+            present,
             configuration,
             commanded: *self.state.commanded(),
             following: *self.state.following().error(),

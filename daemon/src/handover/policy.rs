@@ -20,6 +20,8 @@ pub struct Policy {
     pub interface: Interface,
     /// How the motors follow their commands.
     pub actuator: Actuator,
+    /// How far ahead of the reference they are commanded \[ns\].
+    pub reference_lead_ns: u64,
     /// Time constant with which the estimate follows what is measured \[s\].
     pub estimator_time_constant_s: f64,
     /// How long after its release a command is valid \[ns\].
@@ -52,6 +54,7 @@ impl Policy {
             home_tolerance_rad: config.motion.home_tolerance_rad,
             interface: config.link.interface,
             actuator: config.actuator.model(),
+            reference_lead_ns: ns(config.actuator.lead_ms()),
             estimator_time_constant_s: estimator_time_constant_s(config),
             command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),

@@ -71,8 +71,10 @@ pub struct CycleRecord {
     pub measurement: Option<TimedMeasurement>,
     /// What became of it.
     pub measurement_use: MeasurementUse,
-    /// Estimated state at the release.
+    /// Where the commands up to now lead the robot: what the next one is planned from.
     pub configuration: Configuration,
+    /// Where it is at the release.
+    pub present: Configuration,
     /// Commanded configuration at the release.
     pub commanded: Configuration,
     /// How far the robot was from it at its last measurement.

@@ -37,7 +37,7 @@ impl Standstill {
         if measured_ns < since_ns || measured_ns <= newest_ns {
             return;
         }
-        let bend_rad = record.bend_rad;
+        let bend_rad = record.present_rad;
         self.looks.push_back(Look {
             measured_ns,
             bend_rad,
@@ -101,7 +101,7 @@ mod tests {
         record.measurement.measured_ns = record.release_ns - 300_000;
         let passed_s = cycle as f64 * 5e-3;
         let sign = [1.0, -1.0, -1.0, 1.0, 1.0][(cycle % 5) as usize];
-        record.bend_rad[3] = 0.7 + 0.5 * lag_s * (-passed_s / lag_s).exp() + sign * noise_rad;
+        record.present_rad[3] = 0.7 + 0.5 * lag_s * (-passed_s / lag_s).exp() + sign * noise_rad;
         record
     }
 

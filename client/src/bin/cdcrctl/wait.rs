@@ -125,7 +125,7 @@ fn progress(kind: RequestKind, record: &Telemetry) -> Progress {
 /// How much there is still to do: the largest bend on the way home \[rad\], or the largest rate \[rad/s\].
 fn left(kind: RequestKind, record: &Telemetry) -> f64 {
     let values = match kind {
-        RequestKind::Home => record.bend_rad,
+        RequestKind::Home => record.present_rad,
         _ => record.command.bend_rate_rad_s,
     };
     values.iter().fold(0.0, |most, value| value.abs().max(most))

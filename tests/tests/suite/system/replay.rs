@@ -79,7 +79,7 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
         record.release_ns - late_ns,
         record.period_ns,
         steps,
-        0,
+        record.reference_lead_ns,
     );
     let (at, before) = state_of(record);
     let input = SolveInput {

@@ -66,7 +66,7 @@ impl Cycle {
             deadline_miss: record.timing_flags & timing::DEADLINE_MISS != 0,
             late_cause: LateCause::try_from(record.scheduling.late_cause).unwrap_or_default(),
             skipped_periods: record.skipped_periods,
-            bend_rad: record.bend_rad,
+            bend_rad: record.present_rad,
             bend_rate_rad_s: record.command.bend_rate_rad_s,
             solver_status: record.report.status,
             winner: record.report.winner,
@@ -166,8 +166,8 @@ pub(super) mod tests {
         record.reference.state = ReferenceState::Inside.code();
         // As in the paper: the last of three sections draws the spiral.
         let (bend_rad, direction_rad) = spiral_angles(spiral, time_ns as f64 * 1e-9);
-        record.bend_rad[4] = bend_rad * direction_rad.cos();
-        record.bend_rad[5] = bend_rad * direction_rad.sin();
+        record.present_rad[4] = bend_rad * direction_rad.cos();
+        record.present_rad[5] = bend_rad * direction_rad.sin();
         record
     }
 
