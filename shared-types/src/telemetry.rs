@@ -210,7 +210,13 @@ message! {
         reference: ReferenceSample,
         /// Bend vector at the release \[rad\]: behind `bend_rad` by what the motors are behind their commands.
         present_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
-        /// Tip position at the release, from `present_rad` \[m\].
+        /// The tip as it was measured beside bends or cables \[m\]; zero when it was not.
+        tip_measured_m: [f64; 3],
+        /// When \[ns\].
+        tip_measured_ns: u64,
+        /// How far the tip is measured beside where the bends place it, smoothed \[m\]. The plan's reference is moved back by it.
+        tip_offset_m: [f64; 3],
+        /// Tip position at the release, from `present_rad` and `tip_offset_m` \[m\].
         tip_position_m: [f64; 3],
         /// Tip orientation at the release, unit quaternion (x, y, z, w).
         tip_orientation: [f64; 4],
@@ -218,8 +224,8 @@ message! {
         position_error_m: f64,
         /// [`codes::guard`](crate::codes::guard) bits: which limits changed the command that the mode wanted.
         guard_flags: u32 [bits guard],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// [`codes::MeasurementState`](crate::codes::MeasurementState): what became of `tip_measured_m`.
+        tip_state: u32 [code MeasurementState],
         /// Smallest distance at the release between the surfaces of body and obstacles, from `bend_rad` and
         /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `bend_rad` is not
         /// finite.

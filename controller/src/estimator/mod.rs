@@ -5,6 +5,7 @@
 
 mod actuator;
 mod tip_filter;
+mod tip_offset;
 
 use nalgebra::Vector3;
 
@@ -12,6 +13,7 @@ use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
 use actuator::ActuatorModel;
 use tip_filter::TipFilter;
+use tip_offset::TipOffset;
 
 /// What a driver measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,8 +42,11 @@ pub struct Estimator {
     time_constant_s: f64,
     /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
     uncorrected_s: Option<f64>,
-    /// What tip positions have told.
+    /// What tip positions have told of the bends, where nothing else measures them.
     tip: TipFilter,
+    /// What they have told of the tip, where something does.
+    tip_offset: TipOffset,
+    bends_are_measured: bool,
     motors: ActuatorModel,
 }
 
@@ -54,6 +59,8 @@ impl Estimator {
             time_constant_s: 0.0,
             uncorrected_s: None,
             tip: TipFilter::new(),
+            tip_offset: TipOffset::new(),
+            bends_are_measured: false,
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
@@ -80,6 +87,8 @@ impl Estimator {
         self.measured = configuration;
         self.uncorrected_s = None;
         self.tip = TipFilter::new();
+        self.tip_offset = TipOffset::new();
+        self.bends_are_measured = false;
         self.motors.begin();
     }
 
@@ -93,12 +102,19 @@ impl Estimator {
         self.motors.way_left(0.0).back_from(&self.estimate)
     }
 
+    /// How far the tip is measured beside where the bends place it (m): what the model is off by there, where bends and tip are
+    /// both measured. Zero where the tip is not, and where it is the only thing that is.
+    pub fn tip_offset_m(&self) -> Vector3<f64> {
+        self.tip_offset.offset_m()
+    }
+
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
         self.estimate = self.estimate.advanced(rates, elapsed_s);
         self.measured = self.measured.advanced(rates, elapsed_s);
         self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.tip.predict(elapsed_s);
+        self.tip_offset.predict(elapsed_s);
         self.motors.command(rates, elapsed_s);
         &self.estimate
     }
@@ -113,13 +129,15 @@ impl Estimator {
     ) -> &Configuration {
         let way = self.motors.way_left(age_s);
         self.measured = match measurement {
-            Measurement::Configuration(measured) => {
-                self.tip = TipFilter::known();
-                way.from(measured)
+            Measurement::TipPosition(position_m) if self.bends_are_measured => {
+                let then = way.back_from(&self.estimate);
+                self.tip_offset
+                    .correct(position_m - robot.tip_position(&then));
+                return &self.estimate;
             }
+            Measurement::Configuration(measured) => self.known(way.from(measured)),
             Measurement::CableLengths(lengths) => {
-                self.tip = TipFilter::known();
-                way.from(&robot.bend_from_cable_lengths(lengths))
+                self.known(way.from(&robot.bend_from_cable_lengths(lengths)))
             }
             Measurement::TipPosition(position_m) => {
                 let then = way.back_from(&self.measured);
@@ -134,6 +152,13 @@ impl Estimator {
             _ => self.measured,
         };
         &self.estimate
+    }
+
+    /// All bends were measured.
+    fn known(&mut self, measured: Configuration) -> Configuration {
+        self.tip = TipFilter::known();
+        self.bends_are_measured = true;
+        measured
     }
 }
 

@@ -77,3 +77,15 @@ pub struct ReferenceSample {
     /// Tip orientation.
     pub orientation: Orientation,
 }
+
+impl ReferenceSample {
+    /// The same elsewhere by `by_m` (m).
+    #[must_use]
+    pub fn moved(&self, by_m: &Vector3<f64>) -> Self {
+        let position_m = self.position_m + by_m;
+        Self {
+            position_m,
+            ..*self
+        }
+    }
+}

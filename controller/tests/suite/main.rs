@@ -12,6 +12,7 @@ mod kinematics_golden;
 mod last_word;
 mod nmpc;
 mod oracle;
+mod robustness;
 mod scenes;
 mod subnormal;
 mod tip_sensor;

@@ -156,6 +156,8 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         measurement_frozen_rad: record.policy.plausibility.frozen_rad,
         measurement_jump_limit: record.policy.plausibility.jump_limit,
         measurement_state: measurement_state(record.measurement_use).code(),
+        tip_state: measurement_state(record.tip_use).code(),
+        tip_offset_m: record.tip_offset_m.into(),
         miss_limit: record.policy.miss_limit,
         plan_length: record.plan_length as u32,
         warm_plan: record.warm_plan,
@@ -180,6 +182,14 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
     if let Some(timed) = &record.measurement {
         telemetry.measurement = measurement_to_wire(timed, robot);
         telemetry.measurement.interface = interface(record.policy.interface).code();
+    }
+    if let Some(TimedMeasurement {
+        measurement: Measurement::TipPosition(position_m),
+        measured_ns,
+    }) = &record.tip_measurement
+    {
+        telemetry.tip_measured_m = (*position_m).into();
+        telemetry.tip_measured_ns = *measured_ns;
     }
     for (target, known) in telemetry.obstacles.iter_mut().zip(record.obstacles.iter()) {
         *target = obstacle_to_wire(known);

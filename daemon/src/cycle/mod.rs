@@ -10,7 +10,9 @@
 mod state;
 mod warm_up;
 
-use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
+use cdcr_controller::nmpc::{
+    HORIZON_STEPS_MAX, Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus,
+};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
@@ -18,6 +20,7 @@ use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
     ramp_to_zero, safe_command,
 };
+use nalgebra::Vector3;
 
 use crate::accounting::Accounting;
 use crate::config::{Interface, Validated, ns};
@@ -72,6 +75,8 @@ pub struct Cycle<L> {
     rates: BendRates,
     /// Those of this cycle, where they are at its release.
     obstacles: Vec<Obstacle>,
+    /// Room for a reference that is moved back by what the tip is beside.
+    reference: [ReferenceSample; HORIZON_STEPS_MAX],
 }
 
 impl<L: RobotLink> Cycle<L> {
@@ -118,6 +123,7 @@ impl<L: RobotLink> Cycle<L> {
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
             obstacles: Vec::with_capacity(OBSTACLES_MAX),
+            reference: [ReferenceSample::default(); HORIZON_STEPS_MAX],
             robot: robot.clone(),
         })
     }
@@ -166,6 +172,7 @@ impl<L: RobotLink> Cycle<L> {
         self.state.count_silence(measurement, inputs);
         self.state.move_on(&self.rates, elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
+        let tip_use = self.state.measure_tip(inputs.tip, release.release_ns);
         self.state.count_straight(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
@@ -235,7 +242,10 @@ impl<L: RobotLink> Cycle<L> {
             policy: self.policy,
             measurement,
             measurement_use,
-            tip: self.robot.tip_pose(&present),
+            tip_measurement: inputs.tip,
+            tip_use,
+            tip_offset_m: self.state.tip_offset_m(),
+            tip: self.state.tip(),
             present,
             configuration,
             commanded: *self.state.commanded(),
@@ -424,12 +434,13 @@ impl<L: RobotLink> Cycle<L> {
         clock: &impl Clock,
     ) -> (BendRates, SolveReport) {
         let settings = self.nmpc.settings();
+        let steps = settings.horizon_steps as usize;
+        let ahead = inputs.window.ahead(release.cycle, steps);
+        let reference = beside(ahead, &self.state.tip_offset_m(), &mut self.reference);
         let input = SolveInput {
             configuration: self.state.configuration(),
             previous_rates: &self.rates,
-            reference: inputs
-                .window
-                .ahead(release.cycle, settings.horizon_steps as usize),
+            reference,
             obstacles: &self.obstacles,
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
@@ -486,6 +497,22 @@ impl<L: RobotLink> Cycle<L> {
             record.warm_plan[..plan.len()].copy_from_slice(self.nmpc.warm_plan());
         }
     }
+}
+
+/// The reference of a tip that is `offset_m` beside where its bends place it.
+fn beside<'a>(
+    reference: &'a [ReferenceSample],
+    offset_m: &Vector3<f64>,
+    room: &'a mut [ReferenceSample],
+) -> &'a [ReferenceSample] {
+    if *offset_m == Vector3::zeros() {
+        return reference;
+    }
+    let room = &mut room[..reference.len()];
+    for (moved, sample) in room.iter_mut().zip(reference) {
+        *moved = sample.moved(&-offset_m);
+    }
+    room
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 use cdcr_controller::estimator::{Estimator, Measurement};
-use cdcr_controller::robot::{BendRates, Configuration, Robot};
+use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
+use nalgebra::Vector3;
 
 use crate::config::Interface;
 use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
@@ -24,6 +25,11 @@ pub(super) struct RobotState {
     commanded: Configuration,
     following: FollowingWatch,
     plausibility: MeasurementWatch,
+    /// Of the tip beside bends or cables.
+    tip_plausibility: MeasurementWatch,
+    last_tip_ns: u64,
+    /// The tip froze or jumped until nobody could say where it is: it is not used before control begins anew.
+    tip_is_wrong: bool,
     /// Where the robot was last measured, as far as that tells its configuration.
     measured: Option<Configuration>,
     last_measured_ns: u64,
@@ -56,6 +62,9 @@ impl RobotState {
             commanded: initial,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
+            tip_plausibility: MeasurementWatch::new(policy.plausibility),
+            last_tip_ns: 0,
+            tip_is_wrong: false,
             measured: None,
             last_measured_ns: 0,
             last_gather_ns: 0,
@@ -98,6 +107,7 @@ impl RobotState {
         self.commanded = self.commanded.advanced(rates, moving_s);
         self.following.commanded(rates, moving_s, elapsed_s);
         self.plausibility.commanded(rates, moving_s);
+        self.tip_plausibility.commanded(rates, moving_s);
     }
 
     /// Takes in what was measured before `release_ns`, if it is new and can be.
@@ -143,6 +153,50 @@ impl RobotState {
         MeasurementUse::Used
     }
 
+    /// Takes in a tip that was measured beside bends or cables: it says how far the model is off there. One that cannot be is
+    /// left out; that is no fault, since the bends are measured.
+    pub(super) fn measure_tip(
+        &mut self,
+        measurement: Option<TimedMeasurement>,
+        release_ns: u64,
+    ) -> MeasurementUse {
+        let Some(timed) = measurement else {
+            return MeasurementUse::None;
+        };
+        if timed.measured_ns <= self.last_tip_ns {
+            return MeasurementUse::Repeated;
+        }
+        self.last_tip_ns = timed.measured_ns;
+        let TimedMeasurement {
+            measurement,
+            measured_ns,
+        } = timed;
+        let found = self
+            .tip_plausibility
+            .check(&self.robot, &measurement, measured_ns);
+        self.tip_is_wrong |= matches!(found, Plausibility::Lost | Plausibility::Frozen);
+        if self.tip_is_wrong || found == Plausibility::Jump {
+            return MeasurementUse::Implausible;
+        }
+        let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
+        self.estimator.correct(&self.robot, &measurement, age_s);
+        MeasurementUse::Used
+    }
+
+    /// How far the tip is measured beside where the bends place it (m).
+    pub(super) fn tip_offset_m(&self) -> Vector3<f64> {
+        self.estimator.tip_offset_m()
+    }
+
+    /// Where the tip is.
+    pub(super) fn tip(&self) -> Pose {
+        let pose = self.robot.tip_pose(&self.present());
+        Pose {
+            position_m: pose.position_m + self.tip_offset_m(),
+            ..pose
+        }
+    }
+
     /// Control begins where the robot is: at the start, and when a latched mode is left, in which it may have been moved
     /// by hand.
     pub(super) fn take_control(&mut self) {
@@ -150,6 +204,8 @@ impl RobotState {
         self.commanded = here;
         self.following.begin(here);
         self.estimator.begin(here);
+        self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
+        self.tip_is_wrong = false;
     }
 
     /// Counts how long no fresh measurement has come, in time that gathers have seen: after a stall of the machine

@@ -11,9 +11,11 @@ use std::path::Path;
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::safety::Request;
+use nalgebra::Vector3;
 
 use super::*;
 use crate::config::Config;
+use crate::handover::MeasurementUse;
 use crate::link::DriverLink;
 use trial::{PERIOD_S, Trial, Watch};
 
@@ -111,6 +113,65 @@ fn motors_that_are_known_are_led_and_believed() {
             "{errors_m:?}"
         );
     }
+}
+
+/// Sections that are longer than their model, and a load: without a sensor at the tip nobody knows, with one the tip is where it shall be.
+/// One that jumps is left out, one that froze is not used any more; the command notices neither.
+#[test]
+fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
+    let flaws = Flaws {
+        length_error: 0.05,
+        payload_rad: [0.015, 0.0],
+        tip_noise_m: 3e-4,
+        noise_m: 3e-5,
+        ..Flaws::default()
+    };
+    let mut blind = Trial::with(Interface::Position, flaws, "");
+    let (_, far_m) = reversals(&mut blind);
+    let mut trial = Trial::with(Interface::Position, flaws, "");
+    trial.measures_tip = true;
+    let (_, near_m) = reversals(&mut trial);
+    println!("{far_m} m, {near_m} m");
+    // On a circle of 0.2 m at 0.3 m/s what the model is off by changes by 0.1 m/s.
+    assert!(far_m > 0.05 && near_m < 0.004, "{far_m} {near_m}");
+    assert_eq!(trial.turn().tip_use, MeasurementUse::Used);
+
+    let largest = |record: &CycleRecord| {
+        let pairs = record
+            .rates
+            .as_slice()
+            .iter()
+            .zip(record.previous_rates.as_slice());
+        pairs
+            .map(|(now, before)| (now - before).abs())
+            .fold(0.0, f64::max)
+    };
+    let usual = (0..200).map(|_| largest(&trial.turn())).fold(0.0, f64::max);
+    trial.tip_error_m = Vector3::new(0.5, 0.0, 0.0);
+    let jump = trial.turn();
+    assert_eq!(jump.tip_use, MeasurementUse::Implausible);
+    assert!(largest(&jump) <= usual);
+    trial.tip_error_m = Vector3::zeros();
+    assert_eq!(trial.turn().tip_use, MeasurementUse::Used);
+    // It stops: the offset stays.
+    trial.measures_tip = false;
+    let before_m = trial.turn().tip_offset_m;
+    let after = trial.turns(200);
+    assert_eq!(
+        (after.tip_use, after.tip_offset_m),
+        (MeasurementUse::Repeated, before_m)
+    );
+    assert!(matches!(after.mode, Mode::Tracking { .. }));
+    // It jumps for good: not used before a reset.
+    trial.measures_tip = true;
+    trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
+    trial.turns(5);
+    trial.tip_error_m = Vector3::zeros();
+    assert_eq!(trial.turns(5).tip_use, MeasurementUse::Implausible);
+    trial.ask(Request::Stop);
+    trial.turns(100);
+    trial.ask(Request::Reset);
+    assert_eq!(trial.turns(5).tip_use, MeasurementUse::Used);
 }
 
 /// Reversals of the rates on a circle, and the largest distance to it.

@@ -32,6 +32,11 @@ impl BoundDriver {
         })
     }
 
+    /// Whether `sender` was the last that was heard.
+    pub(super) fn is_bound_to(&self, sender: u64) -> bool {
+        self.heard.is_some_and(|heard| heard.sender == sender)
+    }
+
     /// A measurement of `sender` was accepted at `now_ns`.
     pub(super) fn hear(&mut self, sender: u64, now_ns: u64) {
         let heard_ns = now_ns;

@@ -84,6 +84,7 @@ impl Exchange {
         inputs.exchange_ns = self.own_costs.high_ns();
         inputs.interruptions = self.interruptions;
         inputs.measurement = self.measurements.newest();
+        inputs.tip = self.measurements.newest_tip();
         inputs.obstacles = self.obstacles.handed_over(now_ns);
         inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);
         inputs.stops = self.requests.stops();

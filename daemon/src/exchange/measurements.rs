@@ -1,3 +1,4 @@
+use cdcr_controller::estimator::Measurement as Measured;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::Outcome;
@@ -15,7 +16,10 @@ pub(super) struct Measurements {
     /// A measurement that is older than this when it arrives is refused \[ns\].
     timeout_ns: u64,
     driver: BoundDriver,
+    /// Of the bends or cables; of the tip where the driver measures nothing else.
     newest: Option<TimedMeasurement>,
+    /// Of the tip, beside the bends or cables.
+    newest_tip: Option<TimedMeasurement>,
 }
 
 /// When a measurement arrives.
@@ -39,6 +43,7 @@ impl Measurements {
             timeout_ns,
             driver: BoundDriver::new(timeout_ns),
             newest: None,
+            newest_tip: None,
         }
     }
 
@@ -47,7 +52,12 @@ impl Measurements {
         self.driver.extend(unheard_ns);
     }
 
-    /// The newest one.
+    /// The newest one of the tip, where the driver measures bends or cables, too.
+    pub(super) fn newest_tip(&self) -> Option<TimedMeasurement> {
+        self.newest_tip
+    }
+
+    /// The newest one of what tells where the robot is.
     pub(super) fn newest(&self) -> Option<TimedMeasurement> {
         self.newest
     }
@@ -61,11 +71,22 @@ impl Measurements {
         arrival: Arrival,
     ) -> Result<Outcome, Refused> {
         let timed = self.checked(message, robot, arrival)?;
-        let newest = self.newest;
+        if !self.driver.is_bound_to(message.header.sender_id) {
+            // What another driver measured does not say what this one does.
+            self.newest_tip = None;
+            self.newest
+                .take_if(|newest| !is_tip(newest) && is_tip(&timed));
+        }
+        let has_bends = self.newest.as_ref().is_some_and(|newest| !is_tip(newest));
+        let newest = if has_bends && is_tip(&timed) {
+            &mut self.newest_tip
+        } else {
+            &mut self.newest
+        };
         if !is_newer || newest.is_some_and(|newest| timed.measured_ns <= newest.measured_ns) {
             return Ok(Outcome::Stale);
         }
-        self.newest = Some(timed);
+        *newest = Some(timed);
         self.driver
             .hear(message.header.sender_id, arrival.gather_ns);
         Ok(Outcome::Accepted)
@@ -95,5 +116,74 @@ impl Measurements {
             return Err(Refused::whole(Outcome::InThePast));
         }
         Ok(timed)
+    }
+}
+
+fn is_tip(timed: &TimedMeasurement) -> bool {
+    matches!(timed.measurement, Measured::TipPosition(_))
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use std::path::Path;
+
+    use cdcr_shared_types::Header;
+    use cdcr_shared_types::codes::{Interface, MeasurementKind};
+
+    use super::*;
+
+    #[test]
+    fn the_tip_counts_alone_until_something_tells_the_bends() {
+        let text = "[link]\nkind = \"driver\"\n";
+        let validated = Config::parse(text, Path::new("measurements")).unwrap();
+        let mut desk = Measurements::new(&validated.config);
+        let mut now_ns = 1_000_000_000;
+        let mut take = |desk: &mut Measurements, sender_id: u64, kind: MeasurementKind| {
+            now_ns += 1_000_000;
+            let message = Measurement {
+                header: Header {
+                    sender_id,
+                    ..Header::default()
+                },
+                measured_ns: now_ns,
+                kind: kind.code(),
+                interface: Interface::Velocity.code(),
+                sections: 3,
+                tip_position_m: [0.0, 0.0, 0.8],
+                ..Measurement::default()
+            };
+            let arrival = Arrival {
+                gather_ns: now_ns,
+                now_ns,
+                is_faulted: false,
+            };
+            let taken = desk.take(&message, true, &validated.robot, arrival);
+            assert_eq!(
+                taken.map_err(|refused| refused.outcome),
+                Ok(Outcome::Accepted)
+            );
+            now_ns
+        };
+        let stamp = |timed: Option<TimedMeasurement>| timed.map(|timed| timed.measured_ns);
+        let tip = take(&mut desk, 1, MeasurementKind::TipPose);
+        assert_eq!(
+            (stamp(desk.newest()), stamp(desk.newest_tip())),
+            (Some(tip), None)
+        );
+        let bends = take(&mut desk, 1, MeasurementKind::Configuration);
+        assert_eq!(stamp(desk.newest()), Some(bends));
+        let tip = take(&mut desk, 1, MeasurementKind::TipPose);
+        assert_eq!(
+            (stamp(desk.newest()), stamp(desk.newest_tip())),
+            (Some(bends), Some(tip))
+        );
+        // The encoders of a driver that is gone say nothing of one that has none.
+        desk.driver = BoundDriver::new(0);
+        let tip = take(&mut desk, 2, MeasurementKind::TipPose);
+        assert_eq!(
+            (stamp(desk.newest()), stamp(desk.newest_tip())),
+            (Some(tip), None)
+        );
     }
 }

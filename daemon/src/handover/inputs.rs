@@ -31,8 +31,10 @@ pub struct CycleInputs {
     pub suspends: u64,
     /// The source of the obstacles is silent, and the configuration wants the robot to hold then.
     pub obstacle_source_silent: bool,
-    /// The driver's newest measurement.
+    /// The driver's newest measurement of bends or cables; of the tip where it measures nothing else.
     pub measurement: Option<TimedMeasurement>,
+    /// Its newest measurement of the tip beside those.
+    pub tip: Option<TimedMeasurement>,
     /// The obstacles, each at its own stamp.
     pub obstacles: ObstacleSet,
     /// What the exchange took of the core in a period, of late \[ns\].
@@ -58,6 +60,7 @@ impl CycleInputs {
             suspends: 0,
             obstacle_source_silent: false,
             measurement: None,
+            tip: None,
             obstacles: ObstacleSet::default(),
             exchange_ns: 0,
             interruptions: 0,

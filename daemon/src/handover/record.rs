@@ -2,6 +2,7 @@ use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode};
+use nalgebra::Vector3;
 
 use super::{Policy, Settings};
 use crate::accounting::Totals;
@@ -71,6 +72,12 @@ pub struct CycleRecord {
     pub measurement: Option<TimedMeasurement>,
     /// What became of it.
     pub measurement_use: MeasurementUse,
+    /// The newest measurement of the tip beside that of bends or cables.
+    pub tip_measurement: Option<TimedMeasurement>,
+    /// What became of it.
+    pub tip_use: MeasurementUse,
+    /// How far the tip was measured beside where the bends place it (m): the plan's reference is moved back by it.
+    pub tip_offset_m: Vector3<f64>,
     /// Where the commands up to now lead the robot: what the next one is planned from.
     pub configuration: Configuration,
     /// Where it is at the release.

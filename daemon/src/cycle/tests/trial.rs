@@ -43,6 +43,10 @@ pub(super) struct Trial {
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
     lead_ns: u64,
+    /// It has a sensor of the tip beside its encoders.
+    pub(super) measures_tip: bool,
+    /// So far beside \[m\].
+    pub(super) tip_error_m: Vector3<f64>,
     pub(super) inputs: CycleInputs,
     trajectory: Trajectory,
     clock: Watch,
@@ -82,6 +86,8 @@ impl Trial {
             robot: validated.robot,
             interface,
             stands: false,
+            measures_tip: false,
+            tip_error_m: Vector3::zeros(),
             lead_ns: ns(validated.config.actuator.lead_ms()),
             inputs,
             clock: Watch::default(),
@@ -105,6 +111,12 @@ impl Trial {
             measurement: Measurement::CableLengths(self.plant.measure_cables()),
             measured_ns: release_ns - MEASURED_BEFORE_NS,
         });
+        if self.measures_tip {
+            self.inputs.tip = Some(TimedMeasurement {
+                measurement: Measurement::TipPosition(self.plant.measure_tip() + self.tip_error_m),
+                measured_ns: release_ns - MEASURED_BEFORE_NS,
+            });
+        }
     }
 
     pub(super) fn gather(&mut self, release_ns: u64) {

@@ -17,6 +17,8 @@ use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interface, Mode, ObstacleShape, Outcome};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
+use nalgebra::Vector3;
+
 use cdcr_tests::record::{configuration_of, obstacles_of, robot_of};
 use cdcr_tests::{Daemon, PATIENCE, PATIENT};
 
@@ -82,10 +84,16 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
         record.reference_lead_ns,
     );
     let (at, before) = state_of(record);
+    let offset_m = Vector3::from(record.tip_offset_m);
+    let reference: Vec<_> = window
+        .ahead(record.cycle, steps)
+        .iter()
+        .map(|sample| sample.moved(&-offset_m))
+        .collect();
     let input = SolveInput {
         configuration: &at,
         previous_rates: &before,
-        reference: window.ahead(record.cycle, steps),
+        reference: &reference,
         obstacles: &obstacles_of(record),
         // The recorded warm start is moved on in time already.
         elapsed_periods: 0,

@@ -1,15 +1,21 @@
 //! A simulation of what a daemon does: plan, last word, move, once a period.
 //!
-//! The ideal robot is exactly where its commands bring it, and nothing is late. Estimator, modes and faults are left out:
-//! they have nothing to do there.
+//! Nothing is late, and modes and faults are left out. The robot is the ideal one, exactly where its commands bring it, or one that is
+//! not its model ([`Driven`]), with a driver and an estimate.
+
+mod driven;
+
+use nalgebra::Vector3;
 
 use crate::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport};
 use crate::optimizer::{Budget, cycle_seed};
 use crate::reference::ReferenceSample;
-use crate::robot::{BendRates, Configuration, Obstacle, Robot};
+use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
 use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
+use driven::DrivenRobot;
+pub use driven::{Driven, Sensor};
 
-/// The ideal robot, the obstacles and the reference around it, and the last word on its commands.
+/// The robot, the obstacles and the reference around it, and the last word on its commands.
 ///
 /// One period is [`Self::step`]; who solves otherwise takes [`Self::input`] and hands the rates to [`Self::advance`].
 #[derive(Debug, Clone)]
@@ -18,6 +24,8 @@ pub struct ClosedLoop<R> {
     period_s: f64,
     settings: NmpcSettings,
     acceleration_rad_s2: f64,
+    /// None: the ideal one.
+    driven: Option<Box<DrivenRobot>>,
     reference_at: R,
     /// Where they are at time 0.
     obstacles_at_start: Vec<Obstacle>,
@@ -29,6 +37,11 @@ pub struct ClosedLoop<R> {
     reference: Vec<ReferenceSample>,
     command: SafeCommand,
 }
+
+/// How long a driver follows a command without another one (periods).
+const VALID_PERIODS: f64 = 3.0;
+/// How fast it comes to rest then, as `motion.deceleration_rad_s2` is by default.
+const DECELERATION_RAD_S2: f64 = 40.0;
 
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are where they are then, and
@@ -46,6 +59,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             period_s,
             settings,
             acceleration_rad_s2: f64::INFINITY,
+            driven: None,
             reference_at,
             obstacles: Vec::with_capacity(obstacles.len()),
             obstacles_at_start: obstacles.to_vec(),
@@ -72,6 +86,19 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
+    /// The same with a robot that is not its model. Its commands are as a daemon makes them for a driver: they keep clear for three periods
+    /// and the ramp that follows, at 40 rad/s².
+    ///
+    /// # Errors
+    /// When the flaws of its geometry make it no robot.
+    pub fn with_driven(mut self, driven: Driven) -> Result<Self, RobotError> {
+        let driven = DrivenRobot::new(&self.robot, &self.configuration, driven)?;
+        self.configuration = *driven.configuration();
+        self.driven = Some(Box::new(driven));
+        self.look_around();
+        Ok(self)
+    }
+
     /// One period: solves without a limit on time, makes the result safe, and moves on.
     pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
         let (desired_rates, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
@@ -95,24 +122,34 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// at once), moves the robot by what is left of it and
     /// the obstacles by their velocity, and goes on to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
+        // The ideal robot gets every command, and stops at once.
+        let (periods, deceleration_rad_s2) = match self.driven {
+            None => (1.0, f64::INFINITY),
+            Some(_) => (VALID_PERIODS, DECELERATION_RAD_S2),
+        };
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
-            commanded: None,
+            commanded: self.driven.as_ref().and_then(|driven| driven.commanded()),
             previous: &self.command.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.settings.safe_distance_m,
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
-            // The ideal robot gets every command, and stops at once.
-            moving_s: self.period_s,
-            deceleration_rad_s2: f64::INFINITY,
+            moving_s: periods * self.period_s,
+            deceleration_rad_s2,
             comes_to_rest: false,
         };
         self.command = safe_command(&situation, desired_rates);
-        self.configuration = self
-            .configuration
-            .advanced(&self.command.rates, self.period_s);
+        self.configuration = match &mut self.driven {
+            None => self
+                .configuration
+                .advanced(&self.command.rates, self.period_s),
+            Some(driven) => {
+                driven.advance(&self.command.rates, self.period_s);
+                *driven.configuration()
+            }
+        };
         self.cycle += 1;
         self.look_around();
     }
@@ -132,7 +169,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         &self.robot
     }
 
-    /// How it is bent now.
+    /// How the ideal robot is bent now; of one that is not its model, where its commands lead it, as far as is known.
     pub fn configuration(&self) -> &Configuration {
         &self.configuration
     }
@@ -145,12 +182,26 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// From where the reference is now to where the tip is (m).
     pub fn error_m(&self) -> f64 {
         let goal_m = (self.reference_at)(self.time_s()).position_m;
-        (self.robot.tip_position(&self.configuration) - goal_m).norm()
+        (self.tip_m() - goal_m).norm()
     }
 
-    /// Clearance of the whole body now (m); infinite without obstacles.
+    /// Where the tip is in truth (m).
+    pub fn tip_m(&self) -> Vector3<f64> {
+        match &self.driven {
+            None => self.robot.tip_position(&self.configuration),
+            Some(driven) => driven.plant().tip_m(),
+        }
+    }
+
+    /// Clearance of the whole body in truth now (m); infinite without obstacles.
     pub fn clearance_m(&self) -> f64 {
-        let body = self.robot.body(&self.configuration);
+        let body = match &self.driven {
+            None => self.robot.body(&self.configuration),
+            Some(driven) => {
+                let plant = driven.plant();
+                plant.truth().body(&plant.configuration())
+            }
+        };
         let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
         clearances_m.fold(f64::INFINITY, f64::min)
     }
@@ -164,8 +215,12 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             .extend(from_the_start.map(|obstacle| obstacle.moved(time_s)));
         let first = self.cycle + 1;
         let cycles = first..first + u64::from(self.settings.horizon_steps);
-        let times_s = cycles.map(|cycle| cycle as f64 * self.period_s);
+        let lead_s = self.driven.as_ref().map_or(0.0, |driven| driven.lead_s());
+        let times_s = cycles.map(|cycle| cycle as f64 * self.period_s + lead_s);
+        let driven = self.driven.as_ref();
+        let offset_m = driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m());
+        let reference_at = |time_s| (self.reference_at)(time_s).moved(&-offset_m);
         self.reference.clear();
-        self.reference.extend(times_s.map(&self.reference_at));
+        self.reference.extend(times_s.map(reference_at));
     }
 }
