@@ -15,8 +15,10 @@ use near::{Near, Stance};
 const CORRECTIONS: usize = 6;
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
-/// Halvings of the scale: the command is at most a 250th shorter than it could be.
-const HALVINGS: u32 = 8;
+/// Scales that are tried.
+const SCALES: u32 = 12;
+/// A command that is scaled down is at most this share of the rates shorter than one that was found not to hold.
+const SCALE_WITHIN: f64 = 1.0 / 256.0;
 
 /// A command that keeps clear.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -161,7 +163,7 @@ impl ClearanceGuard<'_> {
             Some(None) => return guarded(self.rest(), clearance_m),
         };
         let places = Places(places);
-        if places.hold(self, rates) {
+        if places.check(self, rates).is_ok() {
             return guarded(*rates, clearance_m);
         }
         guarded(mend(&places), clearance_m)
@@ -189,7 +191,7 @@ impl ClearanceGuard<'_> {
             if fastest(&rates) <= STANDING * fastest(desired_rates) {
                 return self.rest();
             }
-            if near.hold(self, &rates) {
+            if near.check(self, &rates).is_ok() {
                 return rates;
             }
         }
@@ -200,17 +202,23 @@ impl ClearanceGuard<'_> {
         scaled
     }
 
-    /// `desired_rates`, scaled down to where the rule holds.
-    fn scaled(&self, near: &Places, desired_rates: &BendRates) -> BendRates {
+    /// `rates`, scaled down to where the rule holds: between a scale that does and one that does not, the one is tried where the
+    /// clearance that was too small would be large enough, were it linear.
+    fn scaled(&self, near: &Places, rates: &BendRates) -> BendRates {
         let mut held = self.rest();
-        let (mut low, mut high) = (0.0, 1.0);
-        for _ in 0..HALVINGS {
-            let middle = 0.5 * (low + high);
-            let rates = times(desired_rates, middle);
-            if near.hold(self, &rates) {
-                (low, held) = (middle, rates);
-            } else {
-                high = middle;
+        let (mut low, mut high, mut between) = (0.0, 1.0, 0.5_f64);
+        for _ in 0..SCALES {
+            if near.is_out_of_looks() || high - low <= SCALE_WITHIN {
+                break;
+            }
+            let middle = low + (high - low) * between.clamp(0.125, 0.875);
+            let scaled = times(rates, middle);
+            match near.check(self, &scaled) {
+                Ok(()) => (low, held, between) = (middle, scaled, 0.5),
+                Err(share) => {
+                    high = middle;
+                    between = (share * high - low) / (high - low);
+                }
             }
         }
         held
@@ -233,8 +241,10 @@ impl Places<'_> {
         self.iter().any(Near::is_out_of_looks)
     }
 
-    fn hold(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
-        self.iter().all(|near| way::holds(near, guard, rates))
+    /// [`way::check`] of each.
+    fn check(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> Result<(), f64> {
+        self.iter()
+            .try_for_each(|near| way::check(near, guard, rates))
     }
 
     /// [`rows::bound`] of each.

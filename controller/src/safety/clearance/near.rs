@@ -55,7 +55,7 @@ pub(super) struct Watched {
     /// The clearance of each section now \[m\]: infinite for one that is not watched.
     start_m: [f64; SECTIONS_MAX],
     /// D, or what counts instead \[m\].
-    kept_m: f64,
+    pub(super) kept_m: f64,
     /// As [`DIP_M`].
     pub(super) dip_m: f64,
 }
@@ -193,15 +193,18 @@ impl<'a> Near<'a> {
         spare_m
     }
 
-    /// The spare of the sections in `which` at a place; `None` if one is less than -`lack_m` of its obstacle, and nothing is
-    /// known any more. Where `is_exact` does not ask for more, a bound is enough.
+    /// The spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle. Where `is_exact` does not
+    /// ask for more, a bound is enough.
+    ///
+    /// # Errors
+    /// As [`check`](super::way::check).
     pub(super) fn spare_at(
         &self,
         place: &Place,
         which: &Sections,
         is_exact: bool,
         lack_m: impl Fn(&Watched) -> f64,
-    ) -> Option<Spare> {
+    ) -> Result<Spare, f64> {
         let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
         let last = self.last_short.get();
         let order = core::iter::once(last).chain((0..self.watched_count).filter(|i| *i != last));
@@ -212,19 +215,30 @@ impl<'a> Near<'a> {
             for j in sections(which[index]) {
                 let spare = self.spare_m(place, watched, j, is_exact);
                 // A NaN is too little, too.
-                let is_enough = spare >= -lack_m(watched);
+                let lack_m = lack_m(watched);
+                let is_enough = spare >= -lack_m;
                 if !is_enough {
                     self.last_short.set(index);
-                    return None;
+                    let start = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
+                    return Err((start + lack_m) / (start - spare));
                 }
                 spare_m[index][j] = spare;
             }
         }
-        Some(spare_m)
+        Ok(spare_m)
     }
 
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
-    pub(super) fn spare_m(
+    fn spare_m(&self, place: &Place, watched: &Watched, j: usize, is_exact: bool) -> f64 {
+        let clearance_m = self.clearance_m(place, watched, j, is_exact);
+        if clearance_m >= watched.kept_m {
+            return clearance_m - watched.kept_m;
+        }
+        clearance_m - watched.floor_m(j, &self.still.body, place.time_s)
+    }
+
+    /// The clearance of section j at a place \[m\]: exactly, or a bound of at least what is kept.
+    pub(super) fn clearance_m(
         &self,
         place: &Place,
         watched: &Watched,
@@ -234,19 +248,17 @@ impl<'a> Near<'a> {
         let moved_m = place.displacement_m[j] + watched.speed_m_s * place.time_s + ROUNDING_M;
         let least_m = watched.start_m[j] - moved_m;
         if !is_exact && least_m >= watched.kept_m {
-            return least_m - watched.kept_m;
+            return least_m;
         }
         let looks = match watched.obstacle.shape() {
             Shape::Sphere { .. } => 1,
             Shape::Capsule { .. } => CAPSULE_LOOKS,
         };
         self.looks.set(self.looks.get().saturating_sub(looks));
-        let obstacle = watched.obstacle_at(place);
-        let clearance_m = place.stance.body.clearance_of(j, &obstacle);
-        if clearance_m >= watched.kept_m {
-            return clearance_m - watched.kept_m;
-        }
-        clearance_m - watched.floor_m(j, &self.still.body, place.time_s)
+        place
+            .stance
+            .body
+            .clearance_of(j, &watched.obstacle_at(place))
     }
 
     /// The robot that stands still.
@@ -304,6 +316,11 @@ impl Watched {
         }
         let moved = self.obstacle.moved(time_s);
         still.clearance_of(j, &moved).min(self.kept_m)
+    }
+
+    /// What that is at most, for less than it costs to find it.
+    pub(super) fn floor_most_m(&self, j: usize, time_s: f64) -> f64 {
+        (self.start_m[j] + self.moves_m(time_s)).min(self.kept_m)
     }
 }
 

@@ -11,9 +11,10 @@ const MARGIN_M: f64 = 1e-9;
 /// Rows that are taken at once, at most.
 const ROWS_MAX: usize = 64;
 
-/// A clearance that is too small.
+/// A clearance that is too small, or may be.
 #[derive(Clone, Copy)]
 struct Short<'a> {
+    /// What is left, at least \[m\].
     spare_m: f64,
     place: &'a Place,
     watched: &'a Watched,
@@ -37,7 +38,8 @@ pub(super) fn bound(
     for place in &places {
         for (index, watched) in near.watched().enumerate() {
             for section in sections(watched.sections()) {
-                let spare_m = near.spare_m(place, watched, section, false);
+                let clearance_m = near.clearance_m(place, watched, section, false);
+                let spare_m = clearance_m - watched.floor_most_m(section, place.time_s);
                 if spare_m < 0.0 {
                     least.insert(Short {
                         spare_m,
@@ -84,29 +86,30 @@ impl Short<'_> {
         rates: &BendRates,
         region: &mut Region,
     ) {
+        let obstacle = self.watched.obstacle_at(self.place);
         let is_first = near.is_first_row(self.index, self.section);
-        let (stance, margin_m) = if is_first {
-            (near.still(), 0.0)
+        let stance = if is_first {
+            near.still()
         } else {
-            (&self.place.stance, MARGIN_M)
+            &self.place.stance
         };
-        let nearest = stance
-            .body
-            .nearest_of(self.section, &self.watched.obstacle_at(self.place));
+        let nearest = stance.body.nearest_of(self.section, &obstacle);
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
         guard
             .robot
             .body_point_jacobian(&stance.at, self.section, nearest.s, &mut columns);
         let d = &nearest.direction;
         let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
-        let rates = rates.as_slice().iter();
-        let gained_m: f64 = if is_first {
-            0.0
+        let least_m = if is_first {
+            // The clearance is what is left to the robot that stands still, and at least the floor.
+            self.watched.kept_m.min(nearest.clearance_m) - nearest.clearance_m
         } else {
-            rates.zip(slope).map(|(rate, slope)| rate * slope).sum()
+            let rates = rates.as_slice().iter();
+            let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
+            let (still, time_s) = (&near.still().body, self.place.time_s);
+            let floor_m = self.watched.floor_m(self.section, still, time_s);
+            gained_m + MARGIN_M + floor_m - nearest.clearance_m
         };
-        let (still, time_s) = (&near.still().body, self.place.time_s);
-        let floor_m = self.watched.floor_m(self.section, still, time_s);
-        region.bound(&slope, gained_m + margin_m + floor_m - nearest.clearance_m);
+        region.bound(&slope, least_m);
     }
 }

@@ -2,11 +2,13 @@
 
 use crate::robot::{BendRates, SECTIONS_MAX};
 
-use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, ends_s, sections};
+use super::near::{NEAR_MAX, Near, Place, Sections, Spare, Stance, Watched, ends_s, sections};
 use super::{ClearanceGuard, StoppingWay, fastest};
 
 /// How often a part of the way is halved before it counts as not clear.
 const DEPTH: u32 = 6;
+/// The share of rates that is tried next where no clearance tells one.
+const HALF: f64 = 0.5;
 
 /// The way of the robot at some rates.
 struct Way<'a> {
@@ -28,13 +30,17 @@ struct Left<'a> {
     spare_m: &'a Spare,
 }
 
-/// The rule of [`ClearanceGuard::apply`], from where `near` was found.
-pub(super) fn holds(near: &Near<'_>, guard: &ClearanceGuard<'_>, rates: &BendRates) -> bool {
+/// Whether the rule of [`ClearanceGuard::apply`] holds from where `near` was found.
+///
+/// # Errors
+/// The share of the rates for which the first clearance that is too small is as large as it must be, were it linear.
+pub(super) fn check(
+    near: &Near<'_>,
+    guard: &ClearanceGuard<'_>,
+    rates: &BendRates,
+) -> Result<(), f64> {
     if near.is_empty() {
-        return true;
-    }
-    if near.is_out_of_looks() {
-        return false;
+        return Ok(());
     }
     let turn_rad_s = core::array::from_fn(|j| {
         let [u, v] = rates.section(j);
@@ -50,26 +56,24 @@ pub(super) fn holds(near: &Near<'_>, guard: &ClearanceGuard<'_>, rates: &BendRat
     };
     let open = near.open(&way.stopping, &way.travel_m_s);
     if open == [0; NEAR_MAX] {
-        return true;
+        return Ok(());
     }
     // What is not clear mostly is not at the end of the way.
     let [period_s, end_s] = ends_s(guard, rates);
     let clear_at = |way_s| {
         let place = near.place(guard, rates, way_s);
         let spare_m = near.spare_at(&place, &open, false, |_| 0.0)?;
-        Some((place, spare_m))
+        Ok::<_, f64>((place, spare_m))
     };
-    let (Some(end), Some(period)) = (clear_at(end_s), clear_at(period_s)) else {
-        return false;
-    };
+    let (end, period) = (clear_at(end_s)?, clear_at(period_s)?);
     let start = Left {
         way_s: 0.0,
         stance: near.still(),
         spare_m: &near.spare_at_start(&open),
     };
     let [period, end] = [&period, &end].map(|(place, spare_m)| Left::new(place, spare_m));
-    way.is_clear_between(start, period, &open, DEPTH)
-        && way.is_clear_between(period, end, &open, DEPTH)
+    way.is_clear_between(start, period, &open, DEPTH)?;
+    way.is_clear_between(period, end, &open, DEPTH)
 }
 
 impl<'a> Left<'a> {
@@ -85,27 +89,27 @@ impl<'a> Left<'a> {
 impl Way<'_> {
     /// Whether no spare falls below -[`Watched::dip_m`] between two places: by what can be travelled between them, and where that does
     /// not tell, by their middle. Where a moving obstacle is, is looked at once a period.
-    ///
-    /// [`Watched::dip_m`]: super::near::Watched::dip_m
-    fn is_clear_between(&self, from: Left<'_>, to: Left<'_>, which: &Sections, depth: u32) -> bool {
+    fn is_clear_between(
+        &self,
+        from: Left<'_>,
+        to: Left<'_>,
+        which: &Sections,
+        depth: u32,
+    ) -> Result<(), f64> {
         let open = self.unsettled(from, to, which);
         if open == [0; NEAR_MAX] {
-            return true;
+            return Ok(());
         }
         if depth == 0 || self.near.is_out_of_looks() {
-            return false;
+            return Err(HALF);
         }
         let way_s = 0.5 * (from.way_s + to.way_s);
         let place: Place = self.near.place(self.guard, self.rates, way_s);
-        let Some(spare_m) = self
-            .near
-            .spare_at(&place, &open, true, |watched| watched.dip_m)
-        else {
-            return false;
-        };
+        let dip_m = |watched: &Watched| watched.dip_m;
+        let spare_m = self.near.spare_at(&place, &open, true, dip_m)?;
         let middle = Left::new(&place, &spare_m);
-        self.is_clear_between(from, middle, &open, depth - 1)
-            && self.is_clear_between(middle, to, &open, depth - 1)
+        self.is_clear_between(from, middle, &open, depth - 1)?;
+        self.is_clear_between(middle, to, &open, depth - 1)
     }
 
     /// Those that can have come nearer between.
