@@ -2,12 +2,10 @@
 
 use std::collections::VecDeque;
 
-use cdcr_controller::robot::Configuration;
+use cdcr_controller::plant::{MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
-use cdcr_shared_types::limits::COORDINATES_MAX;
-use cdcr_shared_types::{Command, Measurement, RobotDescription};
-use cdcr_tests::plant::{Flaws, MotorOrder, Plant};
-use cdcr_tests::record::robot_of;
+use cdcr_shared_types::{Command, Measurement};
 
 use crate::chaos::dice::Dice;
 
@@ -26,15 +24,15 @@ enum Trouble {
     Stuck,
 }
 
-/// The robot behind it is that of all tests.
+/// Behind it is one of the simulated robots.
 #[derive(Debug)]
 pub(super) struct Driver {
-    robot: RobotDescription,
+    robot: Robot,
     interface: Interface,
     kind: MeasurementKind,
-    flaws: Flaws,
-    plant: Plant,
-    order: Option<Command>,
+    preset: Preset,
+    plant: MisbehavingRobot,
+    command: Option<Command>,
     trouble: Trouble,
     trouble_ends_ns: u64,
     moved_ns: u64,
@@ -43,31 +41,20 @@ pub(super) struct Driver {
 }
 
 impl Driver {
-    pub(super) fn new(
-        dice: &mut Dice,
-        robot: &RobotDescription,
-        interface: Interface,
-        now_ns: u64,
-    ) -> Self {
-        let scale = dice.pick(&[0.0, 1.0, 1.0, 3.0]);
-        let usual = Flaws::USUAL;
-        let flaws = Flaws {
-            lag_s: scale * usual.lag_s,
-            offset_m: scale * usual.offset_m,
-            droop_m: scale * usual.droop_m,
-            noise_m: scale * usual.noise_m,
-        };
+    pub(super) fn new(dice: &mut Dice, robot: &Robot, interface: Interface, now_ns: u64) -> Self {
+        let preset = dice.pick(&Preset::ALL);
+        let kinds = [
+            MeasurementKind::Configuration,
+            MeasurementKind::CableLengths,
+            MeasurementKind::TipPose,
+        ];
         Self {
-            plant: Plant::new(robot, &bend(dice, robot), flaws, 1),
-            kind: dice.pick(&[
-                MeasurementKind::Configuration,
-                MeasurementKind::CableLengths,
-                MeasurementKind::TipPose,
-            ]),
-            robot: *robot,
+            plant: bent(dice, robot, preset),
+            kind: dice.pick(&kinds),
+            robot: robot.clone(),
             interface,
-            flaws,
-            order: None,
+            preset,
+            command: None,
             // Some come late.
             trouble: Trouble::Silent,
             trouble_ends_ns: now_ns + dice.duration_ms(0, 100).as_nanos() as u64,
@@ -78,13 +65,14 @@ impl Driver {
     }
 
     /// A command arrives.
-    pub(super) fn take(&mut self, command: &Command) {
-        self.order = Some(*command);
+    pub(super) fn take(&mut self, command: &Command, now_ns: u64) {
+        self.move_to(now_ns);
+        self.command = Some(*command);
     }
 
     /// Somebody bends the robot by hand.
     pub(super) fn push(&mut self, dice: &mut Dice) {
-        self.plant = Plant::new(&self.robot, &bend(dice, &self.robot), self.flaws, 2);
+        self.plant = bent(dice, &self.robot, self.preset);
     }
 
     /// Lets the time pass until `now_ns`, and measures then.
@@ -107,33 +95,36 @@ impl Driver {
     }
 
     fn measure(&mut self, now_ns: u64) -> Measurement {
+        let cable_length_m = self.plant.measure_cables();
+        let bends = self.robot.bend_from_cable_lengths(&cable_length_m);
         let mut measurement = Measurement {
             measured_ns: now_ns,
-            sections: self.robot.sections,
+            sections: self.robot.section_count() as u32,
             interface: self.interface.code(),
             kind: self.kind.code(),
-            bend_rad: self.plant.measure_bends(),
-            cable_length_m: self.plant.measure_cables(),
+            cable_length_m,
+            tip_position_m: self.plant.measure_tip().into(),
             ..Measurement::default()
         };
+        measurement.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
         match self.trouble {
             Trouble::Frozen => {
                 measurement.bend_rad = self.last.bend_rad;
                 measurement.cable_length_m = self.last.cable_length_m;
+                measurement.tip_position_m = self.last.tip_position_m;
             }
             Trouble::Jumps(beside_rad) => {
                 measurement.bend_rad[0] += beside_rad;
                 measurement.cable_length_m[0] += beside_rad * 0.01;
+                measurement.tip_position_m[0] += beside_rad * 0.1;
             }
             Trouble::NotFinite => {
                 measurement.bend_rad[0] = f64::NAN;
                 measurement.cable_length_m[0] = f64::NAN;
+                measurement.tip_position_m[0] = f64::NAN;
             }
             _ => {}
         }
-        let bends = &measurement.bend_rad[..2 * self.robot.sections as usize];
-        let bends = Configuration::from_slice(bends).unwrap();
-        measurement.tip_position_m = robot_of(&self.robot).tip_position(&bends).into();
         measurement
     }
 
@@ -147,12 +138,12 @@ impl Driver {
 
     /// The motors obey the command for as long as it is valid; motors for positions keep theirs.
     fn move_to(&mut self, now_ns: u64) {
-        let order = self.order.filter(|_| self.trouble != Trouble::Stuck);
-        let until_ns = order.map_or(self.moved_ns, |command| command.valid_until_ns);
+        let command = self.command.filter(|_| self.trouble != Trouble::Stuck);
+        let until_ns = command.map_or(self.moved_ns, |command| command.valid_until_ns);
         let obeys_ns = now_ns.min(until_ns).saturating_sub(self.moved_ns);
-        let rests_ns = now_ns - self.moved_ns - obeys_ns;
-        self.moved_ns = now_ns;
-        let [obeying, resting] = match order {
+        let rests_ns = now_ns.saturating_sub(self.moved_ns) - obeys_ns;
+        self.moved_ns = now_ns.max(self.moved_ns);
+        let [obeying, resting] = match command {
             None => [MotorOrder::Stand; 2],
             Some(command) if self.interface == Interface::Position => {
                 [MotorOrder::Lengths(command.cable_length_m); 2]
@@ -162,8 +153,12 @@ impl Driver {
                 MotorOrder::Stand,
             ],
         };
-        self.plant.advance(&obeying, obeys_ns as f64 * 1e-9);
-        self.plant.advance(&resting, rests_ns as f64 * 1e-9);
+        for (order, time_ns) in [(obeying, obeys_ns), (resting, rests_ns)] {
+            if time_ns > 0 {
+                self.plant.order(order);
+                self.plant.advance(time_ns as f64 * 1e-9);
+            }
+        }
     }
 }
 
@@ -180,15 +175,10 @@ fn draw(dice: &mut Dice) -> Trouble {
     ])
 }
 
-/// Any shape, now and then one beyond the limits.
-fn bend(dice: &mut Dice, robot: &RobotDescription) -> [f64; COORDINATES_MAX] {
-    let most_rad = dice.pick(&[0.0, 0.3, 1.0, 2.2]);
-    let width = 2 * robot.sections as usize;
-    core::array::from_fn(|i| {
-        if i < width && most_rad > 0.0 {
-            dice.between(-most_rad, most_rad)
-        } else {
-            0.0
-        }
-    })
+/// The robot in any shape, now and then one beyond its limits.
+fn bent(dice: &mut Dice, robot: &Robot, preset: Preset) -> MisbehavingRobot {
+    let most_rad = dice.pick(&[1e-9, 0.3, 1.0, 2.2]);
+    let bends = (0..robot.coordinate_count()).map(|_| dice.between(-most_rad, most_rad));
+    let at = Configuration::from_slice(&bends.collect::<Vec<_>>()).unwrap();
+    MisbehavingRobot::new(robot, &at, preset.flaws(), 1).unwrap()
 }

@@ -52,6 +52,7 @@ pub(super) struct World {
     robot: Robot,
     period_ns: u64,
     timeout_ns: u64,
+    lead_ns: u64,
     interface: Interface,
     driver: Driver,
     inputs: CycleInputs,
@@ -76,12 +77,13 @@ impl World {
         let Validated { config, robot, .. } = &validated;
         let period_ns = ns(config.cycle.period_ms);
         let interface = convert::interface(config.link.interface);
-        let driver = Driver::new(&mut dice, &convert::robot(robot), interface, ORIGIN_NS);
+        let driver = Driver::new(&mut dice, robot, interface, ORIGIN_NS);
         Self {
             cycle: Cycle::new(&validated, DriverLink).unwrap(),
             robot: robot.clone(),
             period_ns,
             timeout_ns: ns(config.link.measurement_timeout_ms),
+            lead_ns: ns(config.actuator.lead_ms()),
             interface,
             driver,
             inputs: CycleInputs::new(Settings::new(config)),
@@ -161,7 +163,7 @@ impl World {
         self.cycle.rest(&self.clock);
         let telemetry = self.telemetry(&record);
         if record.measurement.is_some() {
-            self.driver.take(&telemetry.command);
+            self.driver.take(&telemetry.command, record.handed_over_ns);
         }
         self.records.check(&telemetry)
     }
@@ -226,6 +228,7 @@ impl World {
             release_ns,
             self.period_ns,
             steps,
+            self.lead_ns,
         );
     }
 
@@ -356,11 +359,14 @@ fn configuration(dice: &mut Dice) -> String {
     let mut text = format!(
         "[link]\nkind = \"driver\"\ninterface = \"{}\"\ncommand_valid_ms = {}\n\
          [cycle]\nmiss_limit = {}\n\
+         [actuator]\ndelay_ms = {}\ntime_constant_ms = {}\n\
          [motion]\ndeceleration_rad_s2 = {:.2}\nacceleration_rad_s2 = {:.2}\n\
          [robot]\ncable_speed_max_m_s = {:.3}\ncable_stroke_max_m = {:.3}\n",
         dice.pick(&["velocity", "position"]),
         dice.pick(&["0.0", "40.0"]),
         dice.pick(&["0", "1000000"]),
+        dice.pick(&["0.0", "30.0"]),
+        dice.pick(&["0.0", "20.0", "100.0"]),
         dice.between(5.0, 60.0),
         dice.between(10.0, 80.0),
         dice.between(0.03, 0.2),
