@@ -5,6 +5,7 @@ mod action;
 mod checker;
 mod clearance;
 mod crowd;
+mod cycles;
 mod dice;
 mod director;
 mod feeder;
@@ -14,6 +15,7 @@ mod limits;
 mod modes;
 mod obstacles;
 mod ramp;
+mod records;
 mod tally;
 
 use std::ops::ControlFlow;

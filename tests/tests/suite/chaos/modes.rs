@@ -73,7 +73,8 @@ const ARROWS: &[Arrow] = &[
         Mode::Holding,
         Reason::ObstacleSourceSilent,
     ),
-    // The leaky bucket is full.
+    // The machine slept; the leaky bucket is full.
+    world(MOVING, Mode::Stopped, Reason::Suspended),
     world(MOVING, Mode::Stopped, Reason::DeadlineMisses),
     // A fault: of the driver, of the solver, of the state, of the surroundings.
     world(NOT_FAULTED, Mode::Faulted, Reason::MeasurementLost),

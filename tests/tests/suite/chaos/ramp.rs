@@ -1,7 +1,7 @@
 //! Invariant: a robot that shall rest comes to rest at the deceleration, never faster again.
 
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{Mode, guard};
+use cdcr_shared_types::codes::{MeasurementState, Mode, guard};
 use cdcr_tests::record::largest;
 
 use crate::chaos::{Verdict, ensure};
@@ -39,9 +39,45 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> Verdict {
     })
 }
 
+/// Checks that a robot that was at rest in both records is commanded to stay where it is, to the bit.
+pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> Verdict {
+    let rests = |record: &Telemetry| {
+        let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
+        !moves_on.contains(&record.mode) && largest(&record.previous_rate_rad_s) == 0.0
+    };
+    let is_known = before.measurement_state != MeasurementState::None.code();
+    let same = (before.mode, before.reason) == (record.mode, record.reason);
+    if !(same && is_known && rests(before) && rests(record)) {
+        return Ok(());
+    }
+    let bits = |record: &Telemetry| record.commanded_rad.map(f64::to_bits);
+    ensure(bits(before) == bits(record), || {
+        format!(
+            "at rest the commanded position goes from {:?} to {:?}",
+            before.commanded_rad, record.commanded_rad
+        )
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_commanded_position_that_creeps_is_found() {
+        let mut before = Telemetry {
+            mode: Mode::Holding.code(),
+            measurement_state: MeasurementState::Used.code(),
+            ..Telemetry::default()
+        };
+        let mut record = before;
+        assert_eq!(check_rest(&before, &record), Ok(()));
+        record.commanded_rad[3] = 1e-300;
+        assert!(check_rest(&before, &record).is_err());
+        // On its way, or after a reset, it may.
+        before.previous_rate_rad_s[0] = 0.1;
+        assert_eq!(check_rest(&before, &record), Ok(()));
+    }
 
     #[test]
     fn only_the_ramp_is_allowed() {

@@ -1,0 +1,117 @@
+//! Ten thousand short lives of a controller: the daemon's cycle on a clock of the test, with a robot that misbehaves, and
+//! everything drawn from a seed. Each record is held to the invariants of the randomised run, which has the processes, too.
+
+mod driver;
+mod world;
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use cdcr_shared_types::codes::{Mode, Reason};
+
+use crate::chaos::records::Seen;
+use crate::chaos::{asked, seed};
+use world::World;
+
+/// Cycles of a run: a second and a half of 5 ms.
+const CYCLES: u32 = 300;
+
+/// Counts of all runs.
+#[derive(Debug, Default)]
+struct Sum {
+    records: u64,
+    tracked_moving: u64,
+    with_obstacles: u64,
+    guarded: u64,
+    skipped_periods: u64,
+    modes: BTreeMap<&'static str, u64>,
+    changes: BTreeMap<String, u64>,
+    limited: BTreeMap<&'static str, u64>,
+}
+
+impl Sum {
+    fn add(&mut self, seen: Seen) {
+        self.records += seen.records;
+        self.tracked_moving += seen.tracked_moving;
+        self.with_obstacles += seen.with_obstacles;
+        self.guarded += seen.guarded;
+        self.skipped_periods += seen.skipped_periods;
+        for (mode, count) in seen.modes {
+            *self.modes.entry(mode).or_default() += count;
+        }
+        for (change, count) in seen.changes {
+            *self.changes.entry(change).or_default() += count;
+        }
+        for (limit, count) in seen.limited {
+            *self.limited.entry(limit).or_default() += count;
+        }
+    }
+
+    /// Runs in which nothing happened prove nothing.
+    fn assert_it_happened(&self, runs: u64) {
+        for mode in [
+            Mode::Starting,
+            Mode::Holding,
+            Mode::Tracking,
+            Mode::Homing,
+            Mode::Stopped,
+            Mode::Faulted,
+        ] {
+            assert!(self.modes.contains_key(mode.text()), "{mode}");
+        }
+        let often = [
+            Reason::MeasurementLost,
+            Reason::MeasurementJump,
+            Reason::ClearanceBroken,
+            Reason::InputsStale,
+            Reason::DeadlineMisses,
+        ];
+        let seldom = [
+            Reason::FollowingError,
+            Reason::MeasurementFrozen,
+            Reason::LimitBroken,
+            Reason::Suspended,
+        ];
+        let seldom = seldom.iter().filter(|_| runs >= 1000);
+        for reason in often.iter().chain(seldom) {
+            let because = format!("({reason})");
+            let mut changes = self.changes.keys();
+            assert!(changes.any(|change| change.ends_with(&because)), "{reason}");
+        }
+        assert!(self.tracked_moving > self.records / 50);
+        assert!(self.with_obstacles > self.records / 5);
+        assert!(self.guarded > 0 && self.skipped_periods > 0);
+    }
+}
+
+#[test]
+fn whatever_a_misbehaving_robot_does_the_invariants_hold_in_every_cycle() {
+    let (first, runs) = (seed(), asked("CDCR_CHAOS_RUNS").unwrap_or(100));
+    println!("CDCR_CHAOS_SEED={first}, {runs} runs of {CYCLES} cycles");
+    let (next, sum) = (AtomicU64::new(0), Mutex::new(Sum::default()));
+    let work = || {
+        loop {
+            let run = next.fetch_add(1, Ordering::Relaxed);
+            if run >= runs {
+                return;
+            }
+            let seed = first.wrapping_add(run);
+            let seen = World::new(seed).live(CYCLES).unwrap_or_else(|broken| {
+                panic!("{broken}\nrepeat it with CDCR_CHAOS_SEED={seed} CDCR_CHAOS_RUNS=1")
+            });
+            sum.lock().unwrap().add(seen);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..std::thread::available_parallelism().unwrap().get() {
+            scope.spawn(work);
+        }
+    });
+    let sum = sum.into_inner().unwrap();
+    println!("{sum:#?}");
+    // One run alone repeats a failure.
+    if runs >= 100 {
+        sum.assert_it_happened(runs);
+    }
+}

@@ -1,0 +1,388 @@
+//! One run: a controller, the robot behind its driver, the clients, the exchange's part of the work.
+
+use std::cell::Cell;
+use std::fmt::Write as _;
+use std::path::Path;
+
+use cdcr_controller::nmpc::SolverKind;
+use cdcr_controller::reference::{Interpolation, Orientation, ReferencePoint, Trajectory};
+use cdcr_controller::robot::Robot;
+use cdcr_controller::safety::LeaseState;
+use cdcr_daemon::config::{Config, Validated, ns};
+use cdcr_daemon::convert;
+use cdcr_daemon::cycle::Cycle;
+use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
+use cdcr_daemon::link::DriverLink;
+use cdcr_daemon::obstacles::ObstacleSet;
+use cdcr_daemon::rt::clock::Clock;
+use cdcr_daemon::rt::schedule::Release;
+use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, RequestKind};
+use cdcr_shared_types::{Header, InputEvent, Telemetry};
+use nalgebra::Vector3;
+
+use super::driver::Driver;
+use crate::chaos::dice::Dice;
+use crate::chaos::records::{Records, Seen};
+use crate::chaos::{Verdict, obstacles};
+
+/// Release of cycle 0 \[ns\].
+const ORIGIN_NS: u64 = 10_000_000_000;
+/// How long before a release the inputs are gathered \[ns\].
+const LEAD_NS: u64 = 200_000;
+
+/// A clock that goes on by a step with each look: a coarse one is a solver that is slow.
+#[derive(Debug, Default)]
+struct Watch {
+    now_ns: Cell<u64>,
+    step_ns: Cell<u64>,
+}
+
+impl Clock for Watch {
+    fn now_ns(&self) -> u64 {
+        self.now_ns.set(self.now_ns.get() + self.step_ns.get());
+        self.now_ns.get()
+    }
+
+    fn sleep_until(&self, _: u64) {}
+}
+
+pub(super) struct World {
+    dice: Dice,
+    cycle: Cycle<DriverLink>,
+    robot: Robot,
+    period_ns: u64,
+    timeout_ns: u64,
+    lead_ns: u64,
+    interface: Interface,
+    driver: Driver,
+    inputs: CycleInputs,
+    trajectory: Trajectory,
+    clock: Watch,
+    next: u64,
+    /// Gathers that a stall of the exchange still takes.
+    held_up: u32,
+    /// What the next cycle is asked, and what was asked last.
+    asked: Option<RequestKind>,
+    kind_of_answer: Option<RequestKind>,
+    stop_asked: bool,
+    sequence: u64,
+    records: Records,
+}
+
+impl World {
+    pub(super) fn new(seed: u64) -> Self {
+        let mut dice = Dice::new(seed);
+        let text = configuration(&mut dice);
+        let validated = Config::parse(&text, Path::new("chaos")).unwrap();
+        let Validated { config, robot, .. } = &validated;
+        let period_ns = ns(config.cycle.period_ms);
+        let interface = convert::interface(config.link.interface);
+        let driver = Driver::new(&mut dice, robot, interface, ORIGIN_NS);
+        Self {
+            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            robot: robot.clone(),
+            period_ns,
+            timeout_ns: ns(config.link.measurement_timeout_ms),
+            lead_ns: ns(config.actuator.lead_ms()),
+            interface,
+            driver,
+            inputs: CycleInputs::new(Settings::new(config)),
+            trajectory: Trajectory::with_capacity(1024, robot.reach_m()),
+            clock: Watch::default(),
+            next: 1,
+            held_up: 0,
+            asked: None,
+            kind_of_answer: None,
+            stop_asked: false,
+            sequence: 0,
+            records: Records::new(robot.clone(), period_ns, ORIGIN_NS),
+            dice,
+        }
+    }
+
+    /// Runs so many cycles, and says what was seen.
+    pub(super) fn live(mut self, cycles: u32) -> Result<Seen, String> {
+        for _ in 0..cycles {
+            self.turn()?;
+        }
+        self.records.finish()?;
+        Ok(self.records.seen)
+    }
+
+    fn turn(&mut self) -> Verdict {
+        let mut skipped = if self.dice.chance(2) {
+            self.dice.below(12)
+        } else {
+            0
+        };
+        // Those that the cycle before ran over.
+        let passed = self.clock.now_ns.get().saturating_sub(ORIGIN_NS) / self.period_ns + 1;
+        skipped += passed.saturating_sub(self.next + u64::from(skipped)) as u32;
+        self.next += u64::from(skipped);
+        let release_ns = ORIGIN_NS + self.next * self.period_ns;
+        let measured_ns = release_ns - self.dice.duration_ms(1, 3).as_nanos() as u64 / 2;
+        self.driver.turn(&mut self.dice, measured_ns);
+        if self.dice.chance(1) {
+            self.held_up = self.dice.below(40);
+        }
+        if self.held_up == 0 {
+            self.act();
+            self.gather(release_ns);
+        }
+        self.held_up = self.held_up.saturating_sub(1);
+        self.run(release_ns, skipped)
+    }
+
+    fn run(&mut self, release_ns: u64, skipped: u32) -> Verdict {
+        let start_ns = release_ns
+            + if self.dice.chance(5) {
+                self.dice.duration_ms(0, 4).as_nanos() as u64
+            } else {
+                20_000
+            };
+        let release = Release {
+            cycle: self.next,
+            release_ns,
+            due_ns: release_ns - u64::from(skipped) * self.period_ns,
+            start_ns,
+            skipped,
+        };
+        self.next += 1;
+        self.clock.now_ns.set(start_ns);
+        self.clock
+            .step_ns
+            .set(self.dice.pick(&[20_000, 50_000, 200_000, 1_000_000]));
+        let mut request = self.asked.take().and_then(convert::mode_request);
+        let next_request = || {
+            let request = request.take()?;
+            Some(CycleRequest { ticket: 1, request })
+        };
+        let record = self
+            .cycle
+            .run(release, &self.inputs, next_request, &self.clock);
+        self.cycle.rest(&self.clock);
+        let telemetry = self.telemetry(&record);
+        if record.measurement.is_some() {
+            self.driver.take(&telemetry.command, record.handed_over_ns);
+        }
+        self.records.check(&telemetry)
+    }
+
+    /// What the reporter would publish.
+    fn telemetry(&mut self, record: &CycleRecord) -> Telemetry {
+        self.sequence += 1;
+        let mut telemetry = Telemetry {
+            header: Header {
+                sender_id: 1,
+                sequence: self.sequence,
+                sent_ns: record.handed_over_ns,
+            },
+            command: convert::command(record, &self.robot, self.period_ns),
+            ..convert::telemetry(record, &self.robot, self.period_ns)
+        };
+        let accepted = record
+            .answers
+            .iter()
+            .flatten()
+            .filter(|a| a.outcome.is_ok());
+        let stop = core::mem::take(&mut self.stop_asked).then_some(RequestKind::Stop);
+        let kinds = accepted.filter_map(|_| self.kind_of_answer).chain(stop);
+        for (event, kind) in telemetry.events.iter_mut().zip(kinds) {
+            *event = InputEvent {
+                kind: EventKind::Request.code(),
+                outcome: Outcome::Accepted.code(),
+                detail: kind.code(),
+                ..InputEvent::default()
+            };
+            telemetry.event_count += 1;
+        }
+        telemetry
+    }
+
+    /// What the exchange takes in.
+    fn gather(&mut self, release_ns: u64) {
+        let gather_ns = release_ns - LEAD_NS;
+        self.inputs.gather += 1;
+        self.inputs.gather_ns = gather_ns;
+        for message in self.driver.arrived(gather_ns) {
+            let taken = convert::measurement(&message, &self.robot, self.interface, gather_ns);
+            let is_newer = |measured_ns| {
+                self.inputs
+                    .measurement
+                    .is_none_or(|newest| newest.measured_ns < measured_ns)
+            };
+            if let Ok(timed) = taken
+                && gather_ns - timed.measured_ns <= self.timeout_ns
+                && is_newer(timed.measured_ns)
+            {
+                self.inputs.measurement = Some(timed);
+            }
+        }
+        self.inputs.obstacles.expire(gather_ns);
+        self.trajectory.forget_before(gather_ns);
+        let steps = self.inputs.settings.nmpc.horizon_steps as usize;
+        let window = &mut self.inputs.window;
+        window.fill(
+            &self.trajectory,
+            self.next,
+            release_ns,
+            self.period_ns,
+            steps,
+            self.lead_ns,
+        );
+    }
+
+    /// What clients and the machine do before the next release.
+    fn act(&mut self) {
+        let chance = if self.newest_is([Mode::Tracking, Mode::Homing]) {
+            1
+        } else {
+            15
+        };
+        if self.dice.chance(chance) {
+            self.ask();
+        }
+        if self.dice.chance(1) {
+            self.feed();
+        }
+        if self.dice.chance(1) {
+            let states = [LeaseState::Free, LeaseState::Expired];
+            self.inputs.lease = self.dice.pick(&states);
+        }
+        if self.dice.chance(3) {
+            self.place_obstacle();
+        }
+        if self.dice.chance(1) {
+            self.set();
+        }
+        let silent = self.inputs.obstacle_source_silent;
+        self.inputs.obstacle_source_silent = self.dice.chance(if silent { 80 } else { 1 });
+        // One in a thousand.
+        self.inputs.suspends += u64::from(self.dice.below(1000) == 0);
+        let is_latched = self.newest_is([Mode::Stopped, Mode::Faulted]);
+        if is_latched && self.dice.chance(1) {
+            self.driver.push(&mut self.dice);
+        }
+    }
+
+    fn newest_is<const N: usize>(&self, modes: [Mode; N]) -> bool {
+        let newest = self.records.newest();
+        newest.is_some_and(|record| modes.map(Mode::code).contains(&record.mode))
+    }
+
+    fn ask(&mut self) {
+        if self.dice.chance(5) {
+            self.inputs.stops += 1;
+            self.stop_asked = true;
+            return;
+        }
+        let kinds = [RequestKind::Track, RequestKind::Track, RequestKind::Home];
+        let mut kind = self.dice.pick(&kinds);
+        if self.newest_is([Mode::Stopped, Mode::Faulted]) {
+            // Somebody clears away what it touches, and resets.
+            self.inputs.obstacles = ObstacleSet::default();
+            kind = RequestKind::Reset;
+        } else if self.newest_is([Mode::Holding]) {
+            self.feed();
+        }
+        if self.dice.chance(10) {
+            kind = RequestKind::Hold;
+        }
+        self.asked = Some(kind);
+        self.kind_of_answer = self.asked;
+    }
+
+    /// A curve about a place somewhere, within reach or not.
+    fn feed(&mut self) {
+        self.inputs.lease = LeaseState::Held;
+        let dice = &mut self.dice;
+        let reach_m = self.robot.reach_m();
+        let centre = Vector3::from(dice.vector(1.0)) * dice.between(0.2, 1.1) * reach_m;
+        let radius_m = dice.between(0.0, 0.4) * reach_m;
+        let rate_rad_s = dice.between(-8.0, 8.0);
+        let interpolation = dice.pick(&[Interpolation::Linear, Interpolation::Cubic]);
+        let gap_ns = dice.duration_ms(5, 50).as_nanos() as u64;
+        let begin_ns = ORIGIN_NS + (self.next + 1) * self.period_ns;
+        let points = (0..u64::from(2 + dice.below(60))).map(|k| {
+            let (sin, cos) = (rate_rad_s * (k * gap_ns) as f64 * 1e-9).sin_cos();
+            ReferencePoint {
+                time_ns: begin_ns + k * gap_ns,
+                position_m: centre + Vector3::new(cos, sin, 0.3 * sin) * radius_m,
+                orientation: Orientation::Free,
+                interpolation,
+            }
+        });
+        // One out of reach is refused, as by the exchange.
+        let _ = self.trajectory.replace(points);
+    }
+
+    fn place_obstacle(&mut self) {
+        let Some(record) = self.records.newest() else {
+            return;
+        };
+        let dice = &mut self.dice;
+        let mut obstacle = match dice.below(10) {
+            0..6 => obstacles::near(dice, record),
+            6..9 => obstacles::towards(dice, record),
+            _ => {
+                let turn = dice.below(3);
+                obstacles::inside(dice, record, turn)
+            }
+        };
+        let now_ns = record.release_ns;
+        obstacle.measured_ns = now_ns;
+        if let Ok(known) = convert::obstacle(&obstacle, now_ns) {
+            // A full set refuses it.
+            let _ = self.inputs.obstacles.upsert(known);
+        }
+    }
+
+    fn set(&mut self) {
+        let dice = &mut self.dice;
+        let nmpc = &mut self.inputs.settings.nmpc;
+        nmpc.solver = dice.pick(&[
+            SolverKind::Kpso,
+            SolverKind::GaussNewton,
+            SolverKind::KpsoRefined,
+        ]);
+        nmpc.horizon_steps = 1 + dice.below(20);
+        nmpc.control_blocks = 1 + dice.below(nmpc.horizon_steps);
+        nmpc.safe_distance_m = dice.between(0.0, 0.03);
+        nmpc.rate_weight = dice.pick(&[0.0, 1e-3, 1.0]);
+        self.inputs.settings.budget_ns = dice.pick(&[0, 100_000, 2_000_000]);
+        self.inputs.settings_revision += 1;
+    }
+}
+
+/// Any robot of one to six sections with cables that are as slow and short as to matter, behind either interface.
+fn configuration(dice: &mut Dice) -> String {
+    let mut text = format!(
+        "[link]\nkind = \"driver\"\ninterface = \"{}\"\ncommand_valid_ms = {}\n\
+         [cycle]\nmiss_limit = {}\n\
+         [actuator]\ndelay_ms = {}\ntime_constant_ms = {}\n\
+         [motion]\ndeceleration_rad_s2 = {:.2}\nacceleration_rad_s2 = {:.2}\n\
+         [robot]\ncable_speed_max_m_s = {:.3}\ncable_stroke_max_m = {:.3}\n",
+        dice.pick(&["velocity", "position"]),
+        dice.pick(&["0.0", "40.0"]),
+        dice.pick(&["0", "1000000"]),
+        dice.pick(&["0.0", "30.0"]),
+        dice.pick(&["0.0", "20.0", "100.0"]),
+        dice.between(5.0, 60.0),
+        dice.between(10.0, 80.0),
+        dice.between(0.03, 0.2),
+        dice.between(0.03, 0.2),
+    );
+    for _ in 0..=dice.below(6) {
+        writeln!(
+            text,
+            "[[robot.sections]]\nlength_m = {:.3}\ncable_radius_m = 0.0125\ncable_offset_rad = {:.2}\n\
+             bend_max_rad = {:.2}\nrate_max_rad_s = {:.2}\nbody_radius_m = 0.015",
+            dice.between(0.1, 0.3),
+            dice.between(0.0, 2.0),
+            dice.between(1.0, 2.8),
+            dice.between(0.5, 4.0),
+        )
+        .unwrap();
+    }
+    text
+}

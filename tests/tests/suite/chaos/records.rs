@@ -1,0 +1,216 @@
+//! Records, one after the other, each held to the invariants and counted.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use cdcr_client::{events, obstacles};
+use cdcr_controller::robot::Robot;
+use cdcr_shared_types::codes::{Mode, Outcome, Reason, guard};
+use cdcr_shared_types::{Command, Telemetry};
+
+use crate::chaos::modes::{ModeWatch, place};
+use crate::chaos::{KINDS_TAKE, Verdict, clearance, ensure, grid, limits, ramp};
+
+/// What was checked.
+#[derive(Debug, Default)]
+pub(crate) struct Seen {
+    pub(crate) records: u64,
+    pub(crate) commands: u64,
+    pub(crate) statuses: u64,
+    /// Records that were lost on the way, or inside the daemon.
+    pub(crate) gaps: u64,
+    pub(crate) skipped_periods: u64,
+    pub(crate) deadline_misses: u64,
+    /// Records with obstacles whose clearances were computed again, and those of which the guard changed the command.
+    pub(crate) with_obstacles: u64,
+    pub(crate) guarded: u64,
+    /// Records in a mode, by its name, and changes of the mode.
+    pub(crate) modes: BTreeMap<&'static str, u64>,
+    pub(crate) changes: BTreeMap<String, u64>,
+    /// Records in which a limit changed the command, by its name.
+    pub(crate) limited: BTreeMap<&'static str, u64>,
+    /// Records of tracking cycles whose robot moved.
+    pub(crate) tracked_moving: u64,
+    /// Input messages by what became of them.
+    pub(crate) outcomes: BTreeMap<&'static str, u64>,
+    /// Faults that began in a record, and that the daemon counts.
+    pub(crate) entered_faults: u64,
+    pub(crate) counted_faults: u64,
+}
+
+impl Seen {
+    /// What a run of this length must still see: as many records as half of its cycles, every mode, a robot that tracks
+    /// and meets obstacles in one record of fifty; and in a long one every kind of bad message.
+    pub(crate) fn missing(&self, duration: Duration) -> Option<String> {
+        let meant = duration.as_secs() * 200;
+        let counts = [
+            ("records", self.records, meant / 2),
+            ("commands", self.commands, meant / 3),
+            ("statuses", self.statuses, duration.as_secs()),
+            (
+                "records of tracking",
+                self.tracked_moving,
+                self.records / 50,
+            ),
+            (
+                "records with obstacles",
+                self.with_obstacles,
+                self.records / 50,
+            ),
+            ("guarded records", self.guarded, 0),
+        ];
+        let modes = [
+            Mode::Holding,
+            Mode::Tracking,
+            Mode::Homing,
+            Mode::Stopped,
+            Mode::Faulted,
+        ]
+        .map(|mode| (mode.text(), self.in_mode(mode), 0));
+        let kinds = [
+            Outcome::Accepted,
+            Outcome::NotFinite,
+            Outcome::NoLease,
+            Outcome::InThePast,
+            Outcome::BufferFull,
+        ];
+        let kinds = kinds.map(|kind| {
+            let judged = self.outcomes.get(kind.text()).copied();
+            (kind.text(), judged.unwrap_or(0), 0)
+        });
+        let is_long = duration >= KINDS_TAKE;
+        let kinds = kinds.into_iter().filter(|_| is_long);
+        let mut all = counts.into_iter().chain(modes).chain(kinds);
+        let (what, seen, least) = all.find(|(_, seen, least)| seen <= least)?;
+        Some(format!(
+            "{what}: only {seen}, and more than {least} are due"
+        ))
+    }
+
+    pub(crate) fn in_mode(&self, mode: Mode) -> u64 {
+        self.modes.get(mode.text()).copied().unwrap_or(0)
+    }
+}
+
+/// The records of one robot, and what came before.
+#[derive(Debug)]
+pub(crate) struct Records {
+    robot: Robot,
+    period_s: f64,
+    origin_ns: u64,
+    before: Option<Box<Telemetry>>,
+    modes: ModeWatch,
+    pub(crate) seen: Seen,
+}
+
+impl Records {
+    pub(crate) fn new(robot: Robot, period_ns: u64, origin_ns: u64) -> Self {
+        Self {
+            robot,
+            period_s: period_ns as f64 * 1e-9,
+            origin_ns,
+            before: None,
+            modes: ModeWatch::default(),
+            seen: Seen::default(),
+        }
+    }
+
+    /// Holds the next record to the invariants.
+    pub(crate) fn check(&mut self, record: &Telemetry) -> Verdict {
+        self.check_record(record)
+            .map_err(|broken| format!("{broken}\nin {}", describe(record)))?;
+        self.before = Some(Box::new(*record));
+        Ok(())
+    }
+
+    /// The newest record.
+    pub(crate) fn newest(&self) -> Option<&Telemetry> {
+        self.before.as_deref()
+    }
+
+    /// Holds one command to the invariants.
+    pub(crate) fn check_command(&self, command: &Command) -> Verdict {
+        limits::check(&self.robot, command, self.period_s)
+    }
+
+    /// What still waits for its reason.
+    pub(crate) fn finish(&mut self) -> Verdict {
+        self.modes.finish()
+    }
+
+    fn check_record(&mut self, record: &Telemetry) -> Verdict {
+        let is_neighbour = match &self.before {
+            Some(before) => grid::check_pair(before, record)?,
+            None => true,
+        };
+        grid::check(record, self.origin_ns)?;
+        let fingerprint = self.robot.fingerprint();
+        ensure(record.robot.fingerprint == fingerprint, || {
+            "it is another robot".to_owned()
+        })?;
+        limits::check_record(&self.robot, record, self.period_s)?;
+        clearance::check(&self.robot, record, self.period_s)?;
+        ramp::check(record, self.period_s)?;
+        if let Some(before) = self.before.as_deref().filter(|_| is_neighbour) {
+            ramp::check_rest(before, record)?;
+        }
+        self.modes.look(record, is_neighbour)?;
+        self.note(record, is_neighbour)
+    }
+
+    fn note(&mut self, record: &Telemetry, is_neighbour: bool) -> Verdict {
+        let (mode, reason) = place(record)?;
+        let seen = &mut self.seen;
+        seen.records += 1;
+        seen.gaps += u64::from(!is_neighbour);
+        seen.skipped_periods = record.skipped_periods_total;
+        seen.deadline_misses = record.deadline_misses_total;
+        seen.with_obstacles += u64::from(record.obstacle_count > 0);
+        seen.guarded += u64::from(record.guard_flags & guard::CLEARANCE != 0);
+        *seen.modes.entry(mode.text()).or_default() += 1;
+        let moves = record
+            .command
+            .bend_rate_rad_s
+            .iter()
+            .any(|rate| *rate != 0.0);
+        seen.tracked_moving += u64::from(mode == Mode::Tracking && moves);
+        for (name, _) in guard::set(record.guard_flags) {
+            *seen.limited.entry(name).or_default() += 1;
+        }
+        let before = self.before.as_deref().map(place).transpose()?;
+        if let Some((from, _)) = before
+            && from != mode
+        {
+            *seen.changes.entry(change(from, mode, reason)).or_default() += 1;
+            seen.entered_faults += u64::from(mode == Mode::Faulted);
+        }
+        Ok(())
+    }
+}
+
+fn change(from: Mode, to: Mode, reason: Reason) -> String {
+    format!("{from} → {to} ({reason})")
+}
+
+/// What a broken invariant can be understood by; the whole record fills many pages.
+fn describe(record: &Telemetry) -> String {
+    let width = 2 * record.robot.sections as usize;
+    format!(
+        "cycle {}, record {}, {} ({}), limits hit: {:#b}\nbend     {:?}\nbefore   {:?}\nrates    {:?}\n\
+         target   {:?}\nmeasured {:?}\nsafe distance {} m, clearance {} m, obstacles {:#?}\nevents {:#?}",
+        record.cycle,
+        record.header.sequence,
+        Mode::text_of(record.mode),
+        Reason::text_of(record.reason),
+        record.guard_flags,
+        &record.bend_rad[..width],
+        &record.previous_rate_rad_s[..width],
+        &record.command.bend_rate_rad_s[..width],
+        &record.command.bend_target_rad[..width],
+        &record.measurement.bend_rad[..width],
+        record.settings.safe_distance_m,
+        record.clearance_m,
+        obstacles(record),
+        events(record),
+    )
+}
