@@ -26,6 +26,8 @@
 //! | `[unit "rad/s"]` | where the name does not say it |
 //! | `[reserved]` | zero |
 
+use crate::codes::Codes;
+
 /// A message, or a part of one that has fields.
 pub trait Struct {
     /// Its name, size and fields.
@@ -112,23 +114,6 @@ pub enum Meaning {
     Max(&'static str),
     /// Zero.
     Reserved,
-}
-
-/// Names and texts of an enumeration.
-#[derive(Debug)]
-pub struct Codes {
-    /// Name of the enumeration.
-    pub name: &'static str,
-    /// Value, name and text of each code.
-    pub values: &'static [(u32, &'static str, &'static str)],
-}
-
-impl Codes {
-    /// What a code that came from the wire means, in words.
-    pub fn text(&self, code: u32) -> &'static str {
-        let known = self.values.iter().find(|(value, ..)| *value == code);
-        known.map_or("unknown code", |(_, _, text)| text)
-    }
 }
 
 /// How much of an array is used: `each` elements for each of the number in the field `count`.

@@ -7,7 +7,8 @@ use std::ops::RangeInclusive;
 
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::parameters::Parameter;
-use cdcr_shared_types::message::{Codes, Meaning, Struct as _, Value as Part, ValueMut};
+use cdcr_shared_types::codes::Codes;
+use cdcr_shared_types::message::{Meaning, Struct as _, Value as Part, ValueMut};
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Value, json};
 
