@@ -10,8 +10,8 @@ use toml::{Table, Value};
 use toml_edit::{Item, TableLike};
 
 use super::{
-    ActuatorConfig, Config, EstimatorConfig, CycleConfig, LinkConfig, MotionConfig, ObstaclesConfig, RealtimeConfig,
-    ReferenceConfig, RobotConfig, SafetyConfig, TransportConfig,
+    ActuatorConfig, Config, CycleConfig, EstimatorConfig, LinkConfig, MotionConfig,
+    ObstaclesConfig, RealtimeConfig, ReferenceConfig, RobotConfig, SafetyConfig, TransportConfig,
 };
 
 /// How alike two names must be for one to be called a misspelling of the other.
