@@ -61,7 +61,7 @@ pub fn number_text(value: f64) -> String {
         let name = if size == PI { "π" } else { "2π" };
         return format!("{sign}{name}");
     }
-    if size != 0.0 && !(1e-6..1e7).contains(&size) {
+    if size != 0.0 && !(1e-6..1e10).contains(&size) {
         return format!("{value:e}");
     }
     value.to_string()
