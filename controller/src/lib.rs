@@ -106,6 +106,7 @@ pub mod closed_loop;
 pub mod estimator;
 pub mod nmpc;
 pub mod optimizer;
+pub mod parameters;
 pub mod plant;
 pub mod reference;
 pub mod robot;

@@ -10,21 +10,19 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
-use cdcr_controller::plant::KinematicPlant;
 use cdcr_shared_types::codes::realtime;
 use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
-use crate::config::{LinkKind, REST_MAX_S, Validated, ns};
+use crate::config::{REST_MAX_S, Validated};
 use crate::core_budget::KERNEL_SHARE;
 use crate::cycle::Cycle;
 use crate::doctor::{System, kernel_share, with_core};
 use crate::exchange::Exchange;
 use crate::exit::{Ended, ExitCause};
-use crate::handover::{CycleEnds, ExchangeEnds, Policy, ReporterEnds, Settings, Shared, channels};
+use crate::handover::{CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels};
 use crate::instance::Instance;
 use crate::link::RobotLink;
-use crate::link::{DriverLink, MisbehavingLink, SimulatedRobot};
 use crate::reporter::Reporter;
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
@@ -65,32 +63,11 @@ pub fn run_until(
     let signals = Signals::catch()?;
     let (location, robot) = (&validated.location, &validated.config.robot.name);
     let instance = Instance::claim(location, robot, validated.group_id)?;
-    match validated.config.link.kind {
-        LinkKind::Simulated if !validated.config.link.is_ideal() => {
-            let link = MisbehavingLink::new(validated).context("the simulated robot")?;
-            run_with(validated, link, &instance, signals, should_end, watch)
-        }
-        LinkKind::Simulated => {
-            let period_ns = ns(validated.config.cycle.period_ms);
-            let moving_ns = Policy::new(&validated.config).moving_ns(u64::MAX, period_ns);
-            let plant = KinematicPlant::new(&validated.robot, validated.initial)
-                .with_extrapolate_max_s(moving_ns as f64 * 1e-9);
-            run_with(
-                validated,
-                SimulatedRobot::new(plant),
-                &instance,
-                signals,
-                should_end,
-                watch,
-            )
-        }
-        LinkKind::Driver => run_with(validated, DriverLink, &instance, signals, should_end, watch),
-    }
+    run_with(validated, &instance, signals, should_end, watch)
 }
 
-fn run_with<L: RobotLink + Send + 'static>(
+fn run_with(
     validated: &Validated,
-    link: L,
     instance: &Instance,
     signals: Signals,
     mut should_end: impl FnMut() -> bool,
@@ -104,7 +81,7 @@ fn run_with<L: RobotLink + Send + 'static>(
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
-    let cycle = make_cycle(validated, link, &clock)?;
+    let cycle = make_cycle(validated, &clock)?;
     let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
     // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
@@ -243,15 +220,12 @@ impl Signals {
 }
 
 /// The cycle of a configuration whose parts fit into the period on this machine.
-fn make_cycle<L: RobotLink>(
-    validated: &Validated,
-    link: L,
-    clock: &impl Clock,
-) -> Result<Cycle<L>> {
+fn make_cycle(validated: &Validated, clock: &impl Clock) -> Result<Cycle> {
     let share = kernel_share(&System::at(Path::new("/"))).unwrap_or_else(|error| {
         tracing::info!(%error, "the share of real-time threads is taken to be 95 % of a core");
         KERNEL_SHARE
     });
+    let link = RobotLink::new(validated).context("the simulated robot")?;
     let cycle = Cycle::new(validated, link).context("the solver")?;
     let mut cycle = cycle.with_kernel_share(share);
     cycle.check_that_it_fits(clock).map_err(|message| Ended {
@@ -337,9 +311,9 @@ fn spawn_reporter(
     })
 }
 
-fn spawn_cycle<L: RobotLink + Send + 'static>(
+fn spawn_cycle(
     validated: &Validated,
-    mut cycle: Cycle<L>,
+    mut cycle: Cycle,
     mut ends: CycleEnds,
     shared: &Arc<Shared>,
     exchange: Thread,
@@ -372,8 +346,8 @@ fn spawn_cycle<L: RobotLink + Send + 'static>(
 
 /// The life of the cycle thread: sleep to the release, run the cycle, hand the record on, wake the
 /// exchange. When the process ends, the robot is brought to rest first.
-pub fn run_cycles<L: RobotLink>(
-    cycle: &mut Cycle<L>,
+pub fn run_cycles(
+    cycle: &mut Cycle,
     ends: &mut CycleEnds,
     schedule: &mut Schedule,
     clock: &impl Clock,

@@ -4,51 +4,85 @@ use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::{KinematicPlant, MisbehavingRobot, MotorOrder};
 use cdcr_controller::robot::{BendRates, CABLES_MAX, Robot, RobotError};
 
-use crate::config::{Interface, Validated, ns};
+use crate::config::{Interface, LinkKind, Validated, ns};
 use crate::handover::{CycleInputs, Policy, TimedMeasurement};
 
-/// The robot, simulated or real, as the cycle sees it.
-///
-/// Both methods are called once in each cycle by the cycle thread, so they neither allocate, lock nor
-/// call the system.
-pub trait RobotLink {
-    /// The newest measurement for the release at `release_ns`; none when there is none yet.
-    fn measure(&mut self, release_ns: u64, inputs: &CycleInputs) -> Option<TimedMeasurement>;
+/// The robot, simulated or real, as the cycle sees it. Nothing here allocates, locks or calls the system.
+#[derive(Debug)]
+pub enum RobotLink {
+    /// Exactly its model.
+    Ideal(Box<IdealRobot>),
+    /// Not its model.
+    Misbehaving(Box<MisbehavingLink>),
+    /// A driver process: its measurements come with the inputs, and the exchange publishes the commands from the records.
+    Driver,
+}
 
-    /// The rates that hold from the release at `release_ns` on.
-    fn command(&mut self, release_ns: u64, rates: &BendRates);
+impl RobotLink {
+    /// The robot of a configuration. An ideal one moves on for as long as its newest command lets it.
+    ///
+    /// # Errors
+    /// When its flaws make it no robot, which the presets do not.
+    pub fn new(validated: &Validated) -> Result<Self, RobotError> {
+        let Validated {
+            config,
+            robot,
+            initial,
+            ..
+        } = validated;
+        Ok(match config.link.kind {
+            LinkKind::Driver => Self::Driver,
+            LinkKind::Simulated if config.link.is_ideal() => {
+                let moving_ns = Policy::new(config).moving_ns(u64::MAX, ns(config.cycle.period_ms));
+                let plant = KinematicPlant::new(robot, *initial);
+                Self::ideal(plant.with_extrapolate_max_s(moving_ns as f64 * 1e-9))
+            }
+            LinkKind::Simulated => Self::Misbehaving(Box::new(MisbehavingLink::new(validated)?)),
+        })
+    }
+
+    /// The ideal robot.
+    pub fn ideal(plant: KinematicPlant) -> Self {
+        let now_ns = None;
+        Self::Ideal(Box::new(IdealRobot { plant, now_ns }))
+    }
+
+    /// The newest measurement for the release at `release_ns`; none when there is none yet. Called once in each cycle.
+    pub fn measure(&mut self, release_ns: u64, inputs: &CycleInputs) -> Option<TimedMeasurement> {
+        let measurement = match self {
+            Self::Ideal(robot) => robot.measure(release_ns),
+            Self::Misbehaving(robot) => robot.measure(release_ns),
+            Self::Driver => return inputs.measurement,
+        };
+        Some(TimedMeasurement {
+            measurement,
+            measured_ns: release_ns,
+        })
+    }
+
+    /// The rates that hold from the release at `release_ns` on, for a simulated robot.
+    pub fn command(&mut self, release_ns: u64, rates: &BendRates) {
+        match self {
+            Self::Ideal(robot) => robot.plant.command(rates),
+            Self::Misbehaving(robot) => robot.command(release_ns, rates),
+            Self::Driver => {}
+        }
+    }
 }
 
 /// The ideal kinematic robot. Commands take effect at the release of their cycle, and its state is
 /// known exactly at each release.
 #[derive(Debug)]
-pub struct SimulatedRobot {
+pub struct IdealRobot {
     plant: KinematicPlant,
     now_ns: Option<u64>,
 }
 
-impl SimulatedRobot {
-    /// A simulated robot.
-    pub fn new(plant: KinematicPlant) -> Self {
-        Self {
-            plant,
-            now_ns: None,
-        }
-    }
-}
-
-impl RobotLink for SimulatedRobot {
-    fn measure(&mut self, release_ns: u64, _: &CycleInputs) -> Option<TimedMeasurement> {
+impl IdealRobot {
+    fn measure(&mut self, release_ns: u64) -> Measurement {
         let before_ns = self.now_ns.replace(release_ns).unwrap_or(release_ns);
         self.plant.advance((release_ns - before_ns) as f64 * 1e-9);
-        Some(TimedMeasurement {
-            measurement: Measurement::Configuration(*self.plant.configuration()),
-            measured_ns: release_ns,
-        })
-    }
-
-    fn command(&mut self, _: u64, rates: &BendRates) {
-        self.plant.command(rates);
+        Measurement::Configuration(*self.plant.configuration())
     }
 }
 
@@ -74,11 +108,7 @@ const STEP_NS: u64 = 1_000_000;
 const STEPS_MAX: u64 = 50;
 
 impl MisbehavingLink {
-    /// The robot of a configuration.
-    ///
-    /// # Errors
-    /// When its flaws make it no robot, which the presets do not.
-    pub fn new(validated: &Validated) -> Result<Self, RobotError> {
+    fn new(validated: &Validated) -> Result<Self, RobotError> {
         let Validated {
             config,
             robot,
@@ -123,36 +153,18 @@ impl MisbehavingLink {
             now_ns += step_ns;
         }
     }
-}
 
-impl RobotLink for MisbehavingLink {
-    fn measure(&mut self, release_ns: u64, _: &CycleInputs) -> Option<TimedMeasurement> {
+    fn measure(&mut self, release_ns: u64) -> Measurement {
         self.move_to(release_ns);
-        let measurement = if self.measures_tip {
+        if self.measures_tip {
             Measurement::TipPosition(self.plant.measure_tip())
         } else {
             Measurement::CableLengths(self.plant.measure_cables())
-        };
-        Some(TimedMeasurement {
-            measurement,
-            measured_ns: release_ns,
-        })
+        }
     }
 
     fn command(&mut self, release_ns: u64, rates: &BendRates) {
         self.rates = *rates;
         self.until_ns = release_ns + self.valid_ns;
     }
-}
-
-/// A driver process: its measurements come with the inputs, and the exchange publishes the commands.
-#[derive(Debug, Default)]
-pub struct DriverLink;
-
-impl RobotLink for DriverLink {
-    fn measure(&mut self, _: u64, inputs: &CycleInputs) -> Option<TimedMeasurement> {
-        inputs.measurement
-    }
-
-    fn command(&mut self, _: u64, _: &BendRates) {}
 }

@@ -7,8 +7,6 @@ mod bits;
 
 pub use bits::{guard, realtime, timing};
 
-use crate::message::Codes;
-
 /// Declares a wire enumeration with its values, its checked conversion and a sentence for people.
 macro_rules! wire_enum {
     ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal: $text:literal,)+ }) => {
@@ -57,6 +55,23 @@ macro_rules! wire_enum {
             fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result { f.write_str(self.text()) }
         }
     };
+}
+
+/// Names and texts of an enumeration.
+#[derive(Debug)]
+pub struct Codes {
+    /// Name of the enumeration.
+    pub name: &'static str,
+    /// Value, name and text of each code.
+    pub values: &'static [(u32, &'static str, &'static str)],
+}
+
+impl Codes {
+    /// What a code that came from the wire means, in words.
+    pub fn text(&self, code: u32) -> &'static str {
+        let known = self.values.iter().find(|(value, ..)| *value == code);
+        known.map_or("unknown code", |(_, _, text)| text)
+    }
 }
 
 /// A `u32` that is no value of the enumeration.

@@ -26,6 +26,8 @@
 //! | `[unit "rad/s"]` | where the name does not say it |
 //! | `[reserved]` | zero |
 
+use crate::codes::Codes;
+
 /// A message, or a part of one that has fields.
 pub trait Struct {
     /// Its name, size and fields.
@@ -112,23 +114,6 @@ pub enum Meaning {
     Max(&'static str),
     /// Zero.
     Reserved,
-}
-
-/// Names and texts of an enumeration.
-#[derive(Debug)]
-pub struct Codes {
-    /// Name of the enumeration.
-    pub name: &'static str,
-    /// Value, name and text of each code.
-    pub values: &'static [(u32, &'static str, &'static str)],
-}
-
-impl Codes {
-    /// What a code that came from the wire means, in words.
-    pub fn text(&self, code: u32) -> &'static str {
-        let known = self.values.iter().find(|(value, ..)| *value == code);
-        known.map_or("unknown code", |(_, _, text)| text)
-    }
 }
 
 /// How much of an array is used: `each` elements for each of the number in the field `count`.
@@ -268,20 +253,6 @@ impl dyn Struct + '_ {
     }
 }
 
-/// Adds what `more` counts to `total`.
-pub fn accumulate<T: Struct>(total: &mut T, more: &T) {
-    let mut others = (more as &dyn Struct).counters().into_iter();
-    total.visit_mut(&mut |field, value| match (field.meaning, value) {
-        (Meaning::Sum(_), ValueMut::U64(number)) => {
-            *number += others.next().map_or(0, |other| other.1);
-        }
-        (Meaning::Max(_), ValueMut::U64(number)) => {
-            *number = others.next().map_or(0, |other| other.1).max(*number);
-        }
-        _ => {}
-    });
-}
-
 impl Field {
     /// What a table says above a counter: its heading; of another field its name.
     pub fn heading(&self) -> &'static str {
@@ -392,6 +363,14 @@ macro_rules! message {
             };
         }
 
+        impl $name {
+            /// Adds what `more` counts.
+            pub fn accumulate(&mut self, more: &Self) {
+                let _ = more;
+                $($crate::message::added!(self.$field, more.$field; $([$($note)+])*);)+
+            }
+        }
+
         /// All bytes zero.
         impl Default for $name {
             fn default() -> Self { <Self as $crate::message::Part>::ZERO }
@@ -429,6 +408,17 @@ macro_rules! message {
     };
 }
 pub(crate) use message;
+
+/// Adds one counter to another, as its note says.
+macro_rules! added {
+    ($total:expr, $more:expr; [sum $heading:literal] $($others:tt)*) => { $total += $more };
+    ($total:expr, $more:expr; [max $heading:literal] $($others:tt)*) => { $total = $total.max($more) };
+    ($total:expr, $more:expr; [$($note:tt)+] $($others:tt)*) => {
+        $crate::message::added!($total, $more; $($others)*)
+    };
+    ($total:expr, $more:expr;) => {};
+}
+pub(crate) use added;
 
 /// Adds the notes of a field to it.
 macro_rules! noted {

@@ -39,95 +39,66 @@ pub enum Coordinates {
     BendAngles,
 }
 
-/// Everything that tunes the optimal control problem and its solver.
-///
-/// The default is the paper's swarm (6 × 30, c₁ = c₂ = 1.2, N = 2) with the inertia weight that Eq. 6
-/// lacks, refined by Gauss-Newton.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct NmpcSettings {
-    /// The solver.
-    pub solver: SolverKind,
-    /// Coordinates of the controls.
-    pub coordinates: Coordinates,
-    /// Prediction steps N.
-    pub horizon_steps: u32,
-    /// Control blocks M ≤ N, at most [`CONTROL_BLOCKS_MAX`]; 0: one for each step, as far as that goes.
-    pub control_blocks: u32,
-    /// Particles.
-    pub swarm_size: u32,
-    /// Swarm iterations.
-    pub swarm_iterations: u32,
-    /// Iterations without improvement after which the swarm is regenerated; 0: never.
-    pub regenerate_after: u32,
-    /// Velocity rule of the swarm.
-    pub velocity_rule: VelocityRule,
-    /// Inertia w.
-    pub inertia: f64,
-    /// Cognitive coefficient c₁.
-    pub cognitive: f64,
-    /// Social coefficient c₂.
-    pub social: f64,
-    /// Gauss-Newton steps.
-    pub refinement_steps: u32,
-    /// Damping λ of the Gauss-Newton step.
-    pub damping: f64,
-    /// Weight of the squared position error, per m².
-    pub position_weight: f64,
-    /// Weight of the squared orientation error, per rad². It counts where the reference asks for an
-    /// orientation, and is chord length: 2 sin(α/2) for an angle of α.
-    pub orientation_weight: f64,
-    /// Orientation error that costs nothing \[rad\], the paper's |Θ|, |Ψ| ≤ 10⁻²: only what is beyond
-    /// it is squared.
-    pub orientation_tolerance_rad: f64,
-    /// Weight of the squared rates, per (rad/s)².
-    pub rate_weight: f64,
-    /// Weight of the squared change of rates from block to block, per (rad/s)².
-    pub rate_change_weight: f64,
-    /// Factor ω on the last step's error; 1 counts it like the others. Above zero where the last step is the only one.
-    pub terminal_weight: f64,
-    /// Distance D that the body keeps from every obstacle, surface to surface \[m\].
-    pub safe_distance_m: f64,
-    /// Penalty on a step whose clearance d is below D, for each obstacle. A step alone is known to
-    /// collide (where every candidate violates, it cancels): it needs a slope or a square beside it.
-    pub obstacle_step_penalty: f64,
-    /// Penalty on D - d, per m.
-    pub obstacle_slope_penalty: f64,
-    /// Penalty on (D - d)², per m².
-    pub obstacle_square_penalty: f64,
-    /// Seed of the swarm.
-    pub seed: u64,
-}
-
-impl Default for NmpcSettings {
-    fn default() -> Self {
-        Self {
-            solver: SolverKind::KpsoRefined,
-            coordinates: Coordinates::BendVector,
-            horizon_steps: 2,
-            control_blocks: 0,
-            swarm_size: 6,
-            swarm_iterations: 30,
-            regenerate_after: 10,
-            velocity_rule: VelocityRule::Inertia,
-            inertia: 0.5,
-            cognitive: 1.2,
-            social: 1.2,
-            refinement_steps: 3,
-            damping: 1e-14,
-            position_weight: 1.0,
-            orientation_weight: 0.1,
-            orientation_tolerance_rad: 0.0,
-            rate_weight: 0.0,
-            rate_change_weight: 0.0,
-            terminal_weight: 1.0,
-            safe_distance_m: 0.01,
-            obstacle_step_penalty: 1e3,
-            obstacle_slope_penalty: 1e4,
-            obstacle_square_penalty: 0.0,
-            seed: 1,
-        }
+crate::parameters! {
+    /// Everything that tunes the optimal control problem and its solver.
+    ///
+    /// The default is the paper's swarm (6 × 30, c₁ = c₂ = 1.2, N = 2) with the inertia weight that Eq. 6
+    /// lacks, refined by Gauss-Newton.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct NmpcSettings {
+        /// "kpso-refined": the swarm chooses the basin, Gauss-Newton finishes. "kpso": the paper's swarm alone.
+        /// "gauss-newton": damped steps from the best candidate.
+        solver: SolverKind = SolverKind::KpsoRefined;
+        /// Prediction steps N, {range}.
+        horizon_steps: u32 = 2, in ranges::HORIZON_STEPS;
+        /// Rates that are optimised: "bend-vector" (smooth everywhere), or "bend-angles", the paper's theta and phi.
+        coordinates: Coordinates = Coordinates::BendVector;
+        /// Control blocks M, {range}, and at most N; 0: one for each step (up to 20).
+        control_blocks: u32 = 0, in ranges::CONTROL_BLOCKS, "at most controller.horizon_steps";
+        /// Particles of the swarm, {range}.
+        swarm_size: u32 = 6, in ranges::SWARM_SIZE;
+        /// Iterations of the swarm, {range}.
+        swarm_iterations: u32 = 30, in ranges::ITERATIONS;
+        /// Iterations without improvement after which the swarm is regenerated, {range}; 0: never.
+        regenerate_after: u32 = 10, in ranges::ITERATIONS;
+        /// "inertia", "constriction" (Clerc & Kennedy), or "verbatim" (Eq. 6 as printed; it does not converge).
+        velocity_rule: VelocityRule = VelocityRule::Inertia;
+        /// Inertia weight w, {range}.
+        inertia: f64 = 0.5, in ranges::INERTIA;
+        /// Coefficient c1 of Eq. 6, the pull towards a particle's own best, {range}.
+        cognitive: f64 = 1.2, in ranges::COEFFICIENT;
+        /// Coefficient c2 of Eq. 6, the pull towards the swarm's best, {range}.
+        social: f64 = 1.2, in ranges::COEFFICIENT;
+        /// Gauss-Newton steps, {range}.
+        refinement_steps: u32 = 3, in ranges::REFINEMENT_STEPS;
+        /// Damping of the Gauss-Newton steps, {range}.
+        damping: f64 = 1e-14, in ranges::DAMPING;
+        /// Weight of the squared position error in the cost (Eq. 5), per m², {range}.
+        position_weight: f64 = 1.0, in ranges::POSITION_WEIGHT;
+        /// Weight of the squared orientation error, per rad², {range}, where the reference asks for an orientation.
+        orientation_weight: f64 = 0.1, in ranges::WEIGHT;
+        /// Orientation error that costs nothing, {range}.
+        orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
+        /// Weight of the squared rates, per (rad/s)², {range}.
+        rate_weight: f64 = 0.0, in ranges::WEIGHT;
+        /// Weight of the squared changes of rates, per (rad/s)², {range}.
+        rate_change_weight: f64 = 0.0, in ranges::WEIGHT;
+        /// Factor on the error of the last step, {range}.
+        terminal_weight: f64 = 1.0, in ranges::WEIGHT, "above 0 where controller.horizon_steps is 1";
+        /// Distance that the body keeps from obstacles, {range}: no command brings it nearer, whatever the solver
+        /// wants. Clients may ask for more while it runs, not for less.
+        safe_distance_m: f64 = 0.01, in ranges::SAFE_DISTANCE_M;
+        /// Penalty in the solver's cost for each step inside the safe distance, {range}. A step alone collides and is
+        /// refused: it needs a slope or a square beside it.
+        obstacle_step_penalty: f64 = 1e3, in ranges::WEIGHT, "slope and square together at least a millionth of the step at a depth of 1 mm";
+        /// Penalty in the solver's cost per m of depth inside the safe distance, {range}.
+        obstacle_slope_penalty: f64 = 1e4, in ranges::WEIGHT, "slope and square together at least a millionth of the step at a depth of 1 mm";
+        /// Penalty in the solver's cost per m² of squared depth inside the safe distance, {range}.
+        obstacle_square_penalty: f64 = 0.0, in ranges::WEIGHT;
+        /// Seed of the swarm, a whole number. The same seed gives the same bits.
+        seed: u64 = 1;
     }
 }
 
@@ -189,92 +160,28 @@ impl NmpcSettings {
     /// # Errors
     /// [`SettingsError`] for the first that is outside, NaN included.
     pub fn validate(&self) -> Result<(), SettingsError> {
-        let checks = [
-            (
-                "horizon_steps",
-                f64::from(self.horizon_steps),
-                ranges::HORIZON_STEPS,
-            ),
-            (
-                "control_blocks",
-                f64::from(self.control_blocks),
-                ranges::CONTROL_BLOCKS,
-            ),
-            (
-                "control_blocks",
-                f64::from(self.control_blocks),
-                0.0..=f64::from(self.horizon_steps),
-            ),
-            ("swarm_size", f64::from(self.swarm_size), ranges::SWARM_SIZE),
-            (
-                "swarm_iterations",
-                f64::from(self.swarm_iterations),
-                ranges::ITERATIONS,
-            ),
-            (
-                "regenerate_after",
-                f64::from(self.regenerate_after),
-                ranges::ITERATIONS,
-            ),
-            ("inertia", self.inertia, ranges::INERTIA),
-            ("cognitive", self.cognitive, ranges::COEFFICIENT),
-            ("social", self.social, ranges::COEFFICIENT),
-            (
-                "refinement_steps",
-                f64::from(self.refinement_steps),
-                ranges::REFINEMENT_STEPS,
-            ),
-            ("damping", self.damping, ranges::DAMPING),
-            (
-                "position_weight",
-                self.position_weight,
-                ranges::POSITION_WEIGHT,
-            ),
-            (
-                "orientation_weight",
-                self.orientation_weight,
-                ranges::WEIGHT,
-            ),
-            (
-                "orientation_tolerance_rad",
-                self.orientation_tolerance_rad,
-                ranges::ORIENTATION_TOLERANCE_RAD,
-            ),
-            ("rate_weight", self.rate_weight, ranges::WEIGHT),
-            (
-                "rate_change_weight",
-                self.rate_change_weight,
-                ranges::WEIGHT,
-            ),
-            (
-                "terminal_weight",
-                self.terminal_weight,
-                self.terminal_range(),
-            ),
-            (
-                "safe_distance_m",
-                self.safe_distance_m,
-                ranges::SAFE_DISTANCE_M,
-            ),
-            (
-                "obstacle_step_penalty",
-                self.obstacle_step_penalty,
-                ranges::WEIGHT,
-            ),
-            (
-                "obstacle_slope_penalty",
-                self.obstacle_slope_penalty,
-                self.slope_range(),
-            ),
-            (
-                "obstacle_square_penalty",
-                self.obstacle_square_penalty,
-                ranges::WEIGHT,
-            ),
-        ];
-        checks
-            .into_iter()
-            .try_for_each(|(key, value, range)| check(key, value, range))
+        let each = Self::PARAMETERS.iter().zip(self.numbers());
+        for (parameter, value) in each {
+            if let (Some(range), Some(value)) = (&parameter.range, value) {
+                check(parameter.name, value, range.clone())?;
+            }
+        }
+        let steps = f64::from(self.horizon_steps);
+        check(
+            "control_blocks",
+            f64::from(self.control_blocks),
+            0.0..=steps,
+        )?;
+        check(
+            "terminal_weight",
+            self.terminal_weight,
+            self.terminal_range(),
+        )?;
+        check(
+            "obstacle_slope_penalty",
+            self.obstacle_slope_penalty,
+            self.slope_range(),
+        )
     }
 
     /// With a single step the weight of the last is that of all.

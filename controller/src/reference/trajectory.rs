@@ -1,4 +1,5 @@
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use nalgebra::Vector3;
 
@@ -14,6 +15,14 @@ pub struct Trajectory {
     points: VecDeque<ReferencePoint>,
     capacity: usize,
     reach_m: f64,
+    /// Of no other trajectory with other points.
+    revision: u64,
+}
+
+/// The next revision of any trajectory.
+fn next_revision() -> u64 {
+    static NEXT: AtomicU64 = AtomicU64::new(1);
+    NEXT.fetch_add(1, Ordering::Relaxed)
 }
 
 /// Points are at least this far apart \[ns\].
@@ -53,7 +62,14 @@ impl Trajectory {
             points: VecDeque::with_capacity(capacity),
             capacity,
             reach_m,
+            revision: next_revision(),
         }
+    }
+
+    /// Changes with each change of a sample: two trajectories of one revision have the same samples, but for what was
+    /// forgotten.
+    pub(super) fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// Forgets everything and begins anew.
@@ -67,6 +83,7 @@ impl Trajectory {
         self.check(points.clone(), None, 0)?;
         self.points.clear();
         self.points.extend(points);
+        self.revision = next_revision();
         Ok(())
     }
 
@@ -80,6 +97,7 @@ impl Trajectory {
     ) -> Result<(), TrajectoryError> {
         self.check(points.clone(), self.end_ns(), self.points.len())?;
         self.points.extend(points);
+        self.revision = next_revision();
         Ok(())
     }
 
@@ -111,6 +129,7 @@ impl Trajectory {
     /// Forgets everything.
     pub fn clear(&mut self) {
         self.points.clear();
+        self.revision = next_revision();
     }
 
     /// Forgets points that no sample at `now_ns` or later needs.

@@ -22,6 +22,16 @@ pub struct ReferenceWindow {
     /// The same ahead by the lead; not filled where that is 0.
     led: Box<[ReferenceSample]>,
     has_lead: bool,
+    made_of: MadeOf,
+}
+
+/// What the samples were made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+struct MadeOf {
+    revision: u64,
+    period_ns: u64,
+    lead_ns: u64,
+    release_ns: u64,
 }
 
 impl Default for ReferenceWindow {
@@ -34,6 +44,7 @@ impl Default for ReferenceWindow {
             led: samples.clone(),
             samples,
             has_lead: false,
+            made_of: MadeOf::default(),
         }
     }
 }
@@ -74,6 +85,13 @@ impl ReferenceWindow {
         horizon_steps: usize,
         lead_ns: u64,
     ) {
+        let made_of = MadeOf {
+            revision: trajectory.revision(),
+            period_ns,
+            lead_ns,
+            release_ns,
+        };
+        let known = self.keep(&made_of);
         self.first_cycle = first_cycle;
         let slack = Self::slack(period_ns);
         self.count = horizon_steps.min(HORIZON_STEPS_MAX) + 1 + slack;
@@ -82,14 +100,36 @@ impl ReferenceWindow {
             self.count = 0;
         }
         self.has_lead = lead_ns > 0;
-        for (step, sample) in (0..).zip(&mut self.samples[..self.count]) {
-            *sample = trajectory.sample(release_ns + step * period_ns);
-        }
-        if self.has_lead {
-            for (step, sample) in (0..).zip(&mut self.led[..self.count]) {
-                *sample = trajectory.sample(release_ns + lead_ns + step * period_ns);
+        for step in known..self.count {
+            let time_ns = release_ns + step as u64 * period_ns;
+            self.samples[step] = trajectory.sample(time_ns);
+            if self.has_lead {
+                self.led[step] = trajectory.sample(time_ns + lead_ns);
             }
         }
+    }
+
+    /// Moves those samples to the front that are as they would be made anew: of the same points and the same grid. Returns
+    /// how many.
+    fn keep(&mut self, made_of: &MadeOf) -> usize {
+        let before = core::mem::replace(&mut self.made_of, *made_of);
+        let same_grid = MadeOf {
+            release_ns: before.release_ns,
+            ..*made_of
+        };
+        let passed_ns = made_of.release_ns.checked_sub(before.release_ns);
+        let Some(passed_ns) = passed_ns.filter(|_| before == same_grid) else {
+            return 0;
+        };
+        let passed = (passed_ns / made_of.period_ns.max(1)).min(self.count as u64) as usize;
+        if passed as u64 * made_of.period_ns != passed_ns {
+            return 0;
+        }
+        self.samples.copy_within(passed..self.count, 0);
+        if self.has_lead {
+            self.led.copy_within(passed..self.count, 0);
+        }
+        self.count - passed
     }
 
     /// The cycle of the first sample.
@@ -222,5 +262,54 @@ mod tests {
         let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
         assert_eq!([100_000, 20_000, 10_000].map(slack), [10, 50, 60]);
         assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);
+    }
+
+    /// Whatever happened between two windows: what is kept is what would be made.
+    #[test]
+    fn a_window_that_is_moved_on_is_one_that_is_made_anew() {
+        let points = |from: u64, count: u64, scale: f64| {
+            (from..from + count).map(move |k| ReferencePoint {
+                time_ns: 1_000_000_000 + k * 17_000_000,
+                position_m: Vector3::new(scale * (k as f64).sin(), 0.1, 0.2),
+                orientation: Orientation::Free,
+                interpolation: Interpolation::Cubic,
+            })
+        };
+        for lead_ns in [0, 33_000_000] {
+            let mut trajectory = Trajectory::with_capacity(256, 0.3);
+            let mut moved = ReferenceWindow::default();
+            let mut cycle = 100_u64;
+            for turn in 0..400_u64 {
+                match turn % 50 {
+                    7 => trajectory.replace(points(turn, 20, 0.1)).expect("in order"),
+                    19 => {
+                        let end_ns = trajectory.end_ns().unwrap_or(0);
+                        let next = (end_ns.saturating_sub(1_000_000_000) / 17_000_000) + 1;
+                        trajectory.append(points(next, 9, 0.05)).expect("in order");
+                    }
+                    31 => trajectory.forget_before(cycle * PERIOD_NS),
+                    43 if turn > 200 => trajectory.clear(),
+                    _ => {}
+                }
+                cycle += [1, 1, 1, 2, 0, 1, 130][(turn % 7) as usize * usize::from(turn % 3 == 0)];
+                // Another origin of the grid, now and then.
+                let release_ns = cycle * PERIOD_NS + turn / 90 * 1_000;
+                let steps = if turn % 11 == 0 { 50 } else { 2 };
+                moved.fill(&trajectory, cycle, release_ns, PERIOD_NS, steps, lead_ns);
+                let mut made = ReferenceWindow::default();
+                made.fill(&trajectory, cycle, release_ns, PERIOD_NS, steps, lead_ns);
+                assert_eq!(moved.count, made.count);
+                assert_eq!(
+                    moved.samples[..made.count],
+                    made.samples[..made.count],
+                    "{turn}"
+                );
+                assert_eq!(
+                    moved.ahead(cycle, steps),
+                    made.ahead(cycle, steps),
+                    "{turn}"
+                );
+            }
+        }
     }
 }

@@ -37,24 +37,25 @@ pub mod ranges {
     pub const CABLE_SPEED_MAX_M_S: RangeInclusive<f64> = 1e-4..=100.0;
 }
 
-/// One section as a configuration file gives it. Not yet checked: [`Robot::new`] does that.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(deny_unknown_fields)]
-pub struct SectionParameters {
-    /// Length of the backbone, which bends but does not stretch (m), in [`ranges::LENGTH_M`].
-    pub length_m: f64,
-    /// Distance of the three cables from the backbone (m), in [`ranges::CABLE_RADIUS_M`] and below `length_m`.
-    pub cable_radius_m: f64,
-    /// Angle of the first cable around the backbone, from x towards y (rad), in [`ranges::CABLE_OFFSET_RAD`]. The other
-    /// two follow at 120° and 240°.
-    pub cable_offset_rad: f64,
-    /// Largest bend θ (rad), in [`ranges::BEND_MAX_RAD`].
-    pub bend_max_rad: f64,
-    /// Largest rate of change of the bend vector (rad/s), in [`ranges::RATE_MAX_RAD_S`].
-    pub rate_max_rad_s: f64,
-    /// Radius of the body around the backbone, for clearance (m), in [`ranges::BODY_RADIUS_M`].
-    pub body_radius_m: f64,
+crate::parameters! {
+    /// One section as a configuration file gives it. Not yet checked: [`Robot::new`] does that.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+    #[serde(deny_unknown_fields)]
+    pub struct SectionParameters {
+        /// Length of the backbone, {range}.
+        length_m: f64, in ranges::LENGTH_M, "above cable_radius_m";
+        /// Distance of the three cables from the backbone, {range}, and below the length.
+        cable_radius_m: f64, in ranges::CABLE_RADIUS_M, "below length_m";
+        /// Angle of the first cable about the backbone, {range}; the others follow at 120 and 240 degrees.
+        cable_offset_rad: f64, in ranges::CABLE_OFFSET_RAD;
+        /// Largest bend, {range}.
+        bend_max_rad: f64, in ranges::BEND_MAX_RAD;
+        /// Largest rate of each component of the bend vector, {range}.
+        rate_max_rad_s: f64, in ranges::RATE_MAX_RAD_S;
+        /// Radius of the body, {range}.
+        body_radius_m: f64, in ranges::BODY_RADIUS_M;
+    }
 }
 
 impl SectionParameters {

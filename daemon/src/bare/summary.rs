@@ -114,9 +114,7 @@ fn causes(cycles: &[BareCycle]) -> BTreeMap<&'static str, u64> {
     let mut causes = BTreeMap::new();
     for cycle in cycles {
         if let Blame::Own(cause) = cycle.blame {
-            *causes
-                .entry(convert::late_cause(Some(cause)).text())
-                .or_default() += 1;
+            *causes.entry(convert::late_cause(cause).text()).or_default() += 1;
         }
     }
     causes

@@ -100,7 +100,10 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
             release.skipped,
             u8::from(cycle.lateness.late_start),
             u8::from(cycle.lateness.deadline_miss),
-            convert::late_cause(cycle.blame.cause()).code()
+            cycle
+                .blame
+                .cause()
+                .map_or(0, |cause| convert::late_cause(cause).code())
         )?;
     }
     Ok(())

@@ -1,15 +1,17 @@
 use cdcr_controller::estimator::Actuator;
 use serde::{Deserialize, Serialize};
 
-/// How the robot's motors follow their commands.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct ActuatorConfig {
-    /// From the release of a command until the motors begin to follow it \[ms\].
-    pub delay_ms: f64,
-    /// Time constant of their lag, of first order \[ms\].
-    pub time_constant_ms: f64,
+cdcr_controller::parameters! {
+    /// How the robot's motors follow their commands.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct ActuatorConfig {
+        /// From the release of a command until the motors begin to follow it, {range}.
+        delay_ms: f64 = 0.0, in 0.0..=300.0;
+        /// Time constant of their lag, of first order, {range}.
+        time_constant_ms: f64 = 0.0, in 0.0..=300.0;
+    }
 }
 
 impl ActuatorConfig {

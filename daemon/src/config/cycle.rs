@@ -2,44 +2,33 @@ use serde::{Deserialize, Serialize};
 
 use super::ns;
 
-/// The period and what counts as late.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct CycleConfig {
-    /// Period T \[ms\].
-    pub period_ms: f64,
-    /// Deadline D after the release \[ms\]; 0: the period.
-    pub deadline_ms: f64,
-    /// A start later than this after the release counts as a late start \[ms\].
-    pub late_start_ms: f64,
-    /// Longest time of one solve \[ms\]; 0: all that is left until the deadline, less the margin.
-    pub budget_ms: f64,
-    /// Time that the solver leaves for what follows it \[ms\]; 0: a tenth of the period, at least 0.04 ms.
-    pub budget_margin_ms: f64,
-    /// How long before the release inputs are gathered \[ms\].
-    pub gather_lead_ms: f64,
-    /// Level of the leaky bucket (+1 for each miss and each skipped period, -1 for each good cycle)
-    /// at which the robot is stopped; 0: [`Self::MISS_LIMIT`], at which a simulated robot is not stopped: the daemon
-    /// logs a warning and goes on.
-    pub miss_limit: u32,
-    /// The process ends when the cycle or exchange thread makes no progress for this long \[ms\], or the reporter for
-    /// five times as long.
-    pub watchdog_ms: f64,
-}
-
-impl Default for CycleConfig {
-    fn default() -> Self {
-        Self {
-            period_ms: 5.0,
-            deadline_ms: 0.0,
-            late_start_ms: 1.0,
-            budget_ms: 0.0,
-            budget_margin_ms: 0.0,
-            gather_lead_ms: 0.2,
-            miss_limit: 0,
-            watchdog_ms: 1000.0,
-        }
+cdcr_controller::parameters! {
+    /// The period and what counts as late.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct CycleConfig {
+        /// Period of the loop, {range}, and at least twice gather_lead_ms.
+        period_ms: f64 = 5.0, in 0.1..=100.0, "at least twice cycle.gather_lead_ms";
+        /// Deadline after the release, {range}, and at most the period; 0: the period.
+        deadline_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
+        /// A start later than this after its release counts as a late start, {range}.
+        late_start_ms: f64 = 1.0, in 0.001..=100.0;
+        /// Longest time of one solve, {range}, and at most the period; 0: all that is left until the deadline, less
+        /// the margin. It is cut where the other parts of the period would not fit (docs/realtime.md).
+        budget_ms: f64 = 0.0, in 0.0..=100.0, "at most cycle.period_ms";
+        /// Time that the solver leaves at least for what follows it, {range}, and at most half the period; 0: a tenth of the
+        /// period, at least 0.04 ms. What guard and exchange are measured to take beyond that is left, too.
+        budget_margin_ms: f64 = 0.0, in 0.0..=50.0, "at most half of cycle.period_ms";
+        /// How long before the release the inputs are gathered, {range}, and at most half the period.
+        gather_lead_ms: f64 = 0.2, in 0.02..=50.0, "at most half of cycle.period_ms";
+        /// Leaky bucket: +1 for each deadline miss, each skipped period and each cycle on stale inputs, -1/9 for each good
+        /// cycle, so that more than one bad release in ten fills it. At this level the robot is stopped, {range}; 0: 40, which are 200 ms without control at 5 ms, and a simulated robot is not
+        /// stopped: the daemon logs a warning and goes on.
+        miss_limit: u32 = 0, in 0.0..=1e6;
+        /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this long, or the reporter
+        /// for five times as long; {range}, and at least 10 periods. The robot then holds when its last command runs out (link.command_valid_ms).
+        watchdog_ms: f64 = 1000.0, in 50.0..=60_000.0, "at least ten times cycle.period_ms";
     }
 }
 

@@ -1,18 +1,14 @@
 use serde::{Deserialize, Serialize};
 
-/// How the configuration of the robot is estimated.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct EstimatorConfig {
-    /// Time constant with which the estimate follows what is measured \[ms\]; 0: at once.
-    pub time_constant_ms: f64,
-}
-
-impl Default for EstimatorConfig {
-    fn default() -> Self {
-        Self {
-            time_constant_ms: 100.0,
-        }
+cdcr_controller::parameters! {
+    /// How the configuration of the robot is estimated.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct EstimatorConfig {
+        /// Time constant with which the estimate follows what is measured, {range}; 0: at once. Noise of a measurement in each period T
+        /// counts for T / (T + this). At least four times the lag of the motors that [actuator] does not know, or the loop may oscillate. The
+        /// ideal simulated robot is measured exactly, and believed at once.
+        time_constant_ms: f64 = 100.0, in 0.0..=10_000.0;
     }
 }

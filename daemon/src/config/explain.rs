@@ -1,17 +1,7 @@
+use cdcr_controller::parameters::Parameter;
 use serde_json::Value;
 
-use super::{Config, ConfigError, Origin, Settings, keys, manual, ranges, schema};
-
-/// The unit that ends a key, longest first.
-const UNITS: [(&str, &str); 7] = [
-    ("_rad_s2", "rad/s²"),
-    ("_rad_s", "rad/s"),
-    ("_m_s", "m/s"),
-    ("_rad", "rad"),
-    ("_ms", "ms"),
-    ("_us", "µs"),
-    ("_m", "m"),
-];
+use super::{Config, ConfigError, Origin, Settings, keys, schema};
 
 /// Says all about a key, like `cycle.period_ms`, or about a table and its keys: what it is, its type, range and
 /// default, and the value in force and where that comes from.
@@ -20,7 +10,7 @@ const UNITS: [(&str, &str); 7] = [
 /// [`ConfigError::Unknown`] with the nearest key.
 pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
     let key = keys::without_indices(key);
-    if !keys::all().contains(&key) {
+    if keys::declared(&key).is_none() {
         return Err(ConfigError::Unknown {
             origin: Origin::Default,
             nearest: keys::nearest(&key),
@@ -28,26 +18,27 @@ pub fn explain(key: &str, settings: &Settings) -> Result<String, ConfigError> {
         });
     }
     let below = format!("{key}.");
-    let inside = keys::all().iter().filter(|known| known.starts_with(&below));
-    let mut parts: Vec<String> = vec![about(&key, settings)];
-    parts.extend(inside.map(|key| about(key, settings)));
-    Ok(parts.join("\n"))
+    let all = keys::all().iter();
+    let about = all
+        .filter(|(known, _)| *known == key || known.starts_with(&below))
+        .map(|(key, parameter)| about(key, parameter, settings));
+    Ok(about.collect::<Vec<_>>().join("\n"))
 }
 
 /// What there is to say about one key or the head of a table.
-fn about(key: &str, settings: &Settings) -> String {
+fn about(key: &str, parameter: &Parameter, settings: &Settings) -> String {
     let schema = schema::committed();
     let node = schema::node(&schema, key).unwrap_or(&Value::Null);
     let mut lines = vec![key.to_owned()];
-    let comment = manual::comment(key).unwrap_or_default();
-    lines.extend(comment.lines().map(|line| format!("  {line}")));
+    lines.extend(parameter.text().lines().map(|line| format!("  {line}")));
     lines.extend(choices(node));
     let mut fact = |name: &str, text: String| lines.push(format!("  {name:<9} {text}"));
     if let Some(kind) = kind(node) {
         fact("type", kind);
     }
-    if let Some(range) = ranges::of(key) {
-        fact("range", allowed(range));
+    if let Some(range) = parameter.range_text() {
+        let also = parameter.also.map(|also| format!(", {also}"));
+        fact("range", range + &also.unwrap_or_default());
     }
     if let Some(default) = value(&Config::default(), key) {
         fact("default", default);
@@ -88,17 +79,6 @@ fn kind(node: &Value) -> Option<String> {
         _ => return None,
     };
     Some(words.to_owned())
-}
-
-fn allowed(range: &ranges::Range) -> String {
-    let (low, high) = (ranges::number(range.low), ranges::number(range.high));
-    let unit = UNITS.iter().find(|(end, _)| range.key.ends_with(end));
-    let unit = unit.map(|(_, unit)| format!(" {unit}")).unwrap_or_default();
-    let also = range
-        .also
-        .map(|also| format!(", {also}"))
-        .unwrap_or_default();
-    format!("{low} to {high}{unit}{also}")
 }
 
 /// The value of a key; for a key of a list of tables, that of each table.

@@ -3,10 +3,16 @@
 use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::parameters::Parameter;
+use cdcr_controller::robot::SectionParameters;
 use toml::{Table, Value};
 use toml_edit::{Item, TableLike};
 
-use super::Config;
+use super::{
+    ActuatorConfig, Config, CycleConfig, EstimatorConfig, LinkConfig, MotionConfig,
+    ObstaclesConfig, RealtimeConfig, ReferenceConfig, RobotConfig, SafetyConfig, TransportConfig,
+};
 
 /// How alike two names must be for one to be called a misspelling of the other.
 const ALIKE: f64 = 0.8;
@@ -26,14 +32,43 @@ static SETTABLE: LazyLock<BTreeMap<String, Value>> = LazyLock::new(|| {
     keys.collect()
 });
 
-static ALL: LazyLock<Vec<String>> = LazyLock::new(|| {
-    let mut all: Vec<String> = values(&Config::default()).keys().cloned().collect();
-    for (key, default) in settable() {
-        all.push(key.clone());
-        all.extend(inner(default).map(|name| format!("{key}.{name}")));
+/// Every table and every key with what is declared of it, in the order of the default file.
+static DECLARED: LazyLock<Vec<(String, &'static Parameter)>> = LazyLock::new(|| {
+    let mut declared = Vec::new();
+    for table in Config::PARAMETERS {
+        declared.push((table.name.to_owned(), table));
+        for parameter in below(table.name) {
+            let key = format!("{}.{}", table.name, parameter.name);
+            let inner = below(&key)
+                .iter()
+                .map(|inner| (format!("{key}.{}", inner.name), inner));
+            let inner: Vec<_> = inner.collect();
+            declared.push((key, parameter));
+            declared.extend(inner);
+        }
     }
-    all
+    declared
 });
+
+/// The parameters of a table, or of a list of tables.
+fn below(key: &str) -> &'static [Parameter] {
+    match key {
+        "robot" => RobotConfig::PARAMETERS,
+        "robot.sections" => SectionParameters::PARAMETERS,
+        "link" => LinkConfig::PARAMETERS,
+        "actuator" => ActuatorConfig::PARAMETERS,
+        "estimator" => EstimatorConfig::PARAMETERS,
+        "cycle" => CycleConfig::PARAMETERS,
+        "motion" => MotionConfig::PARAMETERS,
+        "safety" => SafetyConfig::PARAMETERS,
+        "obstacles" => ObstaclesConfig::PARAMETERS,
+        "reference" => ReferenceConfig::PARAMETERS,
+        "controller" => NmpcSettings::PARAMETERS,
+        "realtime" => RealtimeConfig::PARAMETERS,
+        "transport" => TransportConfig::PARAMETERS,
+        _ => &[],
+    }
+}
 
 /// Every key that has a value of its own, like `cycle.period_ms`, with its default.
 pub(super) fn settable() -> &'static BTreeMap<String, Value> {
@@ -41,18 +76,16 @@ pub(super) fn settable() -> &'static BTreeMap<String, Value> {
 }
 
 /// Every table, every key that has a value of its own, and every key inside a list of tables, like
-/// `robot.sections.length_m`.
-pub(super) fn all() -> &'static [String] {
-    &ALL
+/// `robot.sections.length_m`, with what is declared of it.
+pub(super) fn all() -> &'static [(String, &'static Parameter)] {
+    &DECLARED
 }
 
-/// The keys of a list of tables, as its first table has them; none for any other value.
-fn inner(value: &Value) -> impl Iterator<Item = &String> {
-    let first = value.as_array().and_then(|list| list.first());
-    first
-        .and_then(Value::as_table)
-        .into_iter()
-        .flat_map(Table::keys)
+/// What is declared of a key or a table.
+pub(super) fn declared(key: &str) -> Option<&'static Parameter> {
+    let mut all = all().iter();
+    all.find(|(known, _)| known == key)
+        .map(|(_, parameter)| *parameter)
 }
 
 /// The values of a configuration, table by table.
@@ -89,7 +122,9 @@ pub(super) fn nearest(unknown: &str) -> Option<&'static str> {
         return None;
     }
     let unknown = without_indices(&unknown.to_lowercase());
-    let scored = all().iter().map(|known| (likeness(&unknown, known), known));
+    let scored = all()
+        .iter()
+        .map(|(known, _)| (likeness(&unknown, known), known));
     let best = scored.max_by(|a, b| a.0.total_cmp(&b.0).then_with(|| b.1.cmp(a.1)));
     best.filter(|(score, _)| *score >= ALIKE)
         .map(|(_, known)| known.as_str())
@@ -136,7 +171,7 @@ pub(super) fn nearest_variable(unknown: &str) -> Option<String> {
 pub(super) fn first_unknown(root: &dyn TableLike) -> Option<(String, Option<usize>)> {
     let mut unknown = Vec::new();
     for (table, item) in root.iter() {
-        let is_known = all().iter().any(|known| known == table);
+        let is_known = declared(table).is_some();
         match item.as_table_like() {
             _ if !is_known => unknown.push((table.to_owned(), offset(root, table))),
             Some(keys) => collect_unknown(keys, table, &mut unknown),
@@ -151,16 +186,16 @@ pub(super) fn first_unknown(root: &dyn TableLike) -> Option<(String, Option<usiz
 fn collect_unknown(keys: &dyn TableLike, table: &str, unknown: &mut Vec<(String, Option<usize>)>) {
     for (name, item) in keys.iter() {
         let key = format!("{table}.{name}");
-        let Some(default) = settable().get(&key) else {
+        if declared(&key).is_none() {
             unknown.push((key, offset(keys, name)));
             continue;
-        };
-        if inner(default).next().is_none() {
+        }
+        if below(&key).is_empty() {
             continue;
         }
         for (index, element) in elements(item).enumerate() {
             for (name, _) in element.iter() {
-                if inner(default).all(|known| known != name) {
+                if declared(&format!("{key}.{name}")).is_none() {
                     let key = format!("{key}[{index}].{name}");
                     unknown.push((key, offset(element, name)));
                 }

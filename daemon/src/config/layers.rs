@@ -208,7 +208,7 @@ fn unknown(key: &str, origin: Origin) -> ConfigError {
 /// Why a key cannot be set by itself.
 fn not_settable(key: &str, origin: Origin) -> ConfigError {
     let plain = keys::without_indices(key);
-    if !keys::all().contains(&plain) {
+    if keys::declared(&plain).is_none() {
         return unknown(key, origin);
     }
     let message = match plain.rsplit_once('.') {

@@ -28,39 +28,30 @@ pub enum Interface {
     Position,
 }
 
-/// Where measurements come from and commands go to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct LinkConfig {
-    /// Which robot.
-    pub kind: LinkKind,
-    /// Which simulated robot, where it is one.
-    pub simulated: Preset,
-    /// Of its noise.
-    pub simulated_seed: u32,
-    /// What of a command the robot obeys. Its driver says so, too, and is refused where it says otherwise.
-    pub interface: Interface,
-    /// Bend vectors at the start \[rad\], one pair for each section; empty: straight.
-    pub initial_bend_rad: Vec<[f64; 2]>,
-    /// A driver's measurement older than this is lost \[ms\].
-    pub measurement_timeout_ms: f64,
-    /// How long after its release a robot follows a command when no newer one comes \[ms\]; then it holds. 0: three
-    /// periods.
-    pub command_valid_ms: f64,
-}
-
-impl Default for LinkConfig {
-    fn default() -> Self {
-        Self {
-            kind: LinkKind::Simulated,
-            simulated: Preset::Ideal,
-            simulated_seed: 1,
-            interface: Interface::Velocity,
-            initial_bend_rad: Vec::new(),
-            measurement_timeout_ms: 50.0,
-            command_valid_ms: 0.0,
-        }
+cdcr_controller::parameters! {
+    /// Where measurements come from and commands go to.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct LinkConfig {
+        /// "simulated": a robot inside the daemon. "driver": a process that publishes measurements and follows commands.
+        kind: LinkKind = LinkKind::Simulated;
+        /// Which simulated robot. "ideal": exactly its model. "laboratory": built well, motors with a lag of 20 ms, encoders and motors 0.1 mm
+        /// beside, 30 µm of noise. "sloppy": worn, with play, delay, a load, and a geometry that is not its model's. "slow": motors with a lag of 100 ms
+        /// after 30 ms. "blind": as laboratory, but only its tip is measured, with 0.3 mm of noise.
+        simulated: Preset = Preset::Ideal;
+        /// Seed of its noise, {range}.
+        simulated_seed: u32 = 1, in 0.0..=4_294_967_295.0;
+        /// What of a command the robot obeys: "velocity", the speeds, or "position", the positions. A driver says which it obeys,
+        /// and is refused where that is not what stands here. The simulated robot can do both.
+        interface: Interface = Interface::Velocity;
+        /// Bend vectors (u, v) at the start in rad, one pair for each section; empty: straight.
+        initial_bend_rad: Vec<[f64; 2]> = Vec::new();
+        /// A driver's measurement older than this is lost, and the robot faults, {range}.
+        measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
+        /// How long after its release a robot follows a command without a newer one before it holds, {range}; 0: three
+        /// periods.
+        command_valid_ms: f64 = 0.0, in 0.0..=10_000.0;
     }
 }
 

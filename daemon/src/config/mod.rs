@@ -4,24 +4,20 @@
 //! the file, over the file the environment, over that the options ([`Layers`]). A mistake is reported with its
 //! place, its key and what is allowed; nothing is silently corrected.
 //!
-//! | what | is written in |
-//! |---|---|
-//! | keys, types, defaults | the structs of the tables, here |
-//! | constant ranges | `ranges`; the robot's and the controller's with the controller |
-//! | rules between keys | `rules` |
-//! | words for people | the comments of `configs/default.toml` |
-//!
-//! Schema, explanations and error messages are made of these, and tests compare them with each other.
+//! A key is declared once, in the struct of its table (`cdcr_controller::parameters!`): name, type, default, range and
+//! words. The default file, the schema, explanations and error messages are made of that, and tests compare the files that
+//! are committed. Rules between keys are in `rules`.
 
 mod actuator;
 mod cycle;
+#[cfg(test)]
+mod default_file;
 mod error;
 mod estimator;
 mod explain;
 mod keys;
 mod layers;
 mod link;
-mod manual;
 mod motion;
 mod obstacles;
 mod origin;
@@ -63,35 +59,38 @@ pub use transport::TransportConfig;
 /// The default configuration as a commented file: what `cdcrd config default` prints.
 pub const DEFAULT_TEXT: &str = include_str!("../../../configs/default.toml");
 
-/// Everything a user can set.
-#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct Config {
-    /// What the robot is.
-    pub robot: RobotConfig,
-    /// Where measurements come from and commands go to.
-    pub link: LinkConfig,
-    /// How the robot's motors follow their commands.
-    pub actuator: ActuatorConfig,
-    /// How the configuration of the robot is estimated.
-    pub estimator: EstimatorConfig,
-    /// The period and what counts as late.
-    pub cycle: CycleConfig,
-    /// Motions that the daemon makes by itself.
-    pub motion: MotionConfig,
-    /// What counts as a fault of the robot, its sensors or its surroundings.
-    pub safety: SafetyConfig,
-    /// Those who send obstacles.
-    pub obstacles: ObstaclesConfig,
-    /// The reference and its lease.
-    pub reference: ReferenceConfig,
-    /// The optimal control problem and its solver.
-    pub controller: NmpcSettings,
-    /// Threads, priorities, memory.
-    pub realtime: RealtimeConfig,
-    /// Where in shared memory daemon and clients meet.
-    pub transport: TransportConfig,
+cdcr_controller::parameters! {
+    /// Everything a user can set.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct Config {
+        /// What the robot is.
+        robot: RobotConfig = RobotConfig::default();
+        /// Where measurements come from and commands go to.
+        link: LinkConfig = LinkConfig::default();
+        /// How the robot's motors follow their commands. What is known here is not an error of the robot: measurements are moved on along
+        /// what the motors did, and they are commanded ahead of the reference by delay and time constant together.
+        actuator: ActuatorConfig = ActuatorConfig::default();
+        /// How the configuration of the robot is estimated.
+        estimator: EstimatorConfig = EstimatorConfig::default();
+        /// The period and what counts as late.
+        cycle: CycleConfig = CycleConfig::default();
+        /// Motions that the daemon makes by itself.
+        motion: MotionConfig = MotionConfig::default();
+        /// What counts as a fault of the robot, its sensors or its surroundings.
+        safety: SafetyConfig = SafetyConfig::default();
+        /// Those who send obstacles.
+        obstacles: ObstaclesConfig = ObstaclesConfig::default();
+        /// The reference and its lease.
+        reference: ReferenceConfig = ReferenceConfig::default();
+        /// The optimal control problem and its solver.
+        controller: NmpcSettings = NmpcSettings::default();
+        /// Threads, priorities, memory.
+        realtime: RealtimeConfig = RealtimeConfig::default();
+        /// Where in shared memory daemon and clients meet.
+        transport: TransportConfig = TransportConfig::default();
+    }
 }
 
 /// A configuration whose every part was checked, as domain values.

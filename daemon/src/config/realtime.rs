@@ -31,24 +31,30 @@ impl RealtimeMode {
     }
 }
 
-/// Threads, priorities, memory.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct RealtimeConfig {
-    /// How much real time is asked for.
-    pub mode: RealtimeMode,
-    /// Core of the real-time threads; -1: the best one that the process may use, see
-    /// [`with_core`](crate::doctor::with_core).
-    pub core: i64,
-    /// `SCHED_FIFO` priority of the cycle thread.
-    pub cycle_priority: i32,
-    /// `SCHED_FIFO` priority of the exchange thread, below that of the cycle.
-    pub exchange_priority: i32,
-    /// The cycle thread wakes up this long before each release and spins \[µs\]; 0: it sleeps to the release.
-    pub spin_us: f64,
-    /// Keep the processor out of deep sleep, by `/dev/cpu_dma_latency`, as far as the system grants it.
-    pub no_deep_sleep: bool,
+cdcr_controller::parameters! {
+    /// Threads, priorities, memory.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct RealtimeConfig {
+        /// "require": refuse to start without SCHED_FIFO, a core and locked memory. "prefer": take what the system
+        /// grants and say what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with
+        /// "simulated".
+        mode: RealtimeMode = RealtimeMode::default();
+        /// Core of the real-time threads, {range}; -1: one that no other loop has, isolated rather than not, fast rather than an
+        /// efficiency core, without a busy hyper-thread beside it, and of those the last one.
+        core: i32 = -1, in -1.0..=1023.0;
+        /// SCHED_FIFO priority of the cycle thread, {range}, above that of the exchange.
+        cycle_priority: i32 = 80, in 2.0..=99.0, "above realtime.exchange_priority";
+        /// SCHED_FIFO priority of the exchange thread, {range}, below that of the cycle.
+        exchange_priority: i32 = 70, in 1.0..=98.0, "below realtime.cycle_priority";
+        /// Wake up this long before each release and spin to it, {range}, and at most half the period. It buys a
+        /// punctual start for the same share of the core.
+        spin_us: f64 = 0.0, in 0.0..=1000.0, "at most half of cycle.period_ms";
+        /// Keep the processor out of deep sleep (by /dev/cpu_dma_latency, where the system grants it): it wakes up
+        /// faster, and the machine draws more power.
+        no_deep_sleep: bool = true;
+    }
 }
 
 impl RealtimeConfig {
@@ -71,18 +77,5 @@ impl RealtimeConfig {
             return ThreadPlan::default();
         }
         ThreadPlan::beside(self.core())
-    }
-}
-
-impl Default for RealtimeConfig {
-    fn default() -> Self {
-        Self {
-            mode: RealtimeMode::default(),
-            core: -1,
-            cycle_priority: 80,
-            exchange_priority: 70,
-            spin_us: 0.0,
-            no_deep_sleep: true,
-        }
     }
 }

@@ -1,37 +1,24 @@
-use cdcr_controller::robot::{Robot, RobotError, RobotParameters, SectionParameters};
+use cdcr_controller::robot::{self, Robot, RobotError, RobotParameters, SectionParameters};
 use cdcr_shared_types::Service;
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
-/// What the robot is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct RobotConfig {
-    /// Name of the robot in the service names.
-    pub name: String,
-    /// Largest speed of a cable \[m/s\].
-    pub cable_speed_max_m_s: f64,
-    /// How far a cable can be pulled or paid out from its length at the straight robot \[m\].
-    pub cable_stroke_max_m: f64,
-    /// The sections, base first.
-    pub sections: Vec<SectionParameters>,
-}
-
-impl Default for RobotConfig {
-    fn default() -> Self {
-        let RobotParameters {
-            sections,
-            cable_speed_max_m_s,
-            cable_stroke_max_m,
-        } = RobotParameters::paper(3);
-        Self {
-            name: "cdcr".to_owned(),
-            cable_speed_max_m_s,
-            cable_stroke_max_m,
-            sections,
-        }
+cdcr_controller::parameters! {
+    /// What the robot is.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct RobotConfig {
+        /// Name of the robot in the service names: 1 to 40 letters, digits, '-' and '_'.
+        name: String = "cdcr".to_owned();
+        /// Largest speed of a cable, {range}. All rates are scaled down together to keep it.
+        cable_speed_max_m_s: f64 = RobotParameters::paper(0).cable_speed_max_m_s, in robot::ranges::CABLE_SPEED_MAX_M_S;
+        /// How far a cable can be pulled or paid out from its length at the straight robot, {range}. All
+        /// rates are scaled down together to keep it.
+        cable_stroke_max_m: f64 = RobotParameters::paper(0).cable_stroke_max_m, in robot::ranges::CABLE_STROKE_MAX_M;
+        /// The bending sections, base first: 1 to 6 tables, each with every key.
+        sections: Vec<SectionParameters> = RobotParameters::paper(3).sections;
     }
 }
 

@@ -26,12 +26,13 @@ pub(super) fn node<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
 mod tests {
     use std::path::Path;
 
+    use cdcr_controller::parameters::Parameter;
     use cdcr_controller::robot::ranges::SECTION_COUNT;
     use schemars::generate::SchemaSettings;
     use serde_json::{Map, json};
 
     use super::*;
-    use crate::config::{Config, keys, manual, ranges};
+    use crate::config::{Config, keys};
 
     /// The schema as it has to be.
     fn made() -> Value {
@@ -40,9 +41,9 @@ mod tests {
         let generator = settings.into_generator();
         let mut schema = generator.into_root_schema_for::<Config>().to_value();
         schema["title"] = json!("Configuration of cdcrd");
-        for key in keys::all() {
+        for (key, parameter) in keys::all() {
             if let Some(node) = node_mut(&mut schema, key) {
-                complete(node, key);
+                complete(node, key, parameter);
             }
         }
         schema
@@ -59,12 +60,11 @@ mod tests {
         node.as_object_mut()
     }
 
-    /// Adds what only the comments and the table of ranges know.
-    fn complete(node: &mut Map<String, Value>, key: &str) {
-        if let Some(comment) = manual::comment(key) {
-            node.insert("description".to_owned(), json!(comment.replace('\n', " ")));
-        }
-        if let Some(range) = ranges::of(key) {
+    /// Adds words and range.
+    fn complete(node: &mut Map<String, Value>, key: &str, parameter: &Parameter) {
+        let words = parameter.text().replace('\n', " ");
+        node.insert("description".to_owned(), json!(words));
+        if let Some(range) = &parameter.range {
             let is_whole = node.get("type").is_some_and(|kind| kind == "integer");
             let limit = |limit: f64| {
                 if is_whole {
@@ -73,8 +73,8 @@ mod tests {
                     json!(limit)
                 }
             };
-            node.insert("minimum".to_owned(), limit(range.low));
-            node.insert("maximum".to_owned(), limit(range.high));
+            node.insert("minimum".to_owned(), limit(*range.start()));
+            node.insert("maximum".to_owned(), limit(*range.end()));
         }
         if key == "robot.sections" {
             node.insert("minItems".to_owned(), json!(SECTION_COUNT.start()));
@@ -127,7 +127,7 @@ mod tests {
         assert_eq!(schema["additionalProperties"], false);
         let mut found = Vec::new();
         leaves(&schema, "", &mut found);
-        let mut known = keys::all().to_vec();
+        let mut known: Vec<_> = keys::all().iter().map(|(key, _)| key.clone()).collect();
         found.sort();
         known.sort();
         assert_eq!(found, known);
@@ -140,15 +140,10 @@ mod tests {
     #[test]
     fn every_key_is_described_as_in_the_default_file_and_has_its_default() {
         let schema = committed();
-        for key in keys::all() {
+        for (key, parameter) in keys::all() {
             let node = node(&schema, key).unwrap();
             let description = node["description"].as_str().unwrap();
-            assert_eq!(
-                Some(description),
-                manual::comment(key)
-                    .map(|c| c.replace('\n', " "))
-                    .as_deref()
-            );
+            assert_eq!(description, parameter.text().replace('\n', " "));
             if let Some(default) = keys::settable().get(key) {
                 let default = serde_json::to_value(default).unwrap();
                 assert_eq!(node["default"], default, "{key}");
@@ -159,15 +154,19 @@ mod tests {
     #[test]
     fn numbers_have_limits_of_their_type() {
         let schema = committed();
-        for range in &ranges::RANGES {
-            let node = node(&schema, range.key).unwrap();
-            assert_eq!(node["minimum"].as_f64(), Some(range.low), "{}", range.key);
-            assert_eq!(node["maximum"].as_f64(), Some(range.high), "{}", range.key);
+        for (key, parameter) in keys::all() {
+            let Some(range) = &parameter.range else {
+                continue;
+            };
+            let node = node(&schema, key).unwrap();
+            assert_eq!(node["minimum"].as_f64(), Some(*range.start()), "{key}");
+            assert_eq!(node["maximum"].as_f64(), Some(*range.end()), "{key}");
             let is_whole = node["type"] == "integer";
-            assert_eq!(node["maximum"].is_i64(), is_whole, "{}: {node}", range.key);
+            assert_eq!(node["maximum"].is_i64(), is_whole, "{key}: {node}");
         }
         for (key, default) in keys::settable() {
-            let is_limited = ranges::of(key).is_some() || key == "controller.seed";
+            let has_range = keys::declared(key).unwrap().range.is_some();
+            let is_limited = has_range || key == "controller.seed";
             let is_number = default.is_float() || default.is_integer();
             assert_eq!(is_limited, is_number, "{key}");
         }

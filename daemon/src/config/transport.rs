@@ -5,31 +5,24 @@ use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins};
 
-/// Where in shared memory daemon and clients meet.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(test, derive(schemars::JsonSchema))]
-#[serde(default, deny_unknown_fields)]
-pub struct TransportConfig {
-    /// Prefix of the shared-memory files.
-    pub prefix: String,
-    /// Root folder, in memory; empty: `/dev/shm/cdcr-<user id>`.
-    pub root: String,
-    /// Group that may take part, by its name in `/etc/group` or its number; empty: none.
-    pub group: String,
+cdcr_controller::parameters! {
+    /// Where in shared memory daemon and clients meet.
+    #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+    #[cfg_attr(test, derive(schemars::JsonSchema))]
+    #[serde(default, deny_unknown_fields)]
+    pub struct TransportConfig {
+        /// Prefix of the shared-memory files: 1 to 40 letters, digits, '-' and '_'.
+        prefix: String = DEFAULT_PREFIX.to_owned();
+        /// Root folder in memory (tmpfs), absolute, at most 100 characters; "": /dev/shm/cdcr-<user id>.
+        root: String = String::new();
+        /// Group whose members may take part as well: its name in /etc/group, or its number; "": none. The root folder must lie in one
+        /// that belongs to root, like /run, so that nobody else can put a folder in its place.
+        group: String = String::new();
+    }
 }
 
 /// Where the system keeps its groups.
 const GROUPS: &str = "/etc/group";
-
-impl Default for TransportConfig {
-    fn default() -> Self {
-        Self {
-            prefix: DEFAULT_PREFIX.to_owned(),
-            root: String::new(),
-            group: String::new(),
-        }
-    }
-}
 
 impl TransportConfig {
     /// Number of the group that may take part.

@@ -2,18 +2,17 @@
 //!
 //! The only module that knows both a wire type and its domain twin.
 
+mod enumerations;
 mod incoming;
 mod outgoing;
 mod settings;
 
+pub use enumerations::{interface, late_cause, link, mode, reason, refusal};
 pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
-pub use outgoing::{
-    command, interface, late_cause, mode, position_error_m, reason, refusal, robot, scheduling,
-    telemetry, text,
-};
+pub use outgoing::{command, position_error_m, robot, scheduling, telemetry, text};
 pub use settings::{settings_from_wire, settings_to_wire};
 
 #[cfg(test)]

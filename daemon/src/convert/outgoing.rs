@@ -1,68 +1,20 @@
 //! Domain → wire: what the daemon says of itself, of a cycle and to the robot.
 
 use cdcr_controller::estimator::Measurement;
-use cdcr_controller::nmpc::{Constraint, SolveReport, SolveStatus};
-use cdcr_controller::optimizer::Candidate;
+use cdcr_controller::nmpc::{SolveReport, SolveStatus};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{Robot, Shape, quaternion_xyzw};
-use cdcr_controller::safety::{LeaseState, Mode, Reason, Refusal};
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes::{self, Outcome};
+use cdcr_shared_types::codes;
 
+use super::enumerations::{
+    self, interface, late_cause, lease_state, measurement_state, mode, reason, reference_state,
+    solver_status, winner,
+};
 use super::settings::settings_to_wire;
-use crate::config::Interface;
-use crate::handover::{CycleRecord, MeasurementUse, TimedMeasurement};
+use crate::handover::{CycleRecord, TimedMeasurement};
 use crate::obstacles::KnownObstacle;
 use crate::rt::attribution::{LateCause, Scheduling};
-
-/// A refusal of the mode machine.
-pub fn refusal(refusal: Refusal) -> Outcome {
-    match refusal {
-        Refusal::WrongMode => Outcome::WrongMode,
-        Refusal::NoLease => Outcome::NoLease,
-        Refusal::NoReference => Outcome::NoReference,
-        Refusal::CauseStands => Outcome::CauseStands,
-        Refusal::Waits => Outcome::Waits,
-        Refusal::Overruled => Outcome::Overruled,
-        Refusal::Ending => Outcome::Ending,
-    }
-}
-
-/// The mode.
-pub fn mode(mode: Mode) -> codes::Mode {
-    match mode {
-        Mode::Starting => codes::Mode::Starting,
-        Mode::Holding { .. } => codes::Mode::Holding,
-        Mode::Tracking { .. } => codes::Mode::Tracking,
-        Mode::Homing => codes::Mode::Homing,
-        Mode::Stopped { .. } => codes::Mode::Stopped,
-        Mode::Faulted { .. } => codes::Mode::Faulted,
-    }
-}
-
-/// Why a mode.
-pub fn reason(reason: Reason) -> codes::Reason {
-    match reason {
-        Reason::Start => codes::Reason::Start,
-        Reason::Request => codes::Reason::Request,
-        Reason::ReferenceEnded => codes::Reason::ReferenceEnded,
-        Reason::LeaseExpired => codes::Reason::LeaseExpired,
-        Reason::HomeReached => codes::Reason::HomeReached,
-        Reason::DeadlineMisses => codes::Reason::DeadlineMisses,
-        Reason::MeasurementLost => codes::Reason::MeasurementLost,
-        Reason::NonFinite => codes::Reason::NonFinite,
-        Reason::LimitBroken => codes::Reason::LimitBroken,
-        Reason::Shutdown => codes::Reason::Shutdown,
-        Reason::LeaseReleased => codes::Reason::LeaseReleased,
-        Reason::ClearanceBroken => codes::Reason::ClearanceBroken,
-        Reason::MeasurementJump => codes::Reason::MeasurementJump,
-        Reason::MeasurementFrozen => codes::Reason::MeasurementFrozen,
-        Reason::FollowingError => codes::Reason::FollowingError,
-        Reason::InputsStale => codes::Reason::InputsStale,
-        Reason::Suspended => codes::Reason::Suspended,
-        Reason::ObstacleSourceSilent => codes::Reason::ObstacleSourceSilent,
-    }
-}
 
 /// The robot on the wire.
 pub fn robot(robot: &Robot) -> wire::RobotDescription {
@@ -84,14 +36,6 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
         };
     }
     description
-}
-
-/// What of a command the driver obeys.
-pub fn interface(interface: Interface) -> codes::Interface {
-    match interface {
-        Interface::Velocity => codes::Interface::Velocity,
-        Interface::Position => codes::Interface::Position,
-    }
 }
 
 /// The command of a cycle.
@@ -140,12 +84,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         settings: settings_to_wire(&record.settings),
         robot: self::robot(robot),
         window_first_cycle: record.window_first_cycle,
-        lease_state: match record.lease {
-            LeaseState::Free => codes::LeaseState::Free,
-            LeaseState::Held => codes::LeaseState::Held,
-            LeaseState::Expired => codes::LeaseState::Expired,
-        }
-        .code(),
+        lease_state: lease_state(record.lease).code(),
         deceleration_rad_s2: record.policy.deceleration_rad_s2,
         home_rate_rad_s: record.policy.home_rate_rad_s,
         deadline_ns: record.policy.deadline_ns,
@@ -261,18 +200,6 @@ fn copy(from: &[f64], to: &mut [f64]) {
     to[..from.len()].copy_from_slice(from);
 }
 
-/// Why a cycle was late; `None`: it was not.
-pub fn late_cause(cause: Option<LateCause>) -> codes::LateCause {
-    match cause {
-        None => codes::LateCause::None,
-        Some(LateCause::Platform) => codes::LateCause::Platform,
-        Some(LateCause::Load) => codes::LateCause::Load,
-        Some(LateCause::PageFault) => codes::LateCause::PageFault,
-        Some(LateCause::Stall) => codes::LateCause::Stall,
-        Some(LateCause::Compute) => codes::LateCause::Compute,
-    }
-}
-
 /// What the system did to the cycle thread; `None`: it does not tell. `cause` is that of a late cycle.
 pub fn scheduling(
     scheduling: Option<&Scheduling>,
@@ -291,17 +218,8 @@ pub fn scheduling(
         longest_gap_ns,
         page_faults,
         switches,
-        late_cause: late_cause(cause).code(),
+        late_cause: cause.map_or(0, |cause| late_cause(cause).code()),
         known: u32::from(scheduling.is_some()),
-    }
-}
-
-fn measurement_state(state: MeasurementUse) -> codes::MeasurementState {
-    match state {
-        MeasurementUse::None => codes::MeasurementState::None,
-        MeasurementUse::Used => codes::MeasurementState::Used,
-        MeasurementUse::Repeated => codes::MeasurementState::Repeated,
-        MeasurementUse::Implausible => codes::MeasurementState::Implausible,
     }
 }
 
@@ -335,10 +253,9 @@ fn sum_of_set(bits: &[(bool, u32)]) -> u32 {
 
 fn report(report: &SolveReport) -> wire::SolverReport {
     let (violated, violation) = match report.status {
-        SolveStatus::ConstraintViolated { constraint, amount } => match constraint {
-            Constraint::Clearance => (codes::Constraint::Clearance, amount),
-            Constraint::Limit => (codes::Constraint::Limit, amount),
-        },
+        SolveStatus::ConstraintViolated { constraint, amount } => {
+            (enumerations::constraint(constraint), amount)
+        }
         _ => (codes::Constraint::None, 0.0),
     };
     wire::SolverReport {
@@ -353,24 +270,8 @@ fn report(report: &SolveReport) -> wire::SolverReport {
         quanta: report.quanta,
         iterations: report.iterations,
         refinements: report.refinements,
-        status: match report.status {
-            SolveStatus::Idle => codes::SolverStatus::Idle,
-            SolveStatus::Converged => codes::SolverStatus::Converged,
-            SolveStatus::BudgetSpent => codes::SolverStatus::BudgetSpent,
-            SolveStatus::IterationsSpent => codes::SolverStatus::IterationsSpent,
-            SolveStatus::ConstraintViolated { .. } => codes::SolverStatus::ConstraintViolated,
-            SolveStatus::NonFinite => codes::SolverStatus::NonFinite,
-        }
-        .code(),
-        winner: match report.winner {
-            Candidate::WarmStart => codes::Winner::WarmStart,
-            Candidate::Previous => codes::Winner::Previous,
-            Candidate::Zero => codes::Winner::Zero,
-            Candidate::LeastSquares => codes::Winner::LeastSquares,
-            Candidate::Eigenvector => codes::Winner::Eigenvector,
-            Candidate::Swarm => codes::Winner::Swarm,
-        }
-        .code(),
+        status: solver_status(report.status).code(),
+        winner: winner(report.winner).code(),
     }
 }
 
@@ -384,13 +285,7 @@ fn reference(sample: &ReferenceSample) -> wire::ReferenceSample {
         position_m: sample.position_m.into(),
         orientation,
         orientation_kind: kind.code(),
-        state: match sample.state {
-            ReferenceState::None => codes::ReferenceState::None,
-            ReferenceState::Before => codes::ReferenceState::Before,
-            ReferenceState::Inside => codes::ReferenceState::Inside,
-            ReferenceState::Ended => codes::ReferenceState::Ended,
-        }
-        .code(),
+        state: reference_state(sample.state).code(),
     }
 }
 

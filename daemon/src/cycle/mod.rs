@@ -37,9 +37,9 @@ use state::RobotState;
 
 /// The controller of one robot, cycle by cycle.
 #[derive(Debug)]
-pub struct Cycle<L> {
+pub struct Cycle {
     robot: Robot,
-    link: L,
+    link: RobotLink,
     state: RobotState,
     modes: ModeMachine,
     nmpc: Nmpc,
@@ -79,14 +79,14 @@ pub struct Cycle<L> {
     reference: [ReferenceSample; HORIZON_STEPS_MAX],
 }
 
-impl<L: RobotLink> Cycle<L> {
+impl Cycle {
     /// A controller at rest. All memory that it will ever use is taken here.
     ///
     /// # Errors
     /// When the solver's settings are out of range, which a validated configuration excludes.
     pub fn new(
         validated: &Validated,
-        link: L,
+        link: RobotLink,
     ) -> Result<Self, cdcr_controller::nmpc::SettingsError> {
         let Validated {
             config,

@@ -16,7 +16,7 @@ use nalgebra::Vector3;
 use super::*;
 use crate::config::Config;
 use crate::handover::MeasurementUse;
-use crate::link::DriverLink;
+use crate::link::RobotLink;
 use trial::{PERIOD_S, Trial, Watch};
 
 fn is_at_rest(record: &CycleRecord) -> bool {
@@ -417,7 +417,7 @@ fn the_solver_leaves_what_the_rest_of_the_period_was_measured_to_take() {
 fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
     let check = |text: &str| {
         let validated = Config::parse(text, Path::new("trial")).unwrap();
-        let cycle = Cycle::new(&validated, DriverLink).unwrap();
+        let cycle = Cycle::new(&validated, RobotLink::Driver).unwrap();
         // Each look takes 100 ns, and so does a cycle.
         cycle
             .with_kernel_share(0.9)

@@ -8,7 +8,6 @@ use nalgebra::Vector3;
 
 use super::Cycle;
 use crate::core_budget::Costs;
-use crate::link::RobotLink;
 use crate::rt::clock::Clock;
 
 /// Longest time that the solver is warmed up \[ns\].
@@ -16,7 +15,7 @@ const WARM_UP_MAX_NS: u64 = 300_000_000;
 /// Solves before the first release.
 const TRIALS: u64 = 20;
 
-impl<L: RobotLink> Cycle<L> {
+impl Cycle {
     /// Refuses settings that leave no time for a cycle that searches nothing, as measured.
     ///
     /// # Errors

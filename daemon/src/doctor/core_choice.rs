@@ -28,7 +28,7 @@ pub fn with_core(validated: &Validated) -> Validated {
         let ours = daemon_process(&system, &lock_file);
         let core = choose(&system, ours, can_be_pinned);
         validated.config.realtime.core =
-            core.and_then(|core| i64::try_from(core).ok()).unwrap_or(-1);
+            core.and_then(|core| i32::try_from(core).ok()).unwrap_or(-1);
     }
     validated
 }

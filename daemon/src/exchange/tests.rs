@@ -20,7 +20,7 @@ use super::*;
 use crate::config::Config;
 use crate::cycle::Cycle;
 use crate::handover::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels};
-use crate::link::DriverLink;
+use crate::link::RobotLink;
 use crate::rt::schedule::Release;
 use crate::services;
 
@@ -53,7 +53,7 @@ impl Clock for Still {
 /// An exchange, a cycle, and one end of everything that clients and drivers have.
 struct Rig {
     exchange: Exchange,
-    cycle: Cycle<DriverLink>,
+    cycle: Cycle,
     ends: CycleEnds,
     reports: ReporterEnds,
     shared: Shared,
@@ -104,7 +104,7 @@ impl Rig {
             commands: commands.subscriber_builder().create().unwrap(),
             control: control.client_builder().create().unwrap(),
             exchange: Exchange::new(&validated, ports, exchange_ends, 7),
-            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
             ends,
             reports,
             shared: Shared::default(),

@@ -16,7 +16,7 @@ use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::update_connections::UpdateConnections;
 use iceoryx2::prelude::Node;
 
-use crate::config::{LinkKind, Validated, ns};
+use crate::config::{Validated, ns};
 use crate::convert;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::{Settings, Shared, Summary, SupervisorEnds};
@@ -392,11 +392,7 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         build: convert::text(env!("CARGO_PKG_VERSION")),
         process_id: std::process::id(),
         mode: Mode::Starting.code(),
-        link: match config.link.kind {
-            LinkKind::Simulated => wire::codes::RobotLink::Simulated,
-            LinkKind::Driver => wire::codes::RobotLink::Driver,
-        }
-        .code(),
+        link: convert::link(config.link.kind).code(),
         interface: convert::interface(config.link.interface).code(),
         position_error_m: f64::NAN,
         period_ns,

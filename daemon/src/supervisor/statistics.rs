@@ -2,7 +2,6 @@ use std::time::Duration;
 
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::LateCause;
-use cdcr_shared_types::message::accumulate;
 use hdrhistogram::Histogram;
 
 use crate::accounting::Totals;
@@ -140,7 +139,7 @@ impl Window {
     fn record(&mut self, summary: &Summary) {
         let counts = &mut self.counts;
         let missed = summary.lateness.deadline_miss;
-        accumulate(counts, &summary.counts);
+        counts.accumulate(&summary.counts);
         let cause = summary.late_cause;
         if cause != LateCause::None.code()
             && let Some(count) = counts.causes.get_mut(cause as usize)
@@ -179,7 +178,7 @@ impl Window {
     /// Adds what another window of the same digits counted.
     fn add(&mut self, other: &Self) {
         let (counts, more) = (&mut self.counts, &other.counts);
-        accumulate(counts, more);
+        counts.accumulate(more);
         for (count, more) in counts.causes.iter_mut().zip(more.causes) {
             *count += more;
         }

@@ -10,7 +10,7 @@ use clap_complete::{CompleteEnv, CompletionCandidate};
 
 use crate::args::{Arguments, Target};
 use crate::obstacle;
-use crate::settings::{SETTINGS, Setting};
+use crate::settings::Setting;
 
 /// Set by the scripts of the shells. A name of our own: a variable that is set for another program must not keep a stop
 /// from being sent.
@@ -73,8 +73,7 @@ fn changes_after(before: &[OsString], current: &str) -> Vec<String> {
             let words = setting(key).map(Setting::words).unwrap_or_default();
             words.iter().map(|word| format!("{key}={word}")).collect()
         }
-        (None, None) => SETTINGS
-            .iter()
+        (None, None) => Setting::all()
             .map(|setting| format!("{}=", setting.key))
             .collect(),
     };
@@ -82,8 +81,8 @@ fn changes_after(before: &[OsString], current: &str) -> Vec<String> {
     offered.filter(|offer| offer.starts_with(current)).collect()
 }
 
-fn setting(key: &str) -> Option<&'static Setting> {
-    SETTINGS.iter().find(|setting| setting.key == key)
+fn setting(key: &str) -> Option<Setting> {
+    Setting::all().find(|setting| setting.key == key)
 }
 
 /// The daemon that the line means, as far as it is typed.

@@ -16,7 +16,7 @@ use serde_json::Value;
 
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
-pub(crate) use keys::{Change, SETTINGS, Setting};
+pub(crate) use keys::{Change, Setting};
 
 /// How long a status may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
@@ -42,7 +42,7 @@ pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<
 fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::Error> {
     let mut out = String::new();
     writeln!(out, "{:<26}{:<15}allowed", "setting", "value")?;
-    for setting in SETTINGS {
+    for setting in Setting::all() {
         let (value, allowed) = (setting.text(settings), setting.allowed_by(status));
         writeln!(out, "{:<26}{value:<15}{allowed}", setting.key)?;
     }
@@ -51,9 +51,7 @@ fn table(settings: SolverSettings, status: &Status) -> Result<String, std::fmt::
 
 /// With the keys and values that `set` understands.
 fn object(settings: SolverSettings) -> Value {
-    let fields = SETTINGS
-        .iter()
-        .map(|setting| (setting.key.to_owned(), setting.json(settings)));
+    let fields = Setting::all().map(|setting| (setting.key.to_owned(), setting.json(settings)));
     Value::Object(fields.collect())
 }
 
@@ -91,12 +89,9 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
     Ok(Done::Good)
 }
 
-fn changed(
-    before: SolverSettings,
-    after: SolverSettings,
-) -> impl Iterator<Item = &'static Setting> {
-    let is_changed = move |setting: &&Setting| setting.text(before) != setting.text(after);
-    SETTINGS.iter().filter(is_changed)
+fn changed(before: SolverSettings, after: SolverSettings) -> impl Iterator<Item = Setting> {
+    let is_changed = move |setting: &Setting| setting.text(before) != setting.text(after);
+    Setting::all().filter(is_changed)
 }
 
 /// The bound that the daemon has beyond the range of each setting: by its configuration, or by another setting.

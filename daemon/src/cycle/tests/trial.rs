@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use super::super::*;
 use crate::config::Config;
 use crate::convert;
-use crate::link::DriverLink;
+use crate::link::RobotLink;
 
 pub(super) const PERIOD_NS: u64 = 5_000_000;
 pub(super) const PERIOD_S: f64 = 0.005;
@@ -36,7 +36,7 @@ impl Clock for Watch {
 
 /// A daemon's cycle, and the robot behind its driver.
 pub(super) struct Trial {
-    pub(super) cycle: Cycle<DriverLink>,
+    pub(super) cycle: Cycle,
     robot: Robot,
     pub(super) plant: MisbehavingRobot,
     interface: Interface,
@@ -80,7 +80,7 @@ impl Trial {
         let straight = Configuration::straight(validated.robot.section_count());
         let sent_m = validated.robot.cable_lengths(&straight);
         Self {
-            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
             trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
             plant: MisbehavingRobot::new(&validated.robot, &straight, flaws, 7).unwrap(),
             robot: validated.robot,

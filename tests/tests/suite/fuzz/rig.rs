@@ -14,7 +14,6 @@ use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
 use cdcr_daemon::link::RobotLink;
-use cdcr_daemon::link::{DriverLink, SimulatedRobot};
 use cdcr_daemon::rt::clock::Clock;
 use cdcr_daemon::rt::schedule::Release;
 use cdcr_shared_types::codes::{ChunkMode, Interface, MeasurementKind, RequestKind};
@@ -61,23 +60,23 @@ pub(crate) fn play(script: &Script, tally: &Tally) {
     let text = SECTION.repeat(robot.sections as usize);
     let validated = Config::parse(&text, Path::new("script")).unwrap();
     if robot.driver == 1 {
-        Rig::new(&validated, DriverLink).play(script, tally);
+        Rig::new(&validated, RobotLink::Driver).play(script, tally);
     } else {
         Rig::new(&validated, simulated(&validated)).play(script, tally);
     }
 }
 
 /// The simulated robot of a configuration.
-pub(crate) fn simulated(validated: &Validated) -> SimulatedRobot {
-    SimulatedRobot::new(KinematicPlant::new(&validated.robot, validated.initial))
+pub(crate) fn simulated(validated: &Validated) -> RobotLink {
+    RobotLink::ideal(KinematicPlant::new(&validated.robot, validated.initial))
 }
 
 /// What belongs to the cycle, and the robot behind a good driver.
 #[derive(Debug)]
-pub(crate) struct Rig<L> {
+pub(crate) struct Rig {
     robot: Robot,
     period_ns: u64,
-    cycle: Cycle<L>,
+    cycle: Cycle,
     real: KinematicPlant,
     clock: Watch,
     trajectory: Trajectory,
@@ -86,8 +85,8 @@ pub(crate) struct Rig<L> {
     next_cycle: u64,
 }
 
-impl<L: RobotLink> Rig<L> {
-    pub(crate) fn new(validated: &Validated, link: L) -> Self {
+impl Rig {
+    pub(crate) fn new(validated: &Validated, link: RobotLink) -> Self {
         let mut inputs = CycleInputs::new(Settings::new(&validated.config));
         inputs.lease = LeaseState::Held;
         Self {

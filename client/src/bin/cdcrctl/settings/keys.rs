@@ -1,220 +1,135 @@
-//! Every setting with its key, its range and its place in the message.
+//! Every setting with its key, its range and its place in the message: the fields of the message, and what is declared of
+//! the table `[controller]` of the configuration.
 //!
-//! The ranges are those of `configs/default.toml`. They are checked here so that a typing error is told
-//! at once; the daemon has the last word.
+//! The ranges are checked here so that a typing error is told at once; the daemon has the last word.
 
-use cdcr_shared_types::codes::{Coordinates, SolverKind, VelocityRule};
-use cdcr_shared_types::limits::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, ITERATIONS_MAX, SWARM_MAX};
+use std::ops::RangeInclusive;
+
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::parameters::Parameter;
+use cdcr_shared_types::codes::Codes;
+use cdcr_shared_types::message::{Meaning, Struct as _, Value as Part, ValueMut};
 use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Value, json};
 
 /// A setting that can be shown and changed.
-#[derive(Debug)]
+#[derive(Debug, PartialEq, Eq, Clone, Copy)]
 pub(crate) struct Setting {
     pub(crate) key: &'static str,
-    field: Field,
-    /// What else to know about its range.
-    note: &'static str,
+    /// Its field in the message.
+    field: &'static str,
 }
 
-/// Where a setting is in the message, and what it may be.
-#[derive(Debug)]
-enum Field {
-    /// One of some words; their codes count from 0.
-    Word(
-        fn() -> Vec<&'static str>,
-        fn(&mut SolverSettings) -> &mut u32,
-    ),
-    /// A count within a range.
-    Count(u32, usize, fn(&mut SolverSettings) -> &mut u32),
-    /// A number within a range.
-    Number(f64, f64, fn(&mut SolverSettings) -> &mut f64),
-    /// A time up to a limit, in ms here and in ns in the message.
-    Milliseconds(f64, fn(&mut SolverSettings) -> &mut u64),
-    /// Any whole number.
-    Seed(fn(&mut SolverSettings) -> &mut u64),
-}
+/// The budget is a key of the table `[cycle]`, in ms there and in ns in the message.
+const BUDGET: Setting = Setting {
+    key: "budget_ms",
+    field: "budget_ns",
+};
+/// Longest budget \[ms\]: the longest period.
+const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
 
-const fn word(
-    key: &'static str,
-    words: fn() -> Vec<&'static str>,
-    of: fn(&mut SolverSettings) -> &mut u32,
-) -> Setting {
-    let field = Field::Word(words, of);
-    let note = "";
-    Setting { key, field, note }
-}
-
-const fn count(
-    key: &'static str,
-    least: u32,
-    most: usize,
-    of: fn(&mut SolverSettings) -> &mut u32,
-) -> Setting {
-    let field = Field::Count(least, most, of);
-    let note = "";
-    Setting { key, field, note }
-}
-
-const fn number(
-    key: &'static str,
-    least: f64,
-    most: f64,
-    of: fn(&mut SolverSettings) -> &mut f64,
-) -> Setting {
-    let field = Field::Number(least, most, of);
-    let note = "";
-    Setting { key, field, note }
-}
-
-impl Setting {
-    const fn with_note(mut self, note: &'static str) -> Self {
-        self.note = note;
-        self
+impl From<&'static Parameter> for Setting {
+    fn from(parameter: &'static Parameter) -> Self {
+        Self {
+            key: parameter.name,
+            field: parameter.name,
+        }
     }
 }
 
-/// Largest weight or penalty.
-const WEIGHT_MAX: f64 = 1e12;
-
-/// All of them, in the order of the configuration.
-pub(crate) const SETTINGS: &[Setting] = &[
-    word(
-        "solver",
-        || SolverKind::ALL.iter().map(|kind| kind.text()).collect(),
-        |s| &mut s.solver,
-    ),
-    count("horizon_steps", 1, HORIZON_STEPS_MAX, |s| {
-        &mut s.horizon_steps
-    }),
-    word(
-        "coordinates",
-        || Coordinates::ALL.iter().map(|kind| kind.text()).collect(),
-        |s| &mut s.coordinates,
-    ),
-    count("control_blocks", 0, CONTROL_BLOCKS_MAX, |s| {
-        &mut s.control_blocks
-    })
-    .with_note("; at most horizon_steps; 0: as many"),
-    count("swarm_size", 1, SWARM_MAX, |s| &mut s.swarm_size),
-    count("swarm_iterations", 0, ITERATIONS_MAX, |s| {
-        &mut s.swarm_iterations
-    }),
-    count("regenerate_after", 0, ITERATIONS_MAX, |s| {
-        &mut s.regenerate_after
-    })
-    .with_note("; 0: never"),
-    word(
-        "velocity_rule",
-        || VelocityRule::ALL.iter().map(|rule| rule.text()).collect(),
-        |s| &mut s.velocity_rule,
-    ),
-    number("inertia", 0.0, 1.0, |s| &mut s.inertia),
-    number("cognitive", 0.0, 4.0, |s| &mut s.cognitive),
-    number("social", 0.0, 4.0, |s| &mut s.social),
-    count("refinement_steps", 0, 50, |s| &mut s.refinement_steps),
-    number("damping", 1e-20, 1.0, |s| &mut s.damping),
-    number("position_weight", 1e-12, WEIGHT_MAX, |s| {
-        &mut s.position_weight
-    }),
-    number("orientation_weight", 0.0, WEIGHT_MAX, |s| {
-        &mut s.orientation_weight
-    }),
-    number("orientation_tolerance_rad", 0.0, 1.0, |s| {
-        &mut s.orientation_tolerance_rad
-    }),
-    number("rate_weight", 0.0, WEIGHT_MAX, |s| &mut s.rate_weight),
-    number("rate_change_weight", 0.0, WEIGHT_MAX, |s| {
-        &mut s.rate_change_weight
-    }),
-    number("terminal_weight", 0.0, WEIGHT_MAX, |s| {
-        &mut s.terminal_weight
-    }),
-    number("safe_distance_m", 0.0, 10.0, |s| &mut s.safe_distance_m),
-    number("obstacle_step_penalty", 0.0, WEIGHT_MAX, |s| {
-        &mut s.obstacle_step_penalty
-    }),
-    number("obstacle_slope_penalty", 0.0, WEIGHT_MAX, |s| {
-        &mut s.obstacle_slope_penalty
-    }),
-    number("obstacle_square_penalty", 0.0, WEIGHT_MAX, |s| {
-        &mut s.obstacle_square_penalty
-    }),
-    Setting {
-        key: "budget_ms",
-        field: Field::Milliseconds(100.0, |s| &mut s.budget_ns),
-        note: "; 0: all that is left of the period",
-    },
-    Setting {
-        key: "seed",
-        field: Field::Seed(|s| &mut s.seed),
-        note: "",
-    },
-];
-
 impl Setting {
+    /// All of them, in the order of the configuration.
+    pub(crate) fn all() -> impl Iterator<Item = Self> {
+        let (seed, others) = NmpcSettings::PARAMETERS.split_last().unzip();
+        let others = others.into_iter().flatten().map(Self::from);
+        others.chain([BUDGET]).chain(seed.map(Self::from))
+    }
+
     /// Its value, as it is typed.
-    pub(crate) fn text(&self, settings: SolverSettings) -> String {
-        match (self.json(settings), &self.field) {
-            (Value::String(word), _) => word,
-            (number, Field::Number(..) | Field::Milliseconds(..)) => {
-                number.as_f64().map_or("?".to_owned(), number_text)
-            }
-            (number, _) => number.to_string(),
+    pub(crate) fn text(self, settings: SolverSettings) -> String {
+        match self.json(settings) {
+            Value::String(word) => word,
+            number if number.is_f64() => number.as_f64().map_or_else(String::new, number_text),
+            number => number.to_string(),
         }
     }
 
     /// Its value: a word or a number.
-    pub(crate) fn json(&self, mut settings: SolverSettings) -> Value {
-        let settings = &mut settings;
-        match &self.field {
-            Field::Word(words, of) => {
-                let word = words().get(*of(settings) as usize).copied();
-                json!(word.unwrap_or("unknown code"))
+    pub(crate) fn json(self, settings: SolverSettings) -> Value {
+        let mut value = Value::Null;
+        settings.visit(&mut |field, part| {
+            if field.name == self.field {
+                value = match (part, field.meaning) {
+                    (Part::U32(code), Meaning::Code(codes)) => json!(codes.text(code)),
+                    (Part::U32(count), _) => json!(count),
+                    (Part::U64(ns), _) if self == BUDGET => json!(ns as f64 * 1e-6),
+                    (Part::U64(whole), _) => json!(whole),
+                    (Part::F64(number), _) => json!(number),
+                    _ => Value::Null,
+                };
             }
-            Field::Count(_, _, of) => json!(of(settings)),
-            Field::Number(_, _, of) => json!(of(settings)),
-            Field::Milliseconds(_, of) => json!(*of(settings) as f64 * 1e-6),
-            Field::Seed(of) => json!(of(settings)),
-        }
+        });
+        value
     }
 
     /// The words that it may be, if it is no number.
-    pub(crate) fn words(&self) -> Vec<String> {
-        match &self.field {
-            Field::Word(words, _) => words().into_iter().map(str::to_owned).collect(),
-            _ => Vec::new(),
+    pub(crate) fn words(self) -> Vec<String> {
+        let codes = self.codes().into_iter().flat_map(|codes| codes.values);
+        codes.map(|(_, _, text)| (*text).to_owned()).collect()
+    }
+
+    fn codes(self) -> Option<&'static Codes> {
+        let mut fields = SolverSettings::LAYOUT.fields.iter();
+        match fields.find(|field| field.name == self.field)?.meaning {
+            Meaning::Code(codes) => Some(codes),
+            _ => None,
         }
     }
 
+    fn range(self) -> Option<RangeInclusive<f64>> {
+        if self == BUDGET {
+            return Some(BUDGET_MS);
+        }
+        let mut declared = NmpcSettings::PARAMETERS.iter();
+        declared
+            .find(|parameter| parameter.name == self.key)?
+            .range
+            .clone()
+    }
+
     /// What it may be for this daemon, in words.
-    pub(crate) fn allowed_by(&self, status: &Status) -> String {
-        match self.field {
-            Field::Number(_, most, _) if self.key == "safe_distance_m" => format!(
+    pub(crate) fn allowed_by(self, status: &Status) -> String {
+        match self.range() {
+            Some(range) if self.key == "safe_distance_m" => format!(
                 "{} to {}; no less than in the configuration",
                 number_text(status.safe_distance_min_m),
-                number_text(most)
+                number_text(*range.end())
             ),
             _ => self.allowed(),
         }
     }
 
     /// What it may be, in words.
-    pub(crate) fn allowed(&self) -> String {
-        let range = match &self.field {
-            Field::Word(words, _) => {
-                let words = words();
-                let (last, others) = words.split_last().unwrap_or((&"", &[]));
-                format!("{} or {last}", others.join(", "))
+    pub(crate) fn allowed(self) -> String {
+        let words = self.words();
+        let range = match (words.split_last(), self.range()) {
+            (Some((last, others)), _) => format!("{} or {last}", others.join(", ")),
+            (None, Some(range)) => {
+                format!(
+                    "{} to {}",
+                    number_text(*range.start()),
+                    number_text(*range.end())
+                )
             }
-            Field::Count(least, most, _) => format!("{least} to {most}"),
-            Field::Number(least, most, _) => {
-                format!("{} to {}", number_text(*least), number_text(*most))
-            }
-            Field::Milliseconds(most, _) => format!("0 to {most}"),
-            Field::Seed(_) => format!("0 to {}", u64::MAX),
+            (None, None) => format!("0 to {}", u64::MAX),
         };
-        range + self.note
+        let note = match self.key {
+            "control_blocks" => "; at most horizon_steps; 0: as many",
+            "regenerate_after" => "; 0: never",
+            "budget_ms" => "; 0: all that is left of the period",
+            _ => "",
+        };
+        range + note
     }
 }
 
@@ -230,13 +145,13 @@ fn number_text(number: f64) -> String {
 /// What one setting shall be.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Change {
-    setting: &'static Setting,
+    setting: Setting,
     value: Wanted,
 }
 
 #[derive(Debug, Clone, Copy)]
 enum Wanted {
-    Code(u32),
+    Count(u32),
     Number(f64),
     Whole(u64),
 }
@@ -248,67 +163,62 @@ impl Change {
             .split_once('=')
             .ok_or_else(|| format!("{text:?} is no KEY=VALUE, for example horizon_steps=5"))?;
         let (key, value) = (key.trim(), value.trim());
-        let known = SETTINGS.iter().find(|setting| setting.key == key);
+        let known = Setting::all().find(|setting| setting.key == key);
         let setting = known.ok_or_else(|| unknown(key))?;
-        let value = wanted(&setting.field, value)
+        let value = wanted(setting, value)
             .ok_or_else(|| format!("{key} cannot be {value:?}; it may be {}", setting.allowed()))?;
         Ok(Self { setting, value })
     }
 
     /// Writes it into `settings`.
     pub(crate) fn apply(&self, settings: &mut SolverSettings) {
-        match (&self.setting.field, self.value) {
-            (Field::Word(_, of) | Field::Count(_, _, of), Wanted::Code(code)) => {
-                *of(settings) = code;
+        settings.visit_mut(&mut |field, part| {
+            if field.name == self.setting.field {
+                match (part, self.value) {
+                    (ValueMut::U32(count), Wanted::Count(wanted)) => *count = wanted,
+                    (ValueMut::U64(whole), Wanted::Whole(wanted)) => *whole = wanted,
+                    (ValueMut::F64(number), Wanted::Number(wanted)) => *number = wanted,
+                    // `wanted` makes no other pairs.
+                    _ => {}
+                }
             }
-            (Field::Number(_, _, of), Wanted::Number(number)) => *of(settings) = number,
-            (Field::Milliseconds(_, of) | Field::Seed(of), Wanted::Whole(whole)) => {
-                *of(settings) = whole;
-            }
-            // `wanted` makes no other pairs.
-            _ => {}
-        }
+        });
     }
 }
 
-/// The value for a field, when it may be that.
-fn wanted(field: &Field, text: &str) -> Option<Wanted> {
-    match field {
-        Field::Word(words, _) => {
-            let at = words().iter().position(|word| *word == text)?;
-            Some(Wanted::Code(at as u32))
-        }
-        Field::Count(least, most, _) => {
-            let count: u32 = text.parse().ok()?;
-            let is_legal = count >= *least && count as usize <= *most;
-            is_legal.then_some(Wanted::Code(count))
-        }
-        Field::Number(least, most, _) => {
-            let number: f64 = text.parse().ok()?;
-            (*least..=*most)
-                .contains(&number)
-                .then_some(Wanted::Number(number))
-        }
-        Field::Milliseconds(most, _) => {
-            let number: f64 = text.parse().ok()?;
-            let whole_ns = (number * 1e6).round();
-            (0.0..=*most)
-                .contains(&number)
-                .then_some(Wanted::Whole(whole_ns as u64))
-        }
-        Field::Seed(_) => text.parse().ok().map(Wanted::Whole),
+/// The value of a setting, when it may be that.
+fn wanted(setting: Setting, text: &str) -> Option<Wanted> {
+    if let Some(codes) = setting.codes() {
+        let mut values = codes.values.iter();
+        let (code, ..) = values.find(|(_, _, word)| *word == text)?;
+        return Some(Wanted::Count(*code));
     }
+    let Some(range) = setting.range() else {
+        return text.parse().ok().map(Wanted::Whole);
+    };
+    let number: f64 = text.parse().ok()?;
+    if !range.contains(&number) {
+        return None;
+    }
+    if setting == BUDGET {
+        return Some(Wanted::Whole((number * 1e6).round() as u64));
+    }
+    let is_count =
+        matches!(setting.json(SolverSettings::default()), Value::Number(zero) if zero.is_u64());
+    if is_count {
+        return text.parse().ok().map(Wanted::Count);
+    }
+    Some(Wanted::Number(number))
 }
 
 /// The error for a key that does not exist: the nearest one that does, and all.
 fn unknown(key: &str) -> String {
     let likeness = |setting: &Setting| strsim::jaro_winkler(setting.key, key);
-    let nearest = SETTINGS
-        .iter()
+    let nearest = Setting::all()
         .max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
         .filter(|setting| likeness(setting) > 0.8)
         .map(|setting| format!("; do you mean {}?", setting.key));
-    let all: Vec<_> = SETTINGS.iter().map(|setting| setting.key).collect();
+    let all: Vec<_> = Setting::all().map(|setting| setting.key).collect();
     format!(
         "there is no setting {key:?}{} All settings: {}",
         nearest.unwrap_or_else(|| ".".to_owned()),
@@ -336,7 +246,7 @@ mod tests {
             assert_eq!(change.expect(line).setting.key, key);
             keys.push(key);
         }
-        let mut known: Vec<_> = SETTINGS.iter().map(|setting| setting.key).collect();
+        let mut known: Vec<_> = Setting::all().map(|setting| setting.key).collect();
         keys.sort_unstable();
         known.sort_unstable();
         assert_eq!(known, keys);

@@ -11,7 +11,7 @@ use serde_json::{Number, Value as Json};
 use toml_edit::{DocumentMut, Item, Table, Value};
 
 use super::STATUS_TIMEOUT;
-use super::keys::{SETTINGS, Setting};
+use super::keys::Setting;
 use crate::Done;
 
 /// What a daemon without a file uses.
@@ -56,7 +56,7 @@ fn merged(
     let defaults: DocumentMut = DEFAULTS.parse()?;
     let mut document: DocumentMut = text.parse()?;
     let mut changed = Vec::new();
-    for setting in SETTINGS {
+    for setting in Setting::all() {
         let (table, key) = place(setting);
         let value = value(setting, settings, period)?;
         let holds = |document: &DocumentMut| {
@@ -73,7 +73,7 @@ fn merged(
 }
 
 /// Table and key of a setting in the configuration.
-fn place(setting: &Setting) -> (&'static str, &'static str) {
+fn place(setting: Setting) -> (&'static str, &'static str) {
     match setting.key {
         "budget_ms" => ("cycle", "budget_ms"),
         key => ("controller", key),
@@ -81,7 +81,7 @@ fn place(setting: &Setting) -> (&'static str, &'static str) {
 }
 
 /// The setting as TOML. A budget beyond the period is as good as none, and a configuration must not have it.
-fn value(setting: &Setting, settings: SolverSettings, period: Duration) -> anyhow::Result<Value> {
+fn value(setting: Setting, settings: SolverSettings, period: Duration) -> anyhow::Result<Value> {
     let endless_ms = 1e3 * period.as_secs_f64();
     let is_endless = |number: &Number| number.as_f64().is_some_and(|ms| ms > endless_ms);
     Ok(match setting.json(settings) {

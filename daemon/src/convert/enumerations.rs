@@ -1,0 +1,53 @@
+//! Enumerations of the domain and their codes on the wire, which have the same names. One that is missing does not compile.
+
+use cdcr_controller::nmpc::{Constraint, SolveStatus};
+use cdcr_controller::optimizer::Candidate;
+use cdcr_controller::reference::ReferenceState;
+use cdcr_controller::safety::{LeaseState, Mode, Reason, Refusal};
+use cdcr_shared_types::codes;
+
+use crate::config::{Interface, LinkKind};
+use crate::handover::MeasurementUse;
+use crate::rt::attribution::LateCause;
+
+macro_rules! to_wire {
+    ($($(#[$meta:meta])* $vis:vis $name:ident: $domain:ident => $code:ident { $($variant:ident),+ $(,)? })+) => { $(
+        $(#[$meta])*
+        $vis fn $name(value: $domain) -> codes::$code {
+            match value { $($domain::$variant { .. } => codes::$code::$variant,)+ }
+        }
+    )+ };
+}
+
+to_wire! {
+    /// A refusal of the mode machine.
+    pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, CauseStands, Waits, Overruled, Ending }
+    /// The mode.
+    pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
+    /// Why a mode.
+    pub reason: Reason => Reason {
+        Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
+        LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
+        InputsStale, Suspended, ObstacleSourceSilent,
+    }
+    /// What of a command the driver obeys.
+    pub interface: Interface => Interface { Velocity, Position }
+    /// Which robot.
+    pub link: LinkKind => RobotLink { Simulated, Driver }
+    /// Why a cycle was late.
+    pub late_cause: LateCause => LateCause { Platform, Load, PageFault, Stall, Compute }
+    /// The reference lease.
+    pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
+    /// What became of the measurement.
+    pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
+    /// A constraint that is broken.
+    pub(super) constraint: Constraint => Constraint { Clearance, Limit }
+    /// How a solve ended.
+    pub(super) solver_status: SolveStatus => SolverStatus {
+        Idle, Converged, BudgetSpent, IterationsSpent, ConstraintViolated, NonFinite,
+    }
+    /// Which candidate a solution descends from.
+    pub(super) winner: Candidate => Winner { WarmStart, Previous, Zero, LeastSquares, Eigenvector, Swarm }
+    /// Where a time lies relative to the reference.
+    pub(super) reference_state: ReferenceState => ReferenceState { None, Before, Inside, Ended }
+}
