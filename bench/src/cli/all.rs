@@ -16,7 +16,7 @@ use super::output::{keep, make, show};
 const ASIDE: &str = "partial";
 
 #[derive(Debug, clap::Args)]
-pub(super) struct Options {
+pub(super) struct AllArguments {
     /// Folder for the report: report.html, report.txt, report.json, a CSV for each table, plots as SVG, raw
     /// histograms; made if it does not exist, written into at the end only.
     #[arg(long, value_name = "DIR")]
@@ -36,7 +36,7 @@ pub(super) struct Options {
     config: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &Options) -> Result<()> {
+pub(super) fn run(args: &AllArguments) -> Result<()> {
     let start = Start::now()?;
     interrupt::catch()?;
     if let Some(config) = &args.config {
@@ -61,7 +61,7 @@ pub(super) fn run(args: &Options) -> Result<()> {
     Ok(())
 }
 
-fn request(args: &Options) -> Request {
+fn request(args: &AllArguments) -> Request {
     Request {
         extent: Extent {
             quick: args.quick,

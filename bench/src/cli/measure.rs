@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use cdcr_bench::latency::bare;
+use cdcr_bench::latency::baseline;
 use cdcr_bench::simulation::Effort;
 use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
 use cdcr_shared_types::Location;
@@ -50,8 +50,8 @@ enum Setups {
 }
 
 impl Deadline {
-    fn plan(&self) -> Result<deadline::Options> {
-        let default = deadline::Options::default();
+    fn plan(&self) -> Result<deadline::DeadlineOptions> {
+        let default = deadline::DeadlineOptions::default();
         let chosen = |loads: Vec<Load>| {
             if self.load.is_empty() {
                 loads
@@ -68,7 +68,7 @@ impl Deadline {
             !ordinary_loads.is_empty() || may_be_realtime(),
             "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
         );
-        let options = deadline::Options {
+        let options = deadline::DeadlineOptions {
             duration: self.duration,
             rounds: self.rounds,
             loads,
@@ -118,12 +118,12 @@ pub(super) struct Latency {
 impl Latency {
     pub(super) fn run(&self) -> Result<()> {
         let (rounds, samples) = if self.quick {
-            latency::Options::QUICK
+            latency::LatencyOptions::QUICK
         } else {
             (usize::from(self.rounds), usize::from(self.samples))
         };
         let plan = || {
-            Ok(latency::Options {
+            Ok(latency::LatencyOptions {
                 rounds,
                 samples,
                 period: self.period,
@@ -163,10 +163,10 @@ fn spin_us(text: &str) -> Result<f64, String> {
 
 impl Rate {
     pub(super) fn run(&self) -> Result<()> {
-        let mut options = rate::Options::full();
+        let mut options = rate::RateOptions::full();
         options.rounds = self.rounds;
         if self.quick {
-            options = rate::Options::quick();
+            options = rate::RateOptions::quick();
         }
         options.spin_us = self.spin;
         self.output
@@ -194,15 +194,15 @@ pub(super) struct Footprint {
 }
 
 impl Footprint {
-    fn plan(&self) -> Result<footprint::Options> {
+    fn plan(&self) -> Result<footprint::FootprintOptions> {
         if self.quick {
-            return Ok(footprint::Options::quick());
+            return Ok(footprint::FootprintOptions::quick());
         }
         ensure!(
             (LEAST..=MOST).contains(&self.duration),
             "--duration must be 100ms to 1h"
         );
-        Ok(footprint::Options {
+        Ok(footprint::FootprintOptions {
             rounds: self.rounds,
             tracking: self.duration,
         })
@@ -229,10 +229,10 @@ pub(super) struct Quality {
 
 impl Quality {
     pub(super) fn run(&self) -> Result<()> {
-        let mut options = quality::Options::full();
+        let mut options = quality::QualityOptions::full();
         options.rounds = self.rounds;
         if self.quick {
-            options = quality::Options::quick();
+            options = quality::QualityOptions::quick();
         }
         self.output
             .measure(|| Ok(options), quality::expected_s, quality::run)
@@ -274,9 +274,9 @@ pub(super) struct Solver {
 
 impl Solver {
     pub(super) fn run(&self) -> Result<()> {
-        let options = solver::Options {
+        let options = solver::SolverOptions {
             rounds: self.rounds,
-            ..solver::Options::full()
+            ..solver::SolverOptions::full()
         };
         self.output
             .measure(|| Ok(options), solver::expected_s, solver::run)
@@ -297,7 +297,7 @@ pub(super) struct Budget {
 
 impl Budget {
     pub(super) fn run(&self) -> Result<()> {
-        let options = budget::Options {
+        let options = budget::BudgetOptions {
             rounds: self.rounds,
             solves: self.solves,
         };
@@ -328,7 +328,7 @@ pub(super) struct Peer {
 
 impl Peer {
     pub(super) fn run(&self) -> Result<()> {
-        bare::peer(&bare::PeerOptions {
+        baseline::peer(&baseline::PeerOptions {
             location: Location::new(&self.prefix, &self.root)?,
             core: self.core,
             parent: self.parent,

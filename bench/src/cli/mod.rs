@@ -26,10 +26,10 @@ enum Command {
     /// Everything, as one report with the machine's description: text, JSON, CSV, plots, raw histograms, and
     /// a page that holds all of it.
     #[command(after_help = "Example: cdcr-bench all --out report --quick")]
-    All(all::Options),
+    All(all::AllArguments),
     /// What changed between two runs beyond the noise of their rounds.
     #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
-    Compare(compare::Options),
+    Compare(compare::CompareArguments),
     /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
     #[command(after_help = DEADLINE_HELP)]
     Deadline(measure::Deadline),
@@ -53,7 +53,7 @@ enum Command {
     #[command(after_help = LATENCY_HELP)]
     Latency(measure::Latency),
     /// The other process of `latency`.
-    #[command(name = cdcr_bench::latency::bare::PEER, hide = true)]
+    #[command(name = cdcr_bench::latency::baseline::PEER, hide = true)]
     Peer(measure::Peer),
     /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
     /// solver and two horizons, and what ends it.

@@ -13,7 +13,7 @@ use anyhow::Result;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-pub use options::Options;
+pub use options::RunOptions;
 
 use crate::dataset::{Sheet, flat, word};
 use crate::system::cores::Cores;

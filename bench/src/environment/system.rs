@@ -209,18 +209,6 @@ mod tests {
     }
 
     #[test]
-    fn a_real_time_kernel_is_named() {
-        let folder = fake(&[
-            ("sys/kernel/realtime", "1\n"),
-            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
-        ]);
-        let kernel = System::below(folder.path()).kernel();
-        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_RT"));
-        assert_eq!(kernel.rt_runtime_us, Some(-1));
-        assert!(kernel.isolation.is_empty());
-    }
-
-    #[test]
     fn a_virtual_processor_is_described() {
         let folder = fake(&[
             (
@@ -247,15 +235,21 @@ mod tests {
     }
 
     #[test]
-    fn the_maker_of_a_real_machine_is_no_hypervisor() {
+    fn a_real_machine_with_a_real_time_kernel_has_no_hypervisor() {
         let folder = fake(&[
             ("proc/cpuinfo", "flags : fpu avx\n"),
             ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
         ]);
         let system = System::below(folder.path());
         assert_eq!(
             (system.is_virtual(), system.hypervisor()),
             (Some(false), None)
         );
+        let kernel = system.kernel();
+        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_RT"));
+        assert_eq!(kernel.rt_runtime_us, Some(-1));
+        assert!(kernel.isolation.is_empty());
     }
 }

@@ -102,30 +102,41 @@ impl Benchmark {
         let Extent { quick, rounds } = request.extent;
         match self {
             Self::Deadline => {
-                let mut options =
-                    sized(quick, deadline::Options::quick, deadline::Options::default);
+                let mut options = sized(
+                    quick,
+                    deadline::DeadlineOptions::quick,
+                    deadline::DeadlineOptions::default,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 options.config.clone_from(&request.config);
                 Plan::of("deadline", options, deadline::expected_s, deadline::run)
             }
             Self::Latency => {
-                let mut options = sized(quick, quick_latency, latency::Options::default);
+                let mut options = sized(quick, quick_latency, latency::LatencyOptions::default);
                 options.rounds = rounds.map_or(options.rounds, |rounds| rounds as usize);
                 options.config.clone_from(&request.config);
                 Plan::of("latency", options, latency::expected_s, latency::run)
             }
             Self::Rate => {
-                let mut options = sized(quick, rate::Options::quick, rate::Options::full);
+                let mut options = sized(quick, rate::RateOptions::quick, rate::RateOptions::full);
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("rate", options, rate::expected_s, rate::run)
             }
             Self::Footprint => {
-                let mut options = sized(quick, footprint::Options::quick, footprint::Options::full);
+                let mut options = sized(
+                    quick,
+                    footprint::FootprintOptions::quick,
+                    footprint::FootprintOptions::full,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("footprint", options, footprint::expected_s, footprint::run)
             }
             Self::Quality => {
-                let mut options = sized(quick, quality::Options::quick, quality::Options::full);
+                let mut options = sized(
+                    quick,
+                    quality::QualityOptions::quick,
+                    quality::QualityOptions::full,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("quality", options, quality::expected_s, quality::run)
             }
@@ -135,12 +146,20 @@ impl Benchmark {
                 Plan::of("paper", effort, paper::expected_s, paper::run)
             }
             Self::Solver => {
-                let mut options = sized(quick, solver::Options::quick, solver::Options::full);
+                let mut options = sized(
+                    quick,
+                    solver::SolverOptions::quick,
+                    solver::SolverOptions::full,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("solver", options, solver::expected_s, solver::run)
             }
             Self::Budget => {
-                let mut options = sized(quick, || budget::Options::QUICK, || budget::Options::FULL);
+                let mut options = sized(
+                    quick,
+                    || budget::BudgetOptions::QUICK,
+                    || budget::BudgetOptions::FULL,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 Plan::of("budget", options, budget::expected_s, budget::run)
             }
@@ -153,12 +172,12 @@ fn sized<O>(is_quick: bool, quick: fn() -> O, usual: fn() -> O) -> O {
     if is_quick { quick() } else { usual() }
 }
 
-fn quick_latency() -> latency::Options {
-    let (rounds, samples) = latency::Options::QUICK;
-    latency::Options {
+fn quick_latency() -> latency::LatencyOptions {
+    let (rounds, samples) = latency::LatencyOptions::QUICK;
+    latency::LatencyOptions {
         rounds,
         samples,
-        ..latency::Options::default()
+        ..latency::LatencyOptions::default()
     }
 }
 
@@ -208,21 +227,29 @@ impl Plan {
 mod tests {
     use super::*;
 
-    fn fails(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
+    fn fails(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
         anyhow::bail!("no luck")
     }
 
-    fn panics(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
+    fn panics(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
         panic!("a test of a panic")
     }
 
     #[test]
     fn a_benchmark_that_fails_or_panics_is_a_part_without_a_result() {
         for (run, words) in [
-            (fails as fn(&budget::Options, &mut Progress) -> _, "no luck"),
+            (
+                fails as fn(&budget::BudgetOptions, &mut Progress) -> _,
+                "no luck",
+            ),
             (panics, "panicked"),
         ] {
-            let plan = Plan::of("budget", budget::Options::QUICK, budget::expected_s, run);
+            let plan = Plan::of(
+                "budget",
+                budget::BudgetOptions::QUICK,
+                budget::expected_s,
+                run,
+            );
             let part = plan.carry_out(&mut Progress::silent());
             let cause = part.result.err().expect("no result");
             assert!(cause.contains(words), "{cause}");

@@ -17,7 +17,7 @@ use serde_json::{Map, Value, json};
 pub use targets::{Target, targets};
 
 use crate::dataset::{Dataset, Sheet};
-use crate::environment::{Environment, Options};
+use crate::environment::{Environment, RunOptions};
 use crate::hlog;
 use crate::metric::Metric;
 
@@ -42,7 +42,7 @@ const OUR_KEYS: [&str; 8] = [
 pub struct Start {
     pub time: SystemTime,
     pub environment: Environment,
-    pub options: Options,
+    pub options: RunOptions,
 }
 
 impl Start {
@@ -51,7 +51,7 @@ impl Start {
         Ok(Self {
             time: SystemTime::now(),
             environment: Environment::find()?,
-            options: Options::find(),
+            options: RunOptions::find(),
         })
     }
 }
