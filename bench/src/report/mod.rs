@@ -128,7 +128,7 @@ impl Report {
     pub fn not_judged(&self) -> Option<&'static str> {
         let mut parts = self.parts.iter();
         let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
-        match (has_any, self.start.environment.privileges.realtime) {
+        match (has_any, self.start.environment.is_realtime()) {
             (false, _) => None,
             (true, false) => Some(
                 "The figures to reach were not judged: they are for real time, which this user is not granted.",
