@@ -59,14 +59,19 @@ pub struct BudgetOptions {
 }
 
 impl BudgetOptions {
-    pub const FULL: Self = Self {
-        rounds: 3,
-        solves: 700,
-    };
-    pub const QUICK: Self = Self {
-        rounds: 1,
-        solves: 50,
-    };
+    pub fn full() -> Self {
+        Self {
+            rounds: 3,
+            solves: 700,
+        }
+    }
+
+    pub fn quick() -> Self {
+        Self {
+            rounds: 1,
+            solves: 50,
+        }
+    }
 }
 
 pub fn expected_s(options: &BudgetOptions) -> f64 {

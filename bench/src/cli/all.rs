@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail, ensure};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::benchmark::{Benchmark, Request};
-use cdcr_bench::report::{Extent, Report, Start};
+use cdcr_bench::report::{BenchReport, Extent, Start};
 use cdcr_testbed::interrupt;
+use clap::ValueEnum;
 
 use super::output::{keep, make, show};
 
@@ -69,7 +70,7 @@ fn request(args: &AllArguments) -> Request {
         },
         config: args.config.clone(),
         benchmarks: if args.only.is_empty() {
-            Benchmark::ALL.to_vec()
+            Benchmark::value_variants().to_vec()
         } else {
             args.only.clone()
         },
@@ -77,7 +78,7 @@ fn request(args: &AllArguments) -> Request {
 }
 
 /// The folder itself, unless it holds a report with results that this one lacks.
-fn folder(report: &Report, out: &Path) -> Result<PathBuf> {
+fn folder(report: &BenchReport, out: &Path) -> Result<PathBuf> {
     let older = fs::read_to_string(out.join("report.json")).unwrap_or_default();
     let lost = report.would_lose(&older);
     if lost.is_empty() {

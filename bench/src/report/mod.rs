@@ -71,7 +71,7 @@ pub struct Part {
     pub result: Result<Dataset, String>,
 }
 
-pub struct Report {
+pub struct BenchReport {
     pub start: Start,
     pub extent: Extent,
     pub default_config: bool,
@@ -79,7 +79,7 @@ pub struct Report {
     pub parts: Vec<Part>,
 }
 
-impl Report {
+impl BenchReport {
     fn datasets(&self) -> impl Iterator<Item = &Dataset> {
         self.parts
             .iter()
