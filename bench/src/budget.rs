@@ -52,24 +52,29 @@ const COLUMNS: [Column; 11] = [
 ];
 
 #[derive(Debug, Clone, Copy)]
-pub struct Options {
+pub struct BudgetOptions {
     pub rounds: u32,
     /// Solves of each case with each budget in each round.
     pub solves: u64,
 }
 
-impl Options {
-    pub const FULL: Self = Self {
-        rounds: 3,
-        solves: 700,
-    };
-    pub const QUICK: Self = Self {
-        rounds: 1,
-        solves: 50,
-    };
+impl BudgetOptions {
+    pub fn full() -> Self {
+        Self {
+            rounds: 3,
+            solves: 700,
+        }
+    }
+
+    pub fn quick() -> Self {
+        Self {
+            rounds: 1,
+            solves: 50,
+        }
+    }
 }
 
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &BudgetOptions) -> f64 {
     let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, options.solves));
     f64::from(options.rounds) * CASES as f64 * budgets.sum::<f64>()
 }
@@ -80,7 +85,7 @@ fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
 }
 
 /// Measures every case with every budget, round by round. A plan that costs more than the warm start is an error.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &BudgetOptions, progress: &mut Progress) -> Result<Dataset> {
     let cases = cases()?;
     let mut rounds = Vec::new();
     for round in 1..=options.rounds {
@@ -99,7 +104,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
 }
 
 /// Of the rows of each round, in the same order.
-fn dataset(rounds: &[Vec<Row>]) -> Result<Dataset> {
+fn dataset(rounds: &[Vec<BudgetRow>]) -> Result<Dataset> {
     let count = rounds
         .first()
         .context("at least one round is needed")?
@@ -112,9 +117,9 @@ fn dataset(rounds: &[Vec<Row>]) -> Result<Dataset> {
     };
     let mut rows = Vec::new();
     for index in 0..count {
-        let all: Vec<&Row> = rounds.iter().map(|rows| &rows[index]).collect();
+        let all: Vec<&BudgetRow> = rounds.iter().map(|rows| &rows[index]).collect();
         let row = together(&all)?;
-        let each = |value: fn(&Row) -> f64| all.iter().map(move |row| value(row));
+        let each = |value: fn(&BudgetRow) -> f64| all.iter().map(move |row| value(row));
         let path = format!("budget/{}/{}us", row.case, row.budget_us);
         dataset.lower(
             format!("{path}/over_p50"),
@@ -144,13 +149,13 @@ fn dataset(rounds: &[Vec<Row>]) -> Result<Dataset> {
 }
 
 /// What one case with one budget came to in all rounds.
-fn together(rounds: &[&Row]) -> Result<Row> {
+fn together(rounds: &[&BudgetRow]) -> Result<BudgetRow> {
     let shares: f64 = rounds.iter().map(|row| row.ended_by_budget_share).sum();
-    let times = |value: fn(&Row) -> Quantiles| {
+    let times = |value: fn(&BudgetRow) -> Quantiles| {
         let rounds: Vec<Quantiles> = rounds.iter().map(|row| value(row)).collect();
         Quantiles::over_rounds(&rounds).context("no round")
     };
-    Ok(Row {
+    Ok(BudgetRow {
         solves: rounds.iter().map(|row| row.solves).sum(),
         ended_by_budget_share: shares / rounds.len() as f64,
         over_us: times(|row| row.over_us)?,
@@ -160,10 +165,10 @@ fn together(rounds: &[&Row]) -> Result<Row> {
     })
 }
 
-fn panels(rows: &[Row]) -> Vec<Panel> {
+fn panels(rows: &[BudgetRow]) -> Vec<Panel> {
     let of_case = rows.chunk_by(|one, other| one.case == other.case);
-    let panel = |rows: &[Row]| {
-        let curve = |label: &str, colour, value: fn(&Row) -> f64| {
+    let panel = |rows: &[BudgetRow]| {
+        let curve = |label: &str, colour, value: fn(&BudgetRow) -> f64| {
             let points = rows.iter().map(|row| (row.budget_us as f64, value(row)));
             Curve::line(label, points.collect(), colour)
         };
@@ -184,7 +189,7 @@ fn panels(rows: &[Row]) -> Vec<Panel> {
 
 /// One line: one case with one budget.
 #[derive(Debug, Clone, Serialize)]
-struct Row {
+struct BudgetRow {
     pub case: &'static str,
     pub budget_us: u64,
     pub solves: u64,
@@ -241,7 +246,7 @@ impl Case {
 
     /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left; the way begins anew at its end.
-    fn measure(&self, budget_us: u64, solves: u64) -> Result<Row> {
+    fn measure(&self, budget_us: u64, solves: u64) -> Result<BudgetRow> {
         let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
         let mut closed = ClosedLoop::new(&self.scene, self.settings);
         for solve in 0..solves {
@@ -261,7 +266,7 @@ impl Case {
             worse == 0,
             "{name}, {budget_us} µs: {worse} of {solves} plans cost more than the warm start"
         );
-        Ok(Row {
+        Ok(BudgetRow {
             case: name,
             budget_us,
             solves,
@@ -341,7 +346,7 @@ mod tests {
                 p999: max,
                 max,
             };
-            vec![Row {
+            vec![BudgetRow {
                 case: "default",
                 budget_us: 10,
                 solves: 5,

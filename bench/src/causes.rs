@@ -19,7 +19,7 @@ pub struct Causes {
 }
 
 impl Causes {
-    pub fn told(statistics: &Statistics) -> Self {
+    pub fn reported(statistics: &Statistics) -> Self {
         let of = |cause: LateCause| statistics.causes[cause.code() as usize];
         Self {
             platform: of(LateCause::Platform),

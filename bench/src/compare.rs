@@ -13,7 +13,7 @@ use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 
 use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
-use crate::environment::{Environment, Options};
+use crate::environment::{Environment, RunOptions};
 use crate::metric::{Better, Metric, median, range};
 use crate::named::named;
 
@@ -35,7 +35,7 @@ pub struct Input {
     pub environment: Environment,
     /// What was asked for; none in a file of an older version.
     #[serde(default)]
-    pub options: Option<Options>,
+    pub options: Option<RunOptions>,
     pub metrics: Vec<Metric>,
 }
 

@@ -70,7 +70,7 @@ impl Task {
         }
     }
 
-    pub fn paper(&self) -> PaperFigures {
+    pub fn paper(&self) -> PaperMetrics {
         let (mean_error_mm, mean_solve_ms) = match self {
             Self::Spiral { sections: 1 } => (Some(5e-9), 4.0),
             Self::Spiral { sections: 2 } => (Some(7e-4), 5.0),
@@ -78,7 +78,7 @@ impl Task {
             Self::Line { .. } => (Some(0.016), 68.0),
             Self::Circle { .. } => (None, 2.6),
         };
-        PaperFigures {
+        PaperMetrics {
             mean_error_mm,
             mean_solve_ms,
         }
@@ -86,7 +86,7 @@ impl Task {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PaperFigures {
+pub struct PaperMetrics {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_error_mm: Option<f64>,
     pub mean_solve_ms: f64,

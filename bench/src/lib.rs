@@ -7,7 +7,7 @@
 //! | [`rate`] | the shortest period that holds |
 //! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
 //! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
-//! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@figures`] | the paper's simulations |
+//! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@plots`] | the paper's simulations |
 //! | [`solver`] | solve times on every path, and how they grow |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
@@ -43,13 +43,13 @@ pub mod dataset;
 pub mod deadline;
 pub mod environment;
 pub mod experiment;
-pub mod figures;
 pub mod footprint;
 pub mod hlog;
 pub mod latency;
 pub mod metric;
 mod named;
 pub mod paper;
+pub mod plots;
 pub mod progress;
 pub mod quality;
 pub mod quantiles;

@@ -4,8 +4,8 @@ use anyhow::Result;
 
 use crate::dataset::{Column, Dataset, Sheet, fixed, plain, power, word};
 use crate::experiment::{Experiment, Task};
-use crate::figures::figures;
 use crate::interrupt;
+use crate::plots::plots;
 use crate::progress::Progress;
 use crate::simulation::{self, Effort, Outcome, Simulation, work};
 
@@ -136,7 +136,7 @@ fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
         name: "paper",
         heading: "The paper's simulations, offline",
         explanation: EXPLANATION,
-        plots: figures(outcomes)?,
+        plots: plots(outcomes)?,
         sheets: sheets.into_iter().collect::<Result<_>>()?,
         ..Dataset::default()
     };

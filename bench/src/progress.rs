@@ -18,7 +18,7 @@ pub struct Progress {
     done_s: f64,
     bar: Option<ProgressBar>,
     begun: Instant,
-    told: Option<Instant>,
+    last_line: Option<Instant>,
 }
 
 impl Progress {
@@ -40,7 +40,7 @@ impl Progress {
             done_s: 0.0,
             bar,
             begun: Instant::now(),
-            told: None,
+            last_line: None,
         }
     }
 
@@ -55,7 +55,7 @@ impl Progress {
         self.expect(self.done_s + left_s - self.total_s);
         self.part = format!("{part}: ");
         // Each part is told, however short the one before was.
-        self.told = None;
+        self.last_line = None;
         self.begin("begins");
     }
 
@@ -63,7 +63,7 @@ impl Progress {
         let what = format!("{}{what}", self.part);
         match &self.bar {
             Some(bar) => bar.set_message(what),
-            None => self.tell(&what),
+            None => self.write_line(&what),
         }
     }
 
@@ -83,11 +83,14 @@ impl Progress {
         }
     }
 
-    fn tell(&mut self, what: &str) {
-        if self.told.is_some_and(|told| told.elapsed() < LINE_EVERY) {
+    fn write_line(&mut self, what: &str) {
+        if self
+            .last_line
+            .is_some_and(|last_line| last_line.elapsed() < LINE_EVERY)
+        {
             return;
         }
-        self.told = Some(Instant::now());
+        self.last_line = Some(Instant::now());
         let share = if self.total_s > 0.0 {
             (self.done_s / self.total_s).min(1.0)
         } else {

@@ -28,7 +28,7 @@ impl Quantiles {
     }
 
     /// As a daemon tells them; none when it counted nothing.
-    pub fn told(summary: &LatencySummary) -> Option<Self> {
+    pub fn reported(summary: &LatencySummary) -> Option<Self> {
         let us = |time_ns: u64| time_ns as f64 * 1e-3;
         (summary.count > 0).then(|| Self {
             min: us(summary.min_ns),
@@ -68,7 +68,7 @@ mod tests {
     #[test]
     fn nothing_has_no_quantiles() {
         assert_eq!(Quantiles::of(&histogram().expect("bounds")), None);
-        assert_eq!(Quantiles::told(&LatencySummary::default()), None);
+        assert_eq!(Quantiles::reported(&LatencySummary::default()), None);
         assert_eq!(Quantiles::over_rounds(&[]), None);
     }
 

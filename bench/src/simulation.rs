@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::closed_loop::{self, Sample};
-use crate::experiment::{Experiment, PaperFigures, Solver, Task};
+use crate::experiment::{Experiment, PaperMetrics, Solver, Task};
 use crate::metric::median;
 use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
@@ -22,7 +22,7 @@ pub struct SolveTimes {
 }
 
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct LineFigures {
+pub struct LineMetrics {
     /// Largest |Θ| of all samples and runs \[rad\].
     pub max_theta_rad: f64,
     pub max_psi_rad: f64,
@@ -30,7 +30,7 @@ pub struct LineFigures {
 }
 
 #[derive(Debug, Clone, Copy, Serialize)]
-pub struct CircleFigures {
+pub struct CircleMetrics {
     pub safe_distance_mm: f64,
     /// Smallest clearance of the whole body in all samples and runs \[mm\].
     pub min_clearance_mm: f64,
@@ -58,11 +58,11 @@ pub struct Simulation {
     pub mean_error_mm: f64,
     pub max_error_mm: f64,
     pub solve_us: SolveTimes,
-    pub paper: PaperFigures,
+    pub paper: PaperMetrics,
     #[serde(flatten)]
-    pub line: Option<LineFigures>,
+    pub line: Option<LineMetrics>,
     #[serde(flatten)]
-    pub circle: Option<CircleFigures>,
+    pub circle: Option<CircleMetrics>,
 }
 
 /// An experiment, its row, and its first run for the figures.
@@ -215,23 +215,23 @@ impl Summary {
         })
     }
 
-    fn line(&self) -> Option<LineFigures> {
+    fn line(&self) -> Option<LineMetrics> {
         let Task::Line { rate_limit_rad_s } = self.task else {
             return None;
         };
-        Some(LineFigures {
+        Some(LineMetrics {
             max_theta_rad: self.max_theta_rad,
             max_psi_rad: self.max_psi_rad,
             rate_limit_rad_s,
         })
     }
 
-    fn circle(&self) -> Option<CircleFigures> {
+    fn circle(&self) -> Option<CircleMetrics> {
         let Task::Circle { safe_distance_m } = self.task else {
             return None;
         };
         let all = |values: &[Option<f64>]| values.iter().copied().collect::<Option<Vec<f64>>>();
-        Some(CircleFigures {
+        Some(CircleMetrics {
             safe_distance_mm: 1e3 * safe_distance_m,
             min_clearance_mm: 1e3 * self.min_clearance_m,
             mean_error_outside_mm: all(&self.mean_outside_mm).and_then(median),

@@ -4,7 +4,7 @@
 //! All paths give the same bits, so in each cycle every path solves the same problem, one after the
 //! other, and the speed-up is a ratio of times that were measured side by side.
 
-mod growth;
+pub mod growth;
 
 use std::time::{Duration, Instant};
 
@@ -66,12 +66,12 @@ const COLUMNS: [Column; 11] = [
 ];
 
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct SolverOptions {
     pub rounds: u32,
     pub sizes: Vec<Size>,
 }
 
-impl Options {
+impl SolverOptions {
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -86,12 +86,12 @@ impl Options {
     }
 }
 
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &SolverOptions) -> f64 {
     f64::from(options.rounds) * options.sizes.len() as f64 * SIZE_S
 }
 
 /// Measures all sizes on every path, round by round. Two paths that disagree are an error.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &SolverOptions, progress: &mut Progress) -> Result<Dataset> {
     let mut rounds = Vec::new();
     for round in 1..=options.rounds {
         let mut cases = Vec::new();

@@ -66,20 +66,14 @@ pub fn connect(place: &Place) -> Connection {
     Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
 }
 
-/// Runs `work` every `period` until the end; what is late is made up for, so that the rate is kept.
+/// Runs `work` every `period` until the end.
 fn every(period: Duration, ending: &AtomicBool, mut work: impl FnMut()) {
-    let mut next = Instant::now();
-    while !ending.load(Ordering::Relaxed) {
+    let is_ending = || ending.load(Ordering::Relaxed);
+    let work = || {
         work();
-        next += period;
-        let now = Instant::now();
-        if next > now {
-            std::thread::sleep(next - now);
-        } else if now - next > Duration::from_millis(100) {
-            // A machine that stalled for so long need not make up for all of it.
-            next = now;
-        }
-    }
+        Ok(())
+    };
+    cdcr_testbed::load::rate::every(period, is_ending, work).unwrap();
 }
 
 /// Threads that come and go. One alone comes ten times a second: to connect is to wait for a status.

@@ -131,11 +131,14 @@ fn indent_of(line: &str) -> &str {
     &line[..line.len() - line.trim_start().len()]
 }
 
-/// Top modules of the crate that the code of a module names. `module` is its path from the crate's root.
+/// Top modules of the crate that the code of a module names. `module` is its path from the crate's root. What a macro
+/// names by `$crate` belongs to where the macro is used.
 fn imports(code: &str, module: &[String]) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
-    for after in code.split("crate::").skip(1) {
-        names.extend(first_names(after));
+    for (at, word) in code.match_indices("crate::") {
+        if !code[..at].ends_with('$') {
+            names.extend(first_names(&code[at + word.len()..]));
+        }
     }
     // `super::super::` stands for as many modules up.
     let mut rest = code;
@@ -255,7 +258,7 @@ fn every_way_to_name_a_module_is_seen() {
         let module: Vec<String> = module.iter().map(|part| (*part).to_owned()).collect();
         imports(code, &module).into_iter().collect::<Vec<_>>()
     };
-    let code = "use crate::one::A;\nuse crate::{two::{x, y}, three::B};\nlet x = crate::four(1);";
+    let code = "use crate::one::A;\nuse crate::{two::{x, y}, three::B};\nlet x = crate::four($crate::five);";
     assert_eq!(names(code, &["own"]), ["four", "one", "three", "two"]);
     let code = "use super::{one, two::{A, B}};\nuse super::super::three::C;";
     assert_eq!(names(code, &["own"]), ["one", "three", "two"]);

@@ -7,8 +7,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Result, bail, ensure};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::benchmark::{Benchmark, Request};
-use cdcr_bench::report::{Extent, Report, Start};
+use cdcr_bench::report::{BenchReport, Extent, Start};
 use cdcr_testbed::interrupt;
+use clap::ValueEnum;
 
 use super::output::{keep, make, show};
 
@@ -16,7 +17,7 @@ use super::output::{keep, make, show};
 const ASIDE: &str = "partial";
 
 #[derive(Debug, clap::Args)]
-pub(super) struct Options {
+pub(super) struct AllArguments {
     /// Folder for the report: report.html, report.txt, report.json, a CSV for each table, plots as SVG, raw
     /// histograms; made if it does not exist, written into at the end only.
     #[arg(long, value_name = "DIR")]
@@ -36,7 +37,7 @@ pub(super) struct Options {
     config: Option<PathBuf>,
 }
 
-pub(super) fn run(args: &Options) -> Result<()> {
+pub(super) fn run(args: &AllArguments) -> Result<()> {
     let start = Start::now()?;
     interrupt::catch()?;
     if let Some(config) = &args.config {
@@ -61,7 +62,7 @@ pub(super) fn run(args: &Options) -> Result<()> {
     Ok(())
 }
 
-fn request(args: &Options) -> Request {
+fn request(args: &AllArguments) -> Request {
     Request {
         extent: Extent {
             quick: args.quick,
@@ -69,7 +70,7 @@ fn request(args: &Options) -> Request {
         },
         config: args.config.clone(),
         benchmarks: if args.only.is_empty() {
-            Benchmark::ALL.to_vec()
+            Benchmark::value_variants().to_vec()
         } else {
             args.only.clone()
         },
@@ -77,7 +78,7 @@ fn request(args: &Options) -> Request {
 }
 
 /// The folder itself, unless it holds a report with results that this one lacks.
-fn folder(report: &Report, out: &Path) -> Result<PathBuf> {
+fn folder(report: &BenchReport, out: &Path) -> Result<PathBuf> {
     let older = fs::read_to_string(out.join("report.json")).unwrap_or_default();
     let lost = report.would_lose(&older);
     if lost.is_empty() {

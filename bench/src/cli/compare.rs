@@ -17,7 +17,7 @@ enum Format {
 }
 
 #[derive(Debug, clap::Args)]
-pub(super) struct Options {
+pub(super) struct CompareArguments {
     /// The JSON of the run before: report.json, or that of one benchmark.
     #[arg(value_name = "A.json")]
     before: PathBuf,
@@ -34,7 +34,7 @@ pub(super) struct Options {
     fail_on_worse: bool,
 }
 
-pub(super) fn run(args: &Options) -> Result<()> {
+pub(super) fn run(args: &CompareArguments) -> Result<()> {
     let comparison = Comparison::of(&Input::read(&args.before)?, &Input::read(&args.after)?);
     show(&match args.format {
         Format::Text => comparison.text()?,

@@ -4,15 +4,44 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-use cdcr_bench::latency::bare;
+use cdcr_bench::dataset::Dataset;
+use cdcr_bench::latency::baseline;
+use cdcr_bench::progress::Progress;
 use cdcr_bench::simulation::Effort;
-use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
+use cdcr_bench::{budget, deadline, footprint, latency, quality, rate, solver};
 use cdcr_shared_types::Location;
 use cdcr_testbed::load::Load;
 use cdcr_testbed::system::thread::may_be_realtime;
 use clap::ValueEnum;
 
 use super::output::Output;
+
+/// What a command line asks of a benchmark.
+pub(super) trait Arguments: clap::Args {
+    type Options;
+
+    fn options(&self) -> Result<Self::Options>;
+}
+
+/// The arguments of a benchmark, and what becomes of its result.
+#[derive(Debug, clap::Args)]
+pub(super) struct Measure<A: Arguments> {
+    #[command(flatten)]
+    arguments: A,
+    #[command(flatten)]
+    output: Output,
+}
+
+impl<A: Arguments> Measure<A> {
+    pub(super) fn run(
+        &self,
+        expected_s: fn(&A::Options) -> f64,
+        run: fn(&A::Options, &mut Progress) -> Result<Dataset>,
+    ) -> Result<()> {
+        let options = || self.arguments.options();
+        self.output.measure(options, expected_s, run)
+    }
+}
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Deadline {
@@ -35,8 +64,6 @@ pub(super) struct Deadline {
     /// Which set-up of the threads.
     #[arg(long, value_enum, default_value_t = Setups::Both)]
     setup: Setups,
-    #[command(flatten)]
-    output: Output,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
@@ -49,9 +76,11 @@ enum Setups {
     Ordinary,
 }
 
-impl Deadline {
-    fn plan(&self) -> Result<deadline::Options> {
-        let default = deadline::Options::default();
+impl Arguments for Deadline {
+    type Options = deadline::DeadlineOptions;
+
+    fn options(&self) -> Result<Self::Options> {
+        let default = deadline::DeadlineOptions::default();
         let chosen = |loads: Vec<Load>| {
             if self.load.is_empty() {
                 loads
@@ -68,7 +97,7 @@ impl Deadline {
             !ordinary_loads.is_empty() || may_be_realtime(),
             "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
         );
-        let options = deadline::Options {
+        let options = deadline::DeadlineOptions {
             duration: self.duration,
             rounds: self.rounds,
             loads,
@@ -84,12 +113,6 @@ impl Deadline {
             self.rounds
         );
         Ok(options)
-    }
-
-    pub(super) fn run(&self) -> Result<()> {
-        let plan = || self.plan();
-        self.output
-            .measure(plan, deadline::expected_s, deadline::run)
     }
 }
 
@@ -111,26 +134,23 @@ pub(super) struct Latency {
     /// A quick look: 2 rounds of 40 samples.
     #[arg(long, conflicts_with_all = ["rounds", "samples"])]
     quick: bool,
-    #[command(flatten)]
-    output: Output,
 }
 
-impl Latency {
-    pub(super) fn run(&self) -> Result<()> {
+impl Arguments for Latency {
+    type Options = latency::LatencyOptions;
+
+    fn options(&self) -> Result<Self::Options> {
         let (rounds, samples) = if self.quick {
-            latency::Options::QUICK
+            latency::LatencyOptions::QUICK
         } else {
             (usize::from(self.rounds), usize::from(self.samples))
         };
-        let plan = || {
-            Ok(latency::Options {
-                rounds,
-                samples,
-                period: self.period,
-                config: self.config.clone(),
-            })
-        };
-        self.output.measure(plan, latency::expected_s, latency::run)
+        Ok(latency::LatencyOptions {
+            rounds,
+            samples,
+            period: self.period,
+            config: self.config.clone(),
+        })
     }
 }
 
@@ -148,8 +168,6 @@ pub(super) struct Rate {
     /// period.
     #[arg(long, value_name = "US", default_value_t = 0.0, value_parser = spin_us)]
     spin: f64,
-    #[command(flatten)]
-    output: Output,
 }
 
 fn spin_us(text: &str) -> Result<f64, String> {
@@ -161,16 +179,17 @@ fn spin_us(text: &str) -> Result<f64, String> {
     }
 }
 
-impl Rate {
-    pub(super) fn run(&self) -> Result<()> {
-        let mut options = rate::Options::full();
+impl Arguments for Rate {
+    type Options = rate::RateOptions;
+
+    fn options(&self) -> Result<Self::Options> {
+        let mut options = rate::RateOptions::full();
         options.rounds = self.rounds;
         if self.quick {
-            options = rate::Options::quick();
+            options = rate::RateOptions::quick();
         }
         options.spin_us = self.spin;
-        self.output
-            .measure(|| Ok(options), rate::expected_s, rate::run)
+        Ok(options)
     }
 }
 
@@ -189,29 +208,23 @@ pub(super) struct Footprint {
     /// Two daemons for two seconds: a look of ten seconds instead of a measurement.
     #[arg(long, conflicts_with_all = ["rounds", "duration"])]
     quick: bool,
-    #[command(flatten)]
-    output: Output,
 }
 
-impl Footprint {
-    fn plan(&self) -> Result<footprint::Options> {
+impl Arguments for Footprint {
+    type Options = footprint::FootprintOptions;
+
+    fn options(&self) -> Result<Self::Options> {
         if self.quick {
-            return Ok(footprint::Options::quick());
+            return Ok(footprint::FootprintOptions::quick());
         }
         ensure!(
             (LEAST..=MOST).contains(&self.duration),
             "--duration must be 100ms to 1h"
         );
-        Ok(footprint::Options {
+        Ok(footprint::FootprintOptions {
             rounds: self.rounds,
             tracking: self.duration,
         })
-    }
-
-    pub(super) fn run(&self) -> Result<()> {
-        let plan = || self.plan();
-        self.output
-            .measure(plan, footprint::expected_s, footprint::run)
     }
 }
 
@@ -223,19 +236,19 @@ pub(super) struct Quality {
     /// One round of a part of it: a look of some seconds, no measurement.
     #[arg(long, conflicts_with = "rounds")]
     quick: bool,
-    #[command(flatten)]
-    output: Output,
 }
 
-impl Quality {
-    pub(super) fn run(&self) -> Result<()> {
-        let mut options = quality::Options::full();
-        options.rounds = self.rounds;
+impl Arguments for Quality {
+    type Options = quality::QualityOptions;
+
+    fn options(&self) -> Result<Self::Options> {
         if self.quick {
-            options = quality::Options::quick();
+            return Ok(quality::QualityOptions::quick());
         }
-        self.output
-            .measure(|| Ok(options), quality::expected_s, quality::run)
+        Ok(quality::QualityOptions {
+            rounds: self.rounds,
+            ..quality::QualityOptions::full()
+        })
     }
 }
 
@@ -245,21 +258,19 @@ pub(super) struct Paper {
     /// times.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u64).range(1..=1000))]
     seeds: u64,
-    #[command(flatten)]
-    output: Output,
     /// Cycles of a run at most: for a quick look.
     #[arg(long, hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
     cycles: u64,
 }
 
-impl Paper {
-    pub(super) fn run(&self) -> Result<()> {
-        let effort = Effort {
+impl Arguments for Paper {
+    type Options = Effort;
+
+    fn options(&self) -> Result<Self::Options> {
+        Ok(Effort {
             seeds: self.seeds,
             cycles_max: self.cycles,
-        };
-        self.output
-            .measure(|| Ok(effort), paper::expected_s, paper::run)
+        })
     }
 }
 
@@ -268,18 +279,16 @@ pub(super) struct Solver {
     /// How often all sizes are measured, 1 to 100; a number is the median.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     rounds: u32,
-    #[command(flatten)]
-    output: Output,
 }
 
-impl Solver {
-    pub(super) fn run(&self) -> Result<()> {
-        let options = solver::Options {
+impl Arguments for Solver {
+    type Options = solver::SolverOptions;
+
+    fn options(&self) -> Result<Self::Options> {
+        Ok(solver::SolverOptions {
             rounds: self.rounds,
-            ..solver::Options::full()
-        };
-        self.output
-            .measure(|| Ok(options), solver::expected_s, solver::run)
+            ..solver::SolverOptions::full()
+        })
     }
 }
 
@@ -291,18 +300,16 @@ pub(super) struct Budget {
     /// Solves of each case with each budget in a round, 1 to 1000000.
     #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     solves: u64,
-    #[command(flatten)]
-    output: Output,
 }
 
-impl Budget {
-    pub(super) fn run(&self) -> Result<()> {
-        let options = budget::Options {
+impl Arguments for Budget {
+    type Options = budget::BudgetOptions;
+
+    fn options(&self) -> Result<Self::Options> {
+        Ok(budget::BudgetOptions {
             rounds: self.rounds,
             solves: self.solves,
-        };
-        self.output
-            .measure(|| Ok(options), budget::expected_s, budget::run)
+        })
     }
 }
 
@@ -328,7 +335,7 @@ pub(super) struct Peer {
 
 impl Peer {
     pub(super) fn run(&self) -> Result<()> {
-        bare::peer(&bare::PeerOptions {
+        baseline::peer(&baseline::PeerOptions {
             location: Location::new(&self.prefix, &self.root)?,
             core: self.core,
             parent: self.parent,

@@ -6,7 +6,9 @@ mod measure;
 mod output;
 
 use anyhow::Result;
+use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
 use clap::{Parser, Subcommand};
+use measure::Measure;
 
 const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
     Real-time threads need a privilege (docs/realtime.md); without it only the ordinary set-up is measured.";
@@ -26,44 +28,44 @@ enum Command {
     /// Everything, as one report with the machine's description: text, JSON, CSV, plots, raw histograms, and
     /// a page that holds all of it.
     #[command(after_help = "Example: cdcr-bench all --out report --quick")]
-    All(all::Options),
+    All(all::AllArguments),
     /// What changed between two runs beyond the noise of their rounds.
     #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
-    Compare(compare::Options),
+    Compare(compare::CompareArguments),
     /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
     #[command(after_help = DEADLINE_HELP)]
-    Deadline(measure::Deadline),
+    Deadline(Measure<measure::Deadline>),
     /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
     /// solver, beside the paper's figures.
     #[command(after_help = "Example: cdcr-bench paper --seeds 3 --out paper")]
-    Paper(measure::Paper),
+    Paper(Measure<measure::Paper>),
     /// What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on
     /// the paper's and on harder scenes, and how often a solver gets stuck.
     #[command(after_help = "Example: cdcr-bench quality --rounds 5 --out quality")]
-    Quality(measure::Quality),
+    Quality(Measure<measure::Quality>),
     /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
     /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
-    Solver(measure::Solver),
+    Solver(Measure<measure::Solver>),
     /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
     /// worse than the warm start.
     #[command(after_help = "Example: cdcr-bench budget --format json > budget.json")]
-    Budget(measure::Budget),
+    Budget(Measure<measure::Budget>),
     /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
     #[command(after_help = LATENCY_HELP)]
-    Latency(measure::Latency),
+    Latency(Measure<measure::Latency>),
     /// The other process of `latency`.
-    #[command(name = cdcr_bench::latency::bare::PEER, hide = true)]
+    #[command(name = cdcr_bench::latency::baseline::PEER, hide = true)]
     Peer(measure::Peer),
     /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
     /// solver and two horizons, and what ends it.
     #[command(after_help = "Example: cdcr-bench rate --rounds 5 --out rate")]
-    Rate(measure::Rate),
+    Rate(Measure<measure::Rate>),
     /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
     #[command(
         after_help = "Example: cdcr-bench footprint --duration 30s --format json > footprint.json"
     )]
-    Footprint(measure::Footprint),
+    Footprint(Measure<measure::Footprint>),
 }
 
 /// Carries a command line out.
@@ -71,15 +73,15 @@ pub(crate) fn execute(cli: Cli) -> Result<()> {
     match cli.command {
         Command::All(options) => all::run(&options),
         Command::Compare(options) => compare::run(&options),
-        Command::Deadline(options) => options.run(),
-        Command::Paper(options) => options.run(),
-        Command::Quality(options) => options.run(),
-        Command::Solver(options) => options.run(),
-        Command::Budget(options) => options.run(),
-        Command::Latency(options) => options.run(),
+        Command::Deadline(asked) => asked.run(deadline::expected_s, deadline::run),
+        Command::Paper(asked) => asked.run(paper::expected_s, paper::run),
+        Command::Quality(asked) => asked.run(quality::expected_s, quality::run),
+        Command::Solver(asked) => asked.run(solver::expected_s, solver::run),
+        Command::Budget(asked) => asked.run(budget::expected_s, budget::run),
+        Command::Latency(asked) => asked.run(latency::expected_s, latency::run),
         Command::Peer(options) => options.run(),
-        Command::Rate(options) => options.run(),
-        Command::Footprint(options) => options.run(),
+        Command::Rate(asked) => asked.run(rate::expected_s, rate::run),
+        Command::Footprint(asked) => asked.run(footprint::expected_s, footprint::run),
     }
 }
 

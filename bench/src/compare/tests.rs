@@ -1,5 +1,7 @@
 //! What two runs say of each other.
 
+use serde_json::json;
+
 use super::*;
 
 fn lower<const N: usize>(name: impl Into<String>, unit: &str, rounds: [f64; N]) -> Metric {
@@ -142,10 +144,14 @@ fn every_number_is_in_one_list() {
 
 #[test]
 fn another_machine_is_told() {
-    let before = input(Vec::new());
-    let mut after = input(Vec::new());
-    after.environment.kernel.release = "7.0".to_owned();
-    after.environment.privileges.realtime = true;
+    let [before, after] = [("6.1", false), ("7.0", true)].map(|(release, realtime)| {
+        let machine =
+            json!({ "kernel": { "release": release }, "privileges": { "realtime": realtime } });
+        Input {
+            environment: serde_json::from_value(machine).expect("a machine"),
+            ..input(Vec::new())
+        }
+    });
     let warnings = Comparison::of(&before, &after).warnings;
     assert_eq!(warnings.len(), 3, "{warnings:?}");
     assert!(

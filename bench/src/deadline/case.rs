@@ -59,7 +59,7 @@ impl Case {
     }
 
     /// All rounds together, their medians, and the rounds themselves.
-    pub fn row(&self) -> Row {
+    pub fn row(&self) -> CaseRow {
         let shares = self.rounds.iter().filter_map(|r| r.segment.tracking_share);
         let budget_hits = self.rounds.iter().map(|round| round.segment.budget_hits);
         let rounds = self.rounds.iter().map(|r| r.segment.tally.quantiles());
@@ -74,7 +74,7 @@ impl Case {
             let of_time = rounds.iter().filter_map(|times| *times.named()[*time].1);
             Quantiles::over_rounds(&of_time.collect::<Vec<_>>())
         });
-        Row {
+        CaseRow {
             load: self.key.load,
             set_up: self.key.setup,
             subject: self.key.subject,
@@ -108,7 +108,7 @@ impl Case {
 }
 
 #[derive(Debug, Serialize)]
-pub struct Row {
+pub struct CaseRow {
     load: Load,
     set_up: Setup,
     subject: Subject,

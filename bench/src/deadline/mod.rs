@@ -46,7 +46,7 @@ named! {
 }
 
 #[derive(Debug, Clone, PartialEq)]
-pub struct Options {
+pub struct DeadlineOptions {
     /// Measured time of each subject under each load, all rounds together.
     pub duration: Duration,
     pub rounds: u32,
@@ -59,7 +59,7 @@ pub struct Options {
     pub config: Option<PathBuf>,
 }
 
-impl Default for Options {
+impl Default for DeadlineOptions {
     fn default() -> Self {
         Self {
             duration: Duration::from_secs(60),
@@ -72,7 +72,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl DeadlineOptions {
     /// A look that takes a minute and proves little.
     pub fn quick() -> Self {
         Self {
@@ -96,7 +96,7 @@ impl Options {
     }
 }
 
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &DeadlineOptions) -> f64 {
     let realtime = if may_be_realtime() {
         2 + usize::from(Cyclictest::find().is_some())
     } else {
@@ -107,7 +107,7 @@ pub fn expected_s(options: &Options) -> f64 {
     segment_s * loads as f64 * f64::from(options.rounds)
 }
 
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &DeadlineOptions, progress: &mut Progress) -> Result<Dataset> {
     ensure!(options.rounds > 0, "at least one round is needed");
     for load in options.loads.iter().chain(&options.ordinary_loads) {
         load.is_available()?;
@@ -142,7 +142,7 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// What a round measures, in this order: another subject comes first in each round.
-    fn stretches(&self, options: &Options, round: u32) -> Vec<Key> {
+    fn stretches(&self, options: &DeadlineOptions, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
         for (setup, loads) in options.setups() {
             if setup == Setup::Realtime && !self.is_realtime {

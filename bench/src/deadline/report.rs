@@ -9,7 +9,7 @@ use super::case::{Case, Cases, Key};
 use super::ratio::{Ratio, per_million, ratios};
 use super::segment::Subject;
 use super::tally::TimeQuantiles;
-use super::{Counts, Options, Run, Setup};
+use super::{Counts, DeadlineOptions, Run, Setup};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, fixed, percent, plain, signed, word,
@@ -88,7 +88,7 @@ struct TimeRow {
     quantiles: Quantiles,
 }
 
-pub(super) fn dataset(run: Run<'_>, options: &Options) -> Result<Dataset> {
+pub(super) fn dataset(run: Run<'_>, options: &DeadlineOptions) -> Result<Dataset> {
     let cases = run.cases;
     let ratios = ratios(&cases);
     let title = format!(
@@ -225,15 +225,17 @@ fn case_metrics(dataset: &mut Dataset, case: &Case) {
         ("response", |t| t.response),
         ("command", |t| t.command),
     ] {
-        let quantiles: [(_, fn(Quantiles) -> f64); 2] = [("p50", |q| q.p50), ("p99", |q| q.p99)];
-        for (quantile, value) in quantiles {
+        for (quantile, value) in [
+            ("p50", (|q| q.p50) as fn(Quantiles) -> f64),
+            ("p99", |q| q.p99),
+        ] {
             let rounds = case.each(|t| Some(value(times(t)?)));
             dataset.lower(name(&format!("{kind}_{quantile}")), "µs", rounds);
         }
     }
 }
 
-fn recordings(cases: Cases, options: &Options) -> Vec<Recording> {
+fn recordings(cases: Cases, options: &DeadlineOptions) -> Vec<Recording> {
     let mut all = Vec::new();
     for case in cases.into_values() {
         let path = path(&case.key).join(".");

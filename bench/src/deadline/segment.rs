@@ -6,11 +6,11 @@ use anyhow::{Context, Result};
 
 use super::observer::{Observed, Observer};
 use super::tally::Tally;
-use super::{Options, Setup, WARM_UP};
+use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
 use crate::named::named;
-use crate::subject::bare::Bare;
+use crate::subject::baseline::Baseline;
 use crate::subject::cyclictest::Cyclictest;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
@@ -40,7 +40,7 @@ pub struct Segment {
 
 #[derive(Debug)]
 pub struct Runner<'a> {
-    options: &'a Options,
+    options: &'a DeadlineOptions,
     cores: Cores,
     cyclictest: Option<Cyclictest>,
     period: Duration,
@@ -50,7 +50,7 @@ pub struct Runner<'a> {
 
 impl<'a> Runner<'a> {
     /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
-    pub fn new(options: &'a Options, cores: Cores) -> Result<Self> {
+    pub fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
         let launch = launch(options);
         let daemon = Daemon::start(&launch, &cores)?;
         let connection = daemon.connect()?;
@@ -124,12 +124,12 @@ impl<'a> Runner<'a> {
         let steal = steal.end_ms();
         let observed = observer.finish();
         let done = running.stop();
-        tracking.stop().with_context(|| daemon.last_words())?;
+        tracking.stop().with_context(|| daemon.stderr_tail())?;
         let Observed {
             mut tally,
             tracking_share,
             budget_hits,
-        } = observed.with_context(|| daemon.last_words())?;
+        } = observed.with_context(|| daemon.stderr_tail())?;
         daemon.stop()?;
         tally.counts.steal_ms = steal;
         Ok(Segment {
@@ -192,7 +192,7 @@ impl<'a> Runner<'a> {
 
     fn bare(&self, setup: Setup) -> Result<(Tally, f64)> {
         let duration = WARM_UP + self.options.segment();
-        let bare = Bare::start(&self.launch(setup), &self.cores, duration)?;
+        let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
         interrupt::sleep(WARM_UP)?;
         let steal = Steal::begin(&self.cores, setup);
         let cycles = bare.wait()?;
@@ -221,7 +221,7 @@ impl<'a> Runner<'a> {
 /// Priority of whatever is measured with real time: that of the daemon's cycle thread, whatever its configuration says.
 const CYCLE_PRIORITY: u8 = 80;
 
-fn launch(options: &Options) -> Launch {
+fn launch(options: &DeadlineOptions) -> Launch {
     // A driver is not there: the robot is simulated, whatever the configuration says.
     let launch = Launch::patient(options.config.clone())
         .with("link.kind", "simulated")

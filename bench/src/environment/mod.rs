@@ -11,9 +11,9 @@ use std::time::SystemTime;
 
 use anyhow::Result;
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
-pub use options::Options;
+pub use options::RunOptions;
 
 use crate::dataset::{Sheet, flat, word};
 use crate::system::cores::Cores;
@@ -25,123 +25,69 @@ const CAP_IPC_LOCK: u32 = 14;
 /// Properties of the machine that move absolute times.
 const MOVING: [&str; 11] = [
     "debug build",
-    "processor model",
+    "hypervisor",
+    "kernel clock source",
+    "kernel isolation",
+    "kernel release",
+    "privileges lock memory",
+    "privileges realtime",
     "processor cores",
     "processor governor",
+    "processor model",
     "virtual machine",
-    "hypervisor",
-    "kernel release",
-    "kernel isolation",
-    "kernel clock source",
-    "privileges realtime",
-    "privileges lock memory",
 ];
 
-/// The machine at the start of a run. What it does not tell is empty.
+/// The machine at the start of a run. What it does not tell is null.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Environment {
-    /// When the run began, in UTC, like `2026-11-21T12:00:00Z`.
-    pub started_utc: String,
-    pub cdcr_version: String,
-    /// Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
-    pub commit: Option<String>,
-    /// Built without optimisation: times of such a program say nothing.
-    pub debug_build: bool,
-    pub processor: Processor,
-    /// Whether a hypervisor may halt the cores at any time, as the processor tells; none where it does not.
-    pub virtual_machine: Option<bool>,
-    pub hypervisor: Option<String>,
-    pub kernel: Kernel,
-    pub memory_mb: Option<u64>,
-    /// Load average of the last minute before the start; 1 is one busy core.
-    pub load_average: Option<f64>,
-    pub privileges: Privileges,
-    pub cores: UsedCores,
-}
-
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Privileges {
-    /// It may have real-time threads (`SCHED_FIFO`).
-    pub realtime: bool,
-    /// It may lock as much memory as it likes.
-    pub lock_memory: bool,
-}
-
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct UsedCores {
-    pub realtime: usize,
-    pub others: Vec<usize>,
-}
-
-/// The processor, as it is seen from the core that is measured.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Processor {
-    pub model: String,
-    pub vendor: Option<String>,
-    pub cores: usize,
-    /// Caches of the core, like `L1 Data 32K`.
-    pub caches: Vec<String>,
-    pub frequency_mhz: Option<f64>,
-    pub governor: Option<String>,
-}
-
-/// The kernel and what it was told that matters to a punctual loop.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Kernel {
-    pub release: String,
-    /// Version: number of the build and what it was built with.
-    pub version: String,
-    /// How it preempts: `PREEMPT_RT`, or the word of the version, with the mode where it can be chosen.
-    pub preemption: Option<String>,
-    /// `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
-    pub isolation: Vec<String>,
-    pub clock_source: Option<String>,
-    /// Transparent huge pages: `always`, `madvise` or `never`.
-    pub huge_pages: Option<String>,
-    /// Time that real-time threads may have of each period \[µs\]; -1: all of it.
-    pub rt_runtime_us: Option<i64>,
-    pub rt_period_us: Option<i64>,
-}
+#[serde(transparent)]
+pub struct Environment(Map<String, Value>);
 
 impl Environment {
     /// This machine now. To be asked before any thread of this process is pinned.
     pub fn find() -> Result<Self> {
-        let cores = Cores::find()?;
-        let used = UsedCores {
-            realtime: cores.realtime,
-            others: cores.others,
-        };
-        let privileges = Privileges {
-            realtime: may_be_realtime(),
-            lock_memory: may_lock(&System::real()),
-        };
-        Ok(Self {
-            commit: commit(),
-            ..Self::of(&System::real(), used, privileges)
-        })
+        let mut found = Self::of(&System::real(), &Cores::find()?, may_be_realtime());
+        found.0.insert("commit".to_owned(), json!(commit()));
+        Ok(found)
     }
 
-    fn of(system: &System, cores: UsedCores, privileges: Privileges) -> Self {
-        let processor = system.processor(cores.realtime);
-        Self {
-            started_utc: utc(SystemTime::now()),
-            cdcr_version: env!("CARGO_PKG_VERSION").to_owned(),
-            commit: None,
-            debug_build: cfg!(debug_assertions),
-            virtual_machine: system.is_virtual(),
-            hypervisor: system.hypervisor(),
-            processor,
-            kernel: system.kernel(),
-            memory_mb: memory_mb(system),
-            load_average: load_average(system),
-            privileges,
-            cores,
-        }
+    fn of(system: &System, cores: &Cores, realtime: bool) -> Self {
+        let all = json!({
+            // When the run began, in UTC, like `2026-11-21T12:00:00Z`.
+            "started_utc": utc(SystemTime::now()),
+            "cdcr_version": env!("CARGO_PKG_VERSION"),
+            // Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
+            "commit": null,
+            // Built without optimisation: times of such a program say nothing.
+            "debug_build": cfg!(debug_assertions),
+            // As it is seen from the core that is measured.
+            "processor": system.processor(cores.realtime),
+            // Whether a hypervisor may halt the cores at any time, as the processor tells.
+            "virtual_machine": system.is_virtual(),
+            "hypervisor": system.hypervisor(),
+            "kernel": system.kernel(),
+            "memory_mb": memory_mb(system),
+            // Of the last minute before the start; 1 is one busy core.
+            "load_average": load_average(system),
+            // Threads with SCHED_FIFO, and as much locked memory as it likes.
+            "privileges": { "realtime": realtime, "lock_memory": may_lock(system) },
+            "cores": { "realtime": cores.realtime, "others": cores.others },
+        });
+        Self(all.as_object().cloned().unwrap_or_default())
+    }
+
+    pub fn is_realtime(&self) -> bool {
+        self.value("privileges realtime") == true
+    }
+
+    fn value(&self, property: &str) -> Value {
+        let mut properties = self.properties();
+        let found = properties.find(|(name, _)| name == property);
+        found.map_or(Value::Null, |(_, value)| value)
+    }
+
+    /// A property that is a text, or nothing.
+    fn text(&self, property: &str) -> String {
+        self.value(property).as_str().unwrap_or_default().to_owned()
     }
 
     /// Name and value of everything that is known of the machine.
@@ -160,39 +106,42 @@ impl Environment {
         )
     }
 
-    /// What differs between two machines and moves absolute times.
-    pub(crate) fn differing(&self, other: &Self) -> Vec<(String, Value, Value)> {
-        let both = self.properties().zip(other.properties());
-        let differing =
-            both.filter(|((name, old), (_, new))| MOVING.contains(&&**name) && old != new);
-        differing
-            .map(|((name, old), (_, new))| (name, old, new))
-            .collect()
+    /// What differs between two machines and moves absolute times. An older file may lack a property.
+    pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
+        let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
+        let both = MOVING.map(|name| (name, self.value(name), other.value(name)));
+        let is_differing = |(_, old, new): &(_, Value, Value)| {
+            old != new && !(empty.contains(old) && empty.contains(new))
+        };
+        both.into_iter().filter(is_differing).collect()
     }
 
     /// What a figure needs beside it at least: processor, kernel, right to real time.
     pub fn line(&self) -> String {
-        let realtime = if self.privileges.realtime {
+        let realtime = if self.is_realtime() {
             "granted"
         } else {
             "refused"
         };
-        format!(
-            "Measured on {}, kernel {}, real time {realtime}.",
-            self.processor.model, self.kernel.release
-        )
+        let [model, release] = ["processor model", "kernel release"].map(|name| self.text(name));
+        format!("Measured on {model}, kernel {release}, real time {realtime}.")
     }
 
     pub(crate) fn run(&self) -> String {
-        let commit = self.commit.as_ref().map(|commit| format!(" ({commit})"));
-        format!(
-            "cdcr {}{}, {}, {}, kernel {}",
-            self.cdcr_version,
-            commit.unwrap_or_default(),
-            self.started_utc,
-            self.processor.model,
-            self.kernel.release
-        )
+        let [version, commit, started, model, release] = [
+            "cdcr version",
+            "commit",
+            "started utc",
+            "processor model",
+            "kernel release",
+        ]
+        .map(|name| self.text(name));
+        let commit = if commit.is_empty() {
+            commit
+        } else {
+            format!(" ({commit})")
+        };
+        format!("cdcr {version}{commit}, {started}, {model}, kernel {release}")
     }
 }
 
@@ -257,12 +206,13 @@ mod tests {
     #[test]
     fn a_machine_that_tells_nothing_is_described_all_the_same() {
         let folder = tempfile::tempdir().expect("a folder");
-        let cores = UsedCores {
-            realtime: 1,
-            others: vec![0],
-        };
-        let nothing = Environment::of(&System::below(folder.path()), cores, Privileges::default());
-        assert_eq!((nothing.memory_mb, nothing.virtual_machine), (None, None));
+        let cores = Cores::find().expect("cores");
+        let nothing = Environment::of(&System::below(folder.path()), &cores, false);
+        assert!(
+            ["memory mb", "virtual machine"]
+                .iter()
+                .all(|name| nothing.value(name).is_null())
+        );
         assert!(nothing.line().ends_with("real time refused."));
         let text = nothing.table().text();
         assert!(
@@ -303,7 +253,7 @@ mod tests {
             "{names:?}"
         );
         let older: Environment = serde_json::from_str("{\"kernel\":{}}").expect("few keys");
-        assert_eq!(older, Environment::default());
+        assert!(older.differing(&Environment::default()).is_empty());
     }
 
     #[test]

@@ -16,9 +16,9 @@ const CONFIG: &str = "config";
 /// The command and the options of a command line, by name, as they were written.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
-pub struct Options(BTreeMap<String, String>);
+pub struct RunOptions(BTreeMap<String, String>);
 
-impl Options {
+impl RunOptions {
     pub fn find() -> Self {
         Self::of(std::env::args_os().skip(1))
     }
@@ -83,8 +83,8 @@ fn hash(file: &OsStr) -> String {
 mod tests {
     use super::*;
 
-    fn of(words: &[&str]) -> Options {
-        Options::of(words.iter().map(OsString::from))
+    fn of(words: &[&str]) -> RunOptions {
+        RunOptions::of(words.iter().map(OsString::from))
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::{Kernel, Processor};
+use serde_json::{Value, json};
 
 const CPUINFO: &str = "/proc/cpuinfo";
 /// Words of the kernel's command line that keep others off a core.
@@ -49,36 +49,43 @@ impl System {
         Some(rest.split_once(brackets[1])?.0.to_owned())
     }
 
-    pub(super) fn kernel(&self) -> Kernel {
+    /// The kernel and what it was told that matters to a punctual loop.
+    pub(super) fn kernel(&self) -> Value {
         let own = |name: &str| self.read(&format!("/proc/sys/kernel/{name}"));
-        let number = |name| own(name).and_then(|text| text.parse().ok());
+        let number = |name| own(name).and_then(|text| text.parse::<i64>().ok());
+        // Number of the build and what it was built with.
         let version = own("version").unwrap_or_default();
-        Kernel {
-            release: own("osrelease").unwrap_or_default(),
-            preemption: preemption(self, &version),
-            version,
-            isolation: isolation(&self.read("/proc/cmdline").unwrap_or_default()),
-            clock_source: self
+        json!({
+            "release": own("osrelease").unwrap_or_default(),
+            // `PREEMPT_RT`, or the word of the version, with the mode where it can be chosen.
+            "preemption": preemption(self, &version),
+            "version": version,
+            // `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
+            "isolation": isolation(&self.read("/proc/cmdline").unwrap_or_default()),
+            "clock_source": self
                 .read("/sys/devices/system/clocksource/clocksource0/current_clocksource"),
-            huge_pages: self.chosen("/sys/kernel/mm/transparent_hugepage/enabled", ['[', ']']),
-            rt_runtime_us: number("sched_rt_runtime_us"),
-            rt_period_us: number("sched_rt_period_us"),
-        }
+            // Transparent huge pages: `always`, `madvise` or `never`.
+            "huge_pages": self.chosen("/sys/kernel/mm/transparent_hugepage/enabled", ['[', ']']),
+            // Time that real-time threads may have of each period; -1: all of it.
+            "rt_runtime_us": number("sched_rt_runtime_us"),
+            "rt_period_us": number("sched_rt_period_us"),
+        })
     }
 
-    pub(super) fn processor(&self, core: usize) -> Processor {
+    pub(super) fn processor(&self, core: usize) -> Value {
         let field = |key| self.field(CPUINFO, key);
         let model = field("model name")
             .or_else(|| field("Model"))
             .or_else(|| self.read("/proc/device-tree/model"));
-        Processor {
-            model: model.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
-            vendor: field("vendor_id").or_else(|| field("CPU implementer")),
-            cores: online(self),
-            caches: caches(self, core),
-            frequency_mhz: frequency_mhz(self, core),
-            governor: self.read(&format!("{}/cpufreq/scaling_governor", folder(core))),
-        }
+        json!({
+            "model": model.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
+            "vendor": field("vendor_id").or_else(|| field("CPU implementer")),
+            "cores": online(self),
+            // Of the core, like `L1 Data 32K`.
+            "caches": caches(self, core),
+            "frequency_mhz": frequency_mhz(self, core),
+            "governor": self.read(&format!("{}/cpufreq/scaling_governor", folder(core))),
+        })
     }
 
     /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
@@ -199,25 +206,13 @@ mod tests {
             ),
         ]);
         let kernel = System::below(folder.path()).kernel();
-        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_DYNAMIC (full)"));
-        assert_eq!(kernel.isolation, ["isolcpus=1", "rcu_nocbs=1"]);
+        assert_eq!(kernel["preemption"], "PREEMPT_DYNAMIC (full)");
+        assert_eq!(kernel["isolation"], json!(["isolcpus=1", "rcu_nocbs=1"]));
         assert_eq!(
-            (kernel.rt_runtime_us, kernel.rt_period_us),
-            (Some(950_000), Some(1_000_000))
+            [&kernel["rt_runtime_us"], &kernel["rt_period_us"]],
+            [950_000, 1_000_000]
         );
-        assert_eq!(kernel.huge_pages.as_deref(), Some("madvise"));
-    }
-
-    #[test]
-    fn a_real_time_kernel_is_named() {
-        let folder = fake(&[
-            ("sys/kernel/realtime", "1\n"),
-            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
-        ]);
-        let kernel = System::below(folder.path()).kernel();
-        assert_eq!(kernel.preemption.as_deref(), Some("PREEMPT_RT"));
-        assert_eq!(kernel.rt_runtime_us, Some(-1));
-        assert!(kernel.isolation.is_empty());
+        assert_eq!(kernel["huge_pages"], "madvise");
     }
 
     #[test]
@@ -237,25 +232,30 @@ mod tests {
         ]);
         let system = System::below(folder.path());
         let processor = system.processor(2);
-        assert_eq!((&*processor.model, processor.cores), ("Quick 9", 5));
-        assert_eq!(
-            (&*processor.caches, processor.frequency_mhz),
-            (&["L1 Data 32K".to_owned()][..], Some(2500.5))
-        );
+        assert_eq!(processor["model"], "Quick 9");
+        assert_eq!(processor["cores"], 5);
+        assert_eq!(processor["caches"], json!(["L1 Data 32K"]));
+        assert_eq!(processor["frequency_mhz"], 2500.5);
         assert_eq!(system.is_virtual(), Some(true));
         assert_eq!(system.hypervisor().as_deref(), Some("Cloud large"));
     }
 
     #[test]
-    fn the_maker_of_a_real_machine_is_no_hypervisor() {
+    fn a_real_machine_with_a_real_time_kernel_has_no_hypervisor() {
         let folder = fake(&[
             ("proc/cpuinfo", "flags : fpu avx\n"),
             ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
         ]);
         let system = System::below(folder.path());
         assert_eq!(
             (system.is_virtual(), system.hypervisor()),
             (Some(false), None)
         );
+        let kernel = system.kernel();
+        assert_eq!(kernel["preemption"], "PREEMPT_RT");
+        assert_eq!(kernel["rt_runtime_us"], -1);
+        assert_eq!(kernel["isolation"], json!([]));
     }
 }

@@ -31,13 +31,13 @@ const IDLE_SHARE: f64 = 0.4;
 const AROUND_S: f64 = 2.3;
 
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
+pub struct FootprintOptions {
     /// Daemons that are measured one after the other.
     pub rounds: u32,
     pub tracking: Duration,
 }
 
-impl Options {
+impl FootprintOptions {
     pub fn full() -> Self {
         Self {
             rounds: 5,
@@ -63,11 +63,11 @@ impl Options {
 }
 
 /// How long [`run`] takes, about \[s\].
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &FootprintOptions) -> f64 {
     f64::from(options.rounds) * options.round_s()
 }
 
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &FootprintOptions, progress: &mut Progress) -> Result<Dataset> {
     let cores = Cores::find()?;
     cores.stay_off();
     let realtime = may_be_realtime();

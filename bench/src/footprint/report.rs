@@ -24,7 +24,7 @@ const EXPLANATION: &str = "<p>Each round starts two daemons with their defaults 
          connects; it has no target. Locked memory is counted by address range and is larger: ranges without \
          access (guard pages) count, too. Whether memory is locked is what the daemon says itself.</p>";
 
-const FIGURES: [Column; 7] = [
+const QUANTITY_COLUMNS: [Column; 7] = [
     word("what", "what"),
     word("unit", "unit"),
     shorted("median", "median"),
@@ -34,7 +34,7 @@ const FIGURES: [Column; 7] = [
     word("reached", "reached"),
 ];
 
-const THREADS: [Column; 4] = [
+const THREAD_COLUMNS: [Column; 4] = [
     word("thread", "name"),
     fixed("idle %", "idle_percent", 3),
     fixed("tracking %", "tracking_percent", 3),
@@ -53,7 +53,7 @@ fn programs() -> Vec<(&'static str, u64)> {
 }
 
 #[derive(Serialize)]
-struct Row {
+struct QuantityRow {
     what: &'static str,
     key: &'static str,
     unit: &'static str,
@@ -94,13 +94,13 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
         heading: "What a daemon takes",
         explanation: EXPLANATION,
         sheets: vec![
-            Sheet::new(&shown(&rows)?)?.table(title, &FIGURES),
+            Sheet::new(&shown(&rows)?)?.table(title, &QUANTITY_COLUMNS),
             Sheet::new(&threads)?
                 .key("threads")
                 .file("footprint-threads")
                 .table(
                     format!("Share of a core that each thread uses{how}"),
-                    &THREADS,
+                    &THREAD_COLUMNS,
                 ),
             Sheet::new(&program_rows)?
                 .key("programs")
@@ -112,7 +112,7 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
             Sheet::new(&rows)?
                 .key("figures")
                 .file("footprint")
-                .order(&FIGURES),
+                .order(&QUANTITY_COLUMNS),
             Sheet::new(rounds)?.key("rounds"),
         ],
         plots: vec![Plot {
@@ -159,11 +159,11 @@ fn values(rounds: &[Round], value: impl Fn(&Round) -> f64) -> impl Iterator<Item
     values.filter(|value| value.is_finite())
 }
 
-fn rows(rounds: &[Round]) -> Vec<Row> {
+fn rows(rounds: &[Round]) -> Vec<QuantityRow> {
     let row = |quantity: &Quantity| {
         let middle = median(values(rounds, quantity.value))?;
         let (least, most) = range(values(rounds, quantity.value))?;
-        Some(Row {
+        Some(QuantityRow {
             what: quantity.what,
             key: quantity.key,
             unit: quantity.unit,
@@ -178,7 +178,7 @@ fn rows(rounds: &[Round]) -> Vec<Row> {
 }
 
 /// For people: what was so in only some of the rounds is no yes.
-fn shown(rows: &[Row]) -> Result<Vec<Value>> {
+fn shown(rows: &[QuantityRow]) -> Result<Vec<Value>> {
     let shown = rows.iter().map(|row| {
         let mut value = serde_json::to_value(row)?;
         if row.unit == YES_NO {

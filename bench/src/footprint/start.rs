@@ -35,7 +35,7 @@ impl Start {
     pub(super) fn measure(launch: &Launch, cores: &Cores) -> Result<Self> {
         let (daemon, manager, begin_ns) = spawn(launch, cores)?;
         let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
-        let (found, ready_ns) = found.map_err(|error| with_last_words(error, &daemon))?;
+        let (found, ready_ns) = found.map_err(|error| with_stderr_tail(error, &daemon))?;
         daemon.stop()?;
         let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
         Ok(Self {
@@ -51,7 +51,7 @@ pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
     let (daemon, manager, _) = spawn(launch, cores)?;
     match manager.ready_ns() {
         Ok(_) => Ok(daemon),
-        Err(error) => Err(with_last_words(error, &daemon)),
+        Err(error) => Err(with_stderr_tail(error, &daemon)),
     }
 }
 
@@ -69,8 +69,8 @@ fn spawn(launch: &Launch, cores: &Cores) -> Result<(Daemon, Manager, u64)> {
     Ok((daemon, manager, begin_ns.get()))
 }
 
-fn with_last_words(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
-    let words = daemon.last_words();
+fn with_stderr_tail(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
+    let words = daemon.stderr_tail();
     error.context(format!("the daemon does not start{words}"))
 }
 

@@ -9,7 +9,6 @@ use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::{BackpressureStrategy, Node};
 
-use super::OrTold as _;
 use crate::subject::place::ROBOT;
 
 const PATIENCE_NS: u64 = 2_000_000_000;
@@ -44,17 +43,17 @@ impl Asker {
     /// to.
     pub(super) fn open(location: &Location, sender_id: u64) -> Result<Self> {
         let node = location.node_builder()?.create::<ipc::Service>();
-        let node = node.or_told("a node of iceoryx2")?;
+        let node = node.context("a node of iceoryx2")?;
         let service = node
             .service_builder(&Service::Control.name(ROBOT)?)
             .request_response::<Request, Response>()
             .open()
-            .or_told("the control service of the daemon")?;
+            .context("the control service of the daemon")?;
         let client = service
             .client_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)
             .create()
-            .or_told("a port for requests")?;
+            .context("a port for requests")?;
         Ok(Self {
             waiting: None,
             client,
@@ -92,7 +91,7 @@ impl Asker {
         };
         let pending = self.client.send_copy(request);
         self.waiting = Some(Asked {
-            pending: pending.or_told(&format!("cannot {kind}"))?,
+            pending: pending.with_context(|| format!("cannot {kind}"))?,
             kind,
             sequence: self.sequence,
             sent_ns,
@@ -105,7 +104,7 @@ impl Asker {
             return Ok(None);
         };
         let received = asked.pending.receive();
-        let received = received.or_told(&format!("cannot {}", asked.kind))?;
+        let received = received.with_context(|| format!("cannot {}", asked.kind))?;
         let received_ns = monotonic_ns();
         let Some(response) = received.map(|response| *response.payload()) else {
             let waited_ns = received_ns.saturating_sub(asked.sent_ns);

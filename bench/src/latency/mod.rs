@@ -2,7 +2,7 @@
 //!
 //! | way | from | to |
 //! |---|---|---|
-//! | [`bare`] | sent, by one of two processes that do nothing else | received by the other, and back |
+//! | [`baseline`] | sent, by one of two processes that do nothing else | received by the other, and back |
 //! | [`command`](Leg::CommandRelease) | release, hand-over, stamp of a command | in the client's hands |
 //! | inputs | reference, obstacle or measurement sent | first command that uses it in the client's hands |
 //! | requests | request sent | answer in the client's hands |
@@ -17,7 +17,7 @@
 //! "Request → answer" is measured with a port that looks without rest; `cdcr_client` looks for its answer each
 //! millisecond, so that a client of it may wait up to a millisecond more.
 
-pub mod bare;
+pub mod baseline;
 
 mod asker;
 mod hands;
@@ -31,7 +31,6 @@ mod round;
 mod scene;
 mod stops;
 
-use std::fmt::Debug;
 use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
@@ -56,17 +55,6 @@ use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
 use stops::Stops;
 
-/// An error of iceoryx2 has a name, and no text.
-trait OrTold<T> {
-    fn or_told(self, what: &str) -> Result<T>;
-}
-
-impl<T, E: Debug> OrTold<T> for Result<T, E> {
-    fn or_told(self, what: &str) -> Result<T> {
-        self.map_err(|cause| anyhow!("{what}: {cause:?}"))
-    }
-}
-
 /// Stops of a round for so many samples of it, as stops and samples: a full run has 500 stops.
 const STOPS_PER_SAMPLES: (usize, usize) = (2, 5);
 /// What a stop takes, with the way to its speed \[s\].
@@ -78,7 +66,7 @@ const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Options {
+pub struct LatencyOptions {
     /// Rounds; in each, everything is measured once.
     pub rounds: usize,
     /// Samples of each kind in each round; two fifths of that for stops.
@@ -89,7 +77,7 @@ pub struct Options {
     pub config: Option<PathBuf>,
 }
 
-impl Default for Options {
+impl Default for LatencyOptions {
     fn default() -> Self {
         Self {
             rounds: 5,
@@ -100,7 +88,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl LatencyOptions {
     pub const QUICK: (usize, usize) = (2, 40);
 
     fn stops(&self) -> usize {
@@ -132,12 +120,12 @@ impl Options {
 }
 
 /// How long a run takes, about \[s\].
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &LatencyOptions) -> f64 {
     options.rounds as f64 * seconds(options).iter().sum::<f64>()
 }
 
 /// How long the parts of a round take, about: bare, simulated robot, driver \[s\].
-fn seconds(options: &Options) -> [f64; 3] {
+fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let period_s = options
         .period
         .map_or(PERIOD_S, |period| period.as_secs_f64());
@@ -146,13 +134,13 @@ fn seconds(options: &Options) -> [f64; 3] {
     let simulated = 2.0 * samples + 4.0 * samples;
     let stops_s = STOP_S * options.stops() as f64;
     [
-        bare::expected_s(options.bare()),
+        baseline::expected_s(options.bare()),
         AROUND_S + simulated * period_s + stops_s,
         AROUND_S + 2.0 * samples * period_s,
     ]
 }
 
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &LatencyOptions, progress: &mut Progress) -> Result<Dataset> {
     let bench = Bench {
         options,
         cores: Cores::find()?,
@@ -160,7 +148,7 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
     };
     let began_ns = monotonic_ns();
     let mut rounds = Vec::new();
-    let mut told = Told::default();
+    let mut reported = Reported::default();
     for number in 1..=options.rounds {
         let mut round = Round::new(began_ns)?;
         let mut part = |index: usize, what: &str, work: &mut dyn FnMut() -> Result<()>| {
@@ -170,31 +158,31 @@ pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
             anyhow::Ok(())
         };
         part(0, "iceoryx2 alone", &mut || {
-            bare::measure(&bench.cores, options.bare(), &mut round)
+            baseline::measure(&bench.cores, options.bare(), &mut round)
         })?;
         part(1, "a simulated robot", &mut || {
-            told.add(&bench.simulated(&mut round)?);
+            reported.add(&bench.simulated(&mut round)?);
             Ok(())
         })?;
         part(2, "a robot behind a driver", &mut || {
-            told.add(&bench.driven(&mut round)?);
+            reported.add(&bench.driven(&mut round)?);
             Ok(())
         })?;
         rounds.push(round);
     }
-    report::dataset(&bench.setting(&told), &rounds)
+    report::dataset(&bench.setting(&reported), &rounds)
 }
 
 /// What the daemons told of themselves, and how the client did.
 #[derive(Debug, Clone, Copy, Default)]
-struct Told {
+struct Reported {
     period_ns: u64,
     lead_ns: u64,
     realtime_missing: u32,
     looks: Looks,
 }
 
-impl Told {
+impl Reported {
     fn of(hands: &Hands) -> Self {
         Self {
             period_ns: hands.grid.period_ns,
@@ -213,13 +201,13 @@ impl Told {
 }
 
 struct Bench<'a> {
-    options: &'a Options,
+    options: &'a LatencyOptions,
     cores: Cores,
     may_be_realtime: bool,
 }
 
 impl Bench<'_> {
-    fn simulated(&self, round: &mut Round) -> Result<Told> {
+    fn simulated(&self, round: &mut Round) -> Result<Reported> {
         let samples = self.options.samples;
         self.with_daemon("simulated", |location| {
             let mut hands = Hands::open(location)?;
@@ -243,11 +231,11 @@ impl Bench<'_> {
             let (feed, asker) = (hands.connection.reference_feed()?, requests.into_asker());
             let mut stops = Stops::new(&hands, feed, asker, self.options.stops())?;
             hands.run(&mut stops, round)?;
-            Ok(Told::of(&hands))
+            Ok(Reported::of(&hands))
         })
     }
 
-    fn driven(&self, round: &mut Round) -> Result<Told> {
+    fn driven(&self, round: &mut Round) -> Result<Reported> {
         let samples = self.options.samples;
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
@@ -260,7 +248,7 @@ impl Bench<'_> {
             let _feed = scene::follow(&hands)?;
             let mut inputs = Inputs::new(&hands, vec![awakening.into_source()], samples);
             hands.run(&mut inputs, round)?;
-            Ok(Told::of(&hands))
+            Ok(Reported::of(&hands))
         })
     }
 
@@ -269,12 +257,12 @@ impl Bench<'_> {
     fn with_daemon(
         &self,
         link: &str,
-        work: impl FnOnce(&Location) -> Result<Told> + Send,
-    ) -> Result<Told> {
+        work: impl FnOnce(&Location) -> Result<Reported> + Send,
+    ) -> Result<Reported> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
-        let told = thread::scope(|scope| {
+        let reported = thread::scope(|scope| {
             let working = scope.spawn(|| {
                 if self.may_be_realtime {
                     set_fifo(WATCHER_PRIORITY);
@@ -286,23 +274,24 @@ impl Bench<'_> {
                 .join()
                 .map_err(|_| anyhow!("the client of the bench panicked"))?
         });
-        let told = told.map_err(|error| error.context(format!("with link.kind = {link}")))?;
+        let reported =
+            reported.map_err(|error| error.context(format!("with link.kind = {link}")))?;
         daemon.stop()?;
-        Ok(told)
+        Ok(reported)
     }
 
-    fn setting(&self, told: &Told) -> Setting {
+    fn setting(&self, reported: &Reported) -> Setting {
         Setting {
             rounds: self.options.rounds,
             samples: self.options.samples,
             stops: self.options.stops(),
-            period_us: told.period_ns as f64 * 1e-3,
-            gather_lead_us: told.lead_ns as f64 * 1e-3,
-            realtime: told.realtime_missing & (realtime::FIFO | realtime::OFF) == 0,
+            period_us: reported.period_ns as f64 * 1e-3,
+            gather_lead_us: reported.lead_ns as f64 * 1e-3,
+            realtime: reported.realtime_missing & (realtime::FIFO | realtime::OFF) == 0,
             client_realtime: self.may_be_realtime,
             realtime_core: self.cores.realtime,
             client_core: self.cores.client(),
-            looks: told.looks,
+            looks: reported.looks,
         }
     }
 }
@@ -313,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_full_run_has_enough_stops_and_ends_soon() {
-        let options = Options::default();
+        let options = LatencyOptions::default();
         assert!(options.rounds * options.stops() >= 500);
         let run_s = expected_s(&options);
         assert!(run_s < 240.0, "{run_s}");

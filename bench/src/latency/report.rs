@@ -64,7 +64,7 @@ pub struct Setting {
 }
 
 #[derive(Debug, Clone, Serialize)]
-struct Row {
+struct LegRow {
     leg: Leg,
     from: &'static str,
     to: &'static str,
@@ -103,7 +103,7 @@ struct Target {
 }
 
 pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
-    let rows: Vec<Row> = Leg::ALL
+    let rows: Vec<LegRow> = Leg::ALL
         .iter()
         .filter_map(|leg| row(*leg, rounds))
         .collect();
@@ -184,12 +184,12 @@ impl Setting {
     }
 }
 
-fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
+fn row(leg: Leg, rounds: &[Round]) -> Option<LegRow> {
     let all = pooled(leg, rounds)?;
     let of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
     let quantiles: Vec<Quantiles> = of_rounds.clone().filter_map(Quantiles::of).collect();
     let (from, to) = leg.definition();
-    Some(Row {
+    Some(LegRow {
         leg,
         from,
         to,
@@ -201,7 +201,7 @@ fn row(leg: Leg, rounds: &[Round]) -> Option<Row> {
 }
 
 /// For people: without the percentiles of fewer values than they need.
-fn shown(row: &Row) -> Result<Value> {
+fn shown(row: &LegRow) -> Result<Value> {
     let mut value = to_value(row)?;
     for (times, key, count, least) in [
         ("latency_us", "p99", row.samples, VALUES_OF_P99),
@@ -231,7 +231,7 @@ fn is_bound(leg: Leg) -> bool {
     matches!(leg, Leg::StopZeroHandover | Leg::StopZeroCommand)
 }
 
-fn target(row: &Row, limit_us: f64) -> Target {
+fn target(row: &LegRow, limit_us: f64) -> Target {
     Target {
         leg: row.leg,
         samples: row.samples,

@@ -7,13 +7,13 @@
 //! | `variant`, `sizing` | with which solver, budget, swarm and horizon |
 //! | `trial` | what came of one run |
 //! | `problem`, `restarts` | who finds the best plan from a random start |
-//! | `report`, `pictures` | what is told of it |
+//! | `report`, `plots` | what came of it, as a dataset |
 //!
 //! A closed loop with an ideal robot, without a daemon. All is deterministic but for what the clock ends.
 
 pub mod course;
 mod legs;
-mod pictures;
+mod plots;
 mod problem;
 mod report;
 pub mod restarts;
@@ -32,7 +32,7 @@ use crate::scene::Scene;
 use course::Course;
 use restarts::{Ending, contest};
 use sizing::Sizing;
-use trial::{Figures, drive};
+use trial::{RunMetrics, drive};
 use variant::{BUDGETS_US, HORIZONS, SOLVERS, SWARMS, Variant};
 
 use crate::experiment::Solver;
@@ -43,7 +43,7 @@ const CONTEST_S: f64 = 0.5;
 const SIZING_S: f64 = 0.2;
 
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct QualityOptions {
     /// Runs of each variant, each with another seed.
     pub rounds: u32,
     pub courses: Vec<Course>,
@@ -55,7 +55,7 @@ pub struct Options {
     pub restarts: u32,
 }
 
-impl Options {
+impl QualityOptions {
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -106,10 +106,10 @@ impl Options {
 #[derive(Debug, Clone)]
 pub struct Case {
     pub variant: Variant,
-    pub rounds: Vec<Figures>,
+    pub rounds: Vec<RunMetrics>,
 }
 
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &QualityOptions) -> f64 {
     let rounds = f64::from(options.rounds);
     let contests = rounds * f64::from(options.restarts) * Field::ALL.len() as f64;
     let courses = options.courses.iter().map(|&course| {
@@ -129,7 +129,7 @@ fn run_s(variant: &Variant, scene: &Scene) -> f64 {
 }
 
 /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &QualityOptions, progress: &mut Progress) -> Result<Dataset> {
     let mut courses = Vec::new();
     for &course in &options.courses {
         interrupt::check()?;
@@ -191,21 +191,4 @@ fn contest_all(restarts: u32, round: u32, progress: &mut Progress) -> Result<Vec
         }
     }
     Ok(endings)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn more_rounds_take_longer_in_proportion() {
-        let one = Options {
-            rounds: 1,
-            ..Options::full()
-        };
-        let sizing_s = SIZING_S * Course::ALL.len() as f64;
-        let (one_s, three_s) = (expected_s(&one), expected_s(&Options::full()));
-        assert!((three_s - sizing_s - 3.0 * (one_s - sizing_s)).abs() < 1e-9 * three_s);
-        assert!(expected_s(&Options::quick()) < one_s);
-    }
 }

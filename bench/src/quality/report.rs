@@ -5,9 +5,9 @@ use serde::Serialize;
 
 use super::problem::Field;
 use super::restarts::{Contender, Ending, STUCK_SHARE};
-use super::trial::Figures;
+use super::trial::RunMetrics;
 use super::variant::{Axis, Variant};
-use super::{Case, pictures};
+use super::{Case, plots};
 use crate::dataset::{Column, Dataset, Sheet, fixed, percent, plain, power, word};
 use crate::metric::{Better, Metric, median, range};
 
@@ -74,13 +74,13 @@ fn title(axis: Axis) -> &'static str {
 /// One variant: medians over the rounds, but the worst error, clearance and time below the safe distance of
 /// all of them.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Row {
+pub(super) struct VariantRow {
     #[serde(flatten)]
     pub variant: Variant,
     pub value: String,
     pub rounds: usize,
     #[serde(flatten)]
-    pub figures: Figures,
+    pub metrics: RunMetrics,
 }
 
 /// One contender in one field, over all rounds.
@@ -100,21 +100,21 @@ pub(super) struct StuckRow {
 }
 
 impl Case {
-    fn values(&self, value: impl Fn(&Figures) -> Option<f64>) -> impl Iterator<Item = f64> {
+    fn values(&self, value: impl Fn(&RunMetrics) -> Option<f64>) -> impl Iterator<Item = f64> {
         self.rounds.iter().filter_map(value)
     }
 
-    fn row(&self) -> Row {
-        let middle = |value: fn(&Figures) -> f64| {
-            median(self.values(|figures| Some(value(figures)))).unwrap_or(f64::NAN)
+    fn row(&self) -> VariantRow {
+        let middle = |value: fn(&RunMetrics) -> f64| {
+            median(self.values(|metrics| Some(value(metrics)))).unwrap_or(f64::NAN)
         };
-        let ends = |value: fn(&Figures) -> Option<f64>| range(self.values(value));
+        let ends = |value: fn(&RunMetrics) -> Option<f64>| range(self.values(value));
         let max_error_mm = ends(|f| Some(f.max_error_mm)).map_or(f64::NAN, |(_, most)| most);
-        Row {
+        VariantRow {
             variant: self.variant,
             value: self.variant.value(),
             rounds: self.rounds.len(),
-            figures: Figures {
+            metrics: RunMetrics {
                 mean_error_mm: middle(|f| f.mean_error_mm),
                 max_error_mm,
                 min_clearance_mm: ends(|f| f.min_clearance_mm).map(|(least, _)| least),
@@ -201,9 +201,9 @@ pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset>
         dataset.lower(name, "%", shares);
         stuck.extend(stuck_row(&endings, field, contender));
     }
-    let rows: Vec<Row> = cases.iter().map(Case::row).collect();
+    let rows: Vec<VariantRow> = cases.iter().map(Case::row).collect();
     for axis in Axis::ALL {
-        let rows: Vec<&Row> = rows.iter().filter(|row| row.variant.axis == axis).collect();
+        let rows: Vec<&VariantRow> = rows.iter().filter(|row| row.variant.axis == axis).collect();
         let sheet = Sheet::new(&rows)?.table(title(axis), &columns(axis));
         dataset.sheets.push(sheet);
     }
@@ -225,7 +225,7 @@ pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset>
         .key("problems")
         .file("quality-problems");
     dataset.sheets.push(problems);
-    dataset.plots = pictures::plots(&rows, &endings)?;
+    dataset.plots = plots::plots(&rows, &endings)?;
     dataset.fact("rounds", rounds.len());
     dataset.fact("stuck_above_share", STUCK_SHARE);
     Ok(dataset)

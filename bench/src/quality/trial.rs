@@ -18,7 +18,7 @@ const ROUNDING_M: f64 = 1e-9;
 
 /// What came of one run, or of several.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Figures {
+pub struct RunMetrics {
     /// Mean distance of the tip from the reference \[mm\].
     pub mean_error_mm: f64,
     pub max_error_mm: f64,
@@ -36,7 +36,7 @@ pub struct Figures {
     pub solve_p99_us: f64,
 }
 
-pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
+pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<RunMetrics> {
     let mut sums = Sums::new()?;
     let settings = variant.settings(seed);
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
@@ -57,7 +57,7 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<Figures> {
         closed.advance(&desired_rates);
         sums.add(&closed, settings.safe_distance_m);
     }
-    Ok(sums.figures(scene))
+    Ok(sums.metrics(scene))
 }
 
 struct Sums {
@@ -98,11 +98,11 @@ impl Sums {
         self.guarded += u64::from(closed.was_guarded());
     }
 
-    fn figures(&self, scene: &Scene) -> Figures {
+    fn metrics(&self, scene: &Scene) -> RunMetrics {
         let count = self.cycles as f64;
         let obstacles = !scene.obstacles.is_empty();
         let period_ms = 1e3 * scene.period_s;
-        Figures {
+        RunMetrics {
             mean_error_mm: self.error_mm / count,
             max_error_mm: self.max_error_mm,
             min_clearance_mm: obstacles.then_some(1e3 * self.min_clearance_m),
@@ -123,7 +123,7 @@ mod tests {
     use crate::quality::course::Course;
 
     /// Far more work than a cycle of 5 ms leaves time for; the same bits on every machine.
-    fn long(course: Course) -> Figures {
+    fn long(course: Course) -> RunMetrics {
         let variant = Variant {
             refinements: 20,
             ..Variant::swarm(course, Solver::KpsoRefined, (32, 50))
@@ -133,31 +133,31 @@ mod tests {
 
     #[test]
     fn enough_time_gets_the_tip_through_the_gap() {
-        let figures = long(Course::Gap);
-        assert!(figures.mean_error_mm < 1.0, "{figures:?}");
-        assert!(figures.max_error_mm < 5.0, "{figures:?}");
-        assert_eq!(figures.below_safe_ms, Some(0.0), "{figures:?}");
+        let metrics = long(Course::Gap);
+        assert!(metrics.mean_error_mm < 1.0, "{metrics:?}");
+        assert!(metrics.max_error_mm < 5.0, "{metrics:?}");
+        assert_eq!(metrics.below_safe_ms, Some(0.0), "{metrics:?}");
         // It was as narrow as it was meant to be.
-        assert!(figures.min_clearance_mm.unwrap() < 14.0, "{figures:?}");
+        assert!(metrics.min_clearance_mm.unwrap() < 14.0, "{metrics:?}");
     }
 
     #[test]
     fn enough_time_makes_room_for_the_ball_and_keeps_the_tip_near_its_line() {
-        let figures = long(Course::Crossing);
-        assert!(figures.mean_error_mm < 6.0, "{figures:?}");
-        assert!(figures.max_error_mm < 25.0, "{figures:?}");
-        assert_eq!(figures.below_safe_ms, Some(0.0), "{figures:?}");
+        let metrics = long(Course::Crossing);
+        assert!(metrics.mean_error_mm < 6.0, "{metrics:?}");
+        assert!(metrics.max_error_mm < 25.0, "{metrics:?}");
+        assert_eq!(metrics.below_safe_ms, Some(0.0), "{metrics:?}");
         // The ball came as near as it is let.
-        assert!(figures.min_clearance_mm.unwrap() < 11.0, "{figures:?}");
+        assert!(metrics.min_clearance_mm.unwrap() < 11.0, "{metrics:?}");
     }
 
     #[test]
     fn after_a_jump_the_tip_arrives() {
-        let figures = long(Course::Jump);
+        let metrics = long(Course::Jump);
         // Nobody can be there at once.
-        assert!(figures.max_error_mm > 50.0, "{figures:?}");
-        assert!(figures.mean_error_mm < 15.0, "{figures:?}");
-        assert_eq!(figures.min_clearance_mm, None);
+        assert!(metrics.max_error_mm > 50.0, "{metrics:?}");
+        assert!(metrics.mean_error_mm < 15.0, "{metrics:?}");
+        assert_eq!(metrics.min_clearance_mm, None);
     }
 
     #[test]
@@ -167,12 +167,12 @@ mod tests {
             ..Variant::swarm(Course::Jump, Solver::KpsoRefined, (6, 30))
         };
         let scene = Course::Jump.scene().unwrap().at_most(60);
-        let figures = drive(&variant, &scene, 1).unwrap();
-        assert_eq!(figures.cut_short_share, 1.0);
+        let metrics = drive(&variant, &scene, 1).unwrap();
+        assert_eq!(metrics.cut_short_share, 1.0);
         let jump_mm = 1e3 * (scene.point_m(60) - scene.point_m(0)).norm();
-        assert!((figures.max_error_mm - jump_mm).abs() < 1e-9, "{figures:?}");
+        assert!((metrics.max_error_mm - jump_mm).abs() < 1e-9, "{metrics:?}");
         // The plan is evaluated even if the solver did not come to it.
-        assert!(figures.mean_cost.is_finite() && figures.mean_cost > 0.0);
+        assert!(metrics.mean_cost.is_finite() && metrics.mean_cost > 0.0);
     }
 
     #[test]
@@ -181,9 +181,9 @@ mod tests {
             budget_us: Some(0),
             ..Variant::swarm(Course::Crossing, Solver::KpsoRefined, (6, 30))
         };
-        let figures = drive(&variant, &Course::Crossing.scene().unwrap(), 1).unwrap();
-        assert!(figures.min_clearance_mm.unwrap() < 0.0, "{figures:?}");
-        assert!(figures.below_safe_ms.unwrap() > 100.0, "{figures:?}");
+        let metrics = drive(&variant, &Course::Crossing.scene().unwrap(), 1).unwrap();
+        assert!(metrics.min_clearance_mm.unwrap() < 0.0, "{metrics:?}");
+        assert!(metrics.below_safe_ms.unwrap() > 100.0, "{metrics:?}");
     }
 
     #[test]

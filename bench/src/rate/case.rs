@@ -187,8 +187,8 @@ mod tests {
                 command.arg("--set").arg(format!("{key}={value}"));
             }
             let output = command.output().unwrap();
-            let said = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success(), "{said}");
+            let stderr = String::from_utf8_lossy(&output.stderr);
+            assert!(output.status.success(), "{stderr}");
         }
     }
 }

@@ -9,16 +9,16 @@
 //! them ([`Verdict::Machine`]). Every trial stays in the report.
 
 mod case;
-mod figures;
 mod report;
 mod search;
 mod trial;
+mod trial_metrics;
 
 use anyhow::Result;
 
 pub use case::Case;
-pub use figures::{Figures, Verdict};
 pub use trial::{Length, Trial};
+pub use trial_metrics::{TrialMetrics, Verdict};
 
 use crate::dataset::Dataset;
 use crate::interrupt;
@@ -36,7 +36,7 @@ const FIRST_GUESS: usize = 4;
 const TRIALS: f64 = 3.2;
 
 #[derive(Debug, Clone)]
-pub struct Options {
+pub struct RateOptions {
     /// How often the default is measured with each of its periods.
     pub rounds: u32,
     /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
@@ -49,7 +49,7 @@ pub struct Options {
     pub steps_ms: Vec<f64>,
 }
 
-impl Options {
+impl RateOptions {
     pub fn full() -> Self {
         Self {
             rounds: 3,
@@ -153,24 +153,24 @@ pub struct Step {
 }
 
 /// How long [`run`] takes, about \[s\].
-pub fn expected_s(options: &Options) -> f64 {
+pub fn expected_s(options: &RateOptions) -> f64 {
     let whole_s = |period_ms: &f64| options.length.whole_s(*period_ms);
     let round_s: f64 = options.steps_ms.iter().map(whole_s).sum();
     f64::from(options.rounds) * round_s + options.cases.len() as f64 * search_s(options)
 }
 
 /// How long the search for one case takes, about \[s\].
-fn search_s(options: &Options) -> f64 {
+fn search_s(options: &RateOptions) -> f64 {
     let shortest_ms = options.periods_ms.last();
     shortest_ms.map_or(0.0, |period_ms| TRIALS * options.length.whole_s(*period_ms))
 }
 
 /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
-pub fn run(options: &Options, progress: &mut Progress) -> Result<Dataset> {
+pub fn run(options: &RateOptions, progress: &mut Progress) -> Result<Dataset> {
     report::dataset(measure(options, progress)?)
 }
 
-pub fn measure(options: &Options, progress: &mut Progress) -> Result<Measured> {
+pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measured> {
     let cores = Cores::find()?;
     cores.stay_off();
     let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
@@ -215,7 +215,7 @@ fn search_case(
 }
 
 struct Run<'a> {
-    options: &'a Options,
+    options: &'a RateOptions,
     stage: Stage,
     progress: &'a mut Progress,
     trials: Vec<Trial>,
@@ -281,8 +281,8 @@ mod tests {
 
     /// A trial that holds, or in which the machine or the loop lost releases.
     fn trial(period_ms: f64, verdict: Verdict) -> Trial {
-        let quiet = figures::tests::quiet();
-        let lost = |platform, compute| Figures {
+        let quiet = trial_metrics::tests::quiet();
+        let lost = |platform, compute| TrialMetrics {
             skipped_periods: 40,
             causes: Causes {
                 platform,
@@ -291,20 +291,20 @@ mod tests {
             },
             ..quiet.clone()
         };
-        let figures = match verdict {
+        let metrics = match verdict {
             Verdict::Holds => quiet,
             Verdict::Machine => lost(3, 0),
             Verdict::Own => lost(0, 3),
             Verdict::Slow => lost(0, 0),
         };
-        assert_eq!(figures.verdict(period_ms), verdict);
+        assert_eq!(metrics.verdict(period_ms), verdict);
         Trial {
             case: Case::DEFAULT,
             period_ms,
             spin_us: 0.0,
             holds: verdict == Verdict::Holds,
-            remarks: figures.remarks(period_ms),
-            figures: Some(figures),
+            remarks: metrics.remarks(period_ms),
+            metrics: Some(metrics),
             tag: String::new(),
             responses: histogram().unwrap(),
             begin_ns: 0,

@@ -4,8 +4,8 @@ use anyhow::Result;
 use serde_json::{Value, json, to_value};
 
 use super::case::Case;
-use super::figures::Figures;
 use super::trial::Trial;
+use super::trial_metrics::TrialMetrics;
 use super::{Measured, Shortest, Step, Tally};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Recording, Sheet, fixed, percent, plain, power, word};
@@ -13,7 +13,7 @@ use crate::metric::{median, range};
 
 const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
          (no cycle, or a command handed over after the end of the period), and no cycle was late by the \
-         daemon's own doing (cause compute or page fault). The figures are the daemon's own statistics of at least \
+         daemon's own doing (cause compute or page fault). The metrics are the daemon's own statistics of at least \
          2 s and 4000 periods after a warm-up. The periods are 5, 2, 1, 0.5, 0.25, 0.2 and 0.1 ms.</p>\
          <p>A late cycle of the daemon's own doing decides at once. A trial that only lost releases is tried once \
          more; up to twice where the machine lost them (it came late, stood still or ran another task) while the \
@@ -109,7 +109,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
         Some(Recording {
             tag: trial.tag,
             start_s: trial.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
-            duration_s: trial.figures?.duration_s,
+            duration_s: trial.metrics?.duration_s,
             histogram_ns: trial.responses,
         })
     };
@@ -132,7 +132,7 @@ fn how(measured: &Measured) -> String {
 }
 
 fn metrics(dataset: &mut Dataset, measured: &Measured) {
-    type Quantity = (&'static str, &'static str, fn(&Figures) -> f64);
+    type Quantity = (&'static str, &'static str, fn(&TrialMetrics) -> f64);
     let quantities: [Quantity; 6] = [
         ("response_p50", "µs", |f| f.response_us.p50),
         ("response_p99", "µs", |f| f.response_us.p99),
@@ -199,15 +199,15 @@ impl Shortest {
 
     fn row(&self) -> Result<Value> {
         let failed = self.failed.as_ref();
-        let figures = self.held.as_ref().and_then(|trial| trial.figures.as_ref());
+        let metrics = self.held.as_ref().and_then(|trial| trial.metrics.as_ref());
         let mut row = to_value(self.case)?;
         let of_case = json!({
             "shortest_period_ms": self.period_ms(),
             "rate_hz": self.period_ms().map(rate_hz),
             "trials_held": self.held_tally.held,
             "trials": self.held_tally.trials,
-            "core_share": figures.map(Figures::core_share),
-            "lost_share": figures.map(Figures::lost_share),
+            "core_share": metrics.map(TrialMetrics::core_share),
+            "lost_share": metrics.map(TrialMetrics::lost_share),
             "ended_by": self.ended_by(),
             "held_in": self.held_tally.words(),
             "failed_period_ms": failed.map(|trial| trial.period_ms),
@@ -240,13 +240,13 @@ impl Shortest {
 
 impl Step {
     /// One value of each round in which the robot followed.
-    fn values(&self, value: impl Fn(&Figures) -> f64) -> impl Iterator<Item = f64> {
+    fn values(&self, value: impl Fn(&TrialMetrics) -> f64) -> impl Iterator<Item = f64> {
         self.measured().map(value)
     }
 
-    fn measured(&self) -> impl Iterator<Item = &Figures> {
+    fn measured(&self) -> impl Iterator<Item = &TrialMetrics> {
         let trials = self.rounds.iter();
-        trials.filter_map(|trial| trial.figures.as_ref())
+        trials.filter_map(|trial| trial.metrics.as_ref())
     }
 
     fn held(&self) -> usize {
@@ -255,8 +255,8 @@ impl Step {
 
     /// Medians over the rounds, and sums of what was counted.
     fn row(&self) -> Value {
-        let middle = |value: fn(&Figures) -> f64| median(self.values(value));
-        let sum = |count: fn(&Figures) -> u64| -> u64 { self.measured().map(count).sum() };
+        let middle = |value: fn(&TrialMetrics) -> f64| median(self.values(value));
+        let sum = |count: fn(&TrialMetrics) -> u64| -> u64 { self.measured().map(count).sum() };
         let tracking = range(self.values(|f| f.tracking_share));
         json!({
             "period_ms": self.period_ms,
@@ -269,7 +269,7 @@ impl Step {
             "response_p50_us": middle(|f| f.response_us.p50),
             "response_p99_us": middle(|f| f.response_us.p99),
             "response_p999_us": middle(|f| f.response_us.p999),
-            "core_share": middle(Figures::core_share),
+            "core_share": middle(TrialMetrics::core_share),
             "budget_hit_share": middle(|f| f.budget_hit_share),
             "stale_input_share": middle(|f| f.stale_input_share),
             "error_p99_mm": middle(|f| f.error_p99_mm),
@@ -278,7 +278,7 @@ impl Step {
             "late_cycles": sum(|f| f.causes.all()),
             "deadline_misses": sum(|f| f.deadline_misses),
             "skipped_periods": sum(|f| f.skipped_periods),
-            "lost_share": sum(Figures::lost) as f64 / sum(Figures::due).max(1) as f64,
+            "lost_share": sum(TrialMetrics::lost) as f64 / sum(TrialMetrics::due).max(1) as f64,
             "dropped_records": sum(|f| f.dropped_records),
             "tracking_share_least": tracking.map_or(0.0, |(least, _)| least),
             "remarks": self.remarks(),
@@ -311,7 +311,7 @@ impl Tally {
 mod tests {
     use super::*;
     use crate::quantiles::histogram;
-    use crate::rate::figures::tests::quiet;
+    use crate::rate::trial_metrics::tests::quiet;
 
     fn trial(period_ms: f64, holds: bool) -> Trial {
         Trial {
@@ -320,7 +320,7 @@ mod tests {
             spin_us: 0.0,
             holds,
             remarks: if holds { "" } else { "too short" }.to_owned(),
-            figures: holds.then(quiet),
+            metrics: holds.then(quiet),
             tag: "tag".to_owned(),
             responses: histogram().unwrap(),
             begin_ns: 1,

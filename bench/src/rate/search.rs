@@ -46,6 +46,10 @@ mod tests {
                 });
                 assert_eq!(found.unwrap(), holding.checked_sub(1), "from {first}");
                 let all = tried.len();
+                assert!(
+                    all == 2 || first + 1 != holding || holding == 7,
+                    "a good guess"
+                );
                 tried.sort_unstable();
                 tried.dedup();
                 assert_eq!(all, tried.len());
@@ -54,18 +58,8 @@ mod tests {
     }
 
     #[test]
-    fn a_good_guess_costs_two_trials() {
-        let mut trials = 0;
-        let found = shortest(7, 3, |index| {
-            trials += 1;
-            Ok(index <= 3)
-        });
-        assert_eq!((found.unwrap(), trials), (Some(3), 2));
-        assert_eq!(shortest(0, 3, |_| Ok(true)).unwrap(), None);
-    }
-
-    #[test]
     fn an_error_ends_the_search() {
         assert!(shortest(7, 3, |_| anyhow::bail!("no")).is_err());
+        assert_eq!(shortest(0, 3, |_| Ok(true)).unwrap(), None);
     }
 }

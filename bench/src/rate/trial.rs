@@ -10,7 +10,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::case::{Case, Stage};
-use super::figures::{Figures, Verdict};
+use super::trial_metrics::{TrialMetrics, Verdict};
 use crate::causes::Causes;
 use crate::interrupt;
 use crate::quantiles::{Quantiles, histogram};
@@ -61,7 +61,7 @@ pub struct Trial {
     pub remarks: String,
     /// What was measured; none when the robot did not follow its reference all the time.
     #[serde(flatten)]
-    pub figures: Option<Figures>,
+    pub metrics: Option<TrialMetrics>,
     #[serde(skip)]
     pub tag: String,
     /// Responses of the cycles whose records a client got \[ns\].
@@ -87,16 +87,16 @@ impl Trial {
             spin_us: stage.spin_within_us(period_ms),
             holds: false,
             remarks: String::new(),
-            figures: None,
+            metrics: None,
             tag: format!("{}.{:.0}-hz.response", case.solver.name(), 1e3 / period_ms),
             responses: histogram()?,
             begin_ns,
         };
         match observed {
-            Ok((figures, records)) => {
-                trial.holds = figures.verdict(period_ms) == Verdict::Holds;
-                trial.remarks = figures.remarks(period_ms);
-                trial.figures = Some(figures);
+            Ok((metrics, records)) => {
+                trial.holds = metrics.verdict(period_ms) == Verdict::Holds;
+                trial.remarks = metrics.remarks(period_ms);
+                trial.metrics = Some(metrics);
                 trial.responses = records.responses;
                 trial.begin_ns = records.begin_ns;
             }
@@ -111,8 +111,8 @@ impl Trial {
     /// Whether it says, as the `count`-th trial of its period, whether that holds. A robot that did not follow has
     /// no second trial.
     pub fn decides(&self, count: usize) -> bool {
-        let figures = self.figures.as_ref();
-        let trials = figures.map_or(1, |figures| figures.verdict(self.period_ms).trials());
+        let metrics = self.metrics.as_ref();
+        let trials = metrics.map_or(1, |metrics| metrics.verdict(self.period_ms).trials());
         count >= trials
     }
 }
@@ -131,7 +131,7 @@ fn one_line(error: &anyhow::Error) -> String {
     text.lines().next().unwrap_or_default().to_owned()
 }
 
-fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures, Records)> {
+fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(TrialMetrics, Records)> {
     let tracking = Tracking::start(daemon.location(), stage.cores.client())?;
     let connection = daemon.connect()?;
     let mut telemetry = connection.telemetry()?;
@@ -146,12 +146,12 @@ fn observe(daemon: &Daemon, stage: &Stage, length: Duration) -> Result<(Figures,
     let (after, passed) = (threads(daemon.id()), begin.elapsed());
     tracking.stop()?;
     let share = |name: &str| core_share(&before, &after, name, passed);
-    let figures = Figures {
+    let metrics = TrialMetrics {
         cycle_core_share: share("cdcr-cycle"),
         exchange_core_share: share("cdcr-exchange"),
-        ..records.figures(&status)?
+        ..records.metrics(&status)?
     };
-    Ok((figures, records))
+    Ok((metrics, records))
 }
 
 struct Records {
@@ -208,25 +208,25 @@ impl Records {
     }
 
     /// Together with what the daemon counted; nothing of the use of the core.
-    fn figures(&mut self, status: &Status) -> Result<Figures> {
-        let told = &status.since_reset;
+    fn metrics(&mut self, status: &Status) -> Result<TrialMetrics> {
+        let reported = &status.since_reset;
         let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
-        let times = |summary| Quantiles::told(summary).context("the daemon ran no cycle");
+        let times = |summary| Quantiles::reported(summary).context("the daemon ran no cycle");
         self.errors_m.sort_by(f64::total_cmp);
-        Ok(Figures {
+        Ok(TrialMetrics {
             duration_s: (status.header.sent_ns - status.statistics_since_ns) as f64 * 1e-9,
-            cycles: told.cycles,
-            late_starts: told.late_starts,
-            deadline_misses: told.deadline_misses,
-            skipped_periods: told.skipped_periods,
-            causes: Causes::told(told),
-            budget_hit_share: share(told.budget_hits, told.cycles),
-            stale_input_share: share(told.stale_inputs, told.cycles),
-            dropped_records: told.dropped_records,
-            wake_us: times(&told.wake)?,
-            solve_us: times(&told.solve)?,
-            compute_us: times(&told.compute)?,
-            response_us: times(&told.response)?,
+            cycles: reported.cycles,
+            late_starts: reported.late_starts,
+            deadline_misses: reported.deadline_misses,
+            skipped_periods: reported.skipped_periods,
+            causes: Causes::reported(reported),
+            budget_hit_share: share(reported.budget_hits, reported.cycles),
+            stale_input_share: share(reported.stale_inputs, reported.cycles),
+            dropped_records: reported.dropped_records,
+            wake_us: times(&reported.wake)?,
+            solve_us: times(&reported.solve)?,
+            compute_us: times(&reported.compute)?,
+            response_us: times(&reported.response)?,
             cycle_core_share: 0.0,
             exchange_core_share: 0.0,
             tracking_share: share(self.tracking, self.received),

@@ -7,7 +7,7 @@ use std::time::{Instant, SystemTime};
 use anyhow::Result;
 use clap::ValueEnum;
 
-use super::{Extent, Part, Report, Start};
+use super::{BenchReport, Extent, Part, Start};
 use crate::budget;
 use crate::dataset::Dataset;
 use crate::deadline;
@@ -20,7 +20,7 @@ use crate::quality;
 use crate::rate;
 use crate::solver;
 
-/// A benchmark. Those of real time come first, while the machine is quiet.
+/// A benchmark, in the order in which they are run: those of real time come first, while the machine is quiet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 pub enum Benchmark {
     /// Deadline misses and latencies beside a bare loop.
@@ -55,16 +55,16 @@ pub struct Request {
 impl Request {
     /// About how long it takes \[s\].
     pub fn expected_s(&self) -> f64 {
-        let plans = Benchmark::ALL
-            .into_iter()
+        let plans = Benchmark::value_variants()
+            .iter()
             .filter(|b| self.benchmarks.contains(b));
         plans.map(|benchmark| benchmark.plan(self).expected_s).sum()
     }
 
     /// Runs the benchmarks. One that fails is part of the report and does not keep the others from running.
-    pub fn run(&self, start: Start, progress: &mut Progress) -> Result<Report> {
-        let asked = Benchmark::ALL
-            .into_iter()
+    pub fn run(&self, start: Start, progress: &mut Progress) -> Result<BenchReport> {
+        let asked = Benchmark::value_variants()
+            .iter()
             .filter(|b| self.benchmarks.contains(b));
         let plans: Vec<Plan> = asked.map(|benchmark| benchmark.plan(self)).collect();
         let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
@@ -76,7 +76,7 @@ impl Request {
             parts.push(plan.carry_out(progress));
         }
         interrupt::check()?;
-        Ok(Report {
+        Ok(BenchReport {
             start,
             extent: self.extent,
             default_config: self.config.is_none(),
@@ -86,64 +86,47 @@ impl Request {
 }
 
 impl Benchmark {
-    /// All, in the order in which they are run.
-    pub const ALL: [Self; 8] = [
-        Self::Deadline,
-        Self::Latency,
-        Self::Rate,
-        Self::Footprint,
-        Self::Quality,
-        Self::Paper,
-        Self::Solver,
-        Self::Budget,
-    ];
-
     fn plan(self, request: &Request) -> Plan {
         let Extent { quick, rounds } = request.extent;
+        macro_rules! plan {
+            ($module:ident, $options:ident) => {{
+                let mut options = sized(quick, $module::$options::quick, $module::$options::full);
+                options.rounds = rounds.unwrap_or(options.rounds);
+                Plan::of(
+                    stringify!($module),
+                    options,
+                    $module::expected_s,
+                    $module::run,
+                )
+            }};
+        }
         match self {
             Self::Deadline => {
-                let mut options =
-                    sized(quick, deadline::Options::quick, deadline::Options::default);
+                let mut options = sized(
+                    quick,
+                    deadline::DeadlineOptions::quick,
+                    deadline::DeadlineOptions::default,
+                );
                 options.rounds = rounds.unwrap_or(options.rounds);
                 options.config.clone_from(&request.config);
                 Plan::of("deadline", options, deadline::expected_s, deadline::run)
             }
             Self::Latency => {
-                let mut options = sized(quick, quick_latency, latency::Options::default);
+                let mut options = sized(quick, quick_latency, latency::LatencyOptions::default);
                 options.rounds = rounds.map_or(options.rounds, |rounds| rounds as usize);
                 options.config.clone_from(&request.config);
                 Plan::of("latency", options, latency::expected_s, latency::run)
             }
-            Self::Rate => {
-                let mut options = sized(quick, rate::Options::quick, rate::Options::full);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of("rate", options, rate::expected_s, rate::run)
-            }
-            Self::Footprint => {
-                let mut options = sized(quick, footprint::Options::quick, footprint::Options::full);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of("footprint", options, footprint::expected_s, footprint::run)
-            }
-            Self::Quality => {
-                let mut options = sized(quick, quality::Options::quick, quality::Options::full);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of("quality", options, quality::expected_s, quality::run)
-            }
+            Self::Rate => plan!(rate, RateOptions),
+            Self::Footprint => plan!(footprint, FootprintOptions),
+            Self::Quality => plan!(quality, QualityOptions),
             Self::Paper => {
                 let mut effort = if quick { paper::QUICK } else { paper::FULL };
                 effort.seeds = rounds.map_or(effort.seeds, u64::from);
                 Plan::of("paper", effort, paper::expected_s, paper::run)
             }
-            Self::Solver => {
-                let mut options = sized(quick, solver::Options::quick, solver::Options::full);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of("solver", options, solver::expected_s, solver::run)
-            }
-            Self::Budget => {
-                let mut options = sized(quick, || budget::Options::QUICK, || budget::Options::FULL);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of("budget", options, budget::expected_s, budget::run)
-            }
+            Self::Solver => plan!(solver, SolverOptions),
+            Self::Budget => plan!(budget, BudgetOptions),
         }
     }
 }
@@ -153,12 +136,12 @@ fn sized<O>(is_quick: bool, quick: fn() -> O, usual: fn() -> O) -> O {
     if is_quick { quick() } else { usual() }
 }
 
-fn quick_latency() -> latency::Options {
-    let (rounds, samples) = latency::Options::QUICK;
-    latency::Options {
+fn quick_latency() -> latency::LatencyOptions {
+    let (rounds, samples) = latency::LatencyOptions::QUICK;
+    latency::LatencyOptions {
         rounds,
         samples,
-        ..latency::Options::default()
+        ..latency::LatencyOptions::default()
     }
 }
 
@@ -208,21 +191,29 @@ impl Plan {
 mod tests {
     use super::*;
 
-    fn fails(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
+    fn fails(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
         anyhow::bail!("no luck")
     }
 
-    fn panics(_: &budget::Options, _: &mut Progress) -> Result<Dataset> {
+    fn panics(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
         panic!("a test of a panic")
     }
 
     #[test]
     fn a_benchmark_that_fails_or_panics_is_a_part_without_a_result() {
         for (run, words) in [
-            (fails as fn(&budget::Options, &mut Progress) -> _, "no luck"),
+            (
+                fails as fn(&budget::BudgetOptions, &mut Progress) -> _,
+                "no luck",
+            ),
             (panics, "panicked"),
         ] {
-            let plan = Plan::of("budget", budget::Options::QUICK, budget::expected_s, run);
+            let plan = Plan::of(
+                "budget",
+                budget::BudgetOptions::quick(),
+                budget::expected_s,
+                run,
+            );
             let part = plan.carry_out(&mut Progress::silent());
             let cause = part.result.err().expect("no result");
             assert!(cause.contains(words), "{cause}");
@@ -237,7 +228,7 @@ mod tests {
                 rounds: None,
             },
             config: None,
-            benchmarks: Benchmark::ALL.to_vec(),
+            benchmarks: Benchmark::value_variants().to_vec(),
         };
         assert!(request(true).expected_s() < request(false).expected_s() / 4.0);
     }

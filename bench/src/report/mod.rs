@@ -17,7 +17,7 @@ use serde_json::{Map, Value, json};
 pub use targets::{Target, targets};
 
 use crate::dataset::{Dataset, Sheet};
-use crate::environment::{Environment, Options};
+use crate::environment::{Environment, RunOptions};
 use crate::hlog;
 use crate::metric::Metric;
 
@@ -42,7 +42,7 @@ const OUR_KEYS: [&str; 8] = [
 pub struct Start {
     pub time: SystemTime,
     pub environment: Environment,
-    pub options: Options,
+    pub options: RunOptions,
 }
 
 impl Start {
@@ -51,7 +51,7 @@ impl Start {
         Ok(Self {
             time: SystemTime::now(),
             environment: Environment::find()?,
-            options: Options::find(),
+            options: RunOptions::find(),
         })
     }
 }
@@ -71,7 +71,7 @@ pub struct Part {
     pub result: Result<Dataset, String>,
 }
 
-pub struct Report {
+pub struct BenchReport {
     pub start: Start,
     pub extent: Extent,
     pub default_config: bool,
@@ -79,7 +79,7 @@ pub struct Report {
     pub parts: Vec<Part>,
 }
 
-impl Report {
+impl BenchReport {
     fn datasets(&self) -> impl Iterator<Item = &Dataset> {
         self.parts
             .iter()
@@ -128,7 +128,7 @@ impl Report {
     pub fn not_judged(&self) -> Option<&'static str> {
         let mut parts = self.parts.iter();
         let has_any = parts.any(|part| targets::JUDGED.contains(&part.name));
-        match (has_any, self.start.environment.privileges.realtime) {
+        match (has_any, self.start.environment.is_realtime()) {
             (false, _) => None,
             (true, false) => Some(
                 "The figures to reach were not judged: they are for real time, which this user is not granted.",

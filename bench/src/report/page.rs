@@ -2,7 +2,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Part, QUICK, Report, Start, file_name, targets};
+use super::{BenchReport, Part, QUICK, Start, file_name, targets};
 use crate::dataset::{Dataset, Sheet, escape};
 
 const STYLE: &str = include_str!("page.css");
@@ -22,7 +22,7 @@ pub(super) fn of_dataset(start: &Start, dataset: &Dataset) -> String {
 }
 
 /// All results, with contents, machine and targets first.
-pub(super) fn of_report(report: &Report, targets: Option<&Sheet>) -> String {
+pub(super) fn of_report(report: &BenchReport, targets: Option<&Sheet>) -> String {
     let mut html = INTRODUCTION.to_owned();
     if report.extent.quick {
         failure(&mut html, QUICK);

@@ -18,7 +18,7 @@ named! {
     }
 }
 
-pub(super) const COLUMNS: [Column; 8] = [
+pub const COLUMNS: [Column; 8] = [
     word("solver", "solver"),
     word("per", "per"),
     plain("from", "from"),
@@ -37,7 +37,7 @@ impl Quantity {
 
 /// The growth of one solver with one quantity.
 #[derive(Debug, Clone, Serialize)]
-pub(super) struct Growth {
+pub struct Growth {
     pub solver: Solver,
     pub per: Quantity,
     pub from: usize,
@@ -53,7 +53,7 @@ pub(super) struct Growth {
 }
 
 /// The growth in every series of cases that differ in one quantity from the paper's size.
-pub(super) fn growth(cases: &[Case]) -> Vec<Growth> {
+pub fn growth(cases: &[Case]) -> Vec<Growth> {
     let Some(fastest) = cases.last().map(|case| case.path) else {
         return Vec::new();
     };

@@ -5,8 +5,8 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_bench::latency::bare::PEER;
-use cdcr_bench::latency::{Leg, Options, run};
+use cdcr_bench::latency::baseline::PEER;
+use cdcr_bench::latency::{LatencyOptions, Leg, run};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
 
@@ -20,10 +20,10 @@ fn program() -> Command {
 /// Two rounds: each leg has its samples, and its parts make the whole.
 #[test]
 fn every_way_is_measured_in_every_round() {
-    let options = Options {
+    let options = LatencyOptions {
         rounds: 2,
         samples: 10,
-        ..Options::default()
+        ..LatencyOptions::default()
     };
     let report = run(&options, &mut Progress::silent()).unwrap();
     let json = report.json();

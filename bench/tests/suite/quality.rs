@@ -6,11 +6,11 @@ use cdcr_bench::dataset::Dataset;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::course::Course;
 use cdcr_bench::quality::restarts::Contender;
-use cdcr_bench::quality::{self, Field, Options};
+use cdcr_bench::quality::{self, Field, QualityOptions};
 
 /// Two courses, one with an obstacle, for a quarter of a second each.
-fn small() -> Options {
-    Options {
+fn small() -> QualityOptions {
+    QualityOptions {
         rounds: 2,
         courses: vec![Course::Line, Course::Crossing],
         cycles_max: 50,
@@ -123,7 +123,7 @@ fn metrics_have_a_value_for_each_round_and_names_of_their_own() {
 
 #[test]
 fn what_no_clock_ends_comes_out_the_same_again() {
-    let options = Options {
+    let options = QualityOptions {
         rounds: 1,
         budgets_us: Vec::new(),
         restarts: 0,

@@ -1,10 +1,10 @@
 //! What `cdcr-bench rate` finds out, from short trials with real daemons.
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Length, Measured, Options, Trial, Verdict};
+use cdcr_bench::rate::{self, Case, Length, Measured, RateOptions, Trial, Verdict};
 
 fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
-    let options = Options {
+    let options = RateOptions {
         rounds: 1,
         length: Length {
             least_s: 0.2,
@@ -13,40 +13,40 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
         cases,
         periods_ms: periods_ms.to_vec(),
         steps_ms: steps_ms.to_vec(),
-        ..Options::quick()
+        ..RateOptions::quick()
     };
     rate::measure(&options, &mut Progress::silent()).unwrap()
 }
 
-/// Whatever the machine did meanwhile: the figures belong together.
+/// Whatever the machine did meanwhile: the metrics belong together.
 fn assert_consistent(trial: &Trial) {
-    let figures = trial.figures.as_ref();
-    let figures = figures.unwrap_or_else(|| panic!("{}", trial.remarks));
+    let metrics = trial.metrics.as_ref();
+    let metrics = metrics.unwrap_or_else(|| panic!("{}", trial.remarks));
     assert!(
-        figures.cycles > 0 && figures.duration_s >= 0.2,
-        "{figures:?}"
+        metrics.cycles > 0 && metrics.duration_s >= 0.2,
+        "{metrics:?}"
     );
-    let verdict = figures.verdict(trial.period_ms);
+    let verdict = metrics.verdict(trial.period_ms);
     assert_eq!(trial.holds, verdict == Verdict::Holds);
-    assert!(!trial.holds || figures.lost_share() <= 1e-3);
+    assert!(!trial.holds || metrics.lost_share() <= 1e-3);
     assert!(trial.holds || !trial.remarks.is_empty());
     assert!(
-        figures.wake_us.p50 <= figures.response_us.p50,
-        "{figures:?}"
+        metrics.wake_us.p50 <= metrics.response_us.p50,
+        "{metrics:?}"
     );
     assert!(
-        figures.response_us.p999 <= figures.response_us.max,
-        "{figures:?}"
+        metrics.response_us.p999 <= metrics.response_us.max,
+        "{metrics:?}"
     );
     assert!(!trial.responses.is_empty());
     for share in [
-        figures.budget_hit_share,
-        figures.stale_input_share,
-        figures.tracking_share,
+        metrics.budget_hit_share,
+        metrics.stale_input_share,
+        metrics.tracking_share,
     ] {
-        assert!((0.0..=1.0).contains(&share), "{figures:?}");
+        assert!((0.0..=1.0).contains(&share), "{metrics:?}");
     }
-    assert!(figures.tracking_share > 0.0, "{figures:?}");
+    assert!(metrics.tracking_share > 0.0, "{metrics:?}");
 }
 
 #[test]

@@ -177,10 +177,13 @@ mod tests {
         }
     }
 
+    /// What was written.
+    type Written = Arc<Mutex<Vec<u8>>>;
+
     /// With it: what tells that a line was taken, what opens it, and what was written.
-    fn unread() -> (Unread, Receiver<()>, Sender<()>, Arc<Mutex<Vec<u8>>>) {
+    fn unread() -> (Unread, Receiver<()>, Sender<()>, Written) {
         let ((open, shut), (taken, takes)) = (channel(), channel());
-        let text = Arc::<Mutex<Vec<u8>>>::default();
+        let text = Written::default();
         let writer = Unread {
             taken,
             shut,

@@ -262,7 +262,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__paper)
-            opts="-h --seeds --format --out --cycles --help"
+            opts="-h --seeds --cycles --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -272,15 +272,15 @@ _cdcr__bench() {
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
+                --cycles)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
                 --format)
                     COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
                     return 0
                     ;;
                 --out)
-                    COMPREPLY=($(compgen -f "${cur}"))
-                    return 0
-                    ;;
-                --cycles)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

@@ -77,12 +77,12 @@ csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand deadline" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l seeds -d 'Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20 times' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l cycles -d 'Cycles of a run at most: for a quick look' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 markdown\t'The same table for a page on the web'
 json\t'One JSON object'
 csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -l cycles -d 'Cycles of a run at most: for a quick look' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand paper" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l rounds -d 'Runs of each variant, each with another seed, 1 to 100' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'

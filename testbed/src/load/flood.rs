@@ -32,16 +32,20 @@ pub(super) fn references(target: &Location, signals: &Signals) -> Result<Done> {
     let feed = connection.reference_feed()?;
     let mut points = [ReferencePoint::default(); CHUNK_POINTS_MAX];
     signals.works();
-    every(PERIOD, signals, || {
-        let begin_ns = monotonic_ns() + 1_000_000_000;
-        for (index, point) in points.iter_mut().enumerate() {
-            point.time_ns = begin_ns + index as u64 * 1_000_000;
-            point.position_m = [0.0, 0.0, 0.8];
-        }
-        feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)?;
-        done.chunks += 1;
-        Ok(())
-    })?;
+    every(
+        PERIOD,
+        || signals.is_ending(),
+        || {
+            let begin_ns = monotonic_ns() + 1_000_000_000;
+            for (index, point) in points.iter_mut().enumerate() {
+                point.time_ns = begin_ns + index as u64 * 1_000_000;
+                point.position_m = [0.0, 0.0, 0.8];
+            }
+            feed.send(ChunkMode::Replace, Interpolation::Cubic, &points)?;
+            done.chunks += 1;
+            Ok(())
+        },
+    )?;
     Ok(done)
 }
 
@@ -55,12 +59,16 @@ pub(super) fn obstacles(target: &Location, signals: &Signals) -> Result<Done> {
     let sender = connection.obstacle_sender()?;
     let mut turn = 0_u32;
     signals.works();
-    every(PERIOD, signals, || {
-        turn = turn.wrapping_add(1);
-        sender.upsert(&[ball(turn)])?;
-        done.updates += 1;
-        Ok(())
-    })?;
+    every(
+        PERIOD,
+        || signals.is_ending(),
+        || {
+            turn = turn.wrapping_add(1);
+            sender.upsert(&[ball(turn)])?;
+            done.updates += 1;
+            Ok(())
+        },
+    )?;
     Ok(done)
 }
 

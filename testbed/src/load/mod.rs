@@ -13,7 +13,7 @@ pub mod done;
 mod flood;
 mod memory;
 mod processor;
-mod rate;
+pub mod rate;
 mod stress_ng;
 mod task;
 mod visitors;

@@ -5,20 +5,18 @@ use std::time::{Duration, Instant};
 
 use anyhow::Result;
 
-use super::task::Signals;
-
 /// So much that is late is made up for.
 const MADE_UP: Duration = Duration::from_millis(100);
 
 /// Does `work` every `period` until the end. What is late is made up for, so that the rate is kept; but not
 /// what a stall, or too little of the processor, took beyond 100 ms.
-pub(super) fn every(
+pub fn every(
     period: Duration,
-    signals: &Signals,
+    is_ending: impl Fn() -> bool,
     mut work: impl FnMut() -> Result<()>,
 ) -> Result<()> {
     let mut next = Instant::now();
-    while !signals.is_ending() {
+    while !is_ending() {
         work()?;
         next += period;
         let now = Instant::now();
@@ -39,27 +37,26 @@ mod tests {
 
     #[test]
     fn late_work_is_made_up_for() {
-        let signals = Signals::default();
-        let (begin, mut turns) = (Instant::now(), 0_u32);
+        let (begin, turns) = (Instant::now(), std::cell::Cell::new(0_u32));
         let period = Duration::from_millis(1);
-        let result = every(period, &signals, || {
-            turns += 1;
-            if turns == 1 {
-                thread::sleep(Duration::from_millis(20));
-            }
-            if turns == 21 {
-                signals.end();
-            }
-            Ok(())
-        });
-        assert!(result.is_ok() && turns == 21);
+        let result = every(
+            period,
+            || turns.get() == 21,
+            || {
+                turns.set(turns.get() + 1);
+                if turns.get() == 1 {
+                    thread::sleep(Duration::from_millis(20));
+                }
+                Ok(())
+            },
+        );
+        assert!(result.is_ok());
         // Never ahead of its rate: the 21st turn is due after 20 periods.
         assert!(begin.elapsed() >= 20 * period);
     }
 
     #[test]
     fn a_failure_ends_it() {
-        let result = every(Duration::ZERO, &Signals::default(), || bail!("no"));
-        assert!(result.is_err());
+        assert!(every(Duration::ZERO, || false, || bail!("no")).is_err());
     }
 }

@@ -22,13 +22,17 @@ pub(super) fn come_and_go(target: &Location, signals: &Signals) -> Done {
     let mut turn = 0_u64;
     signals.works();
     // It never fails.
-    let _ = every(PERIOD, signals, || {
-        turn += 1;
-        let granted = visit(target, turn.is_multiple_of(2));
-        done.clients += u64::from(granted);
-        done.failed_clients += u64::from(!granted);
-        Ok(())
-    });
+    let _ = every(
+        PERIOD,
+        || signals.is_ending(),
+        || {
+            turn += 1;
+            let granted = visit(target, turn.is_multiple_of(2));
+            done.clients += u64::from(granted);
+            done.failed_clients += u64::from(!granted);
+            Ok(())
+        },
+    );
     done
 }
 

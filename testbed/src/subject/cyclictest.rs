@@ -113,12 +113,12 @@ impl Running {
         let limit = Duration::from_secs_f64(2.0 * duration_s) + PATIENCE;
         let said = self.process.wait(limit)?;
         let mut each_ns = latencies_in(&said)
-            .with_context(|| format!("what cyclictest printed{}", self.process.last_words()))?;
+            .with_context(|| format!("what cyclictest printed{}", self.process.stderr_tail()))?;
         let (made, asked) = (each_ns.len(), self.cycles);
         ensure!(
             made as u64 >= asked,
             "cyclictest told of {made} cycles where {asked} were asked for{}",
-            self.process.last_words()
+            self.process.stderr_tail()
         );
         each_ns.truncate(asked as usize);
         Latencies::of(each_ns, self.period)

@@ -150,7 +150,7 @@ impl Daemon {
             ensure!(
                 !self.process.has_ended()?,
                 "the daemon ended at once{}",
-                self.last_words()
+                self.stderr_tail()
             );
             match self.connect() {
                 Ok(connection) if is_ready(&connection) => return Ok(self),
@@ -162,7 +162,7 @@ impl Daemon {
         bail!(
             "the daemon was not ready within {} s: {last}{}",
             START_TIMEOUT.as_secs(),
-            self.last_words()
+            self.stderr_tail()
         )
     }
 
@@ -186,13 +186,13 @@ impl Daemon {
         ensure!(
             !self.process.has_ended()?,
             "the daemon ended by itself{}",
-            self.last_words()
+            self.stderr_tail()
         );
         self.process.end()
     }
 
-    pub fn last_words(&self) -> String {
-        self.process.last_words()
+    pub fn stderr_tail(&self) -> String {
+        self.process.stderr_tail()
     }
 }
 

@@ -1,6 +1,6 @@
 //! What is measured: a daemon as a real process, in a place of its own.
 
-pub mod bare;
+pub mod baseline;
 pub mod cyclictest;
 pub mod daemon;
 pub mod place;

@@ -42,8 +42,8 @@ impl Process {
         let file = |what: &str| File::create(folder.path().join(what)).context("its output");
         let child = command
             .stdin(Stdio::null())
-            .stdout(file(SAID)?)
-            .stderr(file(COMPLAINED)?)
+            .stdout(file(STDOUT)?)
+            .stderr(file(STDERR)?)
             .process_group(0)
             .spawn()
             .with_context(|| format!("cannot start {name}"))?;
@@ -75,17 +75,17 @@ impl Process {
             bail!(
                 "{} did not end within {seconds} s{}",
                 self.name,
-                self.last_words()
+                self.stderr_tail()
             );
         };
-        let words = || self.last_words();
+        let words = || self.stderr_tail();
         ensure!(
             status.success(),
             "{} failed: {status}{}",
             self.name,
             words()
         );
-        fs::read_to_string(self.folder().join(SAID))
+        fs::read_to_string(self.folder().join(STDOUT))
             .with_context(|| format!("what {} wrote", self.name))
     }
 
@@ -106,16 +106,16 @@ impl Process {
         self.child.kill()?;
         self.ended = Some(self.child.wait()?);
         let seconds = END_TIMEOUT.as_secs();
-        let (name, words) = (self.name, self.last_words());
+        let (name, words) = (self.name, self.stderr_tail());
         bail!("{name} did not end within {seconds} s of SIGTERM and was killed{words}")
     }
 
-    pub fn last_words(&self) -> String {
+    pub fn stderr_tail(&self) -> String {
         let text = |what: &str| fs::read_to_string(self.folder().join(what)).unwrap_or_default();
         // A program that reports an error on its standard output does so in few words.
-        let words = match text(COMPLAINED) {
-            complaint if complaint.trim().is_empty() => text(SAID).chars().take(2000).collect(),
-            complaint => complaint,
+        let words = match text(STDERR) {
+            errors if errors.trim().is_empty() => text(STDOUT).chars().take(2000).collect(),
+            errors => errors,
         };
         match words.trim() {
             "" => "; it said nothing".to_owned(),
@@ -163,8 +163,8 @@ impl Drop for Process {
 }
 
 /// Files for its standard output and standard error.
-const SAID: &str = "stdout";
-const COMPLAINED: &str = "stderr";
+const STDOUT: &str = "stdout";
+const STDERR: &str = "stderr";
 
 /// A folder for the files of a program.
 pub fn folder(name: &str) -> Result<TempDir> {
@@ -211,7 +211,7 @@ mod tests {
     }
 
     fn until_it_speaks(process: &Process) {
-        let said = process.folder().join(SAID);
+        let said = process.folder().join(STDOUT);
         let deadline = Instant::now() + PATIENCE;
         while fs::read_to_string(&said).unwrap().is_empty() {
             assert!(Instant::now() < deadline, "it says nothing");

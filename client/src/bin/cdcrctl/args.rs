@@ -1,3 +1,4 @@
+pub(crate) mod complete;
 mod obstacle;
 mod reference;
 mod settings;
@@ -11,7 +12,6 @@ use cdcr_shared_types::{DEFAULT_PREFIX, Location};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::ArgValueCandidates;
 
-use crate::complete;
 use crate::value;
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use reference::{
@@ -267,8 +267,8 @@ pub(crate) enum Topic {
 
 #[cfg(test)]
 mod tests {
+    use super::complete::SHELLS;
     use super::*;
-    use crate::complete::SHELLS;
     use clap::CommandFactory;
 
     #[test]

@@ -6,14 +6,15 @@
 
 mod args;
 mod bar;
-mod complete;
 mod demo;
 mod echo;
 mod feed;
 mod incidents;
 mod interrupt;
+mod known_obstacles;
 mod obstacle;
 mod request;
+mod setting;
 mod settings;
 mod show_status;
 mod standstill;
@@ -43,7 +44,7 @@ enum Done {
 fn main() -> ExitCode {
     // Errors are told in our own words; iceoryx2's log would say them twice.
     set_log_level(LogLevel::Fatal);
-    complete::answer();
+    args::complete::answer();
     let arguments = Arguments::parse();
     match run(&arguments) {
         Ok(Done::Good) => ExitCode::SUCCESS,

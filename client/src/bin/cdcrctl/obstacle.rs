@@ -3,13 +3,14 @@ use std::io::Write as _;
 use std::time::Duration;
 
 use anyhow::bail;
-use cdcr_client::{Connection, LinkError, monotonic_ns, obstacles, remedy, section_lengths_m};
+use cdcr_client::{Connection, monotonic_ns, remedy, section_lengths_m};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
-use cdcr_shared_types::{Obstacle, Service, Status};
+use cdcr_shared_types::{Obstacle, Status};
 
 use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
 use crate::echo::json;
+use crate::known_obstacles::known;
 
 /// An obstacle so many times the length of the robot away is asked about. (The nearest that millimetres can be mistaken
 /// for is about a thousand times as far as meant.)
@@ -47,18 +48,8 @@ pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<
     }
 }
 
-/// The obstacles that the next cycle knows.
-pub(crate) fn known(connection: &Connection) -> Result<Vec<Obstacle>, LinkError> {
-    let record = connection.telemetry()?.next_within(TIMEOUT)?;
-    let record = record.ok_or(LinkError::Silent {
-        service: Service::Telemetry.key(),
-        waited: TIMEOUT,
-    })?;
-    Ok(obstacles(&record).to_vec())
-}
-
 fn list(connection: &Connection, format: Format) -> anyhow::Result<Done> {
-    let known = known(connection)?;
+    let known = known(connection, TIMEOUT)?;
     let shown = match format {
         Format::Text => table(&known)?,
         Format::Json => {

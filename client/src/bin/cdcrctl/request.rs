@@ -1,10 +1,9 @@
-use std::io::Write;
 use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{RequestError, Requester};
 use cdcr_shared_types::Response;
-use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{Outcome, RequestKind};
 
 use crate::Done;
 use crate::args::Target;
@@ -29,18 +28,8 @@ pub(crate) fn run(
         RequestKind::Track => track(&Requester::open(&location, robot)?)?,
         _ => Requester::open(&location, robot)?.request(kind)?,
     };
-    tell(kind, &response)?;
+    wait::tell(kind, &response)?;
     Ok(Done::Good)
-}
-
-/// Says what came of a request.
-pub(crate) fn tell(kind: RequestKind, response: &Response) -> std::io::Result<()> {
-    writeln!(
-        std::io::stdout(),
-        "{kind}: accepted in cycle {}, the daemon is {}",
-        response.cycle,
-        Mode::text_of(response.mode)
-    )
 }
 
 fn track(requester: &Requester) -> Result<Response, RequestError> {

@@ -1,6 +1,5 @@
 //! The settings of the solver by their keys, as in the table `[controller]` of the configuration.
 
-mod keys;
 mod save;
 
 use std::fmt::Write as _;
@@ -16,7 +15,7 @@ use serde_json::Value;
 
 use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
-pub(crate) use keys::{Change, Setting};
+use crate::setting::{Change, Setting};
 
 /// How long a status may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);

@@ -9,7 +9,6 @@ use crate::Done;
 use crate::args::Target;
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
-use crate::request;
 use crate::standstill::Standstill;
 
 /// After this long without a record the daemon counts as silent.
@@ -33,7 +32,7 @@ pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow
     let mut telemetry = connection.telemetry()?;
     let interrupt = Interrupt::catch()?;
     let response = connection.request(kind)?;
-    request::tell(kind, &response)?;
+    tell(kind, &response)?;
     let bar = Bar::new(kind.text());
     bar.show_share(0.0);
     let begun = Instant::now();
@@ -129,6 +128,16 @@ fn left(kind: RequestKind, record: &Telemetry) -> f64 {
         _ => record.command.bend_rate_rad_s,
     };
     values.iter().fold(0.0, |most, value| value.abs().max(most))
+}
+
+/// Says what came of a request.
+pub(crate) fn tell(kind: RequestKind, response: &Response) -> std::io::Result<()> {
+    writeln!(
+        std::io::stdout(),
+        "{kind}: accepted in cycle {}, the daemon is {}",
+        response.cycle,
+        Mode::text_of(response.mode)
+    )
 }
 
 #[cfg(test)]

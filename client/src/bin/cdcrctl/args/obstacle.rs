@@ -3,8 +3,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand};
 use clap_complete::ArgValueCandidates;
 
-use super::Format;
-use crate::complete;
+use super::{Format, complete};
 use crate::value::{self, Vector};
 
 /// Options of `obstacle`.

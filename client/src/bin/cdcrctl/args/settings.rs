@@ -3,9 +3,8 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueHint};
 use clap_complete::ArgValueCompleter;
 
-use super::Format;
-use crate::complete;
-use crate::settings::Change;
+use super::{Format, complete};
+use crate::setting::Change;
 
 /// Options of `settings`.
 #[derive(Debug, Args)]

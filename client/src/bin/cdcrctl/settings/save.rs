@@ -11,8 +11,8 @@ use serde_json::{Number, Value as Json};
 use toml_edit::{DocumentMut, Item, Table, Value};
 
 use super::STATUS_TIMEOUT;
-use super::keys::Setting;
 use crate::Done;
+use crate::setting::Setting;
 
 /// What a daemon without a file uses.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
@@ -203,8 +203,8 @@ fn write_anew(new: &Path, old: &Path, text: &str) -> anyhow::Result<()> {
 mod tests {
     use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
-    use super::super::keys::Change;
     use super::*;
+    use crate::setting::Change;
 
     const PERIOD: Duration = Duration::from_millis(5);
 

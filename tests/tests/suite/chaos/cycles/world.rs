@@ -12,7 +12,7 @@ use cdcr_daemon::config::{Config, Validated, ns};
 use cdcr_daemon::convert;
 use cdcr_daemon::cycle::Cycle;
 use cdcr_daemon::handover::{CycleInputs, CycleRecord, CycleRequest, Settings};
-use cdcr_daemon::link::DriverLink;
+use cdcr_daemon::link::RobotLink;
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::Clock;
 use cdcr_daemon::rt::schedule::Release;
@@ -48,7 +48,7 @@ impl Clock for Watch {
 
 pub(super) struct World {
     dice: Dice,
-    cycle: Cycle<DriverLink>,
+    cycle: Cycle,
     robot: Robot,
     period_ns: u64,
     timeout_ns: u64,
@@ -79,7 +79,7 @@ impl World {
         let interface = convert::interface(config.link.interface);
         let driver = Driver::new(&mut dice, robot, interface, ORIGIN_NS);
         Self {
-            cycle: Cycle::new(&validated, DriverLink).unwrap(),
+            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
             robot: robot.clone(),
             period_ns,
             timeout_ns: ns(config.link.measurement_timeout_ms),

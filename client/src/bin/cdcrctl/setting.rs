@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn the_keys_are_those_of_the_configuration_and_the_defaults_are_legal() {
-        let text = include_str!("../../../../../configs/default.toml");
+        let text = include_str!("../../../../configs/default.toml");
         let lines = text
             .lines()
             .skip_while(|line| *line != "[controller]")

@@ -14,7 +14,7 @@ const LOST_MAX: f64 = 1e-3;
 
 /// What the daemon did in one trial, in its own statistics, unless something else is said.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Figures {
+pub struct TrialMetrics {
     pub duration_s: f64,
     pub cycles: u64,
     pub late_starts: u64,
@@ -66,7 +66,7 @@ impl Verdict {
     }
 }
 
-impl Figures {
+impl TrialMetrics {
     /// Whether the period held, and if not, by whose doing.
     pub fn verdict(&self, period_ms: f64) -> Verdict {
         // What a release takes when the machine only does its usual part.
@@ -151,7 +151,7 @@ impl Figures {
 pub(super) mod tests {
     use super::*;
 
-    pub(in crate::rate) fn quiet() -> Figures {
+    pub(in crate::rate) fn quiet() -> TrialMetrics {
         let us = |p50: f64| Quantiles {
             min: 0.5 * p50,
             p50,
@@ -159,7 +159,7 @@ pub(super) mod tests {
             p999: 3.0 * p50,
             max: 4.0 * p50,
         };
-        Figures {
+        TrialMetrics {
             duration_s: 2.0,
             cycles: 4000,
             late_starts: 0,
@@ -182,79 +182,70 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn releases_without_a_cycle_count_like_late_ones() {
-        let lost = |deadline_misses, skipped_periods| Figures {
-            deadline_misses,
-            skipped_periods,
-            ..quiet()
+    fn a_trial_is_judged_by_what_was_lost_and_by_whose_doing() {
+        let none = Causes::default();
+        let stalls = Causes {
+            platform: 2,
+            other: 1,
+            ..none
         };
-        assert_eq!(lost(0, 0).verdict(0.5), Verdict::Holds);
-        assert!(lost(0, 0).remarks(0.5).is_empty());
-        assert_eq!(lost(4, 0).verdict(0.5), Verdict::Holds);
-        assert_eq!(lost(2, 2).verdict(0.5), Verdict::Holds);
-        assert!((lost(0, 1000).lost_share() - 0.2).abs() < 1e-12);
-        // No evidence that it was the machine.
-        for figures in [lost(5, 0), lost(1, 1000)] {
-            assert_eq!(figures.verdict(0.5), Verdict::Slow);
-            let remarks = figures.remarks(0.5);
-            assert!(
-                remarks.contains("late, ") && !remarks.contains("machine"),
-                "{remarks}"
-            );
+        let compute = Causes { compute: 1, ..none };
+        let fault = Causes {
+            fault: 1,
+            platform: 10,
+            ..none
+        };
+        for (deadline_misses, skipped_periods, causes, period_ms, verdict, remarks) in [
+            (0, 0, none, 0.5, Verdict::Holds, ""),
+            (4, 0, none, 0.5, Verdict::Holds, ""),
+            (2, 2, none, 0.5, Verdict::Holds, ""),
+            // No evidence that it was the machine.
+            (5, 0, none, 0.5, Verdict::Slow, "5 late, 0 skipped"),
+            (1, 1000, none, 0.5, Verdict::Slow, "1 late, 1000 skipped"),
+            (
+                3,
+                40,
+                stalls,
+                0.5,
+                Verdict::Machine,
+                "the machine: 3 late, 40 skipped (2 platform, 1 stall)",
+            ),
+            // Wake-up 10 µs and compute 66 µs do not fit.
+            (
+                3,
+                40,
+                stalls,
+                0.07,
+                Verdict::Slow,
+                "3 late, 40 skipped (2 platform, 1 stall)",
+            ),
+            // Nothing excuses an own miss.
+            (0, 0, compute, 0.5, Verdict::Own, "1 own misses"),
+            (
+                0,
+                1000,
+                fault,
+                0.5,
+                Verdict::Own,
+                "1 own misses; 0 late, 1000 skipped (10 platform, 1 page fault)",
+            ),
+        ] {
+            let metrics = TrialMetrics {
+                deadline_misses,
+                skipped_periods,
+                causes,
+                ..quiet()
+            };
+            assert_eq!(metrics.verdict(period_ms), verdict, "{metrics:?}");
+            assert_eq!(metrics.remarks(period_ms), remarks);
         }
-    }
-
-    #[test]
-    fn a_machine_that_stalls_is_named_when_the_work_fits() {
-        let stalled = Figures {
-            deadline_misses: 3,
-            skipped_periods: 40,
-            causes: Causes {
-                platform: 2,
-                other: 1,
-                ..Causes::default()
-            },
-            ..quiet()
-        };
-        assert_eq!(stalled.verdict(0.5), Verdict::Machine);
-        let remarks = stalled.remarks(0.5);
-        let told = "the machine: 3 late, 40 skipped (2 platform, 1 stall)";
-        assert!(remarks.contains(told), "{remarks}");
-        // Wake-up 10 µs and compute 66 µs do not fit.
-        assert_eq!(stalled.verdict(0.07), Verdict::Slow);
         assert!(Verdict::Machine.trials() > Verdict::Slow.trials());
-    }
-
-    #[test]
-    fn nothing_excuses_an_own_miss() {
-        let causes = [
-            Causes {
-                compute: 1,
-                ..Causes::default()
-            },
-            Causes {
-                fault: 1,
-                platform: 10,
-                ..Causes::default()
-            },
-        ];
-        for causes in causes {
-            for skipped_periods in [0, 1000] {
-                let own = Figures {
-                    skipped_periods,
-                    causes,
-                    ..quiet()
-                };
-                assert_eq!(own.verdict(0.5), Verdict::Own);
-                assert!(own.remarks(0.5).contains("1 own"), "{}", own.remarks(0.5));
-            }
-        }
         assert_eq!(Verdict::Own.trials(), 1);
     }
 
     #[test]
     fn what_costs_quality_is_said_even_when_the_period_holds() {
-        let cut = Figures {
+        let cut = TrialMetrics {
             budget_hit_share: 0.4,
             cycle_core_share: 0.9,
             tracking_share: 0.5,

@@ -19,12 +19,10 @@ use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
-use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 use signal_hook::consts::SIGTERM;
 
-use super::OrTold as _;
 use super::leg::Leg;
 use super::round::Round;
 use crate::interrupt;
@@ -54,7 +52,7 @@ pub(super) fn measure(cores: &Cores, samples: usize, round: &mut Round) -> Resul
     thread::scope(|scope| {
         let measuring = scope.spawn(|| {
             pin(cores.client());
-            let near = Near::open(place.location(), shares)?;
+            let near = Near::open(place.location(), shares).context("a port of the bench")?;
             near.wait()?;
             near.play(samples, round)?;
             near.ask(samples, round)
@@ -122,14 +120,14 @@ fn is_root_of_place(root: &Path) -> bool {
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
-    let far = Far::open(&options.location)?;
+    let far = Far::open(&options.location).context("a port of the peer")?;
     let mut looks = 0_u32;
     loop {
         looks = looks.wrapping_add(1);
         if looks.is_multiple_of(LOOKS) && ends.load(Ordering::Relaxed) {
             return Ok(());
         }
-        far.look()?;
+        far.look().context("the peer cannot answer")?;
         if options.shares {
             thread::yield_now();
         }
@@ -144,30 +142,20 @@ struct Services {
 
 impl Services {
     fn open(location: &Location) -> Result<Self> {
-        let node = location.node_builder()?.create::<ipc::Service>();
-        let node = node.or_told("a node of iceoryx2")?;
-        let control = node
-            .service_builder(&"bare/control".try_into()?)
-            .request_response::<Request, Response>()
-            .open_or_create()
-            .or_told("the service bare/control")?;
+        let node = location.node_builder()?.create::<ipc::Service>()?;
+        let topic = |name: &str| -> Result<_> {
+            let service = node.service_builder(&name.try_into()?);
+            let topic = service.publish_subscribe::<Command>();
+            Ok(topic.enable_safe_overflow(true).open_or_create()?)
+        };
+        let control = node.service_builder(&"bare/control".try_into()?);
+        let control = control.request_response::<Request, Response>();
         Ok(Self {
-            there: topic(&node, "bare/there")?,
-            back: topic(&node, "bare/back")?,
-            control,
+            there: topic("bare/there")?,
+            back: topic("bare/back")?,
+            control: control.open_or_create()?,
         })
     }
-}
-
-fn topic(
-    node: &Node<ipc::Service>,
-    name: &str,
-) -> Result<publish_subscribe::PortFactory<ipc::Service, Command, ()>> {
-    node.service_builder(&name.try_into()?)
-        .publish_subscribe::<Command>()
-        .enable_safe_overflow(true)
-        .open_or_create()
-        .or_told(name)
 }
 
 struct Far {
@@ -179,31 +167,25 @@ struct Far {
 impl Far {
     fn open(location: &Location) -> Result<Self> {
         let services = Services::open(location)?;
-        let failed = "a port of the peer";
         Ok(Self {
-            there: services
-                .there
-                .subscriber_builder()
-                .create()
-                .or_told(failed)?,
-            back: services.back.publisher_builder().create().or_told(failed)?,
-            control: services.control.server_builder().create().or_told(failed)?,
+            there: services.there.subscriber_builder().create()?,
+            back: services.back.publisher_builder().create()?,
+            control: services.control.server_builder().create()?,
         })
     }
 
     fn look(&self) -> Result<()> {
-        let failed = "the peer cannot answer";
-        if let Some(sample) = self.there.receive().or_told(failed)? {
+        if let Some(sample) = self.there.receive()? {
             let mut message = *sample.payload();
             message.header.sent_ns = monotonic_ns();
-            self.back.send_copy(message).or_told(failed)?;
+            self.back.send_copy(message)?;
         }
-        if let Some(asked) = self.control.receive().or_told(failed)? {
+        if let Some(asked) = self.control.receive()? {
             let response = Response {
                 request_sequence: asked.payload().header.sequence,
                 ..Response::default()
             };
-            asked.send_copy(response).or_told(failed)?;
+            asked.send_copy(response)?;
         }
         Ok(())
     }
@@ -219,19 +201,10 @@ struct Near {
 impl Near {
     fn open(location: &Location, shares: bool) -> Result<Self> {
         let services = Services::open(location)?;
-        let failed = "a port of the bench";
         Ok(Self {
-            there: services
-                .there
-                .publisher_builder()
-                .create()
-                .or_told(failed)?,
-            back: services
-                .back
-                .subscriber_builder()
-                .create()
-                .or_told(failed)?,
-            control: services.control.client_builder().create().or_told(failed)?,
+            there: services.there.publisher_builder().create()?,
+            back: services.back.subscriber_builder().create()?,
+            control: services.control.client_builder().create()?,
             shares,
         })
     }
@@ -265,13 +238,13 @@ impl Near {
             ..Command::default()
         };
         let sent = self.there.send_copy(message);
-        sent.or_told("cannot send to the peer")?;
+        sent.context("cannot send to the peer")?;
         Ok(sent_ns)
     }
 
     fn receive(&self) -> Result<Option<Command>> {
         let sample = self.back.receive();
-        let sample = sample.or_told("cannot hear the peer")?;
+        let sample = sample.context("cannot hear the peer")?;
         Ok(sample.map(|sample| *sample.payload()))
     }
 
@@ -335,10 +308,10 @@ impl Near {
                 ..Request::default()
             };
             let pending = self.control.send_copy(request);
-            let pending = pending.or_told("cannot ask the peer")?;
+            let pending = pending.context("cannot ask the peer")?;
             let ((), received_ns) = self.wait_for(|| {
                 let response = pending.receive();
-                let response = response.or_told("no answer of the peer")?;
+                let response = response.context("no answer of the peer")?;
                 Ok(response.map(|_| ()))
             })?;
             if index >= WARM_UP {

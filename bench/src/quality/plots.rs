@@ -5,7 +5,7 @@ use plotters::style::RGBColor;
 
 use super::course::Course;
 use super::problem::Field;
-use super::report::{Row, endings_of};
+use super::report::{VariantRow, endings_of};
 use super::restarts::{Contender, Ending, STUCK_SHARE};
 use super::variant::{Axis, SOLVERS};
 use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
@@ -16,10 +16,10 @@ const ERROR_FLOOR_MM: f64 = 1e-9;
 /// Less above the best cost is drawn here \[%\].
 const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
-pub(super) fn plots(rows: &[Row], endings: &[Ending]) -> Result<Vec<Plot>> {
-    let timed = |row: &&Row| row.variant.axis == Axis::Budget;
-    let rows: Vec<&Row> = rows.iter().filter(timed).collect();
-    let of_courses = |panel: fn(Course, &[&Row]) -> Option<Panel>| -> Vec<Panel> {
+pub(super) fn plots(rows: &[VariantRow], endings: &[Ending]) -> Result<Vec<Plot>> {
+    let timed = |row: &&VariantRow| row.variant.axis == Axis::Budget;
+    let rows: Vec<&VariantRow> = rows.iter().filter(timed).collect();
+    let of_courses = |panel: fn(Course, &[&VariantRow]) -> Option<Panel>| -> Vec<Panel> {
         let all = Course::ALL.into_iter();
         all.filter_map(|course| panel(course, &rows)).collect()
     };
@@ -65,23 +65,23 @@ fn colour(solver: Solver) -> RGBColor {
 /// A value of each budget, for each solver; none when there are no rows.
 fn curves(
     course: Course,
-    rows: &[&Row],
+    rows: &[&VariantRow],
     across: fn(f64) -> f64,
-    value: impl Fn(&Row) -> Option<f64>,
+    value: impl Fn(&VariantRow) -> Option<f64>,
 ) -> Option<Vec<Curve>> {
     let curve = |solver: Solver| {
-        let of = |row: &&&Row| row.variant.course == course && row.variant.solver == solver;
+        let of = |row: &&&VariantRow| row.variant.course == course && row.variant.solver == solver;
         let points = rows.iter().filter(of).filter_map(|row| {
             let budget_us = row.variant.budget_us?;
             Some((across(budget_us as f64), value(row)?))
         });
         Curve::line(solver.name(), points.collect(), colour(solver))
     };
-    let any = |row: &&Row| row.variant.course == course && value(row).is_some();
+    let any = |row: &&VariantRow| row.variant.course == course && value(row).is_some();
     rows.iter().any(any).then(|| SOLVERS.map(curve).into())
 }
 
-fn errors(course: Course, rows: &[&Row]) -> Option<Panel> {
+fn errors(course: Course, rows: &[&VariantRow]) -> Option<Panel> {
     Some(Panel {
         title: course.name().to_owned(),
         x: "budget [µs]",
@@ -89,12 +89,12 @@ fn errors(course: Course, rows: &[&Row]) -> Option<Panel> {
         scale: Scale::LogLog {
             floor: ERROR_FLOOR_MM,
         },
-        curves: curves(course, rows, |us| us, |row| Some(row.figures.mean_error_mm))?,
+        curves: curves(course, rows, |us| us, |row| Some(row.metrics.mean_error_mm))?,
     })
 }
 
-fn clearances(course: Course, rows: &[&Row]) -> Option<Panel> {
-    let mut curves = curves(course, rows, f64::log10, |row| row.figures.min_clearance_mm)?;
+fn clearances(course: Course, rows: &[&VariantRow]) -> Option<Panel> {
+    let mut curves = curves(course, rows, f64::log10, |row| row.metrics.min_clearance_mm)?;
     let budgets = rows.iter().filter_map(|row| row.variant.budget_us);
     let (least, most) = budgets.fold((u64::MAX, 1), |(least, most), us| {
         (least.min(us), most.max(us))

@@ -26,7 +26,7 @@ impl Detour<'_> {
     }
 }
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+pub(super) fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let detour = |(safe_distance_m, colour): (f64, RGBColor)| {
         let distance_mm = 1e3 * safe_distance_m;
         let title = format!("Circle, D = {distance_mm} mm");

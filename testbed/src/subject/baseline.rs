@@ -17,12 +17,12 @@ const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A running bare loop. Dropping it ends it.
 #[derive(Debug)]
-pub struct Bare {
+pub struct Baseline {
     process: Process,
     duration: Duration,
 }
 
-impl Bare {
+impl Baseline {
     /// Starts `cdcrd bare` with this configuration.
     pub fn start(launch: &Launch, cores: &Cores, duration: Duration) -> Result<Self> {
         let command = command(launch, duration)?;
@@ -32,7 +32,7 @@ impl Bare {
 
     pub fn wait(mut self) -> Result<Vec<Cycle>> {
         let cycles = cycles(&self.process.wait(2 * self.duration + PATIENCE)?)?;
-        let words = || self.process.last_words();
+        let words = || self.process.stderr_tail();
         ensure!(!cycles.is_empty(), "cdcrd bare told of no cycle{}", words());
         Ok(cycles)
     }
@@ -128,7 +128,7 @@ mod tests {
     fn the_real_loop_keeps_to_its_grid() {
         let cores = Cores::find().unwrap();
         let launch = Launch::patient(None).placed(&cores, may_be_realtime());
-        let bare = Bare::start(&launch, &cores, Duration::from_millis(500)).unwrap();
+        let bare = Baseline::start(&launch, &cores, Duration::from_millis(500)).unwrap();
         let folder = bare.process.folder().to_owned();
         let cycles = bare.wait().unwrap();
         assert!(!folder.exists());
@@ -156,7 +156,7 @@ mod tests {
         let config = folder.path().join("bad.toml");
         fs::write(&config, "[cycle]\nperiod = 5\n").unwrap();
         let launch = Launch::patient(Some(config));
-        let bare = Bare::start(&launch, &Cores::find().unwrap(), Duration::from_millis(500));
+        let bare = Baseline::start(&launch, &Cores::find().unwrap(), Duration::from_millis(500));
         let error = bare.unwrap().wait().unwrap_err().to_string();
         assert!(
             error.contains("bad.toml") && error.contains("period"),
@@ -168,7 +168,7 @@ mod tests {
     fn a_dropped_loop_ends() {
         let cores = Cores::find().unwrap();
         let launch = Launch::patient(None).placed(&cores, false);
-        let bare = Bare::start(&launch, &cores, Duration::from_secs(3600)).unwrap();
+        let bare = Baseline::start(&launch, &cores, Duration::from_secs(3600)).unwrap();
         let process = std::path::PathBuf::from(format!("/proc/{}", bare.process.id()));
         assert!(process.exists());
         drop(bare);

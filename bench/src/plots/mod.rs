@@ -15,10 +15,10 @@ use crate::experiment::{Solver, Task};
 use crate::simulation::Outcome;
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
-pub fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
-    let mut all = spiral::figures(outcomes)?;
-    all.extend(line::figures(outcomes)?);
-    all.extend(circle::figures(outcomes)?);
+pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+    let mut all = spiral::plots(outcomes)?;
+    all.extend(line::plots(outcomes)?);
+    all.extend(circle::plots(outcomes)?);
     Ok(all)
 }
 

@@ -3,15 +3,18 @@
 mod zsh;
 
 use std::ffi::{OsStr, OsString};
+use std::time::Duration;
 
 use clap::{CommandFactory, FromArgMatches};
 use clap_complete::env::Shells;
 use clap_complete::{CompleteEnv, CompletionCandidate};
 
-use crate::args::{Arguments, Target};
-use crate::obstacle;
-use crate::settings::Setting;
+use super::{Arguments, Target};
+use crate::known_obstacles::known;
+use crate::setting::Setting;
 
+/// How long the obstacles may take that a shell asks for.
+const TIMEOUT: Duration = Duration::from_secs(1);
 /// Set by the scripts of the shells. A name of our own: a variable that is set for another program must not keep a stop
 /// from being sent.
 pub(crate) const VARIABLE: &str = "CDCRCTL_COMPLETE";
@@ -43,7 +46,7 @@ pub(crate) fn robots() -> Vec<CompletionCandidate> {
 /// Ids of the obstacles that the daemon knows.
 pub(crate) fn obstacle_ids() -> Vec<CompletionCandidate> {
     let connection = target().and_then(|target| target.connect().ok());
-    let known = connection.and_then(|connection| obstacle::known(&connection).ok());
+    let known = connection.and_then(|connection| known(&connection, TIMEOUT).ok());
     let ids = known.unwrap_or_default().into_iter();
     ids.map(|obstacle| CompletionCandidate::new(obstacle.id.to_string()))
         .collect()

@@ -13,7 +13,7 @@ fn title(sections: usize) -> String {
     format!("Spiral, {sections} section{plural}")
 }
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+pub(super) fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let task = |sections| Drawn::new(outcomes, Task::Spiral { sections }, title(sections));
     let tasks = (1..=3).map(task).collect::<Result<Vec<_>>>()?;
     let all = [

@@ -13,7 +13,7 @@ use crate::simulation::Outcome;
 
 const SHAPES: usize = 6;
 
-pub(super) fn figures(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+pub(super) fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let task = |rate_limit_rad_s: f64| {
         let title = format!("Line, rates up to {rate_limit_rad_s} rad/s");
         Drawn::new(outcomes, Task::Line { rate_limit_rad_s }, title)

@@ -1,0 +1,17 @@
+use std::time::Duration;
+
+use cdcr_client::{Connection, LinkError, obstacles};
+use cdcr_shared_types::{Obstacle, Service};
+
+/// The obstacles that the next cycle knows.
+pub(crate) fn known(
+    connection: &Connection,
+    timeout: Duration,
+) -> Result<Vec<Obstacle>, LinkError> {
+    let record = connection.telemetry()?.next_within(timeout)?;
+    let record = record.ok_or(LinkError::Silent {
+        service: Service::Telemetry.key(),
+        waited: timeout,
+    })?;
+    Ok(obstacles(&record).to_vec())
+}
