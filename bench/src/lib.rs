@@ -9,6 +9,7 @@
 //! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
 //! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@plots`] | the paper's simulations |
 //! | [`solver`] | solve times on every path, and how they grow |
+//! | [`robustness`] | how far robots that are not their model are from the reference |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
 //! | [`progress`] | how far a run is |
@@ -55,6 +56,7 @@ pub mod quality;
 pub mod quantiles;
 pub mod rate;
 pub mod report;
+pub mod robustness;
 pub mod scene;
 pub mod simulation;
 pub mod solver;

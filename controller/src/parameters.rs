@@ -104,9 +104,10 @@ macro_rules! parameters {
                     also: $crate::first_or_none!($($($also)?)?),
                 },)+];
 
-            /// The numbers among them, in the same order; `None`: it is no number, or has no limits.
-            pub fn numbers(&self) -> Vec<Option<f64>> {
-                vec![$($crate::number!(self.$field $(, $range)?),)+]
+            /// The numbers among them, in the same order; `None`: it is no number, or has no limits. Allocates nothing: settings are
+            /// checked within a cycle.
+            pub fn numbers(&self) -> [Option<f64>; Self::PARAMETERS.len()] {
+                [$($crate::number!(self.$field $(, $range)?),)+]
             }
         }
     };

@@ -8,7 +8,7 @@ use cdcr_bench::dataset::Dataset;
 use cdcr_bench::latency::baseline;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::simulation::Effort;
-use cdcr_bench::{budget, deadline, footprint, latency, quality, rate, solver};
+use cdcr_bench::{budget, deadline, footprint, latency, quality, rate, robustness, solver};
 use cdcr_shared_types::Location;
 use cdcr_testbed::load::Load;
 use cdcr_testbed::system::thread::may_be_realtime;
@@ -289,6 +289,21 @@ impl Arguments for Solver {
             rounds: self.rounds,
             ..solver::SolverOptions::full()
         })
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct Robustness {
+    /// Runs of each robot with each controller, each with other noise, 1 to 1000.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    seeds: u32,
+}
+
+impl Arguments for Robustness {
+    type Options = robustness::RobustnessOptions;
+
+    fn options(&self) -> Result<Self::Options> {
+        Ok(robustness::RobustnessOptions { rounds: self.seeds })
     }
 }
 

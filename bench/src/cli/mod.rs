@@ -6,7 +6,7 @@ mod measure;
 mod output;
 
 use anyhow::Result;
-use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, solver};
+use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, robustness, solver};
 use clap::{Parser, Subcommand};
 use measure::Measure;
 
@@ -43,6 +43,10 @@ enum Command {
     /// the paper's and on harder scenes, and how often a solver gets stuck.
     #[command(after_help = "Example: cdcr-bench quality --rounds 5 --out quality")]
     Quality(Measure<measure::Quality>),
+    /// Robots that are not their model (lag, noise, play, another geometry, a load): the true error of the tip, and what each part of the
+    /// controller is for.
+    #[command(after_help = "Example: cdcr-bench robustness --seeds 20 --out robustness")]
+    Robustness(Measure<measure::Robustness>),
     /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
     /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
@@ -76,6 +80,7 @@ pub(crate) fn execute(cli: Cli) -> Result<()> {
         Command::Deadline(asked) => asked.run(deadline::expected_s, deadline::run),
         Command::Paper(asked) => asked.run(paper::expected_s, paper::run),
         Command::Quality(asked) => asked.run(quality::expected_s, quality::run),
+        Command::Robustness(asked) => asked.run(robustness::expected_s, robustness::run),
         Command::Solver(asked) => asked.run(solver::expected_s, solver::run),
         Command::Budget(asked) => asked.run(budget::expected_s, budget::run),
         Command::Latency(asked) => asked.run(latency::expected_s, latency::run),

@@ -18,6 +18,7 @@ use crate::paper;
 use crate::progress::Progress;
 use crate::quality;
 use crate::rate;
+use crate::robustness;
 use crate::solver;
 
 /// A benchmark, in the order in which they are run: those of real time come first, while the machine is quiet.
@@ -33,6 +34,8 @@ pub enum Benchmark {
     Footprint,
     /// What the time of a solve, the swarm and the horizon buy.
     Quality,
+    /// Robots that are not their model.
+    Robustness,
     /// The paper's simulations.
     Paper,
     /// Times of a solve.
@@ -120,6 +123,7 @@ impl Benchmark {
             Self::Rate => plan!(rate, RateOptions),
             Self::Footprint => plan!(footprint, FootprintOptions),
             Self::Quality => plan!(quality, QualityOptions),
+            Self::Robustness => plan!(robustness, RobustnessOptions),
             Self::Paper => {
                 let mut effort = if quick { paper::QUICK } else { paper::FULL };
                 effort.seeds = rounds.map_or(effort.seeds, u64::from);

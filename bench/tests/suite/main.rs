@@ -14,4 +14,5 @@ mod latency;
 mod paper;
 mod quality;
 mod rate;
+mod robustness;
 mod refused;

@@ -234,7 +234,8 @@ mod tests {
             let begin = Configuration::from_slice(&vec![0.3; 2 * sections]).unwrap();
             let mut estimator = Estimator::new(begin).with_time_constant(0.1);
             // It was known where it is.
-            estimator.correct(&robot, &Measurement::Configuration(begin), 0.0);
+            let begin_tip = Measurement::TipPosition(robot.tip_position(&begin));
+            estimator.correct(&robot, &begin_tip, 0.0);
             let tip = robot.tip_position(&truth);
             let error_m = |estimate: &Configuration| (robot.tip_position(estimate) - tip).norm();
             let begin_m = error_m(&begin);
