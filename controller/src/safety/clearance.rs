@@ -181,13 +181,21 @@ impl ClearanceGuard<'_> {
         region.slow_down_to(fastest(desired_rates));
         let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
-            if near.is_out_of_looks() || !near.bound(self, &rates, &mut region) {
+            if !near.has_looks_to_correct()
+                || !near.bound(self, &rates, &mut region)
+                || region.is_full()
+            {
                 break;
             }
             let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
                 break;
             };
+            let before = rates;
             rates = shortened_to(nearest, fastest(desired_rates));
+            if rates == before {
+                // What is too small has its row already.
+                break;
+            }
             if fastest(&rates) <= STANDING * fastest(desired_rates) {
                 return self.rest();
             }
@@ -241,8 +249,13 @@ impl Places<'_> {
         self.iter().any(Near::is_out_of_looks)
     }
 
+    fn has_looks_to_correct(&self) -> bool {
+        self.iter().all(Near::has_looks_to_correct)
+    }
+
     /// [`way::check`] of each.
     fn check(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> Result<(), f64> {
+        self.iter().for_each(Near::forget_lack);
         self.iter()
             .try_for_each(|near| way::check(near, guard, rates))
     }

@@ -296,7 +296,7 @@ impl<'a> Limits<'a> {
             let nearest = region.nearest(&to)?;
             let width = rates.as_slice().len();
             rates.as_mut_slice().copy_from_slice(&nearest[..width]);
-            if !self.add_tangents(&rates, region) {
+            if !self.add_tangents(&rates, region) || region.is_full() {
                 break;
             }
         }

@@ -9,7 +9,8 @@ use crate::robot::COORDINATES_MAX;
 /// A point, or a normal.
 pub(super) type Vector = [f64; COORDINATES_MAX];
 
-/// Half-spaces beside the box: more are left out.
+/// Half-spaces beside the box: those of the cables and bends, and of two corrections among many obstacles. More are left out, which
+/// [`Region::is_full`] tells.
 const ROWS_MAX: usize = 152;
 /// Half-spaces that are taken in or let go before the search gives up.
 const STEPS_MAX: usize = 100;
@@ -26,6 +27,8 @@ pub(super) struct Region {
     pub(super) upper: Vector,
     rows: [Row; ROWS_MAX],
     row_count: usize,
+    /// Whether a half-space was left out.
+    is_full: bool,
 }
 
 /// normal · x ≥ bound, with a normal of length 1.
@@ -54,13 +57,23 @@ impl Region {
             upper: [f64::INFINITY; COORDINATES_MAX],
             rows: [Row::ZERO; ROWS_MAX],
             row_count: 0,
+            is_full: false,
         }
+    }
+
+    /// Whether a half-space was left out, so that points which are found may be on the wrong side of it.
+    pub(super) fn is_full(&self) -> bool {
+        self.is_full
     }
 
     /// Only where normal · x ≥ bound. A normal without length bounds nothing.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
         let length = dot(normal, normal).sqrt();
-        if length > 0.0 && length.is_finite() && bound.is_finite() && self.row_count < ROWS_MAX {
+        if !(length > 0.0 && length.is_finite() && bound.is_finite()) {
+            return;
+        }
+        self.is_full = self.row_count == ROWS_MAX;
+        if !self.is_full {
             self.rows[self.row_count] = Row {
                 normal: normal.map(|component| component / length),
                 bound: bound / length,
@@ -300,6 +313,20 @@ mod tests {
         assert!(near(&region, 3.0, 3.0).is_some());
         region.bound(&padded(&[1.0, 1.0]), 1.0);
         assert_eq!(near(&region, 3.0, 3.0), None);
+    }
+
+    #[test]
+    fn a_full_region_says_that_it_left_one_out() {
+        let mut region = Region::new(2);
+        for turn in 0..ROWS_MAX {
+            let (sin, cos) = (turn as f64).sin_cos();
+            region.bound(&padded(&[sin, cos]), -1.0);
+            // Nothing that bounds nothing takes a place.
+            region.bound(&padded(&[0.0, 0.0]), -1.0);
+        }
+        assert!(!region.is_full());
+        region.bound(&padded(&[1.0, 0.0]), 0.5);
+        assert!(region.is_full());
     }
 
     proptest! {

@@ -13,10 +13,15 @@ pub(super) const NEAR_MAX: usize = 64;
 const DIP_M: f64 = 1e-3;
 /// What a bound on a clearance allows for rounding \[m\], with obstacles of any size.
 const ROUNDING_M: f64 = 1e-6;
-/// Exact clearances from spheres that are computed for one command, before what is not known to be clear counts as not clear.
-const LOOKS: u32 = 36_000;
-/// How many of them a capsule takes the time of.
-const CAPSULE_LOOKS: u32 = 8;
+/// The work for one command, in the time of an exact clearance from a sphere, about 25 ns: when it is used up, what is not known to
+/// be clear counts as not clear.
+const LOOKS: u32 = 6000;
+/// How many of them a capsule takes the time of,
+const CAPSULE_LOOKS: u32 = 4;
+/// a place of the way,
+const PLACE_LOOKS: u32 = 40;
+/// and a row of a correction, with its part of the solution.
+pub(super) const ROW_LOOKS: u32 = 25;
 
 /// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: infinite
 /// where nothing is watched, NaN where the state is not finite.
@@ -37,8 +42,18 @@ pub(super) struct Near<'a> {
     looks: Cell<u32>,
     /// The watched obstacle that was the last to be too near: it is looked at first.
     last_short: Cell<usize>,
+    /// What was too small when rates were checked last.
+    lack: Cell<Option<Lack>>,
     /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
     rows: [Cell<u8>; NEAR_MAX],
+}
+
+/// Where a section is too near to a watched obstacle, or may be.
+#[derive(Clone, Copy)]
+pub(super) struct Lack {
+    pub(super) index: usize,
+    pub(super) section: usize,
+    pub(super) way_s: f64,
 }
 
 /// A shape, and what clearances from it take.
@@ -106,9 +121,11 @@ impl<'a> Near<'a> {
             watched: [None; NEAR_MAX],
             looks: Cell::new(LOOKS),
             last_short: Cell::new(0),
+            lack: Cell::new(None),
             rows: [const { Cell::new(0) }; NEAR_MAX],
         };
         let body = &still.body;
+        let mut looks = LOOKS;
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
             let safe_m = guard.safe_distance_m;
@@ -133,9 +150,11 @@ impl<'a> Near<'a> {
                 },
                 dip_m,
             };
+            looks = looks.saturating_sub(watched.looks() * watched.sections().count_ones());
             *slots.next()? = Some(watched);
             near.watched_count += 1;
         }
+        near.looks.set(looks);
         Some(near)
     }
 
@@ -151,6 +170,10 @@ impl<'a> Near<'a> {
             }
         });
         (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
+    }
+
+    pub(super) fn watched_at(&self, index: usize) -> Option<&Watched> {
+        self.watched.get(index)?.as_ref()
     }
 
     pub(super) fn watched(&self) -> impl Iterator<Item = &Watched> {
@@ -173,6 +196,7 @@ impl<'a> Near<'a> {
 
     /// Where the robot is at s = `way_s`.
     pub(super) fn place(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, way_s: f64) -> Place {
+        self.count(PLACE_LOOKS);
         let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
         Place {
             way_s,
@@ -193,8 +217,7 @@ impl<'a> Near<'a> {
         spare_m
     }
 
-    /// The spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle. Where `is_exact` does not
-    /// ask for more, a bound is enough.
+    /// The spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle.
     ///
     /// # Errors
     /// As [`check`](super::way::check).
@@ -202,7 +225,6 @@ impl<'a> Near<'a> {
         &self,
         place: &Place,
         which: &Sections,
-        is_exact: bool,
         lack_m: impl Fn(&Watched) -> f64,
     ) -> Result<Spare, f64> {
         let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
@@ -213,12 +235,13 @@ impl<'a> Near<'a> {
                 continue;
             };
             for j in sections(which[index]) {
-                let spare = self.spare_m(place, watched, j, is_exact);
+                let spare = self.spare_m(place, watched, j);
                 // A NaN is too little, too.
                 let lack_m = lack_m(watched);
                 let is_enough = spare >= -lack_m;
                 if !is_enough {
                     self.last_short.set(index);
+                    self.set_lack(index, j, place.way_s);
                     let start = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
                     return Err((start + lack_m) / (start - spare));
                 }
@@ -229,8 +252,8 @@ impl<'a> Near<'a> {
     }
 
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
-    fn spare_m(&self, place: &Place, watched: &Watched, j: usize, is_exact: bool) -> f64 {
-        let clearance_m = self.clearance_m(place, watched, j, is_exact);
+    fn spare_m(&self, place: &Place, watched: &Watched, j: usize) -> f64 {
+        let clearance_m = self.clearance_m(place, watched, j);
         if clearance_m >= watched.kept_m {
             return clearance_m - watched.kept_m;
         }
@@ -238,23 +261,13 @@ impl<'a> Near<'a> {
     }
 
     /// The clearance of section j at a place \[m\]: exactly, or a bound of at least what is kept.
-    pub(super) fn clearance_m(
-        &self,
-        place: &Place,
-        watched: &Watched,
-        j: usize,
-        is_exact: bool,
-    ) -> f64 {
+    pub(super) fn clearance_m(&self, place: &Place, watched: &Watched, j: usize) -> f64 {
         let moved_m = place.displacement_m[j] + watched.speed_m_s * place.time_s + ROUNDING_M;
         let least_m = watched.start_m[j] - moved_m;
-        if !is_exact && least_m >= watched.kept_m {
+        if least_m >= watched.kept_m {
             return least_m;
         }
-        let looks = match watched.obstacle.shape() {
-            Shape::Sphere { .. } => 1,
-            Shape::Capsule { .. } => CAPSULE_LOOKS,
-        };
-        self.looks.set(self.looks.get().saturating_sub(looks));
+        self.count(watched.looks());
         place
             .stance
             .body
@@ -266,16 +279,46 @@ impl<'a> Near<'a> {
         self.still
     }
 
-    /// Whether no row was asked for yet for this section and this watched obstacle.
-    pub(super) fn is_first_row(&self, index: usize, section: usize) -> bool {
-        let rows = self.rows[index].get();
-        self.rows[index].set(rows | 1 << section);
-        rows & 1 << section == 0
+    /// What was too small when rates were checked last; `None` when nothing was, or they were not.
+    pub(super) fn lack(&self) -> Option<Lack> {
+        self.lack.get()
+    }
+
+    pub(super) fn forget_lack(&self) {
+        self.lack.set(None);
+    }
+
+    pub(super) fn set_lack(&self, index: usize, section: usize, way_s: f64) {
+        self.lack.set(Some(Lack {
+            index,
+            section,
+            way_s,
+        }));
+    }
+
+    /// Whether a row was taken for this section and this watched obstacle.
+    pub(super) fn has_row(&self, index: usize, section: usize) -> bool {
+        self.rows[index].get() & 1 << section != 0
+    }
+
+    /// From now on there is one.
+    pub(super) fn note_row(&self, index: usize, section: usize) {
+        self.rows[index].set(self.rows[index].get() | 1 << section);
+    }
+
+    /// Takes these from what is left of [`LOOKS`].
+    pub(super) fn count(&self, looks: u32) {
+        self.looks.set(self.looks.get().saturating_sub(looks));
     }
 
     /// Whether the time for one command is used up.
     pub(super) fn is_out_of_looks(&self) -> bool {
         self.looks.get() == 0
+    }
+
+    /// Whether as much is left as it takes to scale a command down.
+    pub(super) fn has_looks_to_correct(&self) -> bool {
+        self.looks.get() >= LOOKS / 4
     }
 
     /// Whether nothing is near.
@@ -291,6 +334,14 @@ impl Watched {
             return self.obstacle;
         }
         self.obstacle.moved(place.time_s)
+    }
+
+    /// What an exact clearance from it counts.
+    fn looks(&self) -> u32 {
+        match self.obstacle.shape() {
+            Shape::Sphere { .. } => 1,
+            Shape::Capsule { .. } => CAPSULE_LOOKS,
+        }
     }
 
     /// Those that can come too near.

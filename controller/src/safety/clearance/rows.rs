@@ -4,12 +4,12 @@ use crate::robot::{BendRates, COORDINATES_MAX};
 use crate::safety::projection::Region;
 
 use super::ClearanceGuard;
-use super::near::{Near, Place, Watched, ends_s, sections};
+use super::near::{Near, Place, ROW_LOOKS, Watched, ends_s, sections};
 
 /// What a correction asks for beyond the allowed clearance \[m\], so that rounding does not undo it.
 const MARGIN_M: f64 = 1e-9;
 /// Rows that are taken at once, at most.
-const ROWS_MAX: usize = 64;
+const ROWS_MAX: usize = 56;
 
 /// A clearance that is too small, or may be.
 #[derive(Clone, Copy)]
@@ -22,38 +22,39 @@ struct Short<'a> {
     section: usize,
 }
 
-/// Bounds `region` to where the clearances that are too small at these rates are as large as they must be, to first order.
-/// Whether there were some. Of very many the smallest are left out.
+/// Bounds `region` to where the clearances that are too small at these rates are as large as they must be, to first order: at the
+/// ends of the way, and where the check of these rates found one between. Whether there were some. Of very many the smallest are
+/// left out.
 pub(super) fn bound(
     near: &Near<'_>,
     guard: &ClearanceGuard<'_>,
     rates: &BendRates,
     region: &mut Region,
 ) -> bool {
-    let places = ends_s(guard, rates).map(|way_s| near.place(guard, rates, way_s));
+    let ends_s = ends_s(guard, rates);
+    let places = ends_s.map(|way_s| near.place(guard, rates, way_s));
+    let between = near.lack().filter(|lack| !ends_s.contains(&lack.way_s));
+    let between = between.map(|lack| (lack, near.place(guard, rates, lack.way_s)));
     let mut least = Least {
         rows: [None; ROWS_MAX],
         count: 0,
     };
+    if let Some((lack, place)) = &between {
+        least.insert_if_short(near, place, lack.index, lack.section, true);
+    }
     for place in &places {
         for (index, watched) in near.watched().enumerate() {
             for section in sections(watched.sections()) {
-                let clearance_m = near.clearance_m(place, watched, section, false);
-                let spare_m = clearance_m - watched.floor_most_m(section, place.time_s);
-                if spare_m < 0.0 {
-                    least.insert(Short {
-                        spare_m,
-                        place,
-                        watched,
-                        index,
-                        section,
-                    });
-                }
+                least.insert_if_short(near, place, index, section, false);
             }
         }
     }
-    for short in least.rows.iter().flatten() {
+    let shorts = || least.rows.iter().flatten();
+    for short in shorts() {
         short.bound(near, guard, rates, region);
+    }
+    for short in shorts() {
+        near.note_row(short.index, short.section);
     }
     least.count > 0
 }
@@ -65,6 +66,31 @@ struct Least<'a> {
 }
 
 impl<'a> Least<'a> {
+    /// A clearance that was found between the ends counts as too small.
+    fn insert_if_short(
+        &mut self,
+        near: &'a Near<'_>,
+        place: &'a Place,
+        index: usize,
+        section: usize,
+        is_found: bool,
+    ) {
+        let Some(watched) = near.watched_at(index) else {
+            return;
+        };
+        let clearance_m = near.clearance_m(place, watched, section);
+        let spare_m = clearance_m - watched.floor_most_m(section, place.time_s);
+        if spare_m < 0.0 || is_found {
+            self.insert(Short {
+                spare_m,
+                place,
+                watched,
+                index,
+                section,
+            });
+        }
+    }
+
     fn insert(&mut self, short: Short<'a>) {
         let is_before = |row: &Option<Short<'_>>| row.is_some_and(|r| r.spare_m <= short.spare_m);
         let place = self.rows.partition_point(is_before);
@@ -86,8 +112,9 @@ impl Short<'_> {
         rates: &BendRates,
         region: &mut Region,
     ) {
+        near.count(ROW_LOOKS);
         let obstacle = self.watched.obstacle_at(self.place);
-        let is_first = near.is_first_row(self.index, self.section);
+        let is_first = !near.has_row(self.index, self.section);
         let stance = if is_first {
             near.still()
         } else {

@@ -62,7 +62,7 @@ pub(super) fn check(
     let [period_s, end_s] = ends_s(guard, rates);
     let clear_at = |way_s| {
         let place = near.place(guard, rates, way_s);
-        let spare_m = near.spare_at(&place, &open, false, |_| 0.0)?;
+        let spare_m = near.spare_at(&place, &open, |_| 0.0)?;
         Ok::<_, f64>((place, spare_m))
     };
     let (end, period) = (clear_at(end_s)?, clear_at(period_s)?);
@@ -100,13 +100,17 @@ impl Way<'_> {
         if open == [0; NEAR_MAX] {
             return Ok(());
         }
+        let way_s = 0.5 * (from.way_s + to.way_s);
         if depth == 0 || self.near.is_out_of_looks() {
+            if let Some(index) = open.iter().position(|bits| *bits != 0) {
+                let section = open[index].trailing_zeros() as usize;
+                self.near.set_lack(index, section, way_s);
+            }
             return Err(HALF);
         }
-        let way_s = 0.5 * (from.way_s + to.way_s);
         let place: Place = self.near.place(self.guard, self.rates, way_s);
         let dip_m = |watched: &Watched| watched.dip_m;
-        let spare_m = self.near.spare_at(&place, &open, true, dip_m)?;
+        let spare_m = self.near.spare_at(&place, &open, dip_m)?;
         let middle = Left::new(&place, &spare_m);
         self.is_clear_between(from, middle, &open, depth - 1)?;
         self.is_clear_between(middle, to, &open, depth - 1)

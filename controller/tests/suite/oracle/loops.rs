@@ -10,7 +10,7 @@ use nalgebra::Vector3;
 use super::Account;
 use super::body::{Ball, arcs};
 use super::moment::{Draw, Moment};
-use super::rule::{ROUNDING, moved};
+use super::rule::{ROUNDING, Way, moved};
 
 const PERIOD_S: f64 = 0.005;
 const CYCLES: u32 = 120;
@@ -26,8 +26,18 @@ pub(super) struct Scene {
     balls: Vec<Ball>,
     safe_m: f64,
     acceleration_rad_s2: f64,
-    /// Motors that obey positions; `None`: the ideal robot.
-    motors: Option<Motors>,
+    link: Link,
+}
+
+/// What is between the commands and the robot.
+#[derive(Debug, Clone)]
+enum Link {
+    /// Nothing: the ideal robot.
+    Ideal,
+    /// Motors that obey positions.
+    Motors(Motors),
+    /// Something that loses the commands of some cycles: the driver goes on with the last, and then comes to rest.
+    Loses(Vec<bool>),
 }
 
 /// Motors that follow the commanded position of the period before with a lag, and encoders that count from elsewhere.
@@ -44,10 +54,17 @@ impl Scene {
         let mut balls = draw.balls(&parameters, &start, 32);
         let goals = [0.9, 0.5, 0.9].map(|share| draw.bends(&parameters, share));
         balls.extend(draw.balls(&parameters, &goals[0], 32));
-        let motors = draw.chance(0.4).then(|| Motors {
-            lag_s: draw.between(0.005, 0.04),
-            offset_rad: start.iter().map(|_| draw.between(-5e-3, 5e-3)).collect(),
-        });
+        let kind = draw.share();
+        let link = if kind < 0.4 {
+            Link::Motors(Motors {
+                lag_s: draw.between(0.005, 0.04),
+                offset_rad: start.iter().map(|_| draw.between(-5e-3, 5e-3)).collect(),
+            })
+        } else if kind < 0.6 {
+            Link::Loses(losses(&mut draw))
+        } else {
+            Link::Ideal
+        };
         Self {
             name: format!("loop {seed}"),
             goals_m: goals
@@ -59,15 +76,16 @@ impl Scene {
             parameters,
             start,
             balls,
-            motors,
+            link,
         }
     }
 
     /// Runs it, with an account of each command.
     pub(super) fn run(&self, account: &mut Account) {
-        match &self.motors {
-            Some(motors) => self.run_motors(motors, account),
-            None => self.run_ideal(account),
+        match &self.link {
+            Link::Ideal => self.run_ideal(account),
+            Link::Motors(motors) => self.run_motors(motors, account),
+            Link::Loses(lost) => self.run_losing(lost, account),
         }
     }
 
@@ -184,6 +202,49 @@ impl Scene {
         }
     }
 
+    /// A robot that does what it was told last for three periods, and then ramps to rest: wherever it is on that way, each section keeps
+    /// what the standing robot had, but for what may lack between.
+    fn run_losing(&self, lost: &[bool], account: &mut Account) {
+        let (_, mut nmpc) = self.nmpc();
+        let (mut at, mut rates) = (self.start.clone(), vec![0.0; self.start.len()]);
+        let mut told = (
+            0,
+            self.moment(0.0, &at, &rates, &BendRates::zero(at.len() / 2)),
+        );
+        let mut told_rates = rates.clone();
+        for cycle in 0..CYCLES {
+            let name = format!("{}, cycle {cycle}, commands are lost", self.name);
+            if !lost[cycle as usize] {
+                let previous = BendRates::from_slice(&rates).unwrap();
+                let mut moment = self.moment(f64::from(cycle) * PERIOD_S, &at, &rates, &previous);
+                (moment.moving_s, moment.deceleration_rad_s2) = (3.0 * PERIOD_S, 40.0);
+                let obstacles: Vec<Obstacle> = moment.balls.iter().map(Ball::obstacle).collect();
+                let input = SolveInput {
+                    configuration: &Configuration::from_slice(&at).unwrap(),
+                    previous_rates: &previous,
+                    reference: &[self.reference(f64::from(cycle) * PERIOD_S); 2],
+                    obstacles: &obstacles,
+                    elapsed_periods: 1,
+                    seed: cycle_seed(1, u64::from(cycle)),
+                };
+                let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+                moment.desired_rates = desired_rates.as_slice().to_vec();
+                let command = moment.command();
+                account.take(&name, &moment, &command);
+                told_rates = command.rates.as_slice().to_vec();
+                told = (cycle, moment);
+            }
+            let (since, moment) = &told;
+            let way = Way::new(moment, &moment.at, &told_rates);
+            let time_s = f64::from(cycle + 1 - since) * PERIOD_S;
+            at = moved(&moment.at, &told_rates, way.stopping.way_s(time_s));
+            let share = way.stopping.share(time_s);
+            rates = told_rates.iter().map(|rate| share * rate).collect();
+            let left_m = way.left_m(time_s);
+            assert!(left_m >= -ROUNDING, "{name}: {left_m} m");
+        }
+    }
+
     /// How much nearer than allowed sections came to obstacles that stand (m), since the start.
     fn came_nearer_m(&self, at: &[f64]) -> f64 {
         let [start, now] = [self.start.as_slice(), at].map(|bends| arcs(&self.parameters, bends));
@@ -201,6 +262,16 @@ impl Scene {
         }
         most_m
     }
+}
+
+/// The cycles whose commands are lost, one to thirty after each other.
+fn losses(draw: &mut Draw) -> Vec<bool> {
+    let mut lost = Vec::new();
+    while lost.len() < CYCLES as usize {
+        lost.extend((0..draw.count(15)).map(|_| false));
+        lost.extend((0..draw.count(30)).map(|_| true));
+    }
+    lost
 }
 
 fn tip_m(parameters: &RobotParameters, bends: &[f64]) -> Vector3<f64> {

@@ -93,7 +93,12 @@ impl Moment {
             }
             for share in SHARES {
                 let candidate = rates.iter().map(|rate| share * rate).collect::<Vec<_>>();
-                if norm(&candidate) >= LEAST * norm(desired_rates) && self.hold(&candidate) {
+                // Sweeps that end early can lead elsewhere: to rates that are farther from the desired ones than rest is.
+                let is_nearer = norm(&moved(&candidate, desired_rates, -1.0)) < norm(desired_rates);
+                if is_nearer
+                    && norm(&candidate) >= LEAST * norm(desired_rates)
+                    && self.hold(&candidate)
+                {
                     return Some(candidate);
                 }
             }

@@ -108,6 +108,16 @@ impl Stopping {
         };
         time_s.min(self.moving_s) + ramp_s - lost_s
     }
+
+    /// The share of the rates that is left at a time (s).
+    pub(super) fn share(self, time_s: f64) -> f64 {
+        let ramp_s = (time_s - self.moving_s).max(0.0);
+        if ramp_s > 0.0 {
+            (1.0 - ramp_s / self.ramp_s).max(0.0)
+        } else {
+            1.0
+        }
+    }
 }
 
 pub(super) fn norm(values: &[f64]) -> f64 {
@@ -310,6 +320,15 @@ impl<'a> Way<'a> {
             clearance_m - self.floor_m(pair, &ball)
         };
         pairs.iter().map(spare_m).collect()
+    }
+
+    /// What is left at a time (s), where what may lack between is allowed to (m).
+    pub(super) fn left_m(&self, time_s: f64) -> f64 {
+        let spares_m = self.spares_m(&self.pairs, time_s, 0.0, EXACT_M);
+        let left_m = spares_m.iter().zip(&self.pairs);
+        left_m.fold(f64::INFINITY, |least, (spare_m, pair)| {
+            least.min(spare_m + pair.may_lack_m)
+        })
     }
 
     /// What a section keeps to an obstacle that is at `ball` by then (m).
