@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use cdcr_shared_types::Location;
 use rustix::fs::{
-    Dir, FlockOperation, Mode, OFlags, StatFs, flock, fstatfs, open, openat, readlinkat, statfs,
+    AtFlags, Dir, FlockOperation, Mode, OFlags, StatFs, flock, fstatfs, open, openat, readlinkat,
+    statfs, unlinkat,
 };
 use rustix::io::Errno;
 
@@ -129,7 +130,7 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
         let root = root.display().to_string();
         return Err(InstanceError::OpenRoot { root, mode });
     }
-    if mode & OPEN_TO_ENTER != 0 && !is_empty(folder).map_err(failed)? {
+    if mode & OPEN_TO_ENTER != 0 && !is_emptied(folder).map_err(failed)? {
         let root = root.display().to_string();
         return Err(InstanceError::EnteredRoot { root, mode });
     }
@@ -141,9 +142,13 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
     Ok(())
 }
 
-fn is_empty(folder: &File) -> std::io::Result<bool> {
+/// Whether the folder holds nothing, but for empty folders, which it removes: a client that came before makes one.
+fn is_emptied(folder: &File) -> std::io::Result<bool> {
     for entry in Dir::read_from(folder)? {
-        if ![c".", c".."].contains(&entry?.file_name()) {
+        let entry = entry?;
+        let name = entry.file_name();
+        let is_inside = ![c".", c".."].contains(&name);
+        if is_inside && unlinkat(folder, name, AtFlags::REMOVEDIR).is_err() {
             return Ok(false);
         }
     }
@@ -374,6 +379,12 @@ mod tests {
         }
         set_permissions(root, Permissions::from_mode(0o744)).expect("it is ours");
         prepare(root).expect("names are all that others could read");
+        // What a client leaves that looked for a daemon.
+        std::fs::remove_file(root.join("left")).expect("it is ours");
+        std::fs::create_dir(root.join("nodes")).expect("it is ours");
+        set_permissions(root, Permissions::from_mode(0o755)).expect("it is ours");
+        prepare(root).expect("an empty folder is nothing");
+        assert!(!root.join("nodes").exists(), "others may have it open");
     }
 
     #[test]

@@ -44,6 +44,7 @@ impl Shared {
         // A daemon without a group has run here.
         let nodes = root.join("nodes");
         fs::create_dir(&nodes).unwrap();
+        fs::set_permissions(&root, Permissions::from_mode(0o700)).unwrap();
         fs::set_permissions(&nodes, Permissions::from_mode(0o750)).unwrap();
         for folder in [&root, &nodes] {
             chown(folder, Some(DAEMON), Some(DAEMON)).unwrap();

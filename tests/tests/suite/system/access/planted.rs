@@ -2,18 +2,21 @@
 
 use std::collections::BTreeSet;
 use std::fs::{self, Permissions};
+use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, lchown, symlink};
+use std::os::unix::net::{SocketAddr, UnixListener};
 use std::path::PathBuf;
 use std::process::{Command, Output};
 
 use cdcr_client::Connection;
-use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::{Location, NameHolder};
 use cdcr_tests::{
     Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, in_public_memory, text, wait_status,
     wait_until,
 };
-use rustix::process::Signal;
+use rustix::process::{Signal, Uid};
+use rustix::thread::set_thread_res_uid;
 
 use super::stranger::{
     EXIT_ROOT, NOBODY, assert_says, attempts, everything, files_below, folder_of_stranger,
@@ -168,6 +171,35 @@ fn a_file_in_the_place_of_the_root_folder_keeps_the_daemon_out_with_words() {
     );
     assert_eq!(fs::metadata(root).unwrap().uid(), NOBODY);
     fs::remove_file(root).unwrap();
+}
+
+/// A socket of this abstract name that belongs to the other user.
+fn listen_as_stranger(name: String) -> UnixListener {
+    let listen = move || {
+        let nobody = Uid::from_raw(NOBODY);
+        // Of this thread alone.
+        set_thread_res_uid(nobody, nobody, nobody).unwrap();
+        UnixListener::bind_addr(&SocketAddr::from_abstract_name(name).unwrap()).unwrap()
+    };
+    std::thread::spawn(listen).join().unwrap()
+}
+
+#[test]
+fn a_name_that_another_user_has_taken_keeps_neither_the_daemon_nor_a_stop_out() {
+    if !have_a_stranger() {
+        return;
+    }
+    let mut daemon = Daemon::start(PATIENT);
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    let location = daemon.place().location().clone();
+    let _taken = listen_as_stranger(location.daemon_name(ROBOT));
+    assert_eq!(location.name_holder(ROBOT), NameHolder::Foreign);
+    daemon.restart();
+    assert!(daemon.log().contains("another user holds the name"));
+    assert_says(&ended(daemon.place()), 69, &["runs already"]);
+    let stopped = daemon.place().cdcrctl(&["stop"]);
+    assert!(stopped.status.success(), "{}", text(&stopped));
+    assert!(daemon.stop().success(), "{}", daemon.log());
 }
 
 #[test]

@@ -263,6 +263,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     // On a root folder of its own: yes, with the same prefix and robot.
     let root = Path::new(Location::MEMORY).join(format!("{prefix}theirs"));
     folder_of_stranger(&root);
+    fs::set_permissions(&root, Permissions::from_mode(0o700)).unwrap();
     let mut command = of_stranger(&cdcrd, prefix, &root);
     let mut theirs = Program::start(command.args(["run", "--config"]).arg(config));
     let ask = |words: &[&str]| {
