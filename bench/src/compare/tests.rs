@@ -2,7 +2,9 @@
 
 use serde_json::json;
 
+use super::change::chance_apart;
 use super::*;
+use crate::metric::Better;
 
 fn lower<const N: usize>(name: impl Into<String>, unit: &str, rounds: [f64; N]) -> Metric {
     Metric::new(name, unit, Better::Lower, rounds)
