@@ -80,9 +80,9 @@ mod remedy;
 mod request;
 mod requester;
 mod robot;
-mod room;
 mod sender;
 mod services;
+mod shm_space;
 mod stream;
 mod trajectory;
 

@@ -98,10 +98,10 @@ impl LinkError {
         }
     }
 
-    pub(crate) fn memory(service: Service, no_room: impl Display) -> Self {
+    pub(crate) fn memory(service: Service, lack: impl Display) -> Self {
         Self::Memory {
             service: service.key(),
-            cause: no_room.to_string(),
+            cause: lack.to_string(),
         }
     }
 

@@ -2,9 +2,9 @@ use cdcr_shared_types::{Header, ipc};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::BackpressureStrategy;
 
-use crate::room::PORT_BYTES;
 use crate::sender::Sender;
 use crate::services::Channel;
+use crate::shm_space::PORT_BYTES;
 use crate::{LinkError, Message};
 
 /// The writing end of one service: stamps the header and sends.
@@ -20,8 +20,8 @@ impl<T: Message> Outlet<T> {
     pub(crate) fn open(service: &Channel<T>, sender: Sender) -> Result<Self, LinkError> {
         let bytes = T::SERVICE.queues().writer_bytes(size_of::<T>());
         service
-            .ask_room(bytes + PORT_BYTES)
-            .map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
+            .ask_space(bytes + PORT_BYTES)
+            .map_err(|lack| LinkError::memory(T::SERVICE, lack))?;
         let publisher = service
             .publisher_builder()
             .backpressure_strategy(BackpressureStrategy::DiscardData)

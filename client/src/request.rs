@@ -10,9 +10,9 @@ use iceoryx2::service::port_factory::PortFactory;
 
 use crate::LinkError;
 use crate::remedy::{refusal, request_remedy};
-use crate::room::PORT_BYTES;
 use crate::sender::Sender;
 use crate::services::ControlChannel;
+use crate::shm_space::PORT_BYTES;
 
 /// How often a waiting client looks for the answer.
 pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);
@@ -106,8 +106,8 @@ impl Control {
             return Ok(port);
         }
         self.channel
-            .ask_room(PORT_BYTES)
-            .map_err(|no_room| LinkError::memory(Service::Control, no_room))?;
+            .ask_space(PORT_BYTES)
+            .map_err(|lack| LinkError::memory(Service::Control, lack))?;
         if self.channel.dynamic_config().number_of_clients() >= self.clients_max {
             return Err(LinkError::askers("all places are taken"));
         }

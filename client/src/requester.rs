@@ -11,7 +11,7 @@ use crate::services::{ControlChannel, DEAD_NODES, check_owner, open_control};
 use crate::{ConnectError, LinkError, RequestError};
 
 /// How long a request tries to find a place, and then waits for its answer.
-const PATIENCE: Duration = Duration::from_secs(1);
+const TIMEOUT: Duration = Duration::from_secs(1);
 /// How long a stop tries to be answered before it goes as a signal, too. With the start of a program that is within 0.3 s.
 const SIGNAL_AFTER: Duration = Duration::from_millis(200);
 
@@ -53,7 +53,7 @@ impl Requester {
     /// # Errors
     /// As [`Connection::open`](crate::Connection::open), but for the status, which it does not need.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
-        Self::open_until(location, robot, Instant::now() + PATIENCE)
+        Self::open_until(location, robot, Instant::now() + TIMEOUT)
     }
 
     fn open_until(
@@ -86,7 +86,7 @@ impl Requester {
     /// # Errors
     /// As [`Connection::request`](crate::Connection::request).
     pub fn request(&self, kind: RequestKind) -> Result<Response, RequestError> {
-        self.control.ask(kind, SolverSettings::default(), PATIENCE)
+        self.control.ask(kind, SolverSettings::default(), TIMEOUT)
     }
 
     /// Stops the robot, by whatever way there is: a place of its own among those who ask, and where shared memory
@@ -102,7 +102,7 @@ impl Requester {
         }
         let signalled = location.stop_by_signal(robot);
         // A robot that is stopped twice is stopped.
-        let second = Self::ask_for_stop(location, robot, PATIENCE);
+        let second = Self::ask_for_stop(location, robot, TIMEOUT);
         match (second, signalled) {
             (second, _) if is_answered(&second) => second,
             (Err(failed), Ok(process_id)) => Err(StopError::Unconfirmed {

@@ -11,7 +11,7 @@ use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
-use crate::room::{self, CONNECTION_BYTES, NoRoom};
+use crate::shm_space::{self, CONNECTION_BYTES, InsufficientSpace};
 use crate::{ConnectError, Message};
 
 /// A publish-subscribe service that is open.
@@ -29,8 +29,8 @@ pub(crate) struct Open<S> {
 
 impl<S> Open<S> {
     /// Whether a port may take `bytes`.
-    pub(crate) fn ask_room(&self, bytes: u64) -> Result<(), NoRoom> {
-        room::ask(&self.root, bytes)
+    pub(crate) fn ask_space(&self, bytes: u64) -> Result<(), InsufficientSpace> {
+        shm_space::ask(&self.root, bytes)
     }
 }
 
@@ -59,7 +59,7 @@ pub(crate) struct Services {
 impl Services {
     /// Opens what a daemon has created; creates nothing. [`check_owner`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
-        ask_room(location, place)?;
+        ask_space(location, place)?;
         let opener = Opener::new(location, place)?;
         // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
         location.clear_dead_nodes(DEAD_NODES);
@@ -84,13 +84,13 @@ pub(crate) fn open_control(
     location: &Location,
     place: &Place,
 ) -> Result<ControlChannel, ConnectError> {
-    ask_room(location, place)?;
+    ask_space(location, place)?;
     Opener::new(location, place)?.control()
 }
 
-fn ask_room(location: &Location, place: &Place) -> Result<(), ConnectError> {
-    room::ask(location.root(), CONNECTION_BYTES)
-        .map_err(|no_room| memory_error(place, &no_room.to_string()))
+fn ask_space(location: &Location, place: &Place) -> Result<(), ConnectError> {
+    shm_space::ask(location.root(), CONNECTION_BYTES)
+        .map_err(|lack| memory_error(place, &lack.to_string()))
 }
 
 struct Opener<'a> {

@@ -6,8 +6,8 @@ use cdcr_shared_types::{Command, Header, Telemetry, ipc};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::service::port_factory::PortFactory as _;
 
-use crate::room::PORT_BYTES;
 use crate::services::Channel;
+use crate::shm_space::PORT_BYTES;
 use crate::{LinkError, Message};
 
 /// How often a waiting reader looks for a message: a fifth of the daemon's usual period.
@@ -45,8 +45,8 @@ impl<T: Message> Stream<T> {
     /// For who takes part.
     pub(crate) fn open_kept(service: &Channel<T>) -> Result<Self, LinkError> {
         service
-            .ask_room(PORT_BYTES)
-            .map_err(|no_room| LinkError::memory(T::SERVICE, no_room))?;
+            .ask_space(PORT_BYTES)
+            .map_err(|lack| LinkError::memory(T::SERVICE, lack))?;
         let subscriber = service
             .subscriber_builder()
             .create()

@@ -17,7 +17,7 @@ use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::io::Errno;
 
-use crate::services::remains;
+use crate::services::stale;
 pub(crate) use place::{Found, PlaceWatch};
 pub use root::is_in_memory;
 
@@ -184,7 +184,7 @@ impl Instance {
         let mut locked = lock(&path, location, robot)?;
         write_process_id(&mut locked).map_err(|cause| file_error(&path, cause))?;
         // Before our own nodes are there, because they count as somebody who lives here.
-        remains::sweep(location);
+        stale::sweep(location);
         Ok(Self {
             path,
             location: location.clone(),

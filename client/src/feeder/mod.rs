@@ -30,7 +30,7 @@ use watch::Watch;
 const TURN_MAX: Duration = Duration::from_millis(5);
 const TURN_MIN: Duration = Duration::from_millis(1);
 /// How long the daemon may take no notice, or send no telemetry, before the feed gives up.
-const PATIENCE_NS: u64 = 1_000_000_000;
+const TIMEOUT_NS: u64 = 1_000_000_000;
 /// How long after its end a tracked reference may take to be reported as ended.
 const END_GRACE_NS: u64 = 500_000_000;
 
@@ -239,11 +239,11 @@ impl FeedState<'_> {
 
     fn check_patience(&self, now_ns: u64) -> Result<(), FeedError> {
         let silent_ns = now_ns.saturating_sub(self.heard_ns);
-        if silent_ns > PATIENCE_NS {
+        if silent_ns > TIMEOUT_NS {
             let waited = Duration::from_nanos(silent_ns);
             return Err(LinkError::silent(Service::Telemetry, waited).into());
         }
-        if !self.watch.is_accepted() && now_ns > self.begun_ns + PATIENCE_NS {
+        if !self.watch.is_accepted() && now_ns > self.begun_ns + TIMEOUT_NS {
             return Err(FeedError::Ignored);
         }
         Ok(())

@@ -77,7 +77,7 @@ fn write_text(out: &mut impl Write, report: &Report) -> io::Result<()> {
         )?;
         if finding.verdict != Verdict::Ok {
             writeln!(out, "         why   {}", finding.why)?;
-            writeln!(out, "         mend  {}", finding.mend)?;
+            writeln!(out, "         fix   {}", finding.remedy)?;
         }
     }
     let counts = [
@@ -108,7 +108,7 @@ mod tests {
             verdict,
             value: "seen".to_owned(),
             why: "Because.",
-            mend: "do it".to_owned(),
+            remedy: "do it".to_owned(),
         };
         let report = Report::new(vec![
             finding("a", Verdict::Ok),
@@ -121,7 +121,7 @@ mod tests {
             "ok       a       seen",
             "fault    longer  seen",
             "         why   Because.",
-            "         mend  do it",
+            "         fix   do it",
             "",
             "1 ok, 0 unknown, 0 warnings, 1 faults",
         ];

@@ -48,7 +48,7 @@ enum Command {
     /// Check a configuration and say what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
-    /// Examine this machine: what is in the way of a loop that must be on time, and what mends it.
+    /// Examine this machine: what is in the way of a loop that must be on time, and the remedy.
     #[command(after_help = doctor::AFTER_HELP)]
     Doctor(doctor::Options),
     /// Print configurations.

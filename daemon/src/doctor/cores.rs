@@ -294,7 +294,7 @@ mod tests {
 
     #[test]
     fn a_sibling_is_switched_off_only_where_a_core_is_left() {
-        let mend = |siblings: &str, online: &str| {
+        let remedy = |siblings: &str, online: &str| {
             let path = format!("{CPU}/cpu1/topology/thread_siblings_list");
             let files = [(&*path, siblings), (&format!("{CPU}/online"), online)];
             let mut fake = Fake::new(&files);
@@ -308,17 +308,20 @@ mod tests {
             }
             fake.scene.load = Ok(load);
             assert_eq!(fake.verdict("siblings"), Warning);
-            fake.judge("siblings").mend
+            fake.judge("siblings").remedy
         };
         let file = |core| format!("{CPU}/cpu{core}/online");
-        assert_eq!(mend("1,3", "0-3"), format!("echo 0 | sudo tee {}", file(3)));
+        assert_eq!(
+            remedy("1,3", "0-3"),
+            format!("echo 0 | sudo tee {}", file(3))
+        );
         let two = format!("echo 0 | sudo tee {} {}", file(2), file(3));
-        assert_eq!(mend("1-3", "0-3"), two);
+        assert_eq!(remedy("1-3", "0-3"), two);
         // Core 0 stays, whoever shares with it.
-        assert_eq!(mend("0-1", "0-3"), "set realtime.core to one of 2-3");
+        assert_eq!(remedy("0-1", "0-3"), "set realtime.core to one of 2-3");
         // Everything else needs a core, too.
-        assert!(mend("0-1", "0-1").contains("two physical cores"));
-        assert!(mend("1,3", "1,3").contains("two physical cores"));
+        assert!(remedy("0-1", "0-1").contains("two physical cores"));
+        assert!(remedy("1,3", "1,3").contains("two physical cores"));
     }
 
     #[test]

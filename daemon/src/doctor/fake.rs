@@ -73,7 +73,7 @@ impl Fake {
     pub(super) fn judge(&self, key: &str) -> Judgement {
         let check = checks().find(|check| check.key == key).unwrap();
         let finding = check.finding(&self.scene);
-        Judgement::new(finding.verdict, finding.value, finding.mend)
+        Judgement::new(finding.verdict, finding.value, finding.remedy)
     }
 
     /// How bad it is.
@@ -81,11 +81,11 @@ impl Fake {
         self.judge(key).verdict
     }
 
-    /// Asserts a verdict, and that what was seen and how to mend it hold these words.
+    /// Asserts a verdict, and that what was seen and its remedy hold these words.
     pub(super) fn expect(&self, key: &str, verdict: Verdict, words: &[&str]) {
         let judgement = self.judge(key);
         assert_eq!(judgement.verdict, verdict, "{key}: {judgement:?}");
-        let text = format!("{} | {}", judgement.value, judgement.mend);
+        let text = format!("{} | {}", judgement.value, judgement.remedy);
         for word in words {
             assert!(text.contains(word), "{key}: {word:?} is not in {text:?}");
         }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// The mend of what is well.
+/// The remedy of what is well.
 pub const NOTHING_TO_DO: &str = "nothing to do";
 
 /// How bad it is. The order is that of badness.
@@ -52,7 +52,7 @@ pub struct Judgement {
     /// What was seen.
     pub value: String,
     /// What to do about it.
-    pub mend: String,
+    pub remedy: String,
 }
 
 impl Judgement {
@@ -62,26 +62,26 @@ impl Judgement {
     }
 
     /// Bad for timing.
-    pub fn warning(value: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self::new(Verdict::Warning, value, mend)
+    pub fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Verdict::Warning, value, remedy)
     }
 
     /// It keeps the daemon from starting.
-    pub fn fault(value: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self::new(Verdict::Fault, value, mend)
+    pub fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Verdict::Fault, value, remedy)
     }
 
-    /// Not to be read; `mend` makes it readable.
-    pub fn unknown(value: impl Into<String>, mend: impl Into<String>) -> Self {
-        Self::new(Verdict::Unknown, value, mend)
+    /// Not to be read; `remedy` makes it readable.
+    pub fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Verdict::Unknown, value, remedy)
     }
 
     /// Any verdict.
-    pub fn new(verdict: Verdict, value: impl Into<String>, mend: impl Into<String>) -> Self {
+    pub fn new(verdict: Verdict, value: impl Into<String>, remedy: impl Into<String>) -> Self {
         Self {
             verdict,
             value: value.into(),
-            mend: mend.into(),
+            remedy: remedy.into(),
         }
     }
 }
@@ -99,8 +99,8 @@ pub struct Finding {
     pub value: String,
     /// Why it matters, in one sentence.
     pub why: &'static str,
-    /// The command that mends it, or [`NOTHING_TO_DO`].
-    pub mend: String,
+    /// The command that corrects it, or [`NOTHING_TO_DO`].
+    pub remedy: String,
 }
 
 /// Every finding.
@@ -140,7 +140,7 @@ mod tests {
             verdict,
             value: String::new(),
             why: "",
-            mend: String::new(),
+            remedy: String::new(),
         }
     }
 

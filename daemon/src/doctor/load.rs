@@ -218,7 +218,7 @@ fn interrupts(scene: &Scene) -> Result<Judgement, Unreadable> {
         return Ok(Judgement::ok(value));
     };
     let others = scene.other_cores()?;
-    let mend = if others.count() == 0 {
+    let remedy = if others.count() == 0 {
         "use a machine with two cores or more".to_owned()
     } else {
         format!(
@@ -226,7 +226,7 @@ fn interrupts(scene: &Scene) -> Result<Judgement, Unreadable> {
             worst.label
         )
     };
-    Ok(Judgement::warning(value, mend))
+    Ok(Judgement::warning(value, remedy))
 }
 
 fn irqbalance(scene: &Scene) -> Result<Judgement, Unreadable> {
@@ -386,10 +386,10 @@ mod tests {
             });
             for key in ["neighbours", "realtime_neighbours"] {
                 fake.expect(key, Warning, &["another realtime.core (of 0)"]);
-                let mend = fake.judge(key).mend;
+                let remedy = fake.judge(key).remedy;
                 assert!(
-                    !mend.contains("taskset") && !mend.contains("chrt"),
-                    "{mend}"
+                    !remedy.contains("taskset") && !remedy.contains("chrt"),
+                    "{remedy}"
                 );
             }
             fake

@@ -51,8 +51,8 @@ fn clock_source(scene: &Scene) -> Result<Judgement, Unreadable> {
     }
     if !SLOW.contains(&&*current) {
         let value = format!("{current}: its speed is not known here");
-        let mend = format!("cat {folder}/available_clocksource");
-        return Ok(Judgement::unknown(value, mend));
+        let remedy = format!("cat {folder}/available_clocksource");
+        return Ok(Judgement::unknown(value, remedy));
     }
     let available = scene
         .system

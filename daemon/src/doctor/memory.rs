@@ -63,13 +63,13 @@ fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
     );
     let enough_bytes = (size + both).next_multiple_of(1 << 26) >> 20;
     let mount = scene.probe.shared_memory_mount.display();
-    let mend = format!(
+    let remedy = format!(
         "sudo mount -o remount,size={enough_bytes}M {mount}   (a container: --shm-size={enough_bytes}m)"
     );
     Ok(if free < daemon {
-        Judgement::fault(value, mend)
+        Judgement::fault(value, remedy)
     } else if free < both {
-        Judgement::warning(value, mend)
+        Judgement::warning(value, remedy)
     } else {
         Judgement::ok(value)
     })

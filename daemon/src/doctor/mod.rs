@@ -1,5 +1,5 @@
-//! `cdcrd doctor`: what on this machine matters to a loop that must be on time, how it is, and what mends
-//! it.
+//! `cdcrd doctor`: what on this machine matters to a loop that must be on time, how it is, and what to do
+//! about it.
 //!
 //! A [`Scene`] holds all that was seen: files ([`System`]), trials ([`Probe`]), one second of counters
 //! ([`Load`]), and what the configuration asks ([`Plan`]). Each check judges one thing of it and changes
@@ -141,16 +141,16 @@ impl Check {
         let Judgement {
             mut verdict,
             value,
-            mut mend,
+            mut remedy,
         } = judged.unwrap_or_else(|unreadable| {
-            let mend = "run `cdcrd doctor` as root, or look by hand";
-            Judgement::unknown(unreadable.to_string(), mend)
+            let remedy = "run `cdcrd doctor` as root, or look by hand";
+            Judgement::unknown(unreadable.to_string(), remedy)
         });
         if self.concern == Concern::RealTime && scene.plan.mode == RealtimeMode::Off {
             verdict = Verdict::Ok;
         }
         if verdict == Verdict::Ok {
-            NOTHING_TO_DO.clone_into(&mut mend);
+            NOTHING_TO_DO.clone_into(&mut remedy);
         }
         Finding {
             key: self.key,
@@ -158,7 +158,7 @@ impl Check {
             verdict,
             value,
             why: self.why,
-            mend,
+            remedy,
         }
     }
 }
@@ -209,7 +209,7 @@ mod tests {
         assert!(report.count(Verdict::Unknown) > 5, "{report:#?}");
         assert!(report.worst >= Verdict::Warning);
         let unknown = report.findings.iter().find(|f| f.key == "steal");
-        assert!(unknown.is_some_and(|f| f.value.contains("/proc/stat") && !f.mend.is_empty()));
+        assert!(unknown.is_some_and(|f| f.value.contains("/proc/stat") && !f.remedy.is_empty()));
     }
 
     #[test]
@@ -228,7 +228,7 @@ mod tests {
     fn what_is_ok_needs_no_mending() {
         for finding in Fake::new(&[]).scene.report().findings {
             let is_ok = finding.verdict == Verdict::Ok;
-            assert_eq!(is_ok, finding.mend == NOTHING_TO_DO, "{finding:?}");
+            assert_eq!(is_ok, finding.remedy == NOTHING_TO_DO, "{finding:?}");
         }
     }
 }

@@ -56,12 +56,12 @@ impl Plan {
     }
 
     /// The judgement of a privilege that is not granted: a fault where real time is required.
-    pub fn missing(&self, value: impl Into<String>, mend: impl Into<String>) -> Judgement {
+    pub fn missing(&self, value: impl Into<String>, remedy: impl Into<String>) -> Judgement {
         let verdict = match self.mode {
             RealtimeMode::Require => Verdict::Fault,
             RealtimeMode::Prefer | RealtimeMode::Auto => Verdict::Warning,
             RealtimeMode::Off => Verdict::Ok,
         };
-        Judgement::new(verdict, value, mend)
+        Judgement::new(verdict, value, remedy)
     }
 }

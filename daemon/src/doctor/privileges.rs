@@ -182,9 +182,9 @@ mod tests {
         fake.scene.probe.rtprio_max = Some(0);
         fake.scene.probe.memory_lock = Err("not permitted".to_owned());
         for key in ["fifo", "memory_lock"] {
-            let mend = fake.judge(key).mend;
-            assert!(mend.contains("limits.d"), "{key}: {mend}");
-            assert!(!mend.contains("setcap"), "{key}: {mend}");
+            let remedy = fake.judge(key).remedy;
+            assert!(remedy.contains("limits.d"), "{key}: {remedy}");
+            assert!(!remedy.contains("setcap"), "{key}: {remedy}");
         }
     }
 
@@ -209,11 +209,11 @@ mod tests {
         let words = ["core 7", "realtime.core to one of 0-1", "AllowedCPUs"];
         fake.expect("pin", Verdict::Warning, &words);
         // It would confine every thread to the core of the real-time ones.
-        assert!(!fake.judge("pin").mend.contains("taskset"));
+        assert!(!fake.judge("pin").remedy.contains("taskset"));
         fake.write("/sys/devices/system/cpu/online", "0-3");
         let words = ["core 7 does not run", "0-3", "realtime.core to one of 0-1"];
         fake.expect("pin", Verdict::Warning, &words);
-        assert!(!fake.judge("pin").mend.contains("AllowedCPUs"));
+        assert!(!fake.judge("pin").remedy.contains("AllowedCPUs"));
     }
 
     #[test]

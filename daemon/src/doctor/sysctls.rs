@@ -62,7 +62,7 @@ fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
         .read_if_there("/sys/devices/system/cpu/nohz_full")?;
     let has_no_tick = CoreSet::parse(&quiet.unwrap_or_default()).contains(scene.core()?);
     let is_fine = has_no_tick || scene.plan.period_ms < PERIOD_MS_FINE;
-    let (mut values, mut mends) = (Vec::new(), Vec::new());
+    let (mut values, mut remedies) = (Vec::new(), Vec::new());
     for (name, good, matters, does) in SETTINGS {
         let is_meant = match matters {
             Matters::Always => true,
@@ -78,7 +78,7 @@ fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
         let is_good = if good == 0 { value == 0 } else { value >= good };
         if !is_good {
             values.push(format!("{name} = {value}: {does}"));
-            mends.push(format!("{name}={good}"));
+            remedies.push(format!("{name}={good}"));
         }
     }
     Ok(if values.is_empty() {
@@ -88,7 +88,7 @@ fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
             values.join("; "),
             format!(
                 "sudo sysctl {}   (and for good in /etc/sysctl.d/)",
-                mends.join(" ")
+                remedies.join(" ")
             ),
         )
     })

@@ -10,7 +10,7 @@ use cdcr_shared_types::{Location, Service};
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 
 use super::{Instance, acl, file_error, is_file_at, lock, write_process_id};
-use crate::services::remains;
+use crate::services::stale;
 
 /// What clients need to find a daemon, as it was when the daemon began.
 #[derive(Debug)]
@@ -142,7 +142,7 @@ fn service_files(location: &Location, robot: &str) -> impl Iterator<Item = PathB
             _ => MessagingPattern::PublishSubscribe,
         };
         let name = service.name(robot).ok()?;
-        Some(remains::service_file(config.as_ref()?, &name, pattern))
+        Some(stale::service_file(config.as_ref()?, &name, pattern))
     })
 }
 

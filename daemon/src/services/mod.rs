@@ -15,13 +15,13 @@ use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
 
 mod inlet;
-pub mod remains;
-mod room;
+mod shm_space;
+pub mod stale;
 
-use room::{MANAGEMENT_BYTES, NoRoom, Room};
+use shm_space::{InsufficientSpace, MANAGEMENT_BYTES, ShmSpace};
 
 pub use inlet::{Inlet, Received};
-pub use room::{daemon_bytes, mount_point};
+pub use shm_space::{daemon_bytes, mount_point};
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -78,12 +78,12 @@ pub enum ServiceError {
 }
 
 impl ServiceError {
-    fn full(what: String, no_room: &NoRoom) -> Self {
+    fn full(what: String, lack: &InsufficientSpace) -> Self {
         Self::Full {
-            mount: no_room.mount.display().to_string(),
+            mount: lack.mount.display().to_string(),
             what,
-            needed_mb: no_room.needed_bytes as f64 * 1e-6,
-            free_mb: no_room.free_bytes as f64 * 1e-6,
+            needed_mb: lack.needed_bytes as f64 * 1e-6,
+            free_mb: lack.free_bytes as f64 * 1e-6,
         }
     }
 }
@@ -98,10 +98,10 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
         root: location.root().display().to_string(),
         cause,
     };
-    let room = Room::new(location.root(), &location.file_prefix());
+    let room = ShmSpace::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
     room.ask(daemon_bytes().saturating_sub(room.taken_bytes()))
-        .map_err(|no_room| ServiceError::full("the daemon".to_owned(), &no_room))?;
+        .map_err(|lack| ServiceError::full("the daemon".to_owned(), &lack))?;
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;
@@ -182,11 +182,11 @@ fn with_room<P>(
     bytes: u64,
     create: impl FnOnce() -> Result<P, ServiceError>,
 ) -> Result<P, ServiceError> {
-    let full = |no_room: NoRoom| {
+    let full = |lack: InsufficientSpace| {
         let service = format!("the service {}", full_name(service, robot));
-        ServiceError::full(service, &no_room)
+        ServiceError::full(service, &lack)
     };
-    let room = Room::of(node);
+    let room = ShmSpace::of(node);
     room.ask(bytes + MANAGEMENT_BYTES).map_err(full)?;
     let port = create()?;
     room.take().map_err(full)?;
@@ -201,7 +201,7 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
     let failed = failed(service, robot);
     let queues = service.queues();
     let name = service.name(robot).map_err(|cause| failed(&cause))?;
-    remains::make_anew(node, &name, MessagingPattern::PublishSubscribe, || {
+    stale::make_anew(node, &name, MessagingPattern::PublishSubscribe, || {
         node.service_builder(&name)
             .publish_subscribe::<T>()
             .max_publishers(queues.publishers)
@@ -225,7 +225,7 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
     service: Service,
     robot: &str,
 ) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
-    let bytes = room::writer_bytes(service, size_of::<T>());
+    let bytes = shm_space::writer_bytes(service, size_of::<T>());
     with_room(node, service, robot, bytes, || {
         topic::<T>(node, service, robot)?
             .publisher_builder()
@@ -298,9 +298,9 @@ fn control(
     let name = Service::Control
         .name(robot)
         .map_err(|cause| failed(&cause))?;
-    let bytes = room::control_bytes();
+    let bytes = shm_space::control_bytes();
     with_room(node, Service::Control, robot, bytes, || {
-        remains::make_anew(node, &name, MessagingPattern::RequestResponse, || {
+        stale::make_anew(node, &name, MessagingPattern::RequestResponse, || {
             node.service_builder(&name)
                 .request_response::<Request, Response>()
                 .max_servers(1)

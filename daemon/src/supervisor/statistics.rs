@@ -32,6 +32,7 @@ pub(super) struct Statistics {
     slices: [Window; SLICES],
     filling: usize,
     slice_began_ns: u64,
+    /// The sum of the slices.
     last_minute: Window,
 }
 
@@ -63,7 +64,7 @@ impl Statistics {
     pub(super) fn record(&mut self, summary: &Summary) {
         let before = core::mem::replace(&mut self.counted, summary.totals);
         let passed = difference(&summary.totals, &before);
-        for window in [&mut self.since_reset, &mut self.slices[self.filling]] {
+        for window in self.windows() {
             window.count(&passed);
             window.record(summary);
         }
@@ -71,8 +72,15 @@ impl Statistics {
 
     /// Counts records that were lost.
     pub(super) fn dropped(&mut self, records: u64) {
-        self.since_reset.counts.dropped_records += records;
-        self.slices[self.filling].counts.dropped_records += records;
+        for window in self.windows() {
+            window.counts.dropped_records += records;
+        }
+    }
+
+    /// Those in which a cycle counts.
+    fn windows(&mut self) -> [&mut Window; 3] {
+        let filling = &mut self.slices[self.filling];
+        [&mut self.since_reset, filling, &mut self.last_minute]
     }
 
     /// Begins anew, the last minute too.
@@ -82,6 +90,7 @@ impl Statistics {
         for slice in &mut self.slices {
             slice.clear();
         }
+        self.last_minute.clear();
         self.slice_began_ns = now_ns;
     }
 
@@ -97,14 +106,18 @@ impl Statistics {
             self.slices[self.filling].streak = streak;
         }
         self.slice_began_ns += passed * slice_ns;
+        if passed > 0 {
+            // What left with the oldest slices is forgotten.
+            self.last_minute.clear();
+            for slice in &self.slices {
+                self.last_minute.add(slice);
+            }
+            self.last_minute.streak = self.slices[self.filling].streak;
+        }
     }
 
     /// Writes both stretches into a status.
-    pub(super) fn report(&mut self, status: &mut wire::Status) {
-        self.last_minute.clear();
-        for slice in &self.slices {
-            self.last_minute.add(slice);
-        }
+    pub(super) fn report(&self, status: &mut wire::Status) {
         status.statistics_since_ns = self.since_ns;
         status.since_reset = self.since_reset.summary();
         status.last_minute = self.last_minute.summary();

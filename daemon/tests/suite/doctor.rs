@@ -80,7 +80,7 @@ fn the_report_has_every_check_and_its_worst_is_the_exit_status() {
     keys.sort_unstable();
     assert!(verdicts.keys().eq(keys), "{verdicts:?}");
     for finding in report["findings"].as_array().unwrap() {
-        for field in ["title", "value", "why", "mend"] {
+        for field in ["title", "value", "why", "remedy"] {
             let text = finding[field].as_str().unwrap();
             assert!(!text.is_empty(), "{field}: {finding}");
         }

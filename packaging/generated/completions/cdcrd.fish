@@ -29,7 +29,7 @@ complete -c cdcrd -n "__fish_cdcrd_needs_command" -s V -l version -d 'Print vers
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "run" -d 'Run the control loop until SIGINT or SIGTERM'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "bare" -d 'Run the real-time loop of a configuration with nothing to do: what the machine alone does to it'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a configuration and say what would run'
-complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what is in the way of a loop that must be on time, and what mends it'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what is in the way of a loop that must be on time, and the remedy'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print configurations'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r

@@ -14,7 +14,7 @@ use crate::interrupt::Interrupt;
 /// the latest when it publishes the next one.
 const SNAPSHOTS: u64 = 3;
 /// How long these may take; ten a second are published.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// How often a waiting reader looks.
 const LOOK: Duration = Duration::from_millis(100);
 
@@ -52,7 +52,7 @@ pub(crate) fn kept(
     stream: &mut Stream<Incident>,
 ) -> anyhow::Result<Vec<Incident>> {
     let mut snapshots = connection.statuses()?;
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     for _ in 0..SNAPSHOTS {
         let left = deadline.saturating_duration_since(Instant::now());
         if snapshots.next_within(left)?.is_none() {

@@ -1,4 +1,4 @@
-//! Room in the memory of the root folder: asked for before it is used, and then taken for good.
+//! Space in the memory of the root folder: checked before it is used, then allocated for good.
 //!
 //! iceoryx2 gives its files a size, and the system looks for memory when a page is first touched. When there is
 //! none left at that moment, the kernel kills whoever touched it (SIGBUS), be it hours later in the middle of a
@@ -41,9 +41,9 @@ pub const fn daemon_bytes() -> u64 {
     messages + messages / 50 + MANAGEMENT_BYTES
 }
 
-/// There is less room than is needed.
+/// There is less space than is needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct NoRoom {
+pub(super) struct InsufficientSpace {
     /// The file system that is full.
     pub(super) mount: PathBuf,
     pub(super) needed_bytes: u64,
@@ -52,12 +52,12 @@ pub(super) struct NoRoom {
 
 /// The memory of one location.
 #[derive(Debug)]
-pub(super) struct Room {
+pub(super) struct ShmSpace {
     root: PathBuf,
     file_prefix: String,
 }
 
-impl Room {
+impl ShmSpace {
     pub(super) fn new(root: &Path, file_prefix: &str) -> Self {
         Self {
             root: root.to_owned(),
@@ -75,9 +75,9 @@ impl Room {
     }
 
     /// Whether `needed_bytes` are free. Where the system does not tell, they are.
-    pub(super) fn ask(&self, needed_bytes: u64) -> Result<(), NoRoom> {
+    pub(super) fn ask(&self, needed_bytes: u64) -> Result<(), InsufficientSpace> {
         match self.free_bytes() {
-            Some(free_bytes) if free_bytes < needed_bytes => Err(NoRoom {
+            Some(free_bytes) if free_bytes < needed_bytes => Err(InsufficientSpace {
                 mount: mount_point(&self.root),
                 needed_bytes,
                 free_bytes,
@@ -87,14 +87,14 @@ impl Room {
     }
 
     /// Has every page of the files allocated; what they hold stays.
-    pub(super) fn take(&self) -> Result<(), NoRoom> {
+    pub(super) fn take(&self) -> Result<(), InsufficientSpace> {
         let mut free_before = self.free_bytes();
         for file in self.files() {
             let Ok(size) = file.metadata().map(|file| file.len()) else {
                 continue;
             };
             if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
-                return Err(NoRoom {
+                return Err(InsufficientSpace {
                     mount: mount_point(&self.root),
                     needed_bytes: size,
                     free_bytes: free_before.unwrap_or(0),
@@ -156,7 +156,7 @@ mod tests {
         let _telemetry = telemetry(&node, "cdcr").unwrap();
         let _status = publisher::<Status>(&node, Service::Status, "cdcr").unwrap();
         let _incidents = incidents(&node, "cdcr").unwrap();
-        let room = Room::of(&node);
+        let room = ShmSpace::of(&node);
         let sizes: u64 = room
             .files()
             .map(|file| file.metadata().unwrap().len())
@@ -172,7 +172,7 @@ mod tests {
 
     #[test]
     fn what_nobody_has_is_refused_in_words() {
-        let room = Room::new(Path::new(Location::MEMORY), "");
+        let room = ShmSpace::new(Path::new(Location::MEMORY), "");
         let Some(free_bytes) = room.free_bytes() else {
             return;
         };

@@ -1,4 +1,4 @@
-//! Room in shared memory, asked for before it is used.
+//! Space in shared memory, asked for before it is used.
 //!
 //! The system looks for memory when a page is first touched, and kills whoever touches one when there is none
 //! left (SIGBUS). A client that asks first can say what is wrong instead.
@@ -13,15 +13,15 @@ pub(crate) const CONNECTION_BYTES: u64 = 64 * 1024;
 /// What a port takes beside its messages \[bytes\].
 pub(crate) const PORT_BYTES: u64 = 64 * 1024;
 
-/// There is less room than is needed.
+/// There is less space than is needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(crate) struct NoRoom {
+pub(crate) struct InsufficientSpace {
     folder: PathBuf,
     needed_bytes: u64,
     free_bytes: u64,
 }
 
-impl Display for NoRoom {
+impl Display for InsufficientSpace {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
         let mb = |bytes: u64| bytes as f64 * 1e-6;
         let folder = self.folder.display();
@@ -37,7 +37,7 @@ impl Display for NoRoom {
 }
 
 /// Whether the memory of `folder` has `needed_bytes`. Where the system does not tell, or sets no limit, it has.
-pub(crate) fn ask(folder: &Path, needed_bytes: u64) -> Result<(), NoRoom> {
+pub(crate) fn ask(folder: &Path, needed_bytes: u64) -> Result<(), InsufficientSpace> {
     let free_bytes = match statvfs(folder) {
         Ok(folder) if folder.f_blocks > 0 => folder.f_bavail * folder.f_frsize,
         _ => return Ok(()),
@@ -45,7 +45,7 @@ pub(crate) fn ask(folder: &Path, needed_bytes: u64) -> Result<(), NoRoom> {
     if free_bytes >= needed_bytes {
         return Ok(());
     }
-    Err(NoRoom {
+    Err(InsufficientSpace {
         folder: folder.to_owned(),
         needed_bytes,
         free_bytes,
@@ -61,8 +61,8 @@ mod tests {
         let folder = Path::new("/dev/shm");
         assert_eq!(ask(folder, 0), Ok(()));
         // A shared memory without a limit has room for everything.
-        if let Err(no_room) = ask(folder, u64::MAX) {
-            let text = no_room.to_string();
+        if let Err(lack) = ask(folder, u64::MAX) {
+            let text = lack.to_string();
             assert!(
                 text.contains("/dev/shm") && text.contains("MB are free"),
                 "{text}"

@@ -1,4 +1,4 @@
-//! What a daemon left half made because it was killed at its start.
+//! Orphaned files of a daemon that was killed at its start.
 //!
 //! iceoryx2 cleans up after dead nodes, but not a service whose second half is missing, nor a node that was
 //! killed before its details were written. Whoever claimed the [`Instance`](crate::instance::Instance) is
@@ -28,7 +28,7 @@ pub(super) fn make_anew<T, E: Debug>(
     make: impl Fn() -> Result<T, E>,
 ) -> Result<T, E> {
     match make() {
-        Err(cause) if is_half_made(&cause) => {
+        Err(cause) if is_orphaned(&cause) => {
             remove(node, name, pattern);
             make()
         }
@@ -37,7 +37,7 @@ pub(super) fn make_anew<T, E: Debug>(
 }
 
 /// The same two names in the errors of both patterns, of opening and of creating.
-fn is_half_made(cause: &dyn Debug) -> bool {
+fn is_orphaned(cause: &dyn Debug) -> bool {
     let cause = format!("{cause:?}");
     ["HangsInCreation", "ServiceInCorruptedState"]
         .iter()
@@ -60,14 +60,14 @@ pub(crate) fn service_file(
 fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPattern) {
     let path = service_file(node.config(), name, pattern);
     let removed = std::fs::remove_file(&path);
-    tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service half made");
+    tracing::warn!(path = %path.display(), ?removed, "a killed daemon left this service orphaned");
 }
 
 /// A younger file may belong to a client that is just connecting.
 const OLD: Duration = Duration::from_secs(2);
 
 /// Removes what killed processes left and iceoryx2 does not, as long as nobody else is here: nodes that were
-/// killed before their details were written, and the memory of half made services. Call it before the first
+/// killed before their details were written, and the memory of orphaned services. Call it before the first
 /// node of this process.
 pub fn sweep(location: &Location) {
     let Ok(config) = location.iceoryx2_config() else {
