@@ -14,5 +14,5 @@ mod latency;
 mod paper;
 mod quality;
 mod rate;
-mod robustness;
 mod refused;
+mod robustness;
