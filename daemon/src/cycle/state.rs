@@ -230,10 +230,11 @@ impl RobotState {
         };
     }
 
-    /// Counts how long the robot has been straight.
+    /// Counts how long the robot has been straight, in time that was seen: a stall on the way through is no rest.
     pub(super) fn count_straight(&mut self, elapsed_ns: u64) {
         self.straight_ns = if self.is_within(self.policy.home_tolerance_rad) {
-            self.straight_ns.saturating_add(elapsed_ns)
+            let seen_ns = elapsed_ns.min(2 * self.period_ns);
+            self.straight_ns.saturating_add(seen_ns)
         } else {
             0
         };
