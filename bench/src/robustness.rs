@@ -13,7 +13,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotPar
 use nalgebra::Vector3;
 use serde::Serialize;
 
-use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, Panel, Scale, sheet};
+use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -23,7 +23,7 @@ const EXPLANATION: &str = "\
 <p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s. The robot is not its model: its motors lag, its \
 sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
 second; every row is the mean of the seeds, the largest error is that of all of them. The controller is the one of \
-a daemon with its default settings (<em>full</em>), and the same with a part switched off.</p>\n";
+a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off.</p>\n";
 
 const COLUMNS: [Column; 11] = [
     word("robot", "name"),
@@ -94,7 +94,9 @@ pub fn run(options: &RobustnessOptions, progress: &mut Progress) -> Result<Datas
                 draw(&mut panels, &scenario, control, &runs[0]);
             }
             let row = Row::of(&scenario, control, obeys_positions, &runs);
-            if control == Control::Full {
+            // Without noise every run is the same.
+            if control == Control::Full && scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0
+            {
                 let path = format!("robustness/{}/{}", row.name, row.interface);
                 let means = runs.iter().map(Run::mean_mm);
                 dataset.lower(format!("{path}/mean_error"), "mm", means);
@@ -482,7 +484,8 @@ impl Row {
 fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &Run) {
     let colour = match control {
         Control::Full => BLUE,
-        Control::NoActuator | Control::NoTip => GREEN,
+        Control::NoActuator => GREEN,
+        Control::NoTip => PURPLE,
         Control::NoEstimator => ORANGE,
         Control::OpenLoop => GREY,
     };

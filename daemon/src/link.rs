@@ -2,7 +2,7 @@
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::plant::{KinematicPlant, MisbehavingRobot, MotorOrder};
-use cdcr_controller::robot::{BendRates, CABLES_MAX, Robot, RobotError};
+use cdcr_controller::robot::{BendRates, CABLES_MAX, Configuration, Robot, RobotError};
 
 use crate::config::{Interface, LinkKind, Validated, ns};
 use crate::handover::{CycleInputs, Policy, TimedMeasurement};
@@ -61,10 +61,11 @@ impl RobotLink {
     }
 
     /// The rates that hold from the release at `release_ns` on, for a simulated robot.
-    pub fn command(&mut self, release_ns: u64, rates: &BendRates) {
+    /// `commanded` is where the robot is commanded to be at that release.
+    pub fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
         match self {
             Self::Ideal(robot) => robot.plant.command(rates),
-            Self::Misbehaving(robot) => robot.command(release_ns, rates),
+            Self::Misbehaving(robot) => robot.command(release_ns, rates, commanded),
             Self::Driver => {}
         }
     }
@@ -163,7 +164,8 @@ impl MisbehavingLink {
         }
     }
 
-    fn command(&mut self, release_ns: u64, rates: &BendRates) {
+    fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
+        self.target_m = self.model.cable_lengths(commanded);
         self.rates = *rates;
         self.until_ns = release_ns + self.valid_ns;
     }

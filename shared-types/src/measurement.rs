@@ -5,6 +5,10 @@ use crate::message::message;
 message! {
     /// What a driver knows of the robot: one of configuration, tip pose or cable lengths.
     ///
+    /// A driver that measures the tip beside bends or cables sends each in messages of its own, as often as it can: then the bends tell
+    /// where the robot is, and must go on; the tip tells what the model is off by there. Of a driver that sends only tips, the
+    /// tip tells where the robot is.
+    ///
     /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost. Those
     /// of another one are refused, and so are those that are older than `link.measurement_timeout_ms` when they arrive.
     pub struct Measurement "cdcr.Measurement.v2" {

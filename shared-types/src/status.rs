@@ -74,8 +74,8 @@ message! {
         stale_measurements: u64 [sum "stale measurements"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
         dropped_records: u64 [sum "dropped records"],
-        /// Longest time between two looks at the clock inside a cycle, until the solver was done \[ns\]: how long the processor
-        /// stood still, though no deadline was missed.
+        /// Longest time between two looks at the clock in a cycle \[ns\], from its start to the end of the solve, work included. Far longer than
+        /// a quantum of work: the processor stood still, though no deadline was missed.
         longest_gap_ns: u64 [max "longest gap"],
         /// Cycles that started late, missed their deadline or skipped periods, by their [`LateCause`]; index = code,
         /// so the first is 0. A punctual cycle whose skipped releases the late cycle before it took is not counted

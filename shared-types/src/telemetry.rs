@@ -81,8 +81,8 @@ message! {
         run_delay_ns: u64,
         /// Time that it ran \[ns\].
         on_core_ns: u64,
-        /// Longest time between two looks at the clock inside the solver \[ns\]; 0: it did not run. Far longer
-        /// than a quantum of work (a few µs): the processor stood still.
+        /// Longest time between two looks at the clock \[ns\], from the start of the cycle to the end of the solve, work included. Far
+        /// longer than a quantum of work (a few µs): the processor stood still.
         longest_gap_ns: u64,
         /// Page faults, minor and major.
         page_faults: u32,
@@ -194,7 +194,7 @@ message! {
         plan_length: u32 [length],
         /// Obstacles of this cycle, 0 ..= [`OBSTACLES_MAX`].
         obstacle_count: u32 [length],
-        /// The obstacles as used, in this order, where they are at the release: `measured_ns` is the release,
+        /// The obstacles as used, in this order, where they are at the release (plan and guard look at them `reference_lead_ns` later): `measured_ns` is the release,
         /// `lifetime_ns` what is left of their lifetime then, 0: until removed. The first `obstacle_count` are
         /// used.
         obstacles: [Obstacle; OBSTACLES_MAX] [used 1 obstacle_count],
@@ -226,8 +226,8 @@ message! {
         guard_flags: u32 [bits guard],
         /// [`codes::MeasurementState`](crate::codes::MeasurementState): what became of `tip_measured_m`.
         tip_state: u32 [code MeasurementState],
-        /// Smallest distance at the release between the surfaces of body and obstacles, from `bend_rad` and
-        /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `bend_rad` is not
+        /// Smallest distance at the release between the surfaces of body and obstacles, from `present_rad` and
+        /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `present_rad` is not
         /// finite.
         clearance_m: f64,
         /// The command as it left.

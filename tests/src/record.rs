@@ -24,12 +24,13 @@ pub fn robot_of(description: &RobotDescription) -> Robot {
     Robot::new(&parameters).expect("a robot that a daemon runs")
 }
 
-/// The obstacles of a record, where they are at its release.
+/// The obstacles of a record as plan and guard took them: where they are when the robot is where its commands lead it.
 pub fn obstacles_of(record: &Telemetry) -> Vec<Obstacle> {
+    let lead_s = record.reference_lead_ns as f64 * 1e-9;
     let used = obstacles(record).iter();
     let known = used.map(|obstacle| convert::obstacle(obstacle, record.release_ns));
     known
-        .map(|known| known.expect("it was accepted").obstacle)
+        .map(|known| known.expect("it was accepted").obstacle.moved(lead_s))
         .collect()
 }
 

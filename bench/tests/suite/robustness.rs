@@ -26,10 +26,17 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
         let lag = "lag 30 ms, delay 15 ms";
         assert!(of(lag, "full") < of(lag, "no actuator model"));
         assert!(of("wrong model", "full") < 0.01 * of("wrong model", "no tip"));
-        assert!(of("blind", "full") < 0.2 * of("blind", "open loop"));
+        assert!(of("slow", "full") < 0.1 * of("slow", "no estimator"));
     }
-    let kept = rows.iter().filter(|row| row["reached"] == "yes").count();
-    assert!(kept >= 12, "{kept} of the targets");
+    // Play is not compensated: the tip moves by more than the target where the motors turn round.
+    for row in rows.iter().filter(|row| !row["target_mm"].is_null()) {
+        let expected = if row["name"] == "play of 0.5 mm" {
+            "no"
+        } else {
+            "yes"
+        };
+        assert_eq!(row["reached"], expected, "{row}");
+    }
     let ball = rows.iter().find(|row| row["name"] == "laboratory, ball");
     assert!(ball.expect("a ball")["min_clearance_mm"].as_f64() > Some(5.0));
 }

@@ -26,12 +26,12 @@ pub struct Driven {
 pub enum Sensor {
     /// Every cable, at each release.
     Cables,
-    /// The position of the tip, at each so manieth release, 1 or more.
+    /// The position of the tip, at every `every`-th release, 1 or more.
     Tip {
         /// Periods between two measurements.
         every: u32,
     },
-    /// Every cable at each release, and the position of the tip at each so manieth.
+    /// Every cable at each release, and the position of the tip at every `every`-th.
     CablesAndTip {
         /// Periods between two measurements of the tip.
         every: u32,
@@ -133,8 +133,13 @@ impl DrivenRobot {
             self.estimator.correct(&self.model, &cables, 0.0);
         }
         if tip_every.is_some_and(|every| self.releases.is_multiple_of(every.max(1))) {
-            let tip = Measurement::TipPosition(self.plant.measure_tip());
-            self.estimator.correct(&self.model, &tip, 0.0);
+            let tip_m = self.plant.measure_tip();
+            if has_cables {
+                self.estimator.correct_tip(&self.model, &tip_m, 0.0);
+            } else {
+                let tip = Measurement::TipPosition(tip_m);
+                self.estimator.correct(&self.model, &tip, 0.0);
+            }
         }
         self.releases += 1;
     }

@@ -118,8 +118,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard; but that the robot gets every command, and stops
-    /// at once), moves the robot by what is left of it and
+    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard), moves the robot by what is left of them and
     /// the obstacles by their velocity, and goes on to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
         // The ideal robot gets every command, and stops at once.

@@ -91,8 +91,9 @@ impl ActuatorModel {
             let part_s = past.duration_s.min(left_s);
             if back + 1 == MOVES_MAX || part_s < past.duration_s || left_s <= 0.0 {
                 // The time lies in this move.
-                let began = self.back(back + 1);
-                let behind_rad = if part_s > 0.0 {
+                let is_oldest = back + 1 == MOVES_MAX;
+                let behind_rad = if part_s > 0.0 && !is_oldest {
+                    let began = self.back(back + 1);
                     self.behind_after(&past.rates, began, past.duration_s - part_s)
                 } else {
                     past.behind_rad
@@ -167,6 +168,13 @@ fn add(to: &mut [f64], what: &[f64], factor: f64) {
 mod tests {
     use super::*;
 
+    fn actuator(delay_s: f64, time_constant_s: f64) -> Actuator {
+        Actuator {
+            delay_s,
+            time_constant_s,
+        }
+    }
+
     fn rates(u: f64) -> BendRates {
         BendRates::from_slice(&[u, 0.0]).unwrap()
     }
@@ -228,5 +236,12 @@ mod tests {
         let at = Configuration::straight(1);
         let moved = model.way_left(10.0).from(&at).as_slice()[0];
         assert!((moved - 128.0 * 0.005).abs() < 1e-12, "{moved}");
+        // Of a lag, too, what is remembered: the rates have turned since.
+        let mut model = ActuatorModel::new(actuator(0.2, 0.1), 1);
+        for cycle in 0..1000 {
+            model.command(&rates(if cycle < 950 { 1.0 } else { -1.0 }), 0.001);
+        }
+        let moved = model.way_left(0.0).from(&at).as_slice()[0];
+        assert!((moved - (0.1 + 0.078 - 0.05)).abs() < 1e-3, "{moved}");
     }
 }

@@ -46,7 +46,6 @@ pub struct Estimator {
     tip: TipFilter,
     /// What they have told of the tip, where something does.
     tip_offset: TipOffset,
-    bends_are_measured: bool,
     motors: ActuatorModel,
 }
 
@@ -60,7 +59,6 @@ impl Estimator {
             uncorrected_s: None,
             tip: TipFilter::new(),
             tip_offset: TipOffset::new(),
-            bends_are_measured: false,
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
@@ -88,7 +86,6 @@ impl Estimator {
         self.uncorrected_s = None;
         self.tip = TipFilter::new();
         self.tip_offset = TipOffset::new();
-        self.bends_are_measured = false;
         self.motors.begin();
     }
 
@@ -102,8 +99,7 @@ impl Estimator {
         self.motors.way_left(0.0).back_from(&self.estimate)
     }
 
-    /// How far the tip is measured beside where the bends place it (m): what the model is off by there, where bends and tip are
-    /// both measured. Zero where the tip is not, and where it is the only thing that is.
+    /// How far the tip is measured beside where the bends place it (m), as [`Self::correct_tip`] has learnt: what the model is off by there.
     pub fn tip_offset_m(&self) -> Vector3<f64> {
         self.tip_offset.offset_m()
     }
@@ -129,15 +125,13 @@ impl Estimator {
     ) -> &Configuration {
         let way = self.motors.way_left(age_s);
         self.measured = match measurement {
-            Measurement::TipPosition(position_m) if self.bends_are_measured => {
-                let then = way.back_from(&self.estimate);
-                self.tip_offset
-                    .correct(position_m - robot.tip_position(&then));
-                return &self.estimate;
+            Measurement::Configuration(measured) => {
+                self.tip = TipFilter::known();
+                way.from(measured)
             }
-            Measurement::Configuration(measured) => self.known(way.from(measured)),
             Measurement::CableLengths(lengths) => {
-                self.known(way.from(&robot.bend_from_cable_lengths(lengths)))
+                self.tip = TipFilter::known();
+                way.from(&robot.bend_from_cable_lengths(lengths))
             }
             Measurement::TipPosition(position_m) => {
                 let then = way.back_from(&self.measured);
@@ -154,11 +148,13 @@ impl Estimator {
         &self.estimate
     }
 
-    /// All bends were measured.
-    fn known(&mut self, measured: Configuration) -> Configuration {
-        self.tip = TipFilter::known();
-        self.bends_are_measured = true;
-        measured
+    /// Takes the position of a tip (m) whose bends are measured, too: they stay, and how far the tip is beside where they place it
+    /// is learnt ([`Self::tip_offset_m`]). False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
+    /// last one: a sensor that stands still while the robot moves says nothing.
+    pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
+        let then = self.motors.way_left(age_s).back_from(&self.estimate);
+        let placed_m = robot.tip_position(&then);
+        self.tip_offset.correct(position_m, &placed_m)
     }
 }
 

@@ -2,7 +2,7 @@ use nalgebra::Vector3;
 
 /// How slowly the offset follows what is measured (s): of 0.3 mm of noise in each coordinate, measured at 100 Hz, 0.1 mm is left.
 const TIME_CONSTANT_S: f64 = 0.1;
-/// It is never larger (m): a model that is farther off is wrong, and following it no help.
+/// A tip that is measured farther beside (m) is not believed: either the model or the sensor is wrong, and following it no help.
 const OFFSET_MAX_M: f64 = 0.1;
 
 /// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes slowly, as
@@ -10,6 +10,8 @@ const OFFSET_MAX_M: f64 = 0.1;
 #[derive(Debug, Clone)]
 pub(super) struct TipOffset {
     offset_m: Vector3<f64>,
+    /// The last position that was measured (m).
+    measured_m: Vector3<f64>,
     /// Since the last tip position (s).
     unmeasured_s: f64,
 }
@@ -18,6 +20,7 @@ impl TipOffset {
     pub(super) fn new() -> Self {
         Self {
             offset_m: Vector3::zeros(),
+            measured_m: Vector3::repeat(f64::NAN),
             unmeasured_s: 0.0,
         }
     }
@@ -31,13 +34,19 @@ impl TipOffset {
         self.unmeasured_s = (self.unmeasured_s + elapsed_s).min(TIME_CONSTANT_S);
     }
 
-    /// The tip was measured so far beside (m). What is not finite changes nothing.
-    pub(super) fn correct(&mut self, beside_m: Vector3<f64>) {
-        let gain = self.unmeasured_s / (self.unmeasured_s + TIME_CONSTANT_S);
-        let offset_m = self.offset_m + gain * (beside_m - self.offset_m);
-        self.unmeasured_s = 0.0;
-        if offset_m.iter().all(|coordinate_m| coordinate_m.is_finite()) {
-            self.offset_m = offset_m.cap_magnitude(OFFSET_MAX_M);
+    /// The tip was measured at `measured_m`, and the bends place it at `placed_m`. Whether that was believed: not what is farther
+    /// beside than the largest offset, nor what is the last position in every bit. A sensor that stands still while the robot
+    /// moves would lead it away from its reference, and away from where the sensor says it is.
+    pub(super) fn correct(&mut self, measured_m: &Vector3<f64>, placed_m: &Vector3<f64>) -> bool {
+        let beside_m = measured_m - placed_m;
+        let is_news = core::mem::replace(&mut self.measured_m, *measured_m) != *measured_m;
+        let is_near = beside_m.norm() <= OFFSET_MAX_M;
+        if !is_news || !is_near {
+            return false;
         }
+        let gain = self.unmeasured_s / (self.unmeasured_s + TIME_CONSTANT_S);
+        self.offset_m += gain * (beside_m - self.offset_m);
+        self.unmeasured_s = 0.0;
+        true
     }
 }

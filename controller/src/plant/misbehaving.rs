@@ -43,8 +43,8 @@ pub struct MisbehavingRobot {
     noise: Xoshiro256PlusPlus,
 }
 
-/// Orders that can be under way at once: the longest delay of 0.3 s with one in each millisecond. Of more the oldest is lost.
-const COMING_MAX: usize = 300;
+/// Orders that can be under way at once: the longest delay of 0.3 s with one in each 0.1 ms. Of more the newest are lost.
+const COMING_MAX: usize = 3000;
 
 impl MisbehavingRobot {
     /// A robot at rest, whose encoders the `model` reads as `at` but for their flaws.
@@ -93,11 +93,10 @@ impl MisbehavingRobot {
             self.order = order;
             return;
         }
-        if self.coming.len() == COMING_MAX {
-            self.coming.pop_front();
+        if self.coming.len() < COMING_MAX {
+            let from_s = self.now_s + self.flaws.actuator.delay_s;
+            self.coming.push_back((from_s, order));
         }
-        self.coming
-            .push_back((self.now_s + self.flaws.actuator.delay_s, order));
     }
 
     /// Lets `dt_s` (s) pass, as far as the sections bend: they have mechanical ends.
@@ -358,11 +357,16 @@ mod tests {
 
     #[test]
     fn orders_take_effect_after_the_delay_whatever_the_step() {
-        for step_s in [0.0005, STEP_S, 0.005] {
-            let mut robot = robot(lagging(0.015, 0.0));
+        for (step_s, delay_s) in [
+            (0.0005, 0.015),
+            (STEP_S, 0.015),
+            (0.005, 0.015),
+            (0.0001, 0.05),
+        ] {
+            let mut robot = robot(lagging(delay_s, 0.0));
             let steps = (0.1 / step_s).round() as u32;
             run(&mut robot, speeds([1.0, 0.0, 0.0, 0.0]), steps, step_s);
-            near(&robot, [0.5 + 0.085, -0.2, 0.1, 0.0], 1e-12);
+            near(&robot, [0.5 + 0.1 - delay_s, -0.2, 0.1, 0.0], 1e-12);
             run(&mut robot, MotorOrder::Stand, steps, step_s);
             near(&robot, [0.5 + 0.1, -0.2, 0.1, 0.0], 1e-12);
         }

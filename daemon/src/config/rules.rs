@@ -44,6 +44,13 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
             endless,
         ),
         ("realtime.spin_us", realtime.spin_us, 0.0, 1e3 * half_ms),
+        // The estimator remembers 128 periods, and measurements have an age.
+        (
+            "actuator.delay_ms",
+            config.actuator.delay_ms,
+            0.0,
+            64.0 * period_ms,
+        ),
     ];
     for (key, value, low, high) in rules {
         if (low..=high).contains(&value) {

@@ -15,7 +15,7 @@ use cdcr_controller::nmpc::{
 };
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::ReferenceSample;
-use cdcr_controller::robot::{BendRates, Obstacle, Robot};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
     ramp_to_zero, safe_command,
@@ -73,7 +73,7 @@ pub struct Cycle {
     longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
-    /// Those of this cycle, where they are at its release.
+    /// Those of this cycle, where they are when the robot is where its commands lead it.
     obstacles: Vec<Obstacle>,
     /// Room for a reference that is moved back by what the tip is beside.
     reference: [ReferenceSample; HORIZON_STEPS_MAX],
@@ -160,12 +160,7 @@ impl Cycle {
         clock: &impl Clock,
     ) -> CycleRecord {
         let elapsed_ns = self.elapsed_ns(&release);
-        let stale_inputs = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
-        self.stale_ns = if stale_inputs {
-            self.stale_ns + self.period_ns
-        } else {
-            0
-        };
+        let stale_inputs = self.count_stale(inputs);
         self.take_settings(inputs);
         self.learn_cost(inputs, stale_inputs);
         let measurement = self.link.measure(release.release_ns, inputs);
@@ -181,10 +176,10 @@ impl Cycle {
         let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
         let answers = self.answer(next_request, inputs, &seen);
-        // A robot that is still on its ramp goes on along it first.
+        // A robot that is still on its ramp goes on along it first, and motors that lag come to its end.
         self.control_begins |= was_latched && !self.modes.mode().is_latched();
         self.control_begins &= matches!(self.modes.mode(), Mode::Holding { .. });
-        if self.control_begins && self.is_at_rest() {
+        if self.control_begins && self.is_at_rest() && self.state.has_arrived() {
             self.control_begins = false;
             self.state.take_control();
         }
@@ -211,9 +206,10 @@ impl Cycle {
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&desired_rates, comes_to_rest);
-        self.clearance_m = safe.clearance_m;
+        self.clearance_m = self.present_clearance_m(&present, &obstacles, safe.clearance_m);
         self.rates = safe.rates;
-        self.link.command(release.release_ns, &safe.rates);
+        self.link
+            .command(release.release_ns, &safe.rates, self.state.commanded());
         let handed_over_ns = clock.now_ns();
         let lateness = self
             .accounting
@@ -261,7 +257,7 @@ impl Cycle {
             rates: safe.rates,
             limits_hit: safe.limits_hit,
             clearance_hit: safe.clearance_hit,
-            clearance_m: safe.clearance_m,
+            clearance_m: self.clearance_m,
             answers,
         };
         self.copy_plans(&mut record);
@@ -285,6 +281,17 @@ impl Cycle {
         {
             self.costs_after_solve.note(took_ns);
         }
+    }
+
+    /// Whether the inputs are those of the cycle before.
+    fn count_stale(&mut self, inputs: &CycleInputs) -> bool {
+        let is_stale = self.last_gather.replace(inputs.gather) == Some(inputs.gather);
+        self.stale_ns = if is_stale {
+            self.stale_ns + self.period_ns
+        } else {
+            0
+        };
+        is_stale
     }
 
     fn elapsed_ns(&mut self, release: &Release) -> u64 {
@@ -314,7 +321,9 @@ impl Cycle {
     fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) -> ObstacleSet {
         let placed = inputs.obstacles.at(release.release_ns);
         self.obstacles.clear();
-        let shapes = placed.iter().map(|known| known.obstacle);
+        // The robot is where its commands lead it as much later as its motors are behind them.
+        let lead_s = self.policy.reference_lead_ns as f64 * 1e-9;
+        let shapes = placed.iter().map(|known| known.obstacle.moved(lead_s));
         self.obstacles.extend(shapes.take(OBSTACLES_MAX));
         placed
     }
@@ -487,6 +496,23 @@ impl Cycle {
             self.modes.fault(Reason::NonFinite);
         }
         safe
+    }
+
+    /// Clearance of the body where it is; `led_m` where its commands lead it, which is the same without a lead.
+    fn present_clearance_m(
+        &self,
+        present: &Configuration,
+        obstacles: &ObstacleSet,
+        led_m: f64,
+    ) -> f64 {
+        if self.policy.reference_lead_ns == 0 || !led_m.is_finite() {
+            return led_m;
+        }
+        let body = self.robot.body(present);
+        let clearances_m = obstacles
+            .iter()
+            .map(|known| body.clearance_m(&known.obstacle));
+        clearances_m.fold(f64::INFINITY, f64::min)
     }
 
     fn copy_plans(&self, record: &mut CycleRecord) {

@@ -8,6 +8,8 @@ use crate::handover::{CycleInputs, MeasurementUse, Policy, TimedMeasurement};
 
 /// A bend may be measured this much beyond its limit before it is a fault \[rad\]: sensor noise.
 const BEND_TOLERANCE_RAD: f64 = 0.05;
+/// Motors this near to the end of their way have arrived \[rad\].
+const ARRIVED_RAD: f64 = 1e-3;
 /// All bends below this are straight at once \[rad\].
 const HOME_EXACT_RAD: f64 = 1e-6;
 /// A robot whose bends are all within the tolerance for this long is straight, too: sensors have noise \[ns\].
@@ -82,6 +84,18 @@ impl RobotState {
     /// Where it is now: behind that where its motors are behind their commands.
     pub(super) fn present(&self) -> Configuration {
         self.estimator.present()
+    }
+
+    /// Whether its motors have come to where the commands lead them, as far as that is known.
+    pub(super) fn has_arrived(&self) -> bool {
+        let present = self.present();
+        let pairs = present
+            .as_slice()
+            .iter()
+            .zip(self.configuration().as_slice());
+        pairs
+            .into_iter()
+            .all(|(here, end)| (end - here).abs() < ARRIVED_RAD)
     }
 
     /// Where it is commanded to be.
@@ -178,9 +192,15 @@ impl RobotState {
         if self.tip_is_wrong || found == Plausibility::Jump {
             return MeasurementUse::Implausible;
         }
+        let Measurement::TipPosition(position_m) = measurement else {
+            return MeasurementUse::None;
+        };
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
-        self.estimator.correct(&self.robot, &measurement, age_s);
-        MeasurementUse::Used
+        if self.estimator.correct_tip(&self.robot, &position_m, age_s) {
+            MeasurementUse::Used
+        } else {
+            MeasurementUse::Implausible
+        }
     }
 
     /// How far the tip is measured beside where the bends place it (m).

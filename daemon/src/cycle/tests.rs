@@ -130,6 +130,14 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     let (_, far_m) = reversals(&mut blind);
     let mut trial = Trial::with(Interface::Position, flaws, "");
     trial.measures_tip = true;
+    // The bends are where they are measured, from the first cycle on.
+    let first = trial.turn();
+    let bends = trial.measured();
+    let pairs = first.configuration.as_slice().iter().zip(bends.as_slice());
+    assert!(
+        pairs.into_iter().all(|(a, b)| (a - b).abs() < 1e-9),
+        "{bends:?}"
+    );
     let (_, near_m) = reversals(&mut trial);
     println!("{far_m} m, {near_m} m");
     // On a circle of 0.2 m at 0.3 m/s what the model is off by changes by 0.1 m/s.
@@ -162,6 +170,19 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         (MeasurementUse::Repeated, before_m)
     );
     assert!(matches!(after.mode, Mode::Tracking { .. }));
+    // It stands still while the robot goes on: what it says is no news.
+    trial.measures_tip = true;
+    trial.turn();
+    let before_m = trial.turn().tip_offset_m;
+    trial.frozen_tip_m = Some(trial.plant.tip_m());
+    let frozen = trial.turns(200);
+    assert_eq!(frozen.tip_use, MeasurementUse::Implausible);
+    assert!(
+        (frozen.tip_offset_m - before_m).norm() < 2e-3,
+        "{before_m} {}",
+        frozen.tip_offset_m
+    );
+    trial.frozen_tip_m = None;
     // It jumps for good: not used before a reset.
     trial.measures_tip = true;
     trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
@@ -172,6 +193,39 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     trial.turns(100);
     trial.ask(Request::Reset);
     assert_eq!(trial.turns(5).tip_use, MeasurementUse::Used);
+}
+
+/// Each simulated robot tracks behind either interface, and rests when commands run out.
+#[test]
+fn every_simulated_robot_tracks_and_rests_without_commands() {
+    for preset in Preset::ALL {
+        for interface in [Interface::Position, Interface::Velocity] {
+            let mut trial = Trial::simulated(interface, preset);
+            trial.turns(3);
+            trial.begin_tracking();
+            let tracked = trial.turns(1200);
+            assert!(
+                matches!(tracked.mode, Mode::Tracking { .. }),
+                "{preset:?} {interface:?} {:?}",
+                tracked.mode
+            );
+            let error_m = (tracked.tip.position_m - tracked.reference.position_m).norm();
+            assert!(error_m < 0.02, "{preset:?} {interface:?}: {error_m} m");
+            // Nobody commands for two seconds; then it stands, whatever it was told last.
+            let after = trial.cycle(400);
+            let later = trial.cycle(1);
+            let moved = after
+                .present
+                .as_slice()
+                .iter()
+                .zip(later.present.as_slice());
+            let moved_rad = moved.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(
+                moved_rad < 0.05,
+                "{preset:?} {interface:?}: {moved_rad} rad"
+            );
+        }
+    }
 }
 
 /// Reversals of the rates on a circle, and the largest distance to it.

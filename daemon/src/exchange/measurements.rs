@@ -71,13 +71,9 @@ impl Measurements {
         arrival: Arrival,
     ) -> Result<Outcome, Refused> {
         let timed = self.checked(message, robot, arrival)?;
-        if !self.driver.is_bound_to(message.header.sender_id) {
-            // What another driver measured does not say what this one does.
-            self.newest_tip = None;
-            self.newest
-                .take_if(|newest| !is_tip(newest) && is_tip(&timed));
-        }
-        let has_bends = self.newest.as_ref().is_some_and(|newest| !is_tip(newest));
+        // What another driver measured does not say what this one does.
+        let is_bound = self.driver.is_bound_to(message.header.sender_id);
+        let has_bends = is_bound && self.newest.as_ref().is_some_and(|newest| !is_tip(newest));
         let newest = if has_bends && is_tip(&timed) {
             &mut self.newest_tip
         } else {
@@ -87,6 +83,9 @@ impl Measurements {
             return Ok(Outcome::Stale);
         }
         *newest = Some(timed);
+        if !is_bound {
+            self.newest_tip = None;
+        }
         self.driver
             .hear(message.header.sender_id, arrival.gather_ns);
         Ok(Outcome::Accepted)

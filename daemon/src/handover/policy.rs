@@ -65,12 +65,14 @@ impl Policy {
             plausibility: PlausibilityRules {
                 jump_rad: config.safety.measurement_jump_rad,
                 jump_limit: config.safety.measurement_jump_limit,
-                frozen_rad: config.safety.measurement_frozen_rad,
+                // What is commanded comes later by the lead of the motors.
+                frozen_rad: config.safety.measurement_frozen_rad
+                    + lead_s(config) * fastest_rad_s(config),
             },
             following: FollowingRules {
                 warning_rad: config.safety.following_warning_rad,
                 fault_rad: config.safety.following_fault_rad,
-                lag_s: config.safety.following_lag_ms * 1e-3,
+                lag_s: config.safety.following_lag_ms * 1e-3 + lead_s(config),
             },
             stale_inputs_max_ns: stale_inputs_max_ns(config),
         }
@@ -106,6 +108,21 @@ impl Policy {
     pub fn tolerates(&self, level: u32) -> bool {
         !self.stops_on_misses() && level >= self.limits().miss_limit
     }
+}
+
+/// By how much the motors are known to be behind their commands \[s\].
+fn lead_s(config: &Config) -> f64 {
+    config.actuator.model().lead_s()
+}
+
+/// The largest rate of any section \[rad/s\].
+fn fastest_rad_s(config: &Config) -> f64 {
+    let rates = config
+        .robot
+        .sections
+        .iter()
+        .map(|section| section.rate_max_rad_s);
+    rates.fold(0.0, f64::max)
 }
 
 /// Without a limit of its own, a robot behind a driver has the default one, and a simulated robot has none: a first

@@ -1,4 +1,4 @@
-use std::ffi::OsStr;
+use std::ffi::{CString, OsStr};
 use std::fs::{DirBuilder, File, Permissions, TryLockError};
 use std::os::unix::ffi::OsStrExt;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
@@ -142,17 +142,27 @@ fn change(folder: &File, location: &Location, group_id: Option<u32>) -> Result<(
     Ok(())
 }
 
-/// Whether the folder holds nothing, but for empty folders, which it removes: a client that came before makes one.
+/// Whether the folder holds nothing, but for empty folders: a client that came before makes one. Those are removed, and only then.
 fn is_emptied(folder: &File) -> std::io::Result<bool> {
+    let mut names = Vec::new();
     for entry in Dir::read_from(folder)? {
-        let entry = entry?;
-        let name = entry.file_name();
-        let is_inside = ![c".", c".."].contains(&name);
-        if is_inside && unlinkat(folder, name, AtFlags::REMOVEDIR).is_err() {
+        let name = entry?.file_name().to_owned();
+        if ![c".", c".."].contains(&name.as_c_str()) {
+            names.push(name);
+        }
+    }
+    for name in &names {
+        let flags = OFlags::RDONLY | OFlags::DIRECTORY | OFlags::NOFOLLOW;
+        let Ok(inside) = openat(folder, name.as_c_str(), flags, Mode::empty()) else {
+            return Ok(false);
+        };
+        // Itself and the one above.
+        if Dir::read_from(&inside)?.count() > 2 {
             return Ok(false);
         }
     }
-    Ok(true)
+    let removed = |name: &CString| unlinkat(folder, name.as_c_str(), AtFlags::REMOVEDIR).is_ok();
+    Ok(names.iter().all(removed))
 }
 
 /// The refusal of a daemon that would change the folder under others, or cannot lock it.

@@ -46,6 +46,9 @@ _cdcr__bench() {
             cdcr__bench,rate)
                 cmd="cdcr__bench__subcmd__rate"
                 ;;
+            cdcr__bench,robustness)
+                cmd="cdcr__bench__subcmd__robustness"
+                ;;
             cdcr__bench,solver)
                 cmd="cdcr__bench__subcmd__solver"
                 ;;
@@ -56,7 +59,7 @@ _cdcr__bench() {
 
     case "${cmd}" in
         cdcr__bench)
-            opts="-h -V --help --version all compare deadline paper quality solver budget latency peer rate footprint"
+            opts="-h -V --help --version all compare deadline paper quality robustness solver budget latency peer rate footprint"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -85,7 +88,7 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --only)
-                    COMPREPLY=($(compgen -W "deadline latency rate footprint quality paper solver budget" -- "${cur}"))
+                    COMPREPLY=($(compgen -W "deadline latency rate footprint quality robustness paper solver budget" -- "${cur}"))
                     return 0
                     ;;
                 --config)
@@ -359,6 +362,32 @@ _cdcr__bench() {
                     return 0
                     ;;
                 --spin)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --format)
+                    COMPREPLY=($(compgen -W "text markdown json csv" -- "${cur}"))
+                    return 0
+                    ;;
+                --out)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                *)
+                    COMPREPLY=()
+                    ;;
+            esac
+            COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+            return 0
+            ;;
+        cdcr__subcmd__bench__subcmd__robustness)
+            opts="-h --seeds --format --out --help"
+            if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
+                COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
+                return 0
+            fi
+            case "${prev}" in
+                --seeds)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;

@@ -31,6 +31,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "compare" -d '
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "deadline" -d 'Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "paper" -d 'The paper\'s three simulations (spiral, line with orientation, circle with an obstacle) with every solver, beside the paper\'s figures'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "quality" -d 'What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on the paper\'s and on harder scenes, and how often a solver gets stuck'
+complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "robustness" -d 'Robots that are not their model (lag, noise, play, another geometry, a load): the true error of the tip, and what each part of the controller is for'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "solver" -d 'Solve times on every path of this processor, and how they grow with sections, steps, particles, iterations and obstacles'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "budget" -d 'How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never worse than the warm start'
 complete -c cdcr-bench -n "__fish_cdcr_bench_needs_command" -f -a "latency" -d 'How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone'
@@ -44,6 +45,7 @@ latency\t'How long messages take'
 rate\t'The shortest period that holds'
 footprint\t'Cores, memory, files, start-up'
 quality\t'What the time of a solve, the swarm and the horizon buy'
+robustness\t'Robots that are not their model'
 paper\t'The paper\'s simulations'
 solver\t'Times of a solve'
 budget\t'How late a solve ends after its budget'"
@@ -92,6 +94,13 @@ csv\t'Comma-separated values with a header'"
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick -d 'One round of a part of it: a look of some seconds, no measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -s h -l help -d 'Print help (see more with \'--help\')'
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l seeds -d 'Runs of each robot with each controller, each with other noise, 1 to 1000' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
+markdown\t'The same table for a page on the web'
+json\t'One JSON object'
+csv\t'Comma-separated values with a header'"
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l out -d 'Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if it does not exist' -r -F
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l rounds -d 'How often all sizes are measured, 1 to 100; a number is the median' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand solver" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 markdown\t'The same table for a page on the web'

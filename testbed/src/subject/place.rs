@@ -33,10 +33,13 @@ impl Place {
     pub fn new() -> Result<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
         sweep::sweep_once();
-        let prefix = sweep::place_name(std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
-        let in_memory = |part: &str| Path::new(Location::MEMORY).join(format!("{prefix}{part}"));
-        let location = Location::new(&prefix, &in_memory(ROOT)).context("the names of a place")?;
         loop {
+            let number = COUNT.fetch_add(1, Ordering::Relaxed);
+            let prefix = sweep::place_name(std::process::id(), number);
+            let in_memory =
+                |part: &str| Path::new(Location::MEMORY).join(format!("{prefix}{part}"));
+            let location =
+                Location::new(&prefix, &in_memory(ROOT)).context("the names of a place")?;
             let folder = tempfile::Builder::new().prefix(&prefix).tempdir();
             let folder = folder.context("a folder for temporary files")?;
             let locked = in_memory("lock");
@@ -47,9 +50,9 @@ impl Place {
                 file.with_context(|| format!("cannot write {}", locked.display()))?,
                 File::open(folder.path())?,
             ];
-            locks.iter().try_for_each(File::lock)?;
-            // A sweep of another container may have been faster than the locks.
-            if locked.exists() && folder.path().exists() {
+            // A process of the same number in another container may have it, or its sweep may have been faster.
+            let is_ours = locks.iter().all(|lock| lock.try_lock().is_ok());
+            if is_ours && locked.exists() && folder.path().exists() {
                 return Ok(Self {
                     location,
                     folder,

@@ -47,6 +47,8 @@ pub(super) struct Trial {
     pub(super) measures_tip: bool,
     /// So far beside \[m\].
     pub(super) tip_error_m: Vector3<f64>,
+    /// What it says, whatever is.
+    pub(super) frozen_tip_m: Option<Vector3<f64>>,
     pub(super) inputs: CycleInputs,
     trajectory: Trajectory,
     clock: Watch,
@@ -69,18 +71,29 @@ impl Trial {
 
     /// A robot with these flaws, and more lines of the configuration.
     pub(super) fn with(interface: Interface, flaws: Flaws, more: &str) -> Self {
+        Self::linked("kind = \"driver\"\n", interface, flaws, more)
+    }
+
+    /// A robot inside the daemon.
+    pub(super) fn simulated(interface: Interface, preset: Preset) -> Self {
+        let name = format!("{preset:?}").to_lowercase();
+        let link = format!("simulated = \"{name}\"\n");
+        Self::linked(&link, interface, Flaws::default(), "")
+    }
+
+    fn linked(link: &str, interface: Interface, flaws: Flaws, more: &str) -> Self {
         let name = match interface {
             Interface::Position => "position",
             Interface::Velocity => "velocity",
         };
-        let text = format!("[link]\nkind = \"driver\"\ninterface = \"{name}\"\n{more}");
+        let text = format!("[link]\n{link}interface = \"{name}\"\n{more}");
         let validated = Config::parse(&text, Path::new("trial")).unwrap();
         let mut inputs = CycleInputs::new(Settings::new(&validated.config));
         inputs.lease = LeaseState::Held;
         let straight = Configuration::straight(validated.robot.section_count());
         let sent_m = validated.robot.cable_lengths(&straight);
         Self {
-            cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
+            cycle: Cycle::new(&validated, RobotLink::new(&validated).unwrap()).unwrap(),
             trajectory: Trajectory::with_capacity(4096, validated.robot.reach_m()),
             plant: MisbehavingRobot::new(&validated.robot, &straight, flaws, 7).unwrap(),
             robot: validated.robot,
@@ -88,6 +101,7 @@ impl Trial {
             stands: false,
             measures_tip: false,
             tip_error_m: Vector3::zeros(),
+            frozen_tip_m: None,
             lead_ns: ns(validated.config.actuator.lead_ms()),
             inputs,
             clock: Watch::default(),
@@ -113,9 +127,22 @@ impl Trial {
         });
         if self.measures_tip {
             self.inputs.tip = Some(TimedMeasurement {
-                measurement: Measurement::TipPosition(self.plant.measure_tip() + self.tip_error_m),
+                measurement: Measurement::TipPosition(
+                    self.frozen_tip_m
+                        .unwrap_or_else(|| self.plant.measure_tip() + self.tip_error_m),
+                ),
                 measured_ns: release_ns - MEASURED_BEFORE_NS,
             });
+        }
+    }
+
+    /// The bends of the newest measurement, moved on to the cycle as an ideal robot is: it has not moved yet.
+    pub(super) fn measured(&self) -> Configuration {
+        match self.inputs.measurement.map(|timed| timed.measurement) {
+            Some(Measurement::CableLengths(lengths)) => {
+                self.robot.bend_from_cable_lengths(&lengths)
+            }
+            other => unreachable!("{other:?}"),
         }
     }
 
