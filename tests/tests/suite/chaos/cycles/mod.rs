@@ -10,8 +10,8 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use cdcr_shared_types::codes::{Mode, Reason};
 
+use crate::chaos::asked;
 use crate::chaos::records::Seen;
-use crate::chaos::{asked, seed};
 use world::World;
 
 /// Cycles of a run: a second and a half of 5 ms.
