@@ -9,6 +9,9 @@ use crate::chaos::{Verdict, ensure};
 /// What rounding may do to a rate \[rad/s\].
 const TOLERANCE_RAD_S: f64 = 1e-9;
 
+/// Motors this near to the end of their way have arrived \[rad\].
+const ARRIVED_RAD: f64 = 1e-3;
+
 /// Checks the rates of a record that holds, is stopped, faulted or starting against the ones before: all shrink
 /// by one factor, the fastest by deceleration · period. The clearance guard and the limits may shorten them more, and
 /// nothing makes a component larger.
@@ -50,6 +53,12 @@ pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> Verdict {
     if !(same && is_known && rests(before) && rests(record)) {
         return Ok(());
     }
+    // After a reset control begins when the motors have come to the end of their way, too.
+    let mut ways = before.bend_rad.iter().zip(&before.present_rad);
+    let has_arrived = ways.all(|(end, here)| (end - here).abs() < ARRIVED_RAD);
+    if record.mode == Mode::Holding.code() && !has_arrived {
+        return Ok(());
+    }
     let bits = |record: &Telemetry| record.commanded_rad.map(f64::to_bits);
     ensure(bits(before) == bits(record), || {
         format!(
@@ -73,6 +82,11 @@ mod tests {
         let mut record = before;
         assert_eq!(check_rest(&before, &record), Ok(()));
         record.commanded_rad[3] = 1e-300;
+        assert!(check_rest(&before, &record).is_err());
+        // Where its motors still run, control may begin; but not in Stopped.
+        before.present_rad[3] = 0.01;
+        assert_eq!(check_rest(&before, &record), Ok(()));
+        (before.mode, record.mode) = (Mode::Stopped.code(), Mode::Stopped.code());
         assert!(check_rest(&before, &record).is_err());
         // On its way, or after a reset, it may.
         before.previous_rate_rad_s[0] = 0.1;
