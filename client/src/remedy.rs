@@ -40,6 +40,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::Waits => {
             "Start the program that sends the obstacles again, or forget them all: cdcrctl obstacle clear."
         }
+        Outcome::TooFar => {
+            "Bring the tip nearer first, with cdcrctl goto or home, or set motion.approach to \"smooth\"."
+        }
         Outcome::Busy => "Wait a moment and try again.",
         Outcome::Stale => "Use one connection for each sender, and count its messages up.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",

@@ -316,6 +316,8 @@ wire_enum! {
         OtherDriver = 23: "another driver has the robot",
         /// The robot waits, though nothing is broken; it may be asked again.
         Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
+        /// The reference is farther from the tip than `motion.approach_distance_m`.
+        TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",
     }
 }
 

@@ -65,12 +65,14 @@ pub use services::{
 };
 pub use settings::SolverSettings;
 pub use status::{LatencySummary, RobotDescription, SectionDescription, Statistics, Status};
-pub use telemetry::{InputEvent, ReferenceSample, SchedulingReport, SolverReport, Telemetry};
+pub use telemetry::{
+    Approach, InputEvent, ReferenceSample, SchedulingReport, SolverReport, Telemetry,
+};
 
 use message::Layout;
 
 /// Every message and every part of one, each before those that hold it.
-pub const LAYOUTS: [&Layout; 21] = [
+pub const LAYOUTS: [&Layout; 22] = [
     Header::LAYOUT,
     ReferencePoint::LAYOUT,
     ReferenceChunk::LAYOUT,
@@ -88,6 +90,7 @@ pub const LAYOUTS: [&Layout; 21] = [
     Status::LAYOUT,
     InputEvent::LAYOUT,
     ReferenceSample::LAYOUT,
+    Approach::LAYOUT,
     SolverReport::LAYOUT,
     SchedulingReport::LAYOUT,
     Telemetry::LAYOUT,

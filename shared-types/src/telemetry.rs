@@ -43,6 +43,22 @@ message! {
         state: u32 [code ReferenceState],
     }
 
+    /// The smooth way to a reference that begins elsewhere than the tip is. What the plan follows at a time t is the reference plus what
+    /// is left of tip minus reference at the beginning: with s = (t - begin) / duration, `offset_m` (1 - 10 s³ + 15 s⁴ - 6 s⁵)
+    /// \+ `velocity_m_s` duration (s - 6 s³ + 8 s⁴ - 3 s⁵). All zero where the reference itself is followed.
+    pub struct Approach "cdcr.Approach.v1" {
+        /// Release at which it began \[ns\].
+        begin_ns: u64,
+        /// How long it takes \[ns\].
+        duration_ns: u64,
+        /// Tip minus reference at the beginning \[m\].
+        offset_m: [f64; 3],
+        /// The same of their velocities \[m/s\].
+        velocity_m_s: [f64; 3],
+        /// Rotation from the reference's orientation to the tip's at the beginning, axis times angle \[rad\].
+        turn_rad: [f64; 3],
+    }
+
     /// What the solver did in one cycle. All zero in cycles that did not solve.
     pub struct SolverReport "cdcr.SolverReport.v1" {
         /// Cost of the solution, in the scale of the weights.
@@ -98,7 +114,7 @@ message! {
     ///
     /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
     /// in the order that the events of the records tell; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v3" {
+    pub struct Telemetry "cdcr.Telemetry.v4" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -208,6 +224,8 @@ message! {
         report: SolverReport,
         /// Reference at the release.
         reference: ReferenceSample,
+        /// The way to it that the plan follows.
+        approach: Approach,
         /// Bend vector at the release \[rad\]: behind `bend_rad` by what the motors are behind their commands.
         present_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
         /// The tip as it was measured beside bends or cables \[m\]; zero when it was not.

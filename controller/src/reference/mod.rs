@@ -1,15 +1,20 @@
 //! The reference: time-stamped tip poses, buffered ahead of time and interpolated.
 //!
 //! [`Trajectory`] is what clients feed; [`ReferenceWindow`] is what one solve looks at: the reference
-//! at the release and at each step of the horizon.
+//! at the release and at each step of the horizon. [`FollowedReference`] is what the tip is led along: the same, but for
+//! the [`Approach`] at its beginning.
 //!
 //! Invariant: nothing here knows where points come from. Times are nanoseconds of one clock that the
 //! caller chooses; nothing allocates after construction.
 
+mod approach;
+mod followed;
 mod interpolation;
 mod trajectory;
 mod window;
 
+pub use approach::{Approach, ApproachLimits};
+pub use followed::{FollowedReference, GridPoint};
 pub use trajectory::{APART_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
 

@@ -17,6 +17,7 @@ pub struct Trajectory {
     reach_m: f64,
     /// Of no other trajectory with other points.
     revision: u64,
+    replacements: u64,
 }
 
 /// The next revision of any trajectory.
@@ -63,6 +64,7 @@ impl Trajectory {
             capacity,
             reach_m,
             revision: next_revision(),
+            replacements: 0,
         }
     }
 
@@ -84,7 +86,13 @@ impl Trajectory {
         self.points.clear();
         self.points.extend(points);
         self.revision = next_revision();
+        self.replacements += 1;
         Ok(())
+    }
+
+    /// How often it began anew: what was sampled before may go on elsewhere.
+    pub(super) fn replacements(&self) -> u64 {
+        self.replacements
     }
 
     /// Continues after the last point.

@@ -22,6 +22,7 @@ pub struct ReferenceWindow {
     /// The same ahead by the lead; not filled where that is 0.
     led: Box<[ReferenceSample]>,
     has_lead: bool,
+    replacements: u64,
     made_of: MadeOf,
 }
 
@@ -44,6 +45,7 @@ impl Default for ReferenceWindow {
             led: samples.clone(),
             samples,
             has_lead: false,
+            replacements: 0,
             made_of: MadeOf::default(),
         }
     }
@@ -92,6 +94,7 @@ impl ReferenceWindow {
             release_ns,
         };
         let known = self.keep(&made_of);
+        self.replacements = trajectory.replacements();
         self.first_cycle = first_cycle;
         let slack = Self::slack(period_ns);
         self.count = horizon_steps.min(HORIZON_STEPS_MAX) + 1 + slack;
@@ -130,6 +133,11 @@ impl ReferenceWindow {
             self.led.copy_within(passed..self.count, 0);
         }
         self.count - passed
+    }
+
+    /// How often the trajectory began anew before it was sampled.
+    pub fn replacements(&self) -> u64 {
+        self.replacements
     }
 
     /// The cycle of the first sample.

@@ -137,6 +137,9 @@ pub enum Refusal {
     /// No reference lies ahead.
     #[error("there is no reference ahead")]
     NoReference,
+    /// The reference is farther from the tip than it may be approached from.
+    #[error("the reference is too far from the tip")]
+    TooFar,
     /// The cause of the fault still stands.
     #[error("the cause of the fault still stands")]
     CauseStands,
@@ -170,6 +173,8 @@ pub struct Observation {
     pub measured: bool,
     /// Where this release lies relative to the reference.
     pub reference: ReferenceState,
+    /// Whether it is too far from the tip to be tracked.
+    pub too_far: bool,
     /// The reference lease.
     pub lease: LeaseState,
     /// Whether the robot is straight.
@@ -330,6 +335,7 @@ impl ModeMachine {
         match seen.reference {
             _ if seen.lease != LeaseState::Held => Err(Refusal::NoLease),
             ReferenceState::None | ReferenceState::Ended => Err(Refusal::NoReference),
+            ReferenceState::Before | ReferenceState::Inside if seen.too_far => Err(Refusal::TooFar),
             ReferenceState::Before | ReferenceState::Inside => {
                 self.mode = Mode::Tracking { begun: false };
                 Ok(())

@@ -45,7 +45,7 @@ pub use estimator::EstimatorConfig;
 pub use explain::explain;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind};
-pub use motion::{MotionConfig, REST_MAX_S};
+pub use motion::{ApproachKind, MotionConfig, REST_MAX_S};
 pub use obstacles::{ObstaclesConfig, SourceSilent};
 pub use origin::{Origin, Origins};
 pub use realtime::{RealtimeConfig, RealtimeMode};

@@ -1,7 +1,24 @@
+use cdcr_controller::reference::ApproachLimits;
 use serde::{Deserialize, Serialize};
 
 /// Time that a robot has to come to rest when the process ends \[s\]. The unit gives the process a little more.
 pub const REST_MAX_S: f64 = 10.0;
+
+/// How a reference is reached that begins elsewhere than the tip is, or in motion.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum ApproachKind {
+    /// As `Smooth`; the ideal simulated robot as `Direct`.
+    #[default]
+    Auto,
+    /// Along a smooth path within the limits of the approach.
+    Smooth,
+    /// As fast as the other limits allow.
+    Direct,
+    /// As `Smooth`, and not at all from farther away than `approach_distance_m`.
+    Refuse,
+}
 
 cdcr_controller::parameters! {
     /// Motions that the daemon makes by itself.
@@ -19,10 +36,45 @@ cdcr_controller::parameters! {
         /// Home is reached when the robot is exactly straight, or when all components of the bend stay below this for
         /// 0.1 s, {range}. Choose more than the noise of your sensors.
         home_tolerance_rad: f64 = 0.01, in 1e-6..=1.0;
+        /// How a reference is reached that begins elsewhere than the tip is, or in motion, or replaces another one. "smooth": what the tip
+        /// is beside it decays along a smooth path within the limits below, while the reference goes on. "direct": as fast as the
+        /// other limits allow, as in the paper. "refuse": as "smooth", but not tracked from farther away than approach_distance_m.
+        /// "auto": "smooth", and "direct" for the ideal simulated robot.
+        approach: ApproachKind = ApproachKind::Auto;
+        /// Largest speed that an approach adds to that of the reference, {range}.
+        approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0;
+        /// Largest acceleration that an approach adds to that of the reference, {range}. The tip turns towards an
+        /// orientation at home_rate_rad_s at most.
+        approach_acceleration_m_s2: f64 = 0.5, in 1e-3..=1e4;
+        /// With approach = "refuse": a reference that is farther from the tip than this when it shall be tracked is
+        /// refused, {range}.
+        approach_distance_m: f64 = 0.02, in 0.0..=100.0;
     }
 }
 
 impl MotionConfig {
     /// Largest acceleration of a robot behind a driver whose configuration has none \[rad/s²\].
     pub const ACCELERATION_RAD_S2: f64 = 40.0;
+
+    /// Limits of the approach of a robot that `is_ideal` or not; `None`: there is none.
+    pub fn approach_limits(&self, is_ideal: bool) -> Option<ApproachLimits> {
+        let is_direct = match self.approach {
+            ApproachKind::Auto => is_ideal,
+            ApproachKind::Direct => true,
+            ApproachKind::Smooth | ApproachKind::Refuse => false,
+        };
+        (!is_direct).then_some(ApproachLimits {
+            speed_m_s: self.approach_speed_m_s,
+            acceleration_m_s2: self.approach_acceleration_m_s2,
+            turn_rad_s: self.home_rate_rad_s,
+        })
+    }
+
+    /// A reference may be this far from the tip when it shall be tracked \[m\].
+    pub fn approach_distance_m(&self) -> f64 {
+        match self.approach {
+            ApproachKind::Refuse => self.approach_distance_m,
+            _ => f64::INFINITY,
+        }
+    }
 }

@@ -2,7 +2,7 @@
 
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::{SolveReport, SolveStatus};
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
+use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{Robot, Shape, quaternion_xyzw};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes;
@@ -103,6 +103,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         plan: record.plan,
         report: report(&record.report),
         reference: reference(&record.reference),
+        approach: approach(&record.approach),
         tip_position_m: record.tip.position_m.into(),
         tip_orientation: quaternion_xyzw(&record.tip.rotation),
         position_error_m: position_error_m(record),
@@ -141,6 +142,16 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         &mut telemetry.previous_rate_rad_s,
     );
     telemetry
+}
+
+fn approach(approach: &Approach) -> wire::Approach {
+    wire::Approach {
+        begin_ns: approach.begin_ns,
+        duration_ns: approach.duration_ns,
+        offset_m: approach.offset_m.into(),
+        velocity_m_s: approach.velocity_m_s.into(),
+        turn_rad: approach.turn_rad.into(),
+    }
 }
 
 /// Distance of tip and reference \[m\]; NaN without a reference.

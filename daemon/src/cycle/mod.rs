@@ -10,17 +10,14 @@
 mod state;
 mod warm_up;
 
-use cdcr_controller::nmpc::{
-    HORIZON_STEPS_MAX, Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus,
-};
+use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::ReferenceSample;
+use cdcr_controller::reference::{FollowedReference, GridPoint, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
     ramp_to_zero, safe_command,
 };
-use nalgebra::Vector3;
 
 use crate::accounting::Accounting;
 use crate::config::{Interface, Validated, ns};
@@ -75,8 +72,7 @@ pub struct Cycle {
     rates: BendRates,
     /// Those of this cycle, where they are when the robot is where its commands lead it.
     obstacles: Vec<Obstacle>,
-    /// Room for a reference that is moved back by what the tip is beside.
-    reference: [ReferenceSample; HORIZON_STEPS_MAX],
+    followed: FollowedReference,
 }
 
 impl Cycle {
@@ -123,7 +119,7 @@ impl Cycle {
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
             obstacles: Vec::with_capacity(OBSTACLES_MAX),
-            reference: [ReferenceSample::default(); HORIZON_STEPS_MAX],
+            followed: FollowedReference::new(policy.approach),
             robot: robot.clone(),
         })
     }
@@ -248,6 +244,7 @@ impl Cycle {
             following: *self.state.following().error(),
             previous_rates,
             reference,
+            approach: *self.followed.approach(),
             obstacles,
             settings: self.settings(),
             report,
@@ -337,6 +334,7 @@ impl Cycle {
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
+            too_far: self.is_too_far(reference),
             lease: inputs.lease,
             at_home: self.state.is_at_home(),
             misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
@@ -344,6 +342,12 @@ impl Cycle {
             wait: self.wait(inputs),
             fault: self.fault(measurement),
         }
+    }
+
+    /// Whether a reference is farther from the tip than it may be approached from.
+    fn is_too_far(&self, reference: &ReferenceSample) -> bool {
+        let most_m = self.policy.approach_distance_m;
+        most_m.is_finite() && (self.state.tip().position_m - reference.position_m).norm() > most_m
     }
 
     /// Why the robot should not move on, though nothing is broken.
@@ -424,6 +428,7 @@ impl Cycle {
             }
         };
         self.nmpc.forget_plan();
+        self.followed.forget();
         (rates, SolveReport::default())
     }
 
@@ -444,8 +449,15 @@ impl Cycle {
     ) -> (BendRates, SolveReport) {
         let settings = self.nmpc.settings();
         let steps = settings.horizon_steps as usize;
-        let ahead = inputs.window.ahead(release.cycle, steps);
-        let reference = beside(ahead, &self.state.tip_offset_m(), &mut self.reference);
+        let now = GridPoint {
+            cycle: release.cycle,
+            release_ns: release.release_ns,
+            period_ns: self.period_ns,
+        };
+        let (state, offset_m) = (&self.state, self.state.tip_offset_m());
+        let reference =
+            self.followed
+                .ahead(&inputs.window, now, steps, || state.tip_led(), &offset_m);
         let input = SolveInput {
             configuration: self.state.configuration(),
             previous_rates: &self.rates,
@@ -523,22 +535,6 @@ impl Cycle {
             record.warm_plan[..plan.len()].copy_from_slice(self.nmpc.warm_plan());
         }
     }
-}
-
-/// The reference of a tip that is `offset_m` beside where its bends place it.
-fn beside<'a>(
-    reference: &'a [ReferenceSample],
-    offset_m: &Vector3<f64>,
-    room: &'a mut [ReferenceSample],
-) -> &'a [ReferenceSample] {
-    if *offset_m == Vector3::zeros() {
-        return reference;
-    }
-    let room = &mut room[..reference.len()];
-    for (moved, sample) in room.iter_mut().zip(reference) {
-        *moved = sample.moved(&-offset_m);
-    }
-    room
 }
 
 #[cfg(test)]

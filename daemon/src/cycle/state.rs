@@ -210,7 +210,16 @@ impl RobotState {
 
     /// Where the tip is.
     pub(super) fn tip(&self) -> Pose {
-        let pose = self.robot.tip_pose(&self.present());
+        self.tip_at(&self.present())
+    }
+
+    /// Where the commands up to now lead the tip.
+    pub(super) fn tip_led(&self) -> Pose {
+        self.tip_at(self.configuration())
+    }
+
+    fn tip_at(&self, configuration: &Configuration) -> Pose {
+        let pose = self.robot.tip_pose(configuration);
         Pose {
             position_m: pose.position_m + self.tip_offset_m(),
             ..pose

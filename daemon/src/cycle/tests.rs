@@ -4,6 +4,7 @@
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
+mod approach;
 mod trial;
 
 use std::path::Path;
@@ -18,6 +19,9 @@ use crate::config::Config;
 use crate::handover::MeasurementUse;
 use crate::link::RobotLink;
 use trial::{PERIOD_S, Trial, Watch};
+
+/// A reference that is far away is gone to at once.
+const DIRECT: &str = "[motion]\napproach = \"direct\"\n";
 
 fn is_at_rest(record: &CycleRecord) -> bool {
     record.rates.as_slice().iter().all(|rate| *rate == 0.0)
@@ -126,9 +130,9 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         noise_m: 3e-5,
         ..Flaws::default()
     };
-    let mut blind = Trial::with(Interface::Position, flaws, "");
+    let mut blind = Trial::with(Interface::Position, flaws, DIRECT);
     let (_, far_m) = reversals(&mut blind);
-    let mut trial = Trial::with(Interface::Position, flaws, "");
+    let mut trial = Trial::with(Interface::Position, flaws, DIRECT);
     trial.measures_tip = true;
     // The bends are where they are measured, from the first cycle on.
     let first = trial.turn();
@@ -295,7 +299,7 @@ fn a_robot_that_does_not_follow_is_a_fault_and_a_reset_begins_where_it_is() {
 /// where the robot is once it rests.
 #[test]
 fn a_reset_on_the_ramp_does_not_step_the_commanded_position() {
-    let mut trial = Trial::new(Interface::Position);
+    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     trial.begin_tracking();
     // On its way to the first point, which is far from the straight robot.
@@ -351,7 +355,7 @@ fn positions_are_the_integral_of_the_speeds() {
 
 #[test]
 fn no_rate_grows_faster_than_the_acceleration() {
-    let mut trial = Trial::new(Interface::Position);
+    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), DIRECT);
     trial.turns(3);
     // The first point is far from the straight robot: without the limit it would be at its largest rates at once.
     trial.begin_tracking();

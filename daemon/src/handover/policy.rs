@@ -1,5 +1,6 @@
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::reference::ApproachLimits;
 use cdcr_controller::safety::{FollowingRules, PlausibilityRules};
 
 use crate::accounting::Limits;
@@ -24,6 +25,10 @@ pub struct Policy {
     pub reference_lead_ns: u64,
     /// Time constant with which the estimate follows what is measured \[s\].
     pub estimator_time_constant_s: f64,
+    /// How fast a reference is approached; `None`: it is followed at once.
+    pub approach: Option<ApproachLimits>,
+    /// A reference farther from the tip than this is not approached \[m\].
+    pub approach_distance_m: f64,
     /// How long after its release a command is valid \[ns\].
     pub command_valid_ns: u64,
     /// Deadline after the release \[ns\].
@@ -56,6 +61,8 @@ impl Policy {
             actuator: config.actuator.model(),
             reference_lead_ns: ns(config.actuator.lead_ms()),
             estimator_time_constant_s: estimator_time_constant_s(config),
+            approach: config.motion.approach_limits(config.link.is_ideal()),
+            approach_distance_m: config.motion.approach_distance_m(),
             command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),

@@ -1,5 +1,5 @@
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
-use cdcr_controller::reference::ReferenceSample;
+use cdcr_controller::reference::{Approach, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
 use cdcr_controller::safety::{FollowingError, LeaseState, LimitsHit, Mode};
 use nalgebra::Vector3;
@@ -92,6 +92,8 @@ pub struct CycleRecord {
     pub previous_rates: BendRates,
     /// Reference at the release.
     pub reference: ReferenceSample,
+    /// The way to it, as the plan followed it.
+    pub approach: Approach,
     /// The obstacles, where they are at the release.
     pub obstacles: ObstacleSet,
     /// Settings in force.

@@ -253,6 +253,24 @@ impl Trial {
         self.trajectory.replace(points).unwrap();
     }
 
+    /// A reference that moves evenly, from `begins_in_s` after now on.
+    pub(super) fn feed_line(
+        &mut self,
+        start_m: [f64; 3],
+        velocity_m_s: [f64; 3],
+        begins_in_s: f64,
+    ) {
+        const DURATION_S: f64 = 10.0;
+        let start_ns = BEGIN_NS + self.next * PERIOD_NS + (begins_in_s * 1e9) as u64;
+        let points = [0.0, DURATION_S].map(|time_s| ReferencePoint {
+            time_ns: start_ns + (time_s * 1e9) as u64,
+            position_m: Vector3::from(start_m) + Vector3::from(velocity_m_s) * time_s,
+            orientation: Orientation::Free,
+            interpolation: Interpolation::Linear,
+        });
+        self.trajectory.replace(points.into_iter()).unwrap();
+    }
+
     pub(super) fn begin_tracking(&mut self) {
         self.feed_circle(0.2, 20.0);
         let record = self.ask(Request::Track);

@@ -10,7 +10,7 @@ use cdcr_client::{
 };
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
-use cdcr_controller::reference::{ReferenceWindow, Trajectory};
+use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
 use cdcr_daemon::convert;
@@ -64,6 +64,16 @@ fn state_of(record: &Telemetry) -> (Configuration, BendRates) {
     (at, before)
 }
 
+fn approach_of(record: &Telemetry) -> Approach {
+    Approach {
+        begin_ns: record.approach.begin_ns,
+        duration_ns: record.approach.duration_ns,
+        offset_m: record.approach.offset_m.into(),
+        velocity_m_s: record.approach.velocity_m_s.into(),
+        turn_rad: record.approach.turn_rad.into(),
+    }
+}
+
 /// Computes the solve of a record again; the rates that it wants.
 fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> BendRates {
     let settings = convert::settings_from_wire(&record.settings).expect("they were in force");
@@ -85,11 +95,13 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
     );
     let (at, before) = state_of(record);
     let offset_m = Vector3::from(record.tip_offset_m);
-    let reference: Vec<_> = window
-        .ahead(record.cycle, steps)
-        .iter()
-        .map(|sample| sample.moved(&-offset_m))
-        .collect();
+    let approach = approach_of(record);
+    let samples = window.ahead(record.cycle, steps).iter().zip(1..);
+    let led = samples.map(|(sample, step)| {
+        let time_ns = record.release_ns + step * record.period_ns;
+        approach.led(sample, time_ns).moved(&-offset_m)
+    });
+    let reference: Vec<_> = led.collect();
     let input = SolveInput {
         configuration: &at,
         previous_rates: &before,
@@ -308,5 +320,7 @@ fn cycles_of_a_robot_whose_motors_lag_are_computed_again_bit_for_bit() {
         record.reference_lead_ns == 20_000_000 && record.present_rad != record.bend_rad
     };
     assert!(recording.records.iter().any(is_led));
+    let is_approached = |record: &Telemetry| record.approach.duration_ns > 0;
+    assert!(recording.records.iter().any(is_approached));
     recording.replay();
 }

@@ -1,0 +1,255 @@
+use nalgebra::{Rotation3, Unit, UnitQuaternion, Vector3};
+
+use super::{Orientation, ReferenceSample};
+use crate::robot::Pose;
+
+/// Largest speed of the quintic from rest to rest, over distance / duration: at its middle, 15/8.
+const SPEED_PEAK: f64 = 1.875;
+/// Largest acceleration of the same, over distance / duration²: 10/√3.
+const ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
+/// Largest acceleration of the quintic that ends a speed, over speed / duration: at s = (16 - √76) / 30.
+const BRAKING_PEAK: f64 = 3.944;
+
+/// How fast a reference is approached.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ApproachLimits {
+    /// Largest speed that the approach adds to that of the reference \[m/s\].
+    pub speed_m_s: f64,
+    /// Largest acceleration that the approach adds to that of the reference \[m/s²\].
+    pub acceleration_m_s2: f64,
+    /// How fast the tip turns at most towards an orientation that the reference asks for \[rad/s\].
+    pub turn_rad_s: f64,
+}
+
+/// The smooth way to a reference that begins elsewhere than the tip is, or in motion.
+///
+/// The reference goes on in its own time, and what the tip is beside it at the beginning decays to zero: along the
+/// quintic polynomial that begins with the tip's position and velocity, ends with the reference's, and has no
+/// acceleration of its own at either end. A quintic with given ends: L. Biagiotti, C. Melchiorri, *Trajectory Planning for
+/// Automatic Machines and Robots*, Springer 2008, §2.1.4.
+///
+/// Invariant: it holds all that it does in its fields, so that a cycle can be computed again from them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Approach {
+    /// When it began, on the clock of the releases \[ns\].
+    pub begin_ns: u64,
+    /// How long it takes \[ns\]; 0: the reference is followed at once.
+    pub duration_ns: u64,
+    /// Tip minus reference at the beginning \[m\].
+    pub offset_m: Vector3<f64>,
+    /// The same of their velocities \[m/s\].
+    pub velocity_m_s: Vector3<f64>,
+    /// Rotation from the reference's orientation to the tip's at the beginning, as axis times angle \[rad\].
+    pub turn_rad: Vector3<f64>,
+}
+
+impl Approach {
+    /// From a tip at `tip`, which moves with `velocity_m_s`, to a reference that is at `reference` at `begin_ns` and moves
+    /// with `reference_m_s`. None that would be over within `period_ns`, or that is not finite.
+    pub fn plan(
+        limits: &ApproachLimits,
+        begin_ns: u64,
+        (tip, velocity_m_s): (&Pose, &Vector3<f64>),
+        (reference, reference_m_s): (&ReferenceSample, &Vector3<f64>),
+        period_ns: u64,
+    ) -> Self {
+        let approach = Self {
+            begin_ns,
+            duration_ns: 0,
+            offset_m: tip.position_m - reference.position_m,
+            velocity_m_s: velocity_m_s - reference_m_s,
+            turn_rad: turn_rad(tip, &reference.orientation),
+        };
+        let duration_s = approach.shortest_s(limits);
+        if !duration_s.is_finite() || duration_s * 1e9 <= period_ns as f64 {
+            return Self::default();
+        }
+        Self {
+            duration_ns: (duration_s * 1e9).ceil() as u64,
+            ..approach
+        }
+    }
+
+    /// The shortest duration within the limits \[s\].
+    fn shortest_s(&self, limits: &ApproachLimits) -> f64 {
+        let (distance_m, speed_m_s) = (self.offset_m.norm(), self.velocity_m_s.norm());
+        // Both parts together: ACCELERATION_PEAK d / t² + BRAKING_PEAK v / t ≤ a.
+        let braking = BRAKING_PEAK * speed_m_s;
+        let most = limits.acceleration_m_s2;
+        let root = (braking * braking + 4.0 * most * ACCELERATION_PEAK * distance_m).sqrt();
+        let by_acceleration_s = (braking + root) / (2.0 * most);
+        let by_speed_s = SPEED_PEAK * distance_m / limits.speed_m_s;
+        let by_turn_s = SPEED_PEAK * self.turn_rad.norm() / limits.turn_rad_s;
+        by_acceleration_s.max(by_speed_s).max(by_turn_s)
+    }
+
+    /// Whether the reference itself is followed at `time_ns`.
+    pub fn is_over(&self, time_ns: u64) -> bool {
+        time_ns >= self.begin_ns.saturating_add(self.duration_ns)
+    }
+
+    /// What is followed at `time_ns` instead of the reference's `sample` of that time.
+    #[must_use]
+    pub fn led(&self, sample: &ReferenceSample, time_ns: u64) -> ReferenceSample {
+        if self.is_over(time_ns) {
+            return *sample;
+        }
+        let duration_s = self.duration_ns as f64 * 1e-9;
+        let s = time_ns.saturating_sub(self.begin_ns) as f64 / self.duration_ns as f64;
+        let left = offset_left(s);
+        let offset_m = self.offset_m * left + self.velocity_m_s * (speed_left(s) * duration_s);
+        let turn = UnitQuaternion::from_scaled_axis(self.turn_rad * left);
+        ReferenceSample {
+            state: sample.state,
+            position_m: sample.position_m + offset_m,
+            orientation: match sample.orientation {
+                Orientation::Free => Orientation::Free,
+                Orientation::Axis(axis) => Orientation::Axis(turn * axis),
+                Orientation::Full(rotation) => Orientation::Full(turn * rotation),
+            },
+        }
+    }
+}
+
+/// The quintic from 1 at rest to 0 at rest, without acceleration at its ends.
+fn offset_left(s: f64) -> f64 {
+    1.0 - s * s * s * (10.0 - s * (15.0 - 6.0 * s))
+}
+
+/// The quintic from 0 with slope 1 to 0 at rest, likewise.
+fn speed_left(s: f64) -> f64 {
+    s - s * s * s * (6.0 - s * (8.0 - 3.0 * s))
+}
+
+/// Rotation from what the reference asks for to what the tip has, as axis times angle \[rad\]. Exactly opposite axes
+/// have no shortest way between them: then none, and the solver finds one.
+fn turn_rad(tip: &Pose, wanted: &Orientation) -> Vector3<f64> {
+    let turn = match *wanted {
+        Orientation::Free => None,
+        Orientation::Axis(axis) => {
+            let tip_axis = Unit::new_normalize(tip.rotation * Vector3::z());
+            UnitQuaternion::rotation_between_axis(&axis, &tip_axis)
+        }
+        Orientation::Full(rotation) => {
+            let tip_rotation = Rotation3::from_matrix_unchecked(tip.rotation);
+            Some(UnitQuaternion::from_rotation_matrix(&tip_rotation) * rotation.inverse())
+        }
+    };
+    turn.map_or(Vector3::zeros(), |turn| turn.scaled_axis())
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const PERIOD_NS: u64 = 5_000_000;
+
+    fn pose(position_m: Vector3<f64>, turn_rad: Vector3<f64>) -> Pose {
+        Pose {
+            position_m,
+            rotation: UnitQuaternion::from_scaled_axis(turn_rad)
+                .to_rotation_matrix()
+                .into_inner(),
+        }
+    }
+
+    fn sample(position_m: Vector3<f64>, orientation: Orientation) -> ReferenceSample {
+        ReferenceSample {
+            position_m,
+            orientation,
+            ..ReferenceSample::default()
+        }
+    }
+
+    fn vector(most: f64) -> impl Strategy<Value = Vector3<f64>> {
+        [-most..most, -most..most, -most..most].prop_map(Vector3::from)
+    }
+
+    proptest! {
+        /// Beside a reference that goes on evenly, so that all acceleration is that of the approach.
+        #[test]
+        fn it_begins_with_the_tip_ends_with_the_reference_and_keeps_its_limits(
+            offset_m in vector(0.5),
+            velocity_m_s in vector(0.3),
+            speed_m_s in 0.01..0.5_f64,
+            acceleration_m_s2 in 0.1..5.0_f64,
+        ) {
+            let limits = ApproachLimits { speed_m_s, acceleration_m_s2, turn_rad_s: 0.5 };
+            let tip = pose(offset_m, Vector3::zeros());
+            let zero = Vector3::zeros();
+            let reference = sample(zero, Orientation::Free);
+            let approach = Approach::plan(&limits, 0, (&tip, &zero), (&reference, &-velocity_m_s), PERIOD_NS);
+            let at = |part: f64| {
+                let time_ns = (part * approach.duration_ns as f64).ceil() as u64;
+                // The offset alone.
+                approach.led(&sample(zero, Orientation::Free), time_ns).position_m
+            };
+            prop_assert!((at(0.0) - offset_m).norm() < 1e-12);
+            prop_assert_eq!(at(1.0), zero);
+            let duration_s = approach.duration_ns as f64 * 1e-9;
+            let step_s = duration_s / 1000.0;
+            let begin_m_s = (at(0.001) - at(0.0)) / step_s;
+            prop_assert!((begin_m_s - velocity_m_s).norm() < 0.01 * (acceleration_m_s2 * duration_s));
+            for k in 1..1000 {
+                let [before, here, after] = [k - 1, k, k + 1].map(|k| at(f64::from(k) * 1e-3));
+                let acceleration = (after - 2.0 * here + before).norm() / (step_s * step_s);
+                prop_assert!(acceleration <= 1.001 * acceleration_m_s2 + 1e-3, "{} at {}", acceleration, k);
+                let speed = (after - before).norm() / (2.0 * step_s);
+                prop_assert!(speed <= 1.001 * (speed_m_s + velocity_m_s.norm()), "{} at {}", speed, k);
+            }
+        }
+
+        #[test]
+        fn orientations_are_turned_from_the_tips_to_the_references(
+            tip_turn_rad in vector(1.5),
+            wanted_rad in vector(1.5),
+        ) {
+            let limits = ApproachLimits { speed_m_s: 0.1, acceleration_m_s2: 0.5, turn_rad_s: 0.5 };
+            let tip = pose(Vector3::zeros(), tip_turn_rad);
+            let wanted = UnitQuaternion::from_scaled_axis(wanted_rad);
+            let zero = Vector3::zeros();
+            let axis = wanted * Vector3::z_axis();
+            for orientation in [Orientation::Free, Orientation::Axis(axis), Orientation::Full(wanted)] {
+                let reference = sample(zero, orientation);
+                let approach = Approach::plan(&limits, 7, (&tip, &zero), (&reference, &zero), PERIOD_NS);
+                let begin = approach.led(&reference, 7).orientation;
+                match begin {
+                    Orientation::Free => prop_assert_eq!(approach.duration_ns, 0),
+                    Orientation::Axis(axis) => {
+                        prop_assert!((axis.into_inner() - tip.rotation * Vector3::z()).norm() < 1e-9);
+                    }
+                    Orientation::Full(rotation) => {
+                        let matrix = rotation.to_rotation_matrix().into_inner();
+                        prop_assert!((matrix - tip.rotation).norm() < 1e-9);
+                    }
+                }
+                let end_ns = 7 + approach.duration_ns;
+                prop_assert_eq!(approach.led(&reference, end_ns), reference);
+            }
+        }
+    }
+
+    #[test]
+    fn a_reference_that_begins_where_the_tip_is_at_rest_is_followed_at_once() {
+        let limits = ApproachLimits {
+            speed_m_s: 0.1,
+            acceleration_m_s2: 0.5,
+            turn_rad_s: 0.5,
+        };
+        let zero = Vector3::zeros();
+        for (offset_m, is_needed) in [(0.0, false), (1e-9, false), (1e-6, false), (1e-4, true)] {
+            let tip = pose(Vector3::new(offset_m, 0.0, 0.9), zero);
+            let reference = sample(Vector3::new(0.0, 0.0, 0.9), Orientation::Free);
+            let approach =
+                Approach::plan(&limits, 0, (&tip, &zero), (&reference, &zero), PERIOD_NS);
+            assert_eq!(approach.duration_ns > 0, is_needed, "{offset_m}");
+        }
+        // What is no number is left to those who watch for it.
+        let tip = pose(Vector3::new(f64::NAN, 0.0, 0.0), zero);
+        let reference = sample(zero, Orientation::Free);
+        let approach = Approach::plan(&limits, 0, (&tip, &zero), (&reference, &zero), PERIOD_NS);
+        assert_eq!(approach, Approach::default());
+    }
+}

@@ -1,0 +1,124 @@
+use nalgebra::Vector3;
+
+use super::{
+    Approach, ApproachLimits, HORIZON_STEPS_MAX, ReferenceSample, ReferenceState, ReferenceWindow,
+};
+use crate::robot::Pose;
+
+/// A release on the grid of the cycles.
+#[derive(Debug, Clone, Copy)]
+pub struct GridPoint {
+    /// Number of the cycle.
+    pub cycle: u64,
+    /// Its release \[ns\].
+    pub release_ns: u64,
+    /// Period \[ns\].
+    pub period_ns: u64,
+}
+
+/// What the tip is led along: the reference of the clients, and an approach where that begins elsewhere than the tip is, or
+/// in motion, or is replaced by another one.
+///
+/// Invariant: allocates nothing. Corners and jumps between the points of one trajectory are what its client wants; they are left
+/// as they are.
+#[derive(Debug, Clone)]
+pub struct FollowedReference {
+    /// None: the reference itself is followed, however it begins.
+    limits: Option<ApproachLimits>,
+    approach: Approach,
+    last: Option<Last>,
+    samples: [ReferenceSample; HORIZON_STEPS_MAX],
+}
+
+/// What was followed in the cycle before.
+#[derive(Debug, Clone, Copy)]
+struct Last {
+    velocity_m_s: Vector3<f64>,
+    state: ReferenceState,
+    replacements: u64,
+}
+
+impl FollowedReference {
+    /// With `limits` of the approach; `None`: without approach.
+    pub fn new(limits: Option<ApproachLimits>) -> Self {
+        Self {
+            limits,
+            approach: Approach::default(),
+            last: None,
+            samples: [ReferenceSample::default(); HORIZON_STEPS_MAX],
+        }
+    }
+
+    /// Nothing is followed any more: what comes next is approached anew.
+    pub fn forget(&mut self) {
+        self.last = None;
+        self.approach = Approach::default();
+    }
+
+    /// The approach of the cycle that was looked at last; of duration 0 where the reference itself is followed.
+    pub fn approach(&self) -> &Approach {
+        &self.approach
+    }
+
+    /// What to follow at the `steps` releases after `now`, by a tip that the commands up to now lead to `tip`, and that is
+    /// `offset_m` beside where the model places it. Positions are those that the model has to be led to. `tip` is asked
+    /// only where an approach may begin.
+    pub fn ahead<'a>(
+        &'a mut self,
+        window: &'a ReferenceWindow,
+        now: GridPoint,
+        steps: usize,
+        tip: impl FnOnce() -> Pose,
+        offset_m: &Vector3<f64>,
+    ) -> &'a [ReferenceSample] {
+        if let Some(limits) = self.limits {
+            self.plan(&limits, window, now, tip);
+        }
+        let reference = window.ahead(now.cycle, steps);
+        if self.approach.duration_ns == 0 && *offset_m == Vector3::zeros() {
+            return reference;
+        }
+        let samples = &mut self.samples[..reference.len()];
+        for ((followed, sample), step) in samples.iter_mut().zip(reference).zip(1..) {
+            let time_ns = now.release_ns + step * now.period_ns;
+            *followed = self.approach.led(sample, time_ns).moved(&-offset_m);
+        }
+        samples
+    }
+
+    /// Begins an approach where one is needed, and ends the one that is over.
+    fn plan(
+        &mut self,
+        limits: &ApproachLimits,
+        window: &ReferenceWindow,
+        now: GridPoint,
+        tip: impl FnOnce() -> Pose,
+    ) {
+        let [Some(first), second] = [0, 1].map(|i| window.ahead(now.cycle, 2).get(i)) else {
+            return;
+        };
+        let period_s = now.period_ns as f64 * 1e-9;
+        let next_ns = now.release_ns + now.period_ns;
+        let second = second.unwrap_or(first);
+        let reference_m_s = (second.position_m - first.position_m) / period_s;
+        let begins = self.last.is_none_or(|last| {
+            let starts_moving = last.state == ReferenceState::Before && last.state != first.state;
+            starts_moving || last.replacements != window.replacements()
+        });
+        if begins {
+            let velocity_m_s = self.last.map_or(Vector3::zeros(), |last| last.velocity_m_s);
+            let here = first.moved(&(-period_s * reference_m_s));
+            let (from, to) = ((&tip(), &velocity_m_s), (&here, &reference_m_s));
+            self.approach = Approach::plan(limits, now.release_ns, from, to, now.period_ns);
+        } else if self.approach.is_over(next_ns) {
+            self.approach = Approach::default();
+        }
+        let [here, there] = [(first, 0), (second, now.period_ns)]
+            .map(|(sample, later_ns)| self.approach.led(sample, next_ns + later_ns).position_m);
+        self.last = Some(Last {
+            velocity_m_s: (there - here) / period_s,
+            state: first.state,
+            replacements: window.replacements(),
+        });
+    }
+}

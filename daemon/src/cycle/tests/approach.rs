@@ -1,0 +1,99 @@
+//! A reference that begins elsewhere than the tip is, or in motion, is reached within the limits of the approach.
+
+use cdcr_controller::plant::Preset;
+use cdcr_controller::safety::{Refusal, Request};
+use nalgebra::Vector3;
+
+use super::super::*;
+use super::trial::{PERIOD_S, Trial};
+
+/// Of the defaults.
+const APPROACH_M_S: f64 = 0.1;
+const APPROACH_M_S2: f64 = 0.5;
+/// Encoders with 30 µm of noise move the estimate, and the tip with it.
+const NOISE_M_S: f64 = 0.02;
+const NOISE_M_S2: f64 = 8.0;
+
+fn trial(approach: &str) -> Trial {
+    let more = format!("[motion]\napproach = \"{approach}\"\n");
+    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), &more);
+    trial.turns(100);
+    trial
+}
+
+/// The commanded tip over `count` cycles \[m\].
+fn tips_m(trial: &mut Trial, count: u32) -> Vec<Vector3<f64>> {
+    let robot = trial.cycle.robot.clone();
+    let next = || robot.tip_position(&trial.turn().commanded);
+    core::iter::repeat_with(next).take(count as usize).collect()
+}
+
+/// Largest speed \[m/s\], and largest acceleration \[m/s²\].
+fn fastest(tips_m: &[Vector3<f64>]) -> (f64, f64) {
+    let velocities: Vec<_> = tips_m
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]) / PERIOD_S)
+        .collect();
+    let speeds = velocities.iter().map(|velocity| velocity.norm());
+    let changes = velocities
+        .windows(2)
+        .map(|pair| (pair[1] - pair[0]).norm() / PERIOD_S);
+    (speeds.fold(0.0, f64::max), changes.fold(0.0, f64::max))
+}
+
+/// 0.4 m beside the tip of the straight robot, and within its reach.
+const BESIDE_M: [f64; 3] = [0.2, -0.3, 0.7];
+const ALONG_M_S: [f64; 3] = [0.0, 0.05, 0.0];
+const SPEED_M_S: f64 = 0.05;
+
+fn is_gentle((speed_m_s, acceleration_m_s2): (f64, f64)) -> bool {
+    speed_m_s <= SPEED_M_S + APPROACH_M_S + NOISE_M_S
+        && acceleration_m_s2 <= APPROACH_M_S2 + NOISE_M_S2
+}
+
+#[test]
+fn a_reference_that_moves_elsewhere_is_reached_gently() {
+    for (begins_in_s, approach) in [
+        (0.0, "smooth"),
+        (0.5, "smooth"),
+        (0.0, "direct"),
+        (0.5, "direct"),
+    ] {
+        let mut trial = trial(approach);
+        trial.feed_line(BESIDE_M, ALONG_M_S, begins_in_s);
+        trial.ask(Request::Track);
+        let tips_m = tips_m(&mut trial, 1750);
+        let seen = fastest(&tips_m);
+        assert_eq!(is_gentle(seen), approach == "smooth", "{seen:?}");
+        let record = trial.turn();
+        assert_eq!(record.approach.duration_ns, 0, "it is over");
+        let error_m = (record.tip.position_m - record.reference.position_m).norm();
+        assert!(error_m < 0.002, "{error_m}");
+    }
+}
+
+#[test]
+fn a_reference_that_is_replaced_by_another_one_is_left_gently() {
+    let mut trial = trial("smooth");
+    trial.feed_line(BESIDE_M, ALONG_M_S, 0.0);
+    trial.ask(Request::Track);
+    let mut all_m = tips_m(&mut trial, 1000);
+    trial.feed_line([-0.3, 0.1, 0.7], [0.05, 0.0, 0.0], 0.0);
+    all_m.extend(tips_m(&mut trial, 1000));
+    let seen = fastest(&all_m);
+    assert!(is_gentle(seen), "{seen:?}");
+}
+
+#[test]
+fn with_refuse_a_reference_that_is_far_is_not_tracked_and_a_near_one_is() {
+    let mut trial = trial("refuse");
+    trial.feed_line(BESIDE_M, ALONG_M_S, 0.1);
+    let record = trial.ask(Request::Track);
+    assert_eq!(record.answers[0].unwrap().outcome, Err(Refusal::TooFar));
+    assert!(matches!(record.mode, Mode::Holding { .. }));
+    trial.feed_line([0.01, 0.0, 0.89], [0.0; 3], 0.1);
+    let record = trial.ask(Request::Track);
+    assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
+    let seen = fastest(&tips_m(&mut trial, 400));
+    assert!(is_gentle(seen), "{seen:?}");
+}
