@@ -13,11 +13,12 @@
 //! * [`Requester`] is the short way to that: it opens nothing else, so [`Requester::stop`] gets in where a
 //!   connection does not, and falls back to a signal.
 //! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client never reaches
-//!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; [`FileTrajectory`] reads CSV (feature
+//!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's, [`Straight`] is a way from rest to rest; [`FileTrajectory`] reads CSV (feature
 //!   `csv`); your own type may implement the trait.
 //! * [`Connection::telemetry`] is a [`Stream`] of one record per cycle, which counts what was lost;
 //!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
 //!   kept whole.
+//! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say.
 //! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
 //!   programs that do more than feed a curve.
 //!
@@ -73,6 +74,8 @@ mod judgement;
 mod lease;
 mod link_error;
 mod message;
+#[cfg(feature = "model")]
+pub mod model;
 mod obstacle_sender;
 mod outlet;
 mod reference_feed;
@@ -104,6 +107,6 @@ pub use request::RequestError;
 pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};
-pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Trajectory};
+pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory};
 #[cfg(feature = "csv")]
 pub use trajectory::{FileTrajectory, TrajectoryFileError};

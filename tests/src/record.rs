@@ -1,27 +1,13 @@
 //! A telemetry record as the controller sees it: the robot, its state, the obstacles around it.
 
-use cdcr_client::obstacles;
-use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, SectionParameters};
+use cdcr_client::{model, obstacles};
+use cdcr_controller::robot::{Configuration, Obstacle, Robot};
 use cdcr_daemon::convert;
-use cdcr_shared_types::{RobotDescription, SectionDescription, Telemetry};
+use cdcr_shared_types::{RobotDescription, Telemetry};
 
 /// The robot of a description.
 pub fn robot_of(description: &RobotDescription) -> Robot {
-    let used = &description.section[..description.sections as usize];
-    let section = |section: &SectionDescription| SectionParameters {
-        length_m: section.length_m,
-        cable_radius_m: section.cable_radius_m,
-        cable_offset_rad: section.cable_offset_rad,
-        bend_max_rad: section.bend_max_rad,
-        rate_max_rad_s: section.rate_max_rad_s,
-        body_radius_m: section.body_radius_m,
-    };
-    let parameters = RobotParameters {
-        sections: used.iter().map(section).collect(),
-        cable_speed_max_m_s: description.cable_speed_max_m_s,
-        cable_stroke_max_m: description.cable_stroke_max_m,
-    };
-    Robot::new(&parameters).expect("a robot that a daemon runs")
+    model::robot_of(description).expect("a robot that a daemon runs")
 }
 
 /// The obstacles of a record as plan and guard took them: where they are when the robot is where its commands lead it.

@@ -7,12 +7,14 @@ mod circle;
 mod file;
 mod line;
 mod spiral;
+mod straight;
 
 pub use circle::Circle;
 #[cfg(feature = "csv")]
 pub use file::{FileTrajectory, TrajectoryFileError};
 pub use line::Line;
 pub use spiral::Spiral;
+pub use straight::Straight;
 
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::OrientationKind;

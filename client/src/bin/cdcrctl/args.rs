@@ -2,6 +2,7 @@ pub(crate) mod complete;
 mod obstacle;
 mod reference;
 mod settings;
+mod straight;
 
 use std::path::PathBuf;
 use std::time::Duration;
@@ -18,6 +19,7 @@ pub(crate) use reference::{
     CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
+pub(crate) use straight::{GotoOptions, JogOptions, StraightArguments};
 
 /// Feeds references to cdcrd, the controller of cable-driven continuum robots, asks it for things and
 /// shows what it does.
@@ -112,6 +114,14 @@ pub(crate) enum Task {
     /// Feed a reference to the daemon, ahead of time
     #[command(after_help = "Example:\n  cdcrctl ref spiral --track")]
     Ref(RefOptions),
+    /// Move the tip to a point, along a straight way from rest to rest, and hold there
+    #[command(
+        after_help = "Examples:\n  cdcrctl goto 0.1,0.05,0.8\n  cdcrctl goto 0.1,0.05,0.8 --dry-run     whether it can be reached, and what it takes"
+    )]
+    Goto(GotoOptions),
+    /// Move the tip by so much from where it is, along a straight way, and hold there
+    #[command(after_help = "Example:\n  cdcrctl jog 0,0,-0.01 --speed 0.01")]
+    Jog(JogOptions),
     /// Ask the daemon to follow the reference that a client feeds; waits for one at most 2 s
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,

@@ -5,19 +5,22 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
-    PAPER_SECTION_M, Spiral, Trajectory, section_lengths_m,
+    PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
 };
 use cdcr_shared_types::codes::RequestKind;
 
 use crate::Done;
 use crate::args::{
     CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
-    Target,
+    StraightArguments, Target,
 };
 use crate::bar::Bar;
+use crate::dry_run;
 use crate::interrupt::Interrupt;
 use crate::tip_error::TipError;
 
+/// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
+const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
 const FAR: f64 = 10.0;
 
@@ -25,30 +28,74 @@ const FAR: f64 = 10.0;
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
     check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;
-    let interrupt = Interrupt::catch()?;
-    let bar = Bar::new(trajectory.name());
-    let mut error = TipError::default();
-    let report = connection
-        .feed(&*trajectory, feed_options(arguments))?
-        .run(|event| {
-            match event {
-                FeedEvent::Scheduled { start_ns } => error.start_ns = start_ns,
-                FeedEvent::Record(record) => error.take(record),
-                FeedEvent::Progress(progress) => bar.show(&progress),
-                _ => {}
-            }
-            if interrupt.is_raised() {
-                ControlFlow::Break(())
-            } else {
-                ControlFlow::Continue(())
-            }
-        })?;
-    drop(bar);
-    let done = finish(&connection, trajectory.name(), &report)?;
+    if arguments.dry_run {
+        dry_run::run(
+            &connection,
+            &*trajectory,
+            arguments.max_error.unwrap_or(MISSED_M),
+        )?;
+        return Ok(Done::Good);
+    }
+    let (done, error) = follow(&connection, &*trajectory, feed_options(arguments))?;
     if done == Done::Good {
         error.tell(arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// `cdcrctl goto …`, `cdcrctl jog …`: to the point that `end_m` makes of where the tip is.
+pub(crate) fn go(
+    target: &Target,
+    arguments: &StraightArguments,
+    end_m: impl Fn([f64; 3]) -> [f64; 3],
+) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    let status = connection.status(Duration::from_secs(1))?;
+    let tip_m = status.tip_position_m;
+    let (speed, acceleration) = (arguments.speed, arguments.acceleration);
+    let way = Straight::new(tip_m, end_m(tip_m), speed, acceleration);
+    check_unit(&way, section_lengths_m(&status.robot).iter().sum())?;
+    if arguments.dry_run {
+        dry_run::run(&connection, &way, arguments.max_error)?;
+        return Ok(Done::Good);
+    }
+    dry_run::check(&connection, &way, arguments.max_error)?;
+    let options = FeedOptions {
+        track: true,
+        ..FeedOptions::default()
+    };
+    let (done, error) = follow(&connection, &way, options)?;
+    if done == Done::Good {
+        error.tell_end(arguments.max_error)?;
+    }
+    Ok(done)
+}
+
+/// Feeds a trajectory, and watches the tip.
+fn follow(
+    connection: &Connection,
+    trajectory: &dyn Trajectory,
+    options: FeedOptions,
+) -> anyhow::Result<(Done, TipError)> {
+    let interrupt = Interrupt::catch()?;
+    let bar = Bar::new(trajectory.name());
+    let mut error = TipError::default();
+    let report = connection.feed(trajectory, options)?.run(|event| {
+        match event {
+            FeedEvent::Scheduled { start_ns } => error.start_ns = start_ns,
+            FeedEvent::Record(record) => error.take(record),
+            FeedEvent::Progress(progress) => bar.show(&progress),
+            _ => {}
+        }
+        if interrupt.is_raised() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    })?;
+    drop(bar);
+    let done = finish(connection, trajectory.name(), &report)?;
+    Ok((done, error))
 }
 
 /// Refuses a reference in millimetres. The daemon would refuse it, too, without a guess at the reason.

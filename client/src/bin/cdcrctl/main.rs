@@ -7,6 +7,7 @@
 mod args;
 mod bar;
 mod demo;
+mod dry_run;
 mod echo;
 mod feed;
 mod incidents;
@@ -63,6 +64,10 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
     match &arguments.task {
         Task::Demo(options) => demo::run(options),
         Task::Ref(options) => feed::run(target, options),
+        Task::Goto(options) => feed::go(target, &options.way, |_| options.point),
+        Task::Jog(options) => feed::go(target, &options.way, |tip_m| {
+            core::array::from_fn(|i| tip_m[i] + options.by[i])
+        }),
         Task::Track => request::run(target, RequestKind::Track, None),
         Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
         Task::Home(options) => request::run(target, RequestKind::Home, options.wait),

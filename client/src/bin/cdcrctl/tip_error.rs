@@ -4,11 +4,15 @@ use anyhow::{Context, bail};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, ReferenceState};
 
-/// How far the tip was from the reference while the robot tracked it.
+/// How far the tip was from the reference while the robot tracked it. The approach counts for itself.
 #[derive(Debug, Default)]
 pub(crate) struct TipError {
     /// Records of before are about another reference \[ns\].
     pub(crate) start_ns: u64,
+    period_ns: u64,
+    /// Until the tip was led along the reference itself.
+    approach_cycles: u64,
+    approach_max_m: f64,
     cycles: u64,
     sum_m: f64,
     max_m: f64,
@@ -20,7 +24,14 @@ impl TipError {
     pub(crate) fn take(&mut self, record: &Telemetry) {
         let is_tracking = record.mode == Mode::Tracking.code();
         let is_inside = record.reference.state == ReferenceState::Inside.code();
-        if is_tracking && is_inside && record.release_ns >= self.start_ns {
+        if !is_tracking || record.release_ns < self.start_ns {
+            return;
+        }
+        if record.approach.duration_ns > 0 {
+            self.approach_cycles += 1;
+            self.approach_max_m = self.approach_max_m.max(record.position_error_m);
+            self.period_ns = record.period_ns;
+        } else if is_inside {
             self.cycles += 1;
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
@@ -30,6 +41,14 @@ impl TipError {
 
     /// Says what it was, and fails where it was larger than `limit_m`.
     pub(crate) fn tell(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
+        if self.approach_cycles > 0 {
+            let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
+            writeln!(
+                std::io::stdout(),
+                "approached in {seconds:.2} s from {:.1} mm",
+                1e3 * self.approach_max_m
+            )?;
+        }
         if self.cycles > 0 {
             let mean_m = self.sum_m / self.cycles as f64;
             let [mean, max, last] = [mean_m, self.max_m, self.final_m].map(|m| 1e3 * m);
@@ -40,6 +59,19 @@ impl TipError {
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
+    }
+
+    /// Says how near the tip came to the end, and fails where that is farther than `limit_m`.
+    pub(crate) fn tell_end(&self, limit_m: f64) -> anyhow::Result<()> {
+        if self.cycles == 0 {
+            bail!("no cycle tracked the way: see cdcrctl status");
+        }
+        let [end, limit] = [self.final_m, limit_m].map(|m| 1e3 * m);
+        if self.final_m > limit_m {
+            bail!("the tip stays {end:.3} mm away, more than --max-error, {limit:.3} mm");
+        }
+        writeln!(std::io::stdout(), "the tip is {end:.3} mm from the point")?;
+        Ok(())
     }
 
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {
@@ -93,6 +125,20 @@ mod tests {
             (3, 0.003, 0.001)
         );
         assert!((error.sum_m - 0.006).abs() < 1e-15);
+    }
+
+    #[test]
+    fn an_approach_is_no_error() {
+        let mut error = TipError::default();
+        let mut record = record(Mode::Tracking, ReferenceState::Inside, 1, 0.1);
+        record.approach.duration_ns = 7;
+        record.period_ns = 5_000_000;
+        error.take(&record);
+        assert_eq!(
+            (error.cycles, error.approach_cycles, error.approach_max_m),
+            (0, 1, 0.1)
+        );
+        assert!(error.tell(Some(0.2)).is_err(), "nothing was tracked yet");
     }
 
     #[test]

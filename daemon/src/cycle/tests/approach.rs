@@ -34,7 +34,7 @@ fn fastest(tips_m: &[Vector3<f64>]) -> (f64, f64) {
         .windows(2)
         .map(|pair| (pair[1] - pair[0]) / PERIOD_S)
         .collect();
-    let speeds = velocities.iter().map(|velocity| velocity.norm());
+    let speeds = velocities.iter().map(Vector3::norm);
     let changes = velocities
         .windows(2)
         .map(|pair| (pair[1] - pair[0]).norm() / PERIOD_S);

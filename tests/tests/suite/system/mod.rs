@@ -13,6 +13,7 @@ mod feeding;
 mod lease;
 mod lifecycle;
 mod modes;
+mod motions;
 mod obstacles;
 mod program;
 mod reconnect;

@@ -39,11 +39,15 @@ pub(crate) struct FeedArguments {
     /// Ask for tracking as soon as the first chunk is in
     #[arg(long)]
     pub(crate) track: bool,
+    /// Move nothing: say how near the robot comes to the reference, and what rate, acceleration, cable stroke and
+    /// clearance it takes; fail when a point is missed by more than --max-error, 1 mm without it
+    #[arg(long, conflicts_with = "track")]
+    pub(crate) dry_run: bool,
     /// How the daemon interpolates between the points: straight lines, or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest error of the tip: fail when it is larger in any cycle, or nothing was tracked; with its unit,
-    /// 2mm or 0.002m
+    /// Largest error of the tip: fail when it is larger in any cycle after the approach, or nothing was tracked; with its
+    /// unit, 2mm or 0.002m
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// How long after now the reference begins

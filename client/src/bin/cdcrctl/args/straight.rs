@@ -1,0 +1,40 @@
+use clap::Args;
+
+use crate::value::{self, Vector};
+
+/// How a straight way is gone.
+#[derive(Debug, Args)]
+pub(crate) struct StraightArguments {
+    /// Largest speed of the tip, in m/s
+    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value = "0.05")]
+    pub(crate) speed: f64,
+    /// Largest acceleration of the tip, in m/s²
+    #[arg(long, value_name = "M/S2", value_parser = value::positive, default_value = "0.5")]
+    pub(crate) acceleration: f64,
+    /// Largest error at the end: fail when the tip stays farther from the point than this; with its unit, 2mm or 0.002m
+    #[arg(long, value_name = "LENGTH", value_parser = value::length_m, default_value = "2mm")]
+    pub(crate) max_error: f64,
+    /// Move nothing: say what the motion would ask of the robot, and whether it can be reached
+    #[arg(long)]
+    pub(crate) dry_run: bool,
+}
+
+/// Options of `goto`.
+#[derive(Debug, Args)]
+pub(crate) struct GotoOptions {
+    /// Where the tip shall be, in m in the base frame
+    #[arg(value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) point: Vector,
+    #[command(flatten)]
+    pub(crate) way: StraightArguments,
+}
+
+/// Options of `jog`.
+#[derive(Debug, Args)]
+pub(crate) struct JogOptions {
+    /// How far the tip shall move from where it is, in m in the base frame
+    #[arg(value_name = "DX,DY,DZ", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) by: Vector,
+    #[command(flatten)]
+    pub(crate) way: StraightArguments,
+}

@@ -1,0 +1,76 @@
+//! Motions that a person asks for: to a point, by so much, along a reference, and all of it without moving.
+
+use cdcr_tests::{Daemon, PATIENT, text};
+
+const LABORATORY: &str = "[link]\nsimulated = \"laboratory\"\n";
+
+fn says(daemon: &Daemon, line: &str, status: i32) -> String {
+    let arguments: Vec<_> = line.split_whitespace().collect();
+    let output = daemon.place().cdcrctl(&arguments);
+    assert_eq!(
+        output.status.code(),
+        Some(status),
+        "{line}: {}",
+        text(&output)
+    );
+    text(&output)
+}
+
+fn tip_m(daemon: &Daemon) -> [f64; 3] {
+    let status = daemon.connect().status(cdcr_tests::PATIENCE);
+    status.expect("it runs").tip_position_m
+}
+
+fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+    squares.sum::<f64>().sqrt()
+}
+
+#[test]
+fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reached() {
+    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    let start_m = tip_m(&daemon);
+    let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0,0,0.95"];
+    assert!(says(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
+    assert!(says(&daemon, away, 1).contains("not reachable"));
+    assert!(says(&daemon, "jog 0,0,0.5 --dry-run", 1).contains("not reachable"));
+    assert!(says(&daemon, "goto 50,20,870", 1).contains("are these millimetres?"));
+    assert!(distance_m(tip_m(&daemon), start_m) < 0.002, "nothing moved");
+
+    let fast = "--speed 0.2 --acceleration 2";
+    says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
+    let there_m = tip_m(&daemon);
+    assert!(
+        distance_m(there_m, [0.05, 0.02, 0.87]) < 0.002,
+        "{there_m:?}"
+    );
+    says(&daemon, &format!("jog 0.02,-0.04,-0.01 {fast}"), 0);
+    let by_m = tip_m(&daemon);
+    assert!(distance_m(by_m, [0.07, -0.02, 0.86]) < 0.004, "{by_m:?}");
+}
+
+#[test]
+fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
+    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    let reachable = says(&daemon, "ref spiral --dry-run", 0);
+    for word in [
+        "first point",
+        "tip error",
+        "rate",
+        "acceleration",
+        "cable stroke",
+    ] {
+        assert!(reachable.contains(word), "{reachable}");
+    }
+    assert!(!reachable.contains("clearance"), "there is no obstacle");
+    says(
+        &daemon,
+        "obstacle add --id 1 --at 0.2,0,0.4 --radius 0.02",
+        0,
+    );
+    assert!(says(&daemon, "ref spiral --dry-run", 0).contains("clearance"));
+    assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
+    // What is approached from far is followed well from then on.
+    let spiral = says(&daemon, "ref spiral --track --max-error 3mm", 0);
+    assert!(spiral.contains("approached in"), "{spiral}");
+}
