@@ -5,8 +5,9 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use cdcr_bench::benchmark::{Benchmark, defaults};
 use cdcr_bench::latency::baseline::PEER;
-use cdcr_bench::latency::{LatencyOptions, Leg, run};
+use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
 
@@ -23,9 +24,9 @@ fn every_way_is_measured_in_every_round() {
     let options = LatencyOptions {
         rounds: 2,
         samples: 10,
-        ..LatencyOptions::default()
+        ..defaults()
     };
-    let report = run(&options, &mut Progress::silent()).unwrap();
+    let report = options.run(&mut Progress::silent()).unwrap();
     let json = report.json();
     let row = |leg: Leg| &json["legs"][leg as usize];
     let samples = |leg: Leg| {

@@ -3,9 +3,9 @@
 use std::collections::HashSet;
 use std::path::Path;
 
+use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
-use cdcr_bench::paper;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::{Start, dataset_bundle};
 use cdcr_bench::simulation::{Effort, Simulation, run};
@@ -18,7 +18,9 @@ const QUICK: Effort = Effort {
 };
 
 fn report() -> Dataset {
-    paper::run(&QUICK, &mut Progress::silent()).expect("all experiments run")
+    QUICK
+        .run(&mut Progress::silent())
+        .expect("all experiments run")
 }
 
 fn rows(report: &Dataset) -> Vec<Value> {
@@ -97,7 +99,8 @@ fn every_experiment_has_numbers_of_its_own_for_every_seed() {
         seeds: 2,
         cycles_max: 2,
     };
-    let metrics = paper::run(&effort, &mut Progress::silent())
+    let metrics = effort
+        .run(&mut Progress::silent())
         .expect("all run")
         .metrics;
     let names: HashSet<&str> = metrics.iter().map(|metric| &*metric.name).collect();
