@@ -423,19 +423,6 @@ mod tests {
     }
 
     #[test]
-    fn one_size_is_measured_on_every_path() {
-        let size = Size::paper(Task::Spiral { sections: 1 }, Solver::KpsoRefined);
-        let cases = measure(&size).expect("measured");
-        assert_eq!(cases.len(), Simd::available().count());
-        assert!((cases[0].speedup_vs_scalar - 1.0).abs() < 1e-12);
-        assert!(
-            cases
-                .iter()
-                .all(|case| case.p50_us > 0.0 && case.p50_us <= case.p99_us)
-        );
-    }
-
-    #[test]
     fn rows_are_medians_and_every_round_is_kept() {
         let case = |sections: usize, p50_us: f64| Case {
             solver: Solver::Kpso,

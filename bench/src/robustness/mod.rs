@@ -39,6 +39,20 @@ const COLUMNS: [Column; 11] = [
     word("reached", "reached"),
 ];
 
+/// What the parts of the controller are for, one robot a line.
+const COMPARISON: [Column; 8] = [
+    word("robot", "name"),
+    fixed("full", "full", 3),
+    fixed("no actuator model", "no actuator model", 3),
+    fixed("no estimator", "no estimator", 3),
+    fixed("no tip", "no tip", 3),
+    fixed("open loop", "open loop", 3),
+    fixed("wanted", "target_mm", 2),
+    word("reached", "reached"),
+];
+
+/// Cycles of which the largest error is drawn.
+const DRAWN_CYCLES: usize = 10;
 /// What a run takes, about \[s\].
 const RUN_S: f64 = 0.12;
 
@@ -99,6 +113,7 @@ impl Benchmark for RobustnessOptions {
             caption: "Error of the tip in truth, position interface, the first seed.",
             svg: sheet(&panels, 2, 420)?,
         });
+        dataset.sheets.push(comparison(&rows));
         let title = "Robots that are not their model, on a figure eight";
         let sheet = Sheet::new(&rows)?.key("scenarios").file("robustness");
         dataset.sheets.push(sheet.table(title, &COLUMNS));
@@ -125,6 +140,21 @@ fn ball() -> Result<[Obstacle; 1]> {
     let centre_m = Vector3::new(0.37, 0.0, 0.7);
     let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros());
     Ok([ball.context("the ball")?])
+}
+
+/// The mean error of every robot with each controller behind the position interface, from the rows of a result.
+pub fn comparison(rows: &[Value]) -> Sheet {
+    let mut robots: Vec<Value> = Vec::new();
+    for row in rows.iter().filter(|row| row["interface"] == "position") {
+        if row["controller"] == "full" {
+            robots.push(row.clone());
+        }
+        if let (Some(robot), Some(controller)) = (robots.last_mut(), row["controller"].as_str()) {
+            robot[controller] = row["mean_error_mm"].clone();
+        }
+    }
+    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off";
+    Sheet::of(title, &COMPARISON, robots)
 }
 
 /// One line: a robot with a controller, over all seeds.
@@ -155,8 +185,10 @@ fn row(scenario: &Scenario, control: Control, interface: &str, runs: &[FigureEig
 
 /// The error over time of a first run, a panel for each robot.
 fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &FigureEightRun) {
-    let points = run.errors_mm().iter().enumerate();
-    let points = points.map(|(cycle, mm)| (cycle as f64 * FigureEight::PERIOD_S, *mm));
+    let most = |errors_mm: &[f64]| errors_mm.iter().copied().fold(0.0, f64::max);
+    let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();
+    let time_s = |part: usize| (part * DRAWN_CYCLES) as f64 * FigureEight::PERIOD_S;
+    let points = parts.map(|(part, errors_mm)| (time_s(part), most(errors_mm)));
     let curve = Curve::line(control.name(), points.collect(), control.colour());
     if control == Control::Full {
         panels.push(Panel {

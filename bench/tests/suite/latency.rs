@@ -65,41 +65,6 @@ fn every_way_is_measured_in_every_round() {
     assert_eq!(report.plots.len(), 1);
 }
 
-#[test]
-fn the_program_prints_csv_and_takes_another_period() {
-    let output = program()
-        .args([
-            "latency",
-            "--rounds",
-            "1",
-            "--samples",
-            "5",
-            "--period",
-            "10ms",
-            "--format",
-            "csv",
-        ])
-        .output()
-        .unwrap();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    let mut reader = csv::Reader::from_reader(output.stdout.as_slice());
-    let heads = reader.headers().unwrap().clone();
-    for name in [
-        "leg",
-        "from",
-        "to",
-        "samples",
-        "latency_us_p50",
-        "latency_us_p999",
-        "rounds_us_p99",
-    ] {
-        assert!(heads.iter().any(|head| head == name), "{name} in {heads:?}");
-    }
-    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), Leg::ALL.len());
-}
-
 /// A peer at `place` whose parent is, so it is told, the process `parent`.
 fn start_peer(place: &Place, parent: &str) -> Child {
     program()
