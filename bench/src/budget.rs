@@ -13,6 +13,7 @@ use cdcr_controller::robot::BendRates;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
+use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
 use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, percent, plain, word};
@@ -51,56 +52,53 @@ const COLUMNS: [Column; 11] = [
     plain("worse than warm start", "worse_than_warm_start"),
 ];
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, clap::Args)]
 pub struct BudgetOptions {
+    /// How often all budgets are measured, 1 to 100; a time is the median, the largest of all.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// Solves of each case with each budget in each round.
+    /// Solves of each case with each budget in a round, 1 to 1000000.
+    #[arg(long, default_value_t = 2000, value_parser = clap::value_parser!(u64).range(1..=1_000_000))]
     pub solves: u64,
 }
 
-impl BudgetOptions {
-    pub fn full() -> Self {
-        Self {
-            rounds: 3,
-            solves: 700,
-        }
+impl Benchmark for BudgetOptions {
+    fn of_report(quick: bool) -> Self {
+        let (rounds, solves) = if quick { (1, 50) } else { (3, 700) };
+        Self { rounds, solves }
     }
 
-    pub fn quick() -> Self {
-        Self {
-            rounds: 1,
-            solves: 50,
-        }
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
     }
-}
 
-pub fn expected_s(options: &BudgetOptions) -> f64 {
-    let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, options.solves));
-    f64::from(options.rounds) * CASES as f64 * budgets.sum::<f64>()
+    fn expected_s(&self) -> f64 {
+        let budgets = BUDGETS_US.iter().map(|us| of_budget_s(*us, self.solves));
+        f64::from(self.rounds) * CASES as f64 * budgets.sum::<f64>()
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let cases = cases()?;
+        let mut rounds = Vec::new();
+        for round in 1..=self.rounds {
+            let mut rows = Vec::new();
+            for case in &cases {
+                for budget_us in BUDGETS_US {
+                    interrupt::check()?;
+                    progress.begin(&format!("round {round} of {}", self.rounds));
+                    rows.push(case.measure(budget_us, self.solves)?);
+                    progress.advance(of_budget_s(budget_us, self.solves));
+                }
+            }
+            rounds.push(rows);
+        }
+        dataset(&rounds)
+    }
 }
 
 /// Twice the budget: once without work.
 fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
-}
-
-/// Measures every case with every budget, round by round. A plan that costs more than the warm start is an error.
-pub fn run(options: &BudgetOptions, progress: &mut Progress) -> Result<Dataset> {
-    let cases = cases()?;
-    let mut rounds = Vec::new();
-    for round in 1..=options.rounds {
-        let mut rows = Vec::new();
-        for case in &cases {
-            for budget_us in BUDGETS_US {
-                interrupt::check()?;
-                progress.begin(&format!("round {round} of {}", options.rounds));
-                rows.push(case.measure(budget_us, options.solves)?);
-                progress.advance(of_budget_s(budget_us, options.solves));
-            }
-        }
-        rounds.push(rows);
-    }
-    dataset(&rounds)
 }
 
 /// Of the rows of each round, in the same order.
@@ -368,10 +366,5 @@ mod tests {
             (&2.0.into(), &90.0.into())
         );
         assert_eq!(dataset.metrics[1].rounds, [3.0, 1.0, 2.0]);
-    }
-
-    #[test]
-    fn the_cases_are_as_many_as_the_expectation_counts() {
-        assert_eq!(cases().expect("cases").len(), CASES);
     }
 }

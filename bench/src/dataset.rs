@@ -436,17 +436,4 @@ mod tests {
         assert!(sheet().markdown().ends_with("| b, c | - | 50.0 | - |\n"));
         assert!(sheet().html().contains("<td class=\"number\">50.0</td>"));
     }
-
-    #[test]
-    fn numbers_are_as_long_as_they_say_something() {
-        for (value, text) in [
-            (0.0, "0"),
-            (1.234_56, "1.23"),
-            (512.4, "512"),
-            (0.2, "0.2"),
-            (3e-7, "3.00e-7"),
-        ] {
-            assert_eq!(short(value), text);
-        }
-    }
 }

@@ -13,6 +13,7 @@
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
 //! | [`scene`], [`closed_loop`] | a robot tracking a curve, every cycle of it, without a daemon |
 //! | [`progress`] | how far a run is |
+//! | [`benchmark`] | what every benchmark is: options, about how long it takes, a run |
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
 //! | [`report`], `chart`, [`hlog`] | results as documents and one page, plots, raw latencies |
 //! | [`environment`] | the machine that a result comes from |
@@ -35,6 +36,7 @@
     )
 )]
 
+pub mod benchmark;
 pub mod budget;
 pub mod causes;
 mod chart;

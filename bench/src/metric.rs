@@ -73,14 +73,4 @@ mod tests {
         assert_eq!(range([9.0, 1.0, 4.0]), Some((1.0, 9.0)));
         assert_eq!(range([]), None);
     }
-
-    #[test]
-    fn what_is_not_finite_is_no_measurement() {
-        let rounds = [1.0, f64::NAN, f64::INFINITY, 2.0];
-        let metric = Metric::new("a", "µs", Better::Lower, rounds);
-        assert_eq!(
-            (&*metric.rounds, metric.median()),
-            (&[1.0, 2.0][..], Some(1.5))
-        );
-    }
 }

@@ -2,6 +2,7 @@
 
 use anyhow::Result;
 
+use crate::benchmark::Benchmark;
 use crate::dataset::{Column, Dataset, Sheet, fixed, plain, power, word};
 use crate::experiment::{Experiment, Task};
 use crate::interrupt;
@@ -79,34 +80,36 @@ const CIRCLE: [Column; 11] = [
     plain("paper's mean ms", "paper_mean_solve_ms"),
 ];
 
-pub const FULL: Effort = Effort {
-    seeds: 10,
-    cycles_max: u64::MAX,
-};
-/// One seed and the first cycles: errors say nothing then.
-pub const QUICK: Effort = Effort {
-    seeds: 1,
-    cycles_max: 50,
-};
-
-pub fn expected_s(effort: &Effort) -> f64 {
-    let share = effort.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
-    effort.all_work() as f64 * WORK_S * share
-}
-
-pub fn run(effort: &Effort, progress: &mut Progress) -> Result<Dataset> {
-    let unit_s = expected_s(effort) / effort.all_work() as f64;
-    let mut outcomes = Vec::new();
-    for experiment in Experiment::all() {
-        interrupt::check()?;
-        let (curve, solver) = (experiment.task.name(), experiment.solver.name());
-        progress.begin(&format!("{curve}, {solver}"));
-        let of_run_s = work(&experiment) as f64 * unit_s;
-        outcomes.push(simulation::run(experiment, *effort, || {
-            progress.advance(of_run_s);
-        })?);
+impl Benchmark for Effort {
+    /// Quick: one seed and the first cycles; errors say nothing then.
+    fn of_report(quick: bool) -> Self {
+        let (seeds, cycles_max) = if quick { (1, 50) } else { (10, u64::MAX) };
+        Self { seeds, cycles_max }
     }
-    dataset(&outcomes)
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.seeds
+    }
+
+    fn expected_s(&self) -> f64 {
+        let share = self.cycles_max.min(CYCLES) as f64 / CYCLES as f64;
+        self.all_work() as f64 * WORK_S * share
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let unit_s = self.expected_s() / self.all_work() as f64;
+        let mut outcomes = Vec::new();
+        for experiment in Experiment::all() {
+            interrupt::check()?;
+            let (curve, solver) = (experiment.task.name(), experiment.solver.name());
+            progress.begin(&format!("{curve}, {solver}"));
+            let of_run_s = work(&experiment) as f64 * unit_s;
+            outcomes.push(simulation::run(experiment, *self, || {
+                progress.advance(of_run_s);
+            })?);
+        }
+        dataset(&outcomes)
+    }
 }
 
 fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {

@@ -91,24 +91,15 @@ impl Progress {
             return;
         }
         self.last_line = Some(Instant::now());
-        let share = if self.total_s > 0.0 {
-            (self.done_s / self.total_s).min(1.0)
-        } else {
-            0.0
-        };
+        let percent = 100.0 * (self.done_s / self.total_s.max(1e-9)).min(1.0);
         // What was counted goes by the clock of the measurement; what surrounds it takes time, too.
-        let slower = if self.done_s > 0.0 {
-            self.begun.elapsed().as_secs_f64() / self.done_s
-        } else {
-            1.0
+        let slower = match self.done_s {
+            0.0 => 1.0,
+            done_s => self.begun.elapsed().as_secs_f64() / done_s,
         };
         let left_s = (self.total_s - self.done_s).max(0.0) * slower;
-        let _ = writeln!(
-            std::io::stderr(),
-            "{:>3.0} %, {} left: {what}",
-            100.0 * share,
-            words(left_s)
-        );
+        let left = humantime::format_duration(Duration::from_secs(left_s.round() as u64));
+        let _ = writeln!(std::io::stderr(), "{percent:>3.0} %, {left} left: {what}");
     }
 }
 
@@ -124,15 +115,6 @@ fn milliseconds(seconds: f64) -> u64 {
     (seconds.max(0.0) * 1e3) as u64
 }
 
-fn words(seconds: f64) -> String {
-    let whole = seconds.round() as u64;
-    if whole < 60 {
-        format!("{whole} s")
-    } else {
-        format!("{} min {:02} s", whole / 60, whole % 60)
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,13 +127,5 @@ mod tests {
         // It failed after two of its twenty seconds.
         progress.begin_part("second", 10.0);
         assert!((progress.total_s - 12.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_measurement_that_takes_longer_never_ends_before_it_is_done() {
-        let mut progress = Progress::silent();
-        progress.advance(5.0);
-        progress.expect(-10.0);
-        assert!((progress.total_s - 5.0).abs() < 1e-12);
     }
 }

@@ -66,13 +66,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_has_no_quantiles() {
-        assert_eq!(Quantiles::of(&histogram().expect("bounds")), None);
-        assert_eq!(Quantiles::reported(&LatencySummary::default()), None);
-        assert_eq!(Quantiles::over_rounds(&[]), None);
-    }
-
-    #[test]
     fn they_are_those_of_the_values() {
         let mut times = histogram().expect("bounds");
         for us in 1..=1000 {

@@ -80,21 +80,26 @@ pub struct Run {
     pub solve_p50_us: f64,
 }
 
-#[derive(Debug, Clone, Copy)]
+/// How often and how far the paper's simulations are run.
+#[derive(Debug, Clone, Copy, clap::Args)]
 pub struct Effort {
-    /// Runs of each experiment, each with another seed.
-    pub seeds: u64,
+    /// Runs of each solver, each with another seed, 1 to 1000. kpso-refined draws the circle at least 20
+    /// times.
+    #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub seeds: u32,
+    /// Cycles of a run at most: for a quick look.
+    #[arg(long = "cycles", hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles_max: u64,
 }
 
 /// Seeds with which `kpso-refined` draws the circle at least, so that its clearance says something.
-const CLEARANCE_SEEDS: u64 = 20;
+const CLEARANCE_SEEDS: u32 = 20;
 
 impl Effort {
     pub fn runs(&self, experiment: &Experiment) -> u64 {
         match (experiment.task, experiment.solver) {
-            (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS),
-            _ => self.seeds,
+            (Task::Circle { .. }, Solver::KpsoRefined) => self.seeds.max(CLEARANCE_SEEDS).into(),
+            _ => self.seeds.into(),
         }
     }
 

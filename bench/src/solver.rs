@@ -16,6 +16,7 @@ use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde::Serialize;
 
+use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, ORANGE, PURPLE, Panel, Scale, sheet};
 use crate::closed_loop::ClosedLoop;
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
@@ -65,45 +66,45 @@ const COLUMNS: [Column; 11] = [
     fixed("speed-up", "speedup_vs_scalar", 1),
 ];
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct SolverOptions {
+    /// How often all sizes are measured, 1 to 100; a number is the median.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
+    #[arg(skip = sizes())]
     pub sizes: Vec<Size>,
 }
 
-impl SolverOptions {
-    pub fn full() -> Self {
-        Self {
-            rounds: 3,
-            sizes: sizes(),
-        }
-    }
-
-    pub fn quick() -> Self {
+impl Benchmark for SolverOptions {
+    fn of_report(quick: bool) -> Self {
         let mut sizes = sizes();
-        sizes.retain(|size| size.task == Task::Spiral { sections: 1 });
-        Self { rounds: 1, sizes }
+        sizes.retain(|size| !quick || size.task == Task::Spiral { sections: 1 });
+        let rounds = if quick { 1 } else { 3 };
+        Self { rounds, sizes }
     }
-}
 
-pub fn expected_s(options: &SolverOptions) -> f64 {
-    f64::from(options.rounds) * options.sizes.len() as f64 * SIZE_S
-}
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
 
-/// Measures all sizes on every path, round by round. Two paths that disagree are an error.
-pub fn run(options: &SolverOptions, progress: &mut Progress) -> Result<Dataset> {
-    let mut rounds = Vec::new();
-    for round in 1..=options.rounds {
-        let mut cases = Vec::new();
-        for size in &options.sizes {
-            interrupt::check()?;
-            progress.begin(&format!("round {round} of {}", options.rounds));
-            cases.extend(measure(size)?);
-            progress.advance(SIZE_S);
+    fn expected_s(&self) -> f64 {
+        f64::from(self.rounds) * self.sizes.len() as f64 * SIZE_S
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let mut rounds = Vec::new();
+        for round in 1..=self.rounds {
+            let mut cases = Vec::new();
+            for size in &self.sizes {
+                interrupt::check()?;
+                progress.begin(&format!("round {round} of {}", self.rounds));
+                cases.extend(measure(size)?);
+                progress.advance(SIZE_S);
+            }
+            rounds.push(cases);
         }
-        rounds.push(cases);
+        dataset(&rounds)
     }
-    dataset(&rounds)
 }
 
 /// Of the cases of each round, in the same order.
@@ -419,19 +420,6 @@ mod tests {
                 assert!(error_mm < 0.1, "{sections} sections: {error_mm} mm");
             }
         }
-    }
-
-    #[test]
-    fn one_size_is_measured_on_every_path() {
-        let size = Size::paper(Task::Spiral { sections: 1 }, Solver::KpsoRefined);
-        let cases = measure(&size).expect("measured");
-        assert_eq!(cases.len(), Simd::available().count());
-        assert!((cases[0].speedup_vs_scalar - 1.0).abs() < 1e-12);
-        assert!(
-            cases
-                .iter()
-                .all(|case| case.p50_us > 0.0 && case.p50_us <= case.p99_us)
-        );
     }
 
     #[test]

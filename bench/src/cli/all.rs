@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
 use cdcr_bench::progress::Progress;
-use cdcr_bench::report::benchmark::{Benchmark, Request};
+use cdcr_bench::report::benchmark::{Name, Request};
 use cdcr_bench::report::{BenchReport, Extent, Start};
 use cdcr_testbed::interrupt;
 use clap::ValueEnum;
@@ -30,7 +30,7 @@ pub(super) struct AllArguments {
     rounds: Option<u32>,
     /// Only these, separated by commas.
     #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
-    only: Vec<Benchmark>,
+    only: Vec<Name>,
     /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
     /// benchmarks choose their own, and with it no figure to reach is judged.
     #[arg(long, value_name = "FILE")]
@@ -70,7 +70,7 @@ fn request(args: &AllArguments) -> Request {
         },
         config: args.config.clone(),
         benchmarks: if args.only.is_empty() {
-            Benchmark::value_variants().to_vec()
+            Name::value_variants().to_vec()
         } else {
             args.only.clone()
         },

@@ -6,7 +6,9 @@ mod measure;
 mod output;
 
 use anyhow::Result;
-use cdcr_bench::{budget, deadline, footprint, latency, paper, quality, rate, robustness, solver};
+use cdcr_bench::{
+    budget, deadline, footprint, latency, quality, rate, robustness, simulation, solver,
+};
 use clap::{Parser, Subcommand};
 use measure::Measure;
 
@@ -34,42 +36,42 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
     #[command(after_help = DEADLINE_HELP)]
-    Deadline(Measure<measure::Deadline>),
+    Deadline(Measure<deadline::DeadlineOptions>),
     /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
     /// solver, beside the paper's figures.
     #[command(after_help = "Example: cdcr-bench paper --seeds 3 --out paper")]
-    Paper(Measure<measure::Paper>),
+    Paper(Measure<simulation::Effort>),
     /// What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on
     /// the paper's and on harder scenes, and how often a solver gets stuck.
     #[command(after_help = "Example: cdcr-bench quality --rounds 5 --out quality")]
-    Quality(Measure<measure::Quality>),
+    Quality(Measure<quality::QualityOptions>),
     /// Robots that are not their model (lag, noise, play, another geometry, a load): the true error of the tip, and what each part of the
     /// controller is for.
     #[command(after_help = "Example: cdcr-bench robustness --seeds 20 --out robustness")]
-    Robustness(Measure<measure::Robustness>),
+    Robustness(Measure<robustness::RobustnessOptions>),
     /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
     /// iterations and obstacles.
     #[command(after_help = "Example: cdcr-bench solver --format csv > solver.csv")]
-    Solver(Measure<measure::Solver>),
+    Solver(Measure<solver::SolverOptions>),
     /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
     /// worse than the warm start.
     #[command(after_help = "Example: cdcr-bench budget --format json > budget.json")]
-    Budget(Measure<measure::Budget>),
+    Budget(Measure<budget::BudgetOptions>),
     /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
     #[command(after_help = LATENCY_HELP)]
-    Latency(Measure<measure::Latency>),
+    Latency(Measure<latency::LatencyOptions>),
     /// The other process of `latency`.
     #[command(name = cdcr_bench::latency::baseline::PEER, hide = true)]
     Peer(measure::Peer),
     /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
     /// solver and two horizons, and what ends it.
     #[command(after_help = "Example: cdcr-bench rate --rounds 5 --out rate")]
-    Rate(Measure<measure::Rate>),
+    Rate(Measure<rate::RateOptions>),
     /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
     #[command(
         after_help = "Example: cdcr-bench footprint --duration 30s --format json > footprint.json"
     )]
-    Footprint(Measure<measure::Footprint>),
+    Footprint(Measure<footprint::FootprintOptions>),
 }
 
 /// Carries a command line out.
@@ -77,16 +79,16 @@ pub(crate) fn execute(cli: Cli) -> Result<()> {
     match cli.command {
         Command::All(options) => all::run(&options),
         Command::Compare(options) => compare::run(&options),
-        Command::Deadline(asked) => asked.run(deadline::expected_s, deadline::run),
-        Command::Paper(asked) => asked.run(paper::expected_s, paper::run),
-        Command::Quality(asked) => asked.run(quality::expected_s, quality::run),
-        Command::Robustness(asked) => asked.run(robustness::expected_s, robustness::run),
-        Command::Solver(asked) => asked.run(solver::expected_s, solver::run),
-        Command::Budget(asked) => asked.run(budget::expected_s, budget::run),
-        Command::Latency(asked) => asked.run(latency::expected_s, latency::run),
+        Command::Deadline(asked) => asked.run(),
+        Command::Paper(asked) => asked.run(),
+        Command::Quality(asked) => asked.run(),
+        Command::Robustness(asked) => asked.run(),
+        Command::Solver(asked) => asked.run(),
+        Command::Budget(asked) => asked.run(),
+        Command::Latency(asked) => asked.run(),
         Command::Peer(options) => options.run(),
-        Command::Rate(asked) => asked.run(rate::expected_s, rate::run),
-        Command::Footprint(asked) => asked.run(footprint::expected_s, footprint::run),
+        Command::Rate(asked) => asked.run(),
+        Command::Footprint(asked) => asked.run(),
     }
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
 use anyhow::{Context, Result};
+use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::{Bundle, Start, dataset_bundle, dataset_json};
@@ -48,16 +49,11 @@ impl Output {
     }
 
     /// Runs one benchmark with its progress, and delivers its result.
-    pub(super) fn measure<O>(
-        &self,
-        plan: impl FnOnce() -> Result<O>,
-        expected_s: fn(&O) -> f64,
-        run: fn(&O, &mut Progress) -> Result<Dataset>,
-    ) -> Result<()> {
+    pub(super) fn measure(&self, asked: impl Benchmark) -> Result<()> {
         self.prepare()?;
-        let options = plan()?;
-        let mut progress = Progress::new(expected_s(&options));
-        let dataset = run(&options, &mut progress)?;
+        let options = asked.resolved()?;
+        let mut progress = Progress::new(options.expected_s());
+        let dataset = options.run(&mut progress)?;
         drop(progress);
         self.deliver(&dataset)
     }

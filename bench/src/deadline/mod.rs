@@ -16,12 +16,15 @@ use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
+use clap::ValueEnum;
+
 pub use case::{Case, Cases, Key, Round};
 pub use observer::{Observed, Observer};
 pub use ratio::{Ratio, misses_p_value, ratios};
 pub use segment::{Runner, Segment, Subject};
 pub use tally::{Counts, Tally, Times};
 
+use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::load::Load;
@@ -45,90 +48,132 @@ named! {
     }
 }
 
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, clap::Args)]
 pub struct DeadlineOptions {
     /// Measured time of each subject under each load, all rounds together.
+    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
     pub duration: Duration,
+    /// What else the machine does meanwhile, on the cores of the client; several with commas. Without this
+    /// option, every load but stress-ng, one after the other.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "LOAD")]
+    pub load: Vec<Load>,
+    /// Rounds, in each of which every subject runs once under every load, 1 to 1000.
+    #[arg(long, default_value_t = 6, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub rounds: u32,
-    pub loads: Vec<Load>,
-    /// Loads without real time, a case of its own.
-    pub ordinary_loads: Vec<Load>,
-    /// Period of the loop \[ms\], if another one than the configuration's.
-    pub period_ms: Option<f64>,
-    /// Configuration of the daemon; none: the default, three sections.
+    /// Period of the loop, if another one than the configuration's.
+    #[arg(long, value_parser = humantime::parse_duration)]
+    pub period: Option<Duration>,
+    /// Configuration of the daemon; without it the default, three sections.
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
+    /// Which set-up of the threads.
+    #[arg(long, value_enum, default_value_t = Setups::Both)]
+    pub setup: Setups,
+    #[arg(skip)]
+    quick: bool,
 }
 
-impl Default for DeadlineOptions {
-    fn default() -> Self {
-        Self {
-            duration: Duration::from_secs(60),
-            rounds: 6,
-            loads: Load::OWN.to_vec(),
-            ordinary_loads: vec![Load::None, Load::CpuEverywhere],
-            period_ms: None,
-            config: None,
-        }
-    }
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Setups {
+    /// Real time under every load, and without it under the loads that show the difference best.
+    Both,
+    /// Only with real time.
+    Realtime,
+    /// Only without.
+    Ordinary,
 }
 
 impl DeadlineOptions {
-    /// A look that takes a minute and proves little.
-    pub fn quick() -> Self {
-        Self {
-            duration: Duration::from_secs(4),
-            rounds: 2,
-            loads: vec![Load::None, Load::Flood],
-            ordinary_loads: vec![Load::None],
-            ..Self::default()
-        }
-    }
-
     pub fn segment(&self) -> Duration {
         self.duration / self.rounds.max(1)
     }
 
-    fn setups(&self) -> [(Setup, &[Load]); 2] {
-        [
-            (Setup::Realtime, &self.loads),
-            (Setup::Ordinary, &self.ordinary_loads),
-        ]
+    /// The loads of a set-up; none when it is not measured.
+    fn loads(&self, setup: Setup) -> Vec<Load> {
+        let usual: &[Load] = match (setup, self.setup, self.quick) {
+            (Setup::Realtime, Setups::Ordinary, _) | (Setup::Ordinary, Setups::Realtime, _) => {
+                return Vec::new();
+            }
+            _ if !self.load.is_empty() => &self.load,
+            (Setup::Realtime, _, false) => &Load::OWN,
+            (Setup::Realtime, _, true) => &[Load::None, Load::Flood],
+            (Setup::Ordinary, _, false) => &[Load::None, Load::CpuEverywhere],
+            (Setup::Ordinary, _, true) => &[Load::None],
+        };
+        usual.to_vec()
     }
 }
 
-pub fn expected_s(options: &DeadlineOptions) -> f64 {
-    let realtime = if may_be_realtime() {
-        2 + usize::from(Cyclictest::find().is_some())
-    } else {
-        0
-    };
-    let loads = realtime * options.loads.len() + 2 * options.ordinary_loads.len();
-    let segment_s = options.segment().as_secs_f64() + WARM_UP.as_secs_f64() + AROUND_S;
-    segment_s * loads as f64 * f64::from(options.rounds)
-}
-
-pub fn run(options: &DeadlineOptions, progress: &mut Progress) -> Result<Dataset> {
-    ensure!(options.rounds > 0, "at least one round is needed");
-    for load in options.loads.iter().chain(&options.ordinary_loads) {
-        load.is_available()?;
-    }
-    let cores = Cores::find()?;
-    cores.stay_off();
-    let runner = Runner::new(options, cores)?;
-    let mut run = Run {
-        begin: Instant::now(),
-        is_realtime: !options.loads.is_empty() && runner.may_be_realtime(),
-        runner,
-        progress,
-        cases: Cases::new(),
-        failures: Vec::new(),
-    };
-    for round in 0..options.rounds {
-        for key in run.stretches(options, round) {
-            run.stretch(key, round, options.rounds)?;
+impl Benchmark for DeadlineOptions {
+    /// Quick: a look that takes a minute and proves little.
+    fn of_report(quick: bool) -> Self {
+        let all: Self = defaults();
+        if !quick {
+            return all;
+        }
+        Self {
+            duration: Duration::from_secs(4),
+            rounds: 2,
+            quick,
+            ..all
         }
     }
-    report::dataset(run, options)
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
+
+    fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
+        Some(&mut self.config)
+    }
+
+    fn resolved(self) -> Result<Self> {
+        ensure!(
+            self.setup != Setups::Realtime || may_be_realtime(),
+            "this user may not have real-time threads: see docs/realtime.md, or measure with --setup ordinary"
+        );
+        ensure!(
+            self.segment() >= Duration::from_secs(1),
+            "{:?} in {} rounds is less than a second for each: take a longer --duration or fewer --rounds",
+            self.duration,
+            self.rounds
+        );
+        Ok(self)
+    }
+
+    fn expected_s(&self) -> f64 {
+        let realtime = if may_be_realtime() {
+            2 + usize::from(Cyclictest::find().is_some())
+        } else {
+            0
+        };
+        let [with, without] = Setup::ALL.map(|setup| self.loads(setup).len());
+        let segment_s = self.segment().as_secs_f64() + WARM_UP.as_secs_f64() + AROUND_S;
+        segment_s * (realtime * with + 2 * without) as f64 * f64::from(self.rounds)
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        for load in Setup::ALL.iter().flat_map(|setup| self.loads(*setup)) {
+            load.is_available()?;
+        }
+        let cores = Cores::find()?;
+        cores.stay_off();
+        let runner = Runner::new(self, cores)?;
+        let mut run = Run {
+            begin: Instant::now(),
+            is_realtime: self.setup != Setups::Ordinary && runner.may_be_realtime(),
+            runner,
+            progress,
+            cases: Cases::new(),
+            failures: Vec::new(),
+        };
+        for round in 0..self.rounds {
+            for key in run.stretches(self, round) {
+                run.stretch(key, round, self.rounds)?;
+            }
+        }
+        report::dataset(run, self)
+    }
 }
 
 struct Run<'a> {
@@ -144,17 +189,17 @@ impl Run<'_> {
     /// What a round measures, in this order: another subject comes first in each round.
     fn stretches(&self, options: &DeadlineOptions, round: u32) -> Vec<Key> {
         let mut keys = Vec::new();
-        for (setup, loads) in options.setups() {
+        for setup in Setup::ALL {
             if setup == Setup::Realtime && !self.is_realtime {
                 continue;
             }
             let mut subjects = self.runner.subjects(setup);
             let count = subjects.len();
             subjects.rotate_left(round as usize % count);
-            for load in loads {
+            for load in options.loads(setup) {
                 let key = |subject: &Subject| Key {
                     setup,
-                    load: *load,
+                    load,
                     subject: *subject,
                 };
                 keys.extend(subjects.iter().map(key));

@@ -226,7 +226,7 @@ fn launch(options: &DeadlineOptions) -> Launch {
     let launch = Launch::patient(options.config.clone())
         .with("link.kind", "simulated")
         .with("realtime.cycle_priority", CYCLE_PRIORITY);
-    match options.period_ms {
+    match options.period.map(|period| period.as_secs_f64() * 1e3) {
         Some(period_ms) => launch
             .with("cycle.period_ms", period_ms)
             .with("cycle.gather_lead_ms", (0.35 * period_ms).min(0.2))

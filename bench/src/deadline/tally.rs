@@ -212,13 +212,4 @@ mod tests {
         assert_eq!(tally.counts.causes.load, 2);
         assert_eq!(tally.times.wake.len(), 14);
     }
-
-    #[test]
-    fn what_does_not_compute_has_no_response() {
-        let tally = Tally::of(&[cycle(20, 21, LateCause::None)], false).unwrap();
-        let quantiles = tally.quantiles();
-        assert!(quantiles.wake.is_some() && quantiles.response.is_none());
-        let json = serde_json::to_value(quantiles).unwrap();
-        assert!(json["response_us"].is_null(), "{json}");
-    }
 }

@@ -223,19 +223,63 @@ mod tests {
 
     #[test]
     fn a_machine_that_tells_is_understood() {
-        let files = [
+        let folder = tempfile::tempdir().expect("a folder");
+        for (name, text) in [
             (
                 "proc/meminfo",
                 "MemTotal:        8000000 kB\nMemFree: 1 kB\n",
             ),
             ("proc/loadavg", "0.50 0.61 1.10 1/100 4711\n"),
             ("proc/self/status", "Name:\tx\nCapEff:\t0000000000004000\n"),
-        ];
-        let folder = system::fake(&files);
-        let system = System::below(folder.path());
-        assert_eq!(memory_mb(&system), Some(8192));
-        assert_eq!(load_average(&system), Some(0.5));
-        assert!(may_lock(&system));
+            ("proc/sys/kernel/osrelease", "6.12.0\n"),
+            ("proc/sys/kernel/version", "#1 SMP PREEMPT_DYNAMIC @0\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "950000\n"),
+            (
+                "proc/cmdline",
+                "root=/dev/sda1 isolcpus=1 quiet rcu_nocbs=1\n",
+            ),
+            ("sys/kernel/debug/sched/preempt", "none voluntary (full)\n"),
+            (
+                "sys/kernel/mm/transparent_hugepage/enabled",
+                "always [madvise] never\n",
+            ),
+            (
+                "proc/cpuinfo",
+                "processor : 0\nvendor_id\t: Maker\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n",
+            ),
+            ("sys/devices/system/cpu/online", "0-3,5\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/level", "1\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/type", "Data\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/size", "32K\n"),
+            ("sys/class/dmi/id/sys_vendor", "Cloud\n"),
+            ("sys/class/dmi/id/product_name", "large\n"),
+        ] {
+            let file = folder.path().join(name);
+            std::fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
+            std::fs::write(file, text).expect("written");
+        }
+        let mut cores = Cores::find().expect("cores");
+        cores.realtime = 2;
+        let found = Environment::of(&System::below(folder.path()), &cores, true);
+        for (property, value) in [
+            ("memory mb", json!(8192)),
+            ("load average", json!(0.5)),
+            ("privileges lock memory", json!(true)),
+            ("kernel release", json!("6.12.0")),
+            ("kernel preemption", json!("PREEMPT_DYNAMIC (full)")),
+            // Nothing else of the command line.
+            ("kernel isolation", json!(["isolcpus=1", "rcu_nocbs=1"])),
+            ("kernel rt runtime us", json!(950_000)),
+            ("kernel huge pages", json!("madvise")),
+            ("processor model", json!("Quick 9")),
+            ("processor cores", json!(5)),
+            ("processor caches", json!(["L1 Data 32K"])),
+            ("processor frequency mhz", json!(2500.5)),
+            ("virtual machine", json!(true)),
+            ("hypervisor", json!("Cloud large")),
+        ] {
+            assert_eq!(found.value(property), value, "{property}");
+        }
     }
 
     #[test]

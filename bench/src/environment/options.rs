@@ -115,13 +115,6 @@ mod tests {
     }
 
     #[test]
-    fn what_differs_is_named_with_both_values() {
-        let (one, other) = (of(&["all", "--quick"]), of(&["all", "--rounds", "3"]));
-        let expected = [("quick", "true", "none"), ("rounds", "none", "3")];
-        assert_eq!(one.differing(&other), expected);
-    }
-
-    #[test]
     fn a_configuration_is_known_by_its_text_and_not_by_its_place() {
         let folder = tempfile::tempdir().expect("a folder");
         let with = |name: &str, text: &str| {

@@ -13,12 +13,13 @@ mod start;
 
 use std::time::Duration;
 
-use anyhow::Result;
+use anyhow::{Result, ensure};
 
 pub use memory::{Files, Memory};
 pub use round::{Round, ThreadUse};
 pub use start::Start;
 
+use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::Launch;
@@ -30,58 +31,75 @@ const IDLE_SHARE: f64 = 0.4;
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 2.3;
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Shorter than this the kernel's counts say little.
+const LEAST: Duration = Duration::from_millis(100);
+const MOST: Duration = Duration::from_secs(3600);
+
+#[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
-    /// Daemons that are measured one after the other.
-    pub rounds: u32,
-    pub tracking: Duration,
+    /// Daemons that are measured one after the other, 1 to 100.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100))]
+    rounds: u32,
+    /// How long each of them tracks, 100ms to 1h; without a client it is measured for two fifths of that.
+    #[arg(long, default_value = "10s", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// Two daemons for two seconds: a look of ten seconds instead of a measurement.
+    #[arg(long, conflicts_with_all = ["rounds", "duration"])]
+    quick: bool,
 }
 
 impl FootprintOptions {
-    pub fn full() -> Self {
-        Self {
-            rounds: 5,
-            tracking: Duration::from_secs(10),
-        }
-    }
-
-    /// A look of about ten seconds, no measurement.
-    pub fn quick() -> Self {
-        Self {
-            rounds: 2,
-            tracking: Duration::from_secs(2),
-        }
-    }
-
     fn idle(&self) -> Duration {
-        self.tracking.mul_f64(IDLE_SHARE)
+        self.duration.mul_f64(IDLE_SHARE)
     }
 
     fn round_s(&self) -> f64 {
-        self.tracking.as_secs_f64() + self.idle().as_secs_f64() + AROUND_S
+        self.duration.as_secs_f64() + self.idle().as_secs_f64() + AROUND_S
     }
 }
 
-/// How long [`run`] takes, about \[s\].
-pub fn expected_s(options: &FootprintOptions) -> f64 {
-    f64::from(options.rounds) * options.round_s()
-}
-
-pub fn run(options: &FootprintOptions, progress: &mut Progress) -> Result<Dataset> {
-    let cores = Cores::find()?;
-    cores.stay_off();
-    let realtime = may_be_realtime();
-    let launch = Launch::patient(None).placed(&cores, realtime);
-    let mut rounds = Vec::new();
-    for round in 1..=options.rounds {
-        progress.begin(&format!("daemon {round} of {}", options.rounds));
-        rounds.push(Round::run(
-            &launch,
-            &cores,
-            options.idle(),
-            options.tracking,
-        )?);
-        progress.advance(options.round_s());
+impl Benchmark for FootprintOptions {
+    fn of_report(quick: bool) -> Self {
+        let (rounds, seconds) = if quick { (2, 2) } else { (5, 10) };
+        Self {
+            rounds,
+            duration: Duration::from_secs(seconds),
+            quick,
+        }
     }
-    report::dataset(&rounds, realtime)
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
+
+    fn resolved(self) -> Result<Self> {
+        ensure!(
+            (LEAST..=MOST).contains(&self.duration),
+            "--duration must be 100ms to 1h"
+        );
+        Ok(if self.quick {
+            Self::of_report(true)
+        } else {
+            self
+        })
+    }
+
+    fn expected_s(&self) -> f64 {
+        f64::from(self.rounds) * self.round_s()
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let cores = Cores::find()?;
+        cores.stay_off();
+        let realtime = may_be_realtime();
+        let launch = Launch::patient(None).placed(&cores, realtime);
+        let mut rounds = Vec::new();
+        for round in 1..=self.rounds {
+            progress.begin(&format!("daemon {round} of {}", self.rounds));
+            let (idle, tracking) = (self.idle(), self.duration);
+            rounds.push(Round::run(&launch, &cores, idle, tracking)?);
+            progress.advance(self.round_s());
+        }
+        report::dataset(&rounds, realtime)
+    }
 }

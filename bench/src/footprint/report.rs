@@ -13,16 +13,13 @@ use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, shorted, word};
 use crate::metric::{Better, Metric, median, range};
 use crate::subject::daemon::program;
 
-const EXPLANATION: &str = "<p>Each round starts two daemons with their defaults (200 Hz, three sections), one after the other. For \
-         the first one a client looks from the beginning: from it come the times of the start. The second one is \
-         measured without any client, then while it tracks the spiral that a client feeds. The share of a core is \
-         the time that the kernel counted the thread on a core, by the time that passed; interrupts that came \
-         meanwhile are part of it. The real-time core is the sum of the threads cdcr-cycle and cdcr-exchange.</p>\
-         <p>Resident memory is VmRSS. It holds all shared memory that the daemon has mapped, because locked \
-         memory is always there. \"At the start\" is when the daemon says READY=1, before any client \
-         connects. What the first client adds is the memory of its own ports, which the daemon maps when it \
-         connects; it has no target. Locked memory is counted by address range and is larger: ranges without \
-         access (guard pages) count, too. Whether memory is locked is what the daemon says itself.</p>";
+const EXPLANATION: &str = "<p>Each round starts two daemons with their defaults (200 Hz, three sections): for the first one a client \
+         looks from the beginning (times of the start), the second one is measured without any client, then while it \
+         tracks a spiral. The share of a core is the time that the kernel counted the thread on a core, by the time \
+         that passed; the real-time core is the sum of cdcr-cycle and cdcr-exchange.</p>\
+         <p>Resident memory is VmRSS, with all shared memory that the daemon has mapped. \"At the start\" is READY=1, before \
+         any client; what the first client adds is the memory of its own ports and has no target. Locked memory is \
+         counted by address range and is larger. Whether memory is locked (1: in that round) is what the daemon says.</p>";
 
 const QUANTITY_COLUMNS: [Column; 7] = [
     word("what", "what"),
@@ -50,20 +47,6 @@ fn programs() -> Vec<(&'static str, u64)> {
     let length = |name| Some((name, fs::metadata(program(name).ok()?).ok()?.len()));
     let names = ["cdcrd", "cdcrctl", "cdcr-bench"];
     names.into_iter().filter_map(length).collect()
-}
-
-#[derive(Serialize)]
-struct QuantityRow {
-    what: &'static str,
-    key: &'static str,
-    unit: &'static str,
-    median: f64,
-    least: f64,
-    most: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    target: Option<f64>,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    reached: Option<bool>,
 }
 
 /// A thread: medians over the rounds.
@@ -94,7 +77,10 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
         heading: "What a daemon takes",
         explanation: EXPLANATION,
         sheets: vec![
-            Sheet::new(&shown(&rows)?)?.table(title, &QUANTITY_COLUMNS),
+            Sheet::new(&rows)?
+                .key("figures")
+                .file("footprint")
+                .table(title, &QUANTITY_COLUMNS),
             Sheet::new(&threads)?
                 .key("threads")
                 .file("footprint-threads")
@@ -109,10 +95,6 @@ pub(super) fn dataset(rounds: &[Round], realtime: bool) -> Result<Dataset> {
                     "Programs, as they were built, with line tables for backtraces",
                     &[word("program", "name"), shorted("MB", "mb")],
                 ),
-            Sheet::new(&rows)?
-                .key("figures")
-                .file("footprint")
-                .order(&QUANTITY_COLUMNS),
             Sheet::new(rounds)?.key("rounds"),
         ],
         plots: vec![Plot {
@@ -159,40 +141,25 @@ fn values(rounds: &[Round], value: impl Fn(&Round) -> f64) -> impl Iterator<Item
     values.filter(|value| value.is_finite())
 }
 
-fn rows(rounds: &[Round]) -> Vec<QuantityRow> {
+fn rows(rounds: &[Round]) -> Vec<Value> {
     let row = |quantity: &Quantity| {
         let middle = median(values(rounds, quantity.value))?;
         let (least, most) = range(values(rounds, quantity.value))?;
-        Some(QuantityRow {
-            what: quantity.what,
-            key: quantity.key,
-            unit: quantity.unit,
-            median: middle,
-            least,
-            most,
-            target: quantity.target,
-            reached: quantity.target.map(|target| middle <= target),
-        })
+        let mut row = json!({
+            "what": quantity.what,
+            "key": quantity.key,
+            "unit": quantity.unit,
+            "median": middle,
+            "least": least,
+            "most": most,
+        });
+        if let Some(target) = quantity.target {
+            row["target"] = target.into();
+            row["reached"] = (middle <= target).into();
+        }
+        Some(row)
     };
     QUANTITIES.iter().filter_map(row).collect()
-}
-
-/// For people: what was so in only some of the rounds is no yes.
-fn shown(rows: &[QuantityRow]) -> Result<Vec<Value>> {
-    let shown = rows.iter().map(|row| {
-        let mut value = serde_json::to_value(row)?;
-        if row.unit == YES_NO {
-            for (key, number) in [
-                ("median", row.median),
-                ("least", row.least),
-                ("most", row.most),
-            ] {
-                value[key] = json!(number >= 1.0);
-            }
-        }
-        Ok(value)
-    });
-    shown.collect()
 }
 
 /// Share of a core of the threads of this name, idle and tracking; nothing where there was none.
@@ -298,51 +265,28 @@ mod tests {
 
     #[test]
     fn the_core_is_the_sum_of_its_two_threads_and_the_median_counts() {
-        let rows = rows(&rounds());
-        assert!((rows[0].median - 2.5).abs() < 1e-9 && rows[0].reached == Some(true));
-        assert!((rows[0].least - 1.5).abs() < 1e-9 && (rows[0].most - 9.5).abs() < 1e-9);
-        // 4096 bytes came while tracking: that is not none.
-        assert_eq!((rows[2].key, rows[2].reached), ("growth_kb", Some(false)));
-        assert_eq!((rows[3].key, rows[3].reached), ("page_faults", Some(true)));
-        let of = |key: &str| rows.iter().find(|row| row.key == key).unwrap();
-        for (key, value) in [
-            ("resident_start_mb", 49.983_616),
-            ("growth_idle_kb", 4.096),
-            ("growth_by_client_kb", 12.288),
-            ("growth_kb", 4.096),
-        ] {
-            assert!((of(key).median - value).abs() < 1e-9, "{key}");
-        }
-        assert!(of("growth_by_client_kb").target.is_none());
-    }
-
-    #[test]
-    fn memory_is_locked_only_when_it_was_in_every_round() {
         let mut rounds = rounds();
         rounds[0].memory_locked = false;
-        let shown = shown(&rows(&rounds)).unwrap();
-        let row = shown.iter().find(|row| row["key"] == "locked").unwrap();
-        let words = ["median", "least", "most"].map(|key| row[key].as_bool().unwrap());
-        assert_eq!(words, [true, false, true]);
-    }
-
-    #[test]
-    fn what_the_kernel_does_not_count_has_no_row() {
-        let mut rounds = rounds();
-        for round in &mut rounds {
-            round.threads.clear();
+        let rows = rows(&rounds);
+        let of = |key: &str| rows.iter().find(|row| row["key"] == key).unwrap();
+        for (key, median, least, most) in [
+            ("core_tracking_percent", 2.5, 1.5, 9.5),
+            ("locked", 1.0, 0.0, 1.0),
+            ("page_faults", 0.0, 0.0, 0.0),
+            ("growth_idle_kb", 4.096, 4.096, 4.096),
+            ("growth_by_client_kb", 12.288, 12.288, 12.288),
+            ("growth_kb", 4.096, 4.096, 4.096),
+        ] {
+            let row = of(key);
+            for (name, value) in [("median", median), ("least", least), ("most", most)] {
+                let found = row[name].as_f64().unwrap();
+                assert!((found - value).abs() < 1e-9, "{row}");
+            }
         }
-        assert!(rows(&rounds).iter().all(|row| row.unit != "%"));
-    }
-
-    #[test]
-    fn keys_are_unique_and_every_metric_has_a_value_of_each_round() {
-        let metrics = dataset(&rounds(), true).unwrap().metrics;
-        let mut names: Vec<_> = metrics.iter().map(|metric| &metric.name).collect();
-        names.sort();
-        names.dedup();
-        assert_eq!(names.len(), metrics.len());
-        let per_round = metrics.iter().filter(|metric| metric.rounds.len() == 3);
-        assert_eq!(per_round.count(), QUANTITIES.len() + 3);
+        assert_eq!(of("core_tracking_percent")["reached"], true);
+        // 4096 bytes came while tracking: that is not none.
+        assert_eq!(of("growth_kb")["reached"], false);
+        assert_eq!(of("page_faults")["reached"], true);
+        assert!(of("growth_by_client_kb").get("target").is_none());
     }
 }

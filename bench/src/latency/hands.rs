@@ -262,20 +262,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_grid_counts_from_its_origin() {
-        let grid = Grid {
-            origin_ns: 1_000,
-            period_ns: 100,
-            lead_ns: 10,
-        };
-        assert_eq!(grid.release_ns(3), 1_300);
-        assert_eq!(grid.cycle_at(1_299), 2);
-        assert_eq!(grid.cycle_at(1_300), 3);
-        assert_eq!(grid.cycle_at(5), 0);
-        assert_eq!(grid.early_ns(), 25);
-    }
-
-    #[test]
     fn the_lead_is_that_before_the_release_that_was_slept_for() {
         let record = Telemetry {
             release_ns: 25_000_000,

@@ -40,6 +40,7 @@ use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, realtime};
 
+use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
@@ -65,39 +66,38 @@ const BARE_PER_SAMPLE: usize = 8;
 const AROUND_S: f64 = 1.0;
 const PERIOD_S: f64 = 5e-3;
 
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, clap::Args)]
 pub struct LatencyOptions {
-    /// Rounds; in each, everything is measured once.
-    pub rounds: usize,
-    /// Samples of each kind in each round; two fifths of that for stops.
-    pub samples: usize,
-    /// Period, if another one than the configuration's.
+    /// Rounds, in each of which everything is measured once, 1 to 1000.
+    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    pub rounds: u32,
+    /// Samples of each kind in each round, 5 to 10000; two fifths of that for stops, eight times that
+    /// for iceoryx2 alone.
+    #[arg(long, default_value_t = 250, value_parser = clap::value_parser!(u16).range(5..=10_000))]
+    pub samples: u16,
+    /// Period of the loop, if another one than the configuration's.
+    #[arg(long, value_parser = humantime::parse_duration)]
     pub period: Option<Duration>,
-    /// Configuration of the daemon; none: the default.
+    /// Configuration of the daemon; without it the default, three sections.
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-}
-
-impl Default for LatencyOptions {
-    fn default() -> Self {
-        Self {
-            rounds: 5,
-            samples: 250,
-            period: None,
-            config: None,
-        }
-    }
+    /// A quick look: 2 rounds of 40 samples.
+    #[arg(long, conflicts_with_all = ["rounds", "samples"])]
+    pub quick: bool,
 }
 
 impl LatencyOptions {
-    pub const QUICK: (usize, usize) = (2, 40);
+    fn samples(&self) -> usize {
+        self.samples.into()
+    }
 
     fn stops(&self) -> usize {
         let (stops, samples) = STOPS_PER_SAMPLES;
-        (self.samples * stops).div_ceil(samples)
+        (self.samples() * stops).div_ceil(samples)
     }
 
     fn bare(&self) -> usize {
-        self.samples * BARE_PER_SAMPLE
+        self.samples() * BARE_PER_SAMPLE
     }
 
     fn launch(&self, link: &str, cores: &Cores, may_be_realtime: bool) -> Launch {
@@ -119,9 +119,73 @@ impl LatencyOptions {
     }
 }
 
-/// How long a run takes, about \[s\].
-pub fn expected_s(options: &LatencyOptions) -> f64 {
-    options.rounds as f64 * seconds(options).iter().sum::<f64>()
+impl Benchmark for LatencyOptions {
+    fn of_report(quick: bool) -> Self {
+        let (rounds, samples) = if quick { (2, 40) } else { (5, 250) };
+        Self {
+            rounds,
+            samples,
+            quick,
+            ..defaults()
+        }
+    }
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
+
+    fn config_mut(&mut self) -> Option<&mut Option<PathBuf>> {
+        Some(&mut self.config)
+    }
+
+    fn resolved(self) -> Result<Self> {
+        Ok(if self.quick {
+            Self {
+                period: self.period,
+                config: self.config,
+                ..Self::of_report(true)
+            }
+        } else {
+            self
+        })
+    }
+
+    fn expected_s(&self) -> f64 {
+        f64::from(self.rounds) * seconds(self).iter().sum::<f64>()
+    }
+
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let bench = Bench {
+            options: self,
+            cores: Cores::find()?,
+            may_be_realtime: may_be_realtime(),
+        };
+        let began_ns = monotonic_ns();
+        let mut rounds = Vec::new();
+        let mut reported = Reported::default();
+        for number in 1..=self.rounds {
+            let mut round = Round::new(began_ns)?;
+            let mut part = |index: usize, what: &str, work: &mut dyn FnMut() -> Result<()>| {
+                progress.begin(&format!("round {number} of {}, {what}", self.rounds));
+                work()?;
+                progress.advance(seconds(self)[index]);
+                anyhow::Ok(())
+            };
+            part(0, "iceoryx2 alone", &mut || {
+                baseline::measure(&bench.cores, self.bare(), &mut round)
+            })?;
+            part(1, "a simulated robot", &mut || {
+                reported.add(&bench.simulated(&mut round)?);
+                Ok(())
+            })?;
+            part(2, "a robot behind a driver", &mut || {
+                reported.add(&bench.driven(&mut round)?);
+                Ok(())
+            })?;
+            rounds.push(round);
+        }
+        report::dataset(&bench.setting(&reported), &rounds)
+    }
 }
 
 /// How long the parts of a round take, about: bare, simulated robot, driver \[s\].
@@ -129,7 +193,7 @@ fn seconds(options: &LatencyOptions) -> [f64; 3] {
     let period_s = options
         .period
         .map_or(PERIOD_S, |period| period.as_secs_f64());
-    let samples = (options.samples + inputs::WARM_UP) as f64;
+    let samples = (options.samples() + inputs::WARM_UP) as f64;
     // References and obstacles share their periods; requests are of two kinds.
     let simulated = 2.0 * samples + 4.0 * samples;
     let stops_s = STOP_S * options.stops() as f64;
@@ -138,39 +202,6 @@ fn seconds(options: &LatencyOptions) -> [f64; 3] {
         AROUND_S + simulated * period_s + stops_s,
         AROUND_S + 2.0 * samples * period_s,
     ]
-}
-
-pub fn run(options: &LatencyOptions, progress: &mut Progress) -> Result<Dataset> {
-    let bench = Bench {
-        options,
-        cores: Cores::find()?,
-        may_be_realtime: may_be_realtime(),
-    };
-    let began_ns = monotonic_ns();
-    let mut rounds = Vec::new();
-    let mut reported = Reported::default();
-    for number in 1..=options.rounds {
-        let mut round = Round::new(began_ns)?;
-        let mut part = |index: usize, what: &str, work: &mut dyn FnMut() -> Result<()>| {
-            progress.begin(&format!("round {number} of {}, {what}", options.rounds));
-            work()?;
-            progress.advance(seconds(options)[index]);
-            anyhow::Ok(())
-        };
-        part(0, "iceoryx2 alone", &mut || {
-            baseline::measure(&bench.cores, options.bare(), &mut round)
-        })?;
-        part(1, "a simulated robot", &mut || {
-            reported.add(&bench.simulated(&mut round)?);
-            Ok(())
-        })?;
-        part(2, "a robot behind a driver", &mut || {
-            reported.add(&bench.driven(&mut round)?);
-            Ok(())
-        })?;
-        rounds.push(round);
-    }
-    report::dataset(&bench.setting(&reported), &rounds)
 }
 
 /// What the daemons told of themselves, and how the client did.
@@ -208,7 +239,7 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     fn simulated(&self, round: &mut Round) -> Result<Reported> {
-        let samples = self.options.samples;
+        let samples = self.options.samples();
         self.with_daemon("simulated", |location| {
             let mut hands = Hands::open(location)?;
             let length_m = hands.length_m();
@@ -236,7 +267,7 @@ impl Bench<'_> {
     }
 
     fn driven(&self, round: &mut Round) -> Result<Reported> {
-        let samples = self.options.samples;
+        let samples = self.options.samples();
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
             let measurement = Source::Measurement {
@@ -282,8 +313,8 @@ impl Bench<'_> {
 
     fn setting(&self, reported: &Reported) -> Setting {
         Setting {
-            rounds: self.options.rounds,
-            samples: self.options.samples,
+            rounds: self.options.rounds as usize,
+            samples: self.options.samples(),
             stops: self.options.stops(),
             period_us: reported.period_ns as f64 * 1e-3,
             gather_lead_us: reported.lead_ns as f64 * 1e-3,
@@ -302,9 +333,9 @@ mod tests {
 
     #[test]
     fn a_full_run_has_enough_stops_and_ends_soon() {
-        let options = LatencyOptions::default();
-        assert!(options.rounds * options.stops() >= 500);
-        let run_s = expected_s(&options);
+        let options = LatencyOptions::of_report(false);
+        assert!(options.rounds as usize * options.stops() >= 500);
+        let run_s = options.expected_s();
         assert!(run_s < 240.0, "{run_s}");
     }
 }

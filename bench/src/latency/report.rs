@@ -21,14 +21,11 @@ const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
 
 const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
-         are spread evenly over the period, and has every command in its hands as soon as it is there: it wakes \
-         up before each release and looks until the command has come.</p>\
-         <p>The daemon takes inputs in once in a period, shortly before the release. So most of each way is \
-         waiting for the grid, half a period on the average, whatever the machine does. <b>grid</b> is that part, \
-         from sending to the start of the gather that takes the message; <b>machinery</b> is the rest: gather, \
-         release, computation and hand-over. <b>bare</b> is iceoryx2 between two processes that do nothing else, \
-         measured in the same rounds.</p>\
-         <p>A stop is told without the ramp, which the configured deceleration makes.</p>";
+         are spread evenly over the period, and has every command in its hands as soon as it is there.</p>\
+         <p>The daemon takes inputs in once in a period, shortly before the release: most of each way is \
+         waiting for the grid, half a period on the average, whatever the machine does. <b>grid</b> is that part; \
+         <b>machinery</b> is the rest: gather, release, computation and hand-over. <b>bare</b> is iceoryx2 between two \
+         processes that do nothing else, measured in the same rounds. A stop is told without its ramp.</p>";
 
 const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHop, Leg::BareOneWay),
@@ -46,6 +43,33 @@ const COLUMNS: [Column; 9] = [
     fixed("max µs", "latency_us_max", 2),
     fixed("median of rounds: p50 µs", "rounds_us_p50", 2),
     fixed("p99 µs", "rounds_us_p99", 2),
+];
+
+const DEFINITIONS: [Column; 3] = [word("way", "leg"), word("from", "from"), word("to", "to")];
+
+const RATIO_COLUMNS: [Column; 4] = [
+    word("way", "leg"),
+    word("beside", "to"),
+    fixed("p50 / p50", "p50", 2),
+    fixed("rounds", "range", 2),
+];
+
+const TARGET_COLUMNS: [Column; 5] = [
+    word("way", "leg"),
+    plain("samples", "samples"),
+    fixed("p99 µs", "p99_us", 1),
+    fixed("bound µs", "limit_us", 1),
+    word("kept", "kept"),
+];
+
+const UNMEASURED_COLUMNS: [Column; 4] = [
+    plain("releases", "looks_all"),
+    plain("client awake too late", "looks_late"),
+    plain("spoilt stops, repeated", "unmeasured_spoilt_stops"),
+    plain(
+        "samples without a received command",
+        "unmeasured_without_command",
+    ),
 ];
 
 #[derive(Debug, Clone, Serialize)]
@@ -83,66 +107,41 @@ struct RoundRow {
     latency_us: Quantiles,
 }
 
-/// A leg of the daemon beside one of iceoryx2 alone: ratio of the medians.
-#[derive(Debug, Clone, Serialize)]
-struct Ratio {
-    leg: Leg,
-    to: Leg,
-    p50: f64,
-    rounds: Vec<f64>,
-}
-
-/// A bound that a leg shall keep at the 99th percentile.
-#[derive(Debug, Clone, Serialize)]
-struct Target {
-    leg: Leg,
-    samples: u64,
-    limit_us: f64,
-    p99_us: f64,
-    kept: bool,
-}
-
 pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
-    let rows: Vec<LegRow> = Leg::ALL
-        .iter()
-        .filter_map(|leg| row(*leg, rounds))
-        .collect();
-    let ratios: Vec<Ratio> = RATIOS
-        .into_iter()
-        .filter_map(|r| ratio(r, rounds))
-        .collect();
+    let rows = Leg::ALL.iter().filter_map(|leg| row(*leg, rounds));
+    let rows: Vec<LegRow> = rows.collect();
+    let ratios = RATIOS.into_iter().filter_map(|pair| ratio(pair, rounds));
+    let ratios: Vec<Value> = ratios.collect();
     let limit_us = setting.period_us + STOP_MARGIN_US;
     let stops = rows.iter().filter(|row| is_bound(row.leg));
-    let targets: Vec<Target> = stops.map(|row| target(row, limit_us)).collect();
+    let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
     let mut unmeasured = Unmeasured::default();
     for round in rounds {
         unmeasured += round.unmeasured;
     }
     let shown: Vec<Value> = rows.iter().map(shown).collect::<Result<_>>()?;
-    let remarks = remarks(setting, &ratios, &targets, unmeasured);
+    let counts = json!({ "looks": setting.looks, "unmeasured": unmeasured });
     let mut dataset = Dataset {
         name: "latency",
         heading: "Latency: how long messages take",
         explanation: EXPLANATION,
         sheets: vec![
             Sheet::new(&shown)?.table(setting.title(), &COLUMNS),
-            Sheet::new(&remarks)?.table(
-                "Beside iceoryx2 alone, and beside what is asked",
-                &[
-                    word("what", "what"),
-                    plain("found", "found"),
-                    plain("beside", "beside"),
-                ],
+            Sheet::new(&ratios)?.key("ratios").table(
+                "Beside iceoryx2 alone: ratio of the medians",
+                &RATIO_COLUMNS,
             ),
-            Sheet::new(&rows)?.key("legs").file("latency").table(
-                "From which stamp to which",
-                &[word("way", "leg"), word("from", "from"), word("to", "to")],
-            ),
+            Sheet::new(&targets)?
+                .key("targets")
+                .table("Stops beside their bound", &TARGET_COLUMNS),
+            Sheet::new(&[counts])?.table("What was not measured", &UNMEASURED_COLUMNS),
+            Sheet::new(&rows)?
+                .key("legs")
+                .file("latency")
+                .table("From which stamp to which", &DEFINITIONS),
             Sheet::new(&round_rows(rounds))?
                 .key("rounds")
                 .file("latency-rounds"),
-            Sheet::new(&ratios)?.key("ratios"),
-            Sheet::new(&targets)?.key("targets"),
         ],
         plots: vec![Plot {
             name: "latency",
@@ -161,10 +160,13 @@ pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
             dataset.lower(name, "µs", rounds.iter().filter_map(of));
         }
     }
-    for ratio in ratios {
-        let [leg, to] = [ratio.leg, ratio.to].map(|leg| leg.name().replace('.', "_"));
-        dataset.lower(format!("latency/{leg}_per_{to}_p50"), "", ratio.rounds);
+    for (leg, to) in RATIOS {
+        let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
+        let name = format!("latency/{name}_per_{to_name}_p50");
+        let ratios = ratios_of_rounds((leg, to), rounds);
+        dataset.lower(name, "", ratios);
     }
+    dataset.metrics.retain(|metric| !metric.rounds.is_empty());
     dataset.recordings = recordings(rounds);
     Ok(dataset)
 }
@@ -215,15 +217,19 @@ fn shown(row: &LegRow) -> Result<Value> {
     Ok(value)
 }
 
-fn ratio((leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Ratio> {
+/// A leg of the daemon beside one of iceoryx2 alone.
+fn ratio((leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
+    let rounds = ratios_of_rounds((leg, to), rounds);
+    let (p50, range) = (
+        median(rounds.iter().copied())?,
+        range(rounds.iter().copied())?,
+    );
+    Some(json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": rounds }))
+}
+
+fn ratios_of_rounds((leg, to): (Leg, Leg), rounds: &[Round]) -> Vec<f64> {
     let of = |round: &Round| Some(quantile_of(round, leg, 0.5)? / quantile_of(round, to, 0.5)?);
-    let rounds: Vec<f64> = rounds.iter().filter_map(of).collect();
-    Some(Ratio {
-        leg,
-        to,
-        p50: median(rounds.iter().copied())?,
-        rounds,
-    })
+    rounds.iter().filter_map(of).collect()
 }
 
 /// Whether a stop's bound is asked of it.
@@ -231,14 +237,16 @@ fn is_bound(leg: Leg) -> bool {
     matches!(leg, Leg::StopZeroHandover | Leg::StopZeroCommand)
 }
 
-fn target(row: &LegRow, limit_us: f64) -> Target {
-    Target {
-        leg: row.leg,
-        samples: row.samples,
-        limit_us,
-        p99_us: row.latency_us.p99,
-        kept: row.latency_us.p99 <= limit_us,
-    }
+/// A bound that a leg shall keep at the 99th percentile; of too few values nothing is known.
+fn target(row: &LegRow, limit_us: f64) -> Value {
+    let p99_us = (row.samples >= VALUES_OF_P99).then_some(row.latency_us.p99);
+    json!({
+        "leg": row.leg,
+        "samples": row.samples,
+        "limit_us": limit_us,
+        "p99_us": p99_us,
+        "kept": p99_us.map(|p99_us| p99_us <= limit_us),
+    })
 }
 
 fn round_rows(rounds: &[Round]) -> Vec<RoundRow> {
@@ -253,54 +261,6 @@ fn round_rows(rounds: &[Round]) -> Vec<RoundRow> {
     };
     let all = (0..rounds.len()).flat_map(|index| Leg::ALL.map(|leg| (index, leg)));
     all.filter_map(|(index, leg)| row(index, leg)).collect()
-}
-
-fn remarks(
-    setting: &Setting,
-    ratios: &[Ratio],
-    targets: &[Target],
-    unmeasured: Unmeasured,
-) -> Vec<Value> {
-    let remark = |what: String, found: String, beside: String| json!({ "what": what, "found": found, "beside": beside });
-    let ratios = ratios.iter().map(|ratio| {
-        let ends = range(ratio.rounds.iter().copied());
-        let (low, high) = ends.unwrap_or((ratio.p50, ratio.p50));
-        remark(
-            format!("{} / {}, p50", ratio.leg.name(), ratio.to.name()),
-            format!("{:.2}", ratio.p50),
-            format!("{low:.2} to {high:.2} in the rounds"),
-        )
-    });
-    let targets = targets.iter().map(|target| {
-        let (found, verdict) = match (target.samples < VALUES_OF_P99, target.kept) {
-            (true, _) => ("-".to_owned(), "too few values"),
-            (false, true) => (format!("{:.1}", target.p99_us), "kept"),
-            (false, false) => (format!("{:.1}", target.p99_us), "not kept"),
-        };
-        let bound = format!("bound {:.1}: {verdict}", target.limit_us);
-        remark(format!("{} p99, µs", target.leg.name()), found, bound)
-    });
-    let (looks, stops) = (setting.looks, setting.rounds * setting.stops);
-    let counts = [
-        (
-            "client awake too late",
-            looks.late,
-            format!("of {} releases", looks.all),
-        ),
-        (
-            "spoilt stops",
-            unmeasured.spoilt_stops,
-            format!("repeated, beside {stops} that count"),
-        ),
-        (
-            "samples without a received command",
-            unmeasured.without_command,
-            "left out: the client was away".to_owned(),
-        ),
-    ];
-    let counts =
-        counts.map(|(what, count, beside)| remark(what.to_owned(), count.to_string(), beside));
-    ratios.chain(targets).chain(counts).collect()
 }
 
 fn recordings(rounds: &[Round]) -> Vec<Recording> {
@@ -433,28 +393,7 @@ mod tests {
                 &value["rounds_us"]["p99"],
             ];
             assert_eq!(times.map(Value::is_null), absent);
-            let remark = &remarks(&setting(), &[], &[target(&row, 1.0)], Unmeasured::default())[0];
-            assert_eq!(
-                remark["beside"]
-                    .as_str()
-                    .unwrap()
-                    .contains("too few values"),
-                count < 100
-            );
+            assert_eq!(target(&row, 1.0)["kept"].is_null(), count < 100);
         }
-    }
-
-    #[test]
-    fn what_was_not_measured_has_no_row() {
-        let mut round = Round::new(0).expect("bounds");
-        round.record(Leg::BareOneWay, 500);
-        round.unmeasured.spoilt_stops = 3;
-        let json = dataset(&setting(), &[round]).expect("a result").json();
-        assert_eq!(json["legs"].as_array().map(Vec::len), Some(1));
-        assert_eq!(
-            (&json["ratios"], &json["targets"]),
-            (&json!([]), &json!([]))
-        );
-        assert_eq!(json["unmeasured"]["spoilt_stops"], 3);
     }
 }

@@ -25,6 +25,7 @@ use anyhow::Result;
 
 pub use problem::Field;
 
+use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -42,45 +43,30 @@ const CONTEST_S: f64 = 0.5;
 /// What sizing the swarms of a course takes, about \[s\].
 const SIZING_S: f64 = 0.2;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct QualityOptions {
-    /// Runs of each variant, each with another seed.
+    /// Runs of each variant, each with another seed, 1 to 100.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
+    /// One round of a part of it: a look of some seconds, no measurement.
+    #[arg(long, conflicts_with = "rounds")]
+    pub quick: bool,
+    #[arg(skip = Course::ALL)]
     pub courses: Vec<Course>,
+    #[arg(skip = u64::MAX)]
     pub cycles_max: u64,
+    #[arg(skip = BUDGETS_US)]
     pub budgets_us: Vec<u64>,
+    #[arg(skip = SWARMS)]
     pub swarms: Vec<(u32, u32)>,
+    #[arg(skip = HORIZONS)]
     pub horizons: Vec<u32>,
     /// Random problems of each field in each round.
+    #[arg(skip = 6_u32)]
     pub restarts: u32,
 }
 
 impl QualityOptions {
-    pub fn full() -> Self {
-        Self {
-            rounds: 3,
-            courses: Course::ALL.to_vec(),
-            cycles_max: u64::MAX,
-            budgets_us: BUDGETS_US.to_vec(),
-            swarms: SWARMS.to_vec(),
-            horizons: HORIZONS.to_vec(),
-            restarts: 6,
-        }
-    }
-
-    /// One round of a part: a look, no measurement.
-    pub fn quick() -> Self {
-        Self {
-            rounds: 1,
-            courses: vec![Course::Spiral, Course::Gap, Course::Crossing],
-            cycles_max: 200,
-            budgets_us: vec![20, 200, 2000],
-            swarms: vec![(6, 30), (24, 30)],
-            horizons: vec![2, 8],
-            restarts: 2,
-        }
-    }
-
     /// All variants of a course, in the order in which they are run.
     fn variants(&self, course: Course, sizing: &Sizing) -> Vec<Variant> {
         let mut variants = Vec::new();
@@ -109,51 +95,79 @@ pub struct Case {
     pub rounds: Vec<RunMetrics>,
 }
 
-pub fn expected_s(options: &QualityOptions) -> f64 {
-    let rounds = f64::from(options.rounds);
-    let contests = rounds * f64::from(options.restarts) * Field::ALL.len() as f64;
-    let courses = options.courses.iter().map(|&course| {
-        let Ok(scene) = options.scene(course) else {
-            return 0.0;
-        };
-        let variants = options.variants(course, &Sizing { iteration_us: 10.0 });
-        let round_s: f64 = variants.iter().map(|variant| run_s(variant, &scene)).sum();
-        SIZING_S + rounds * round_s
-    });
-    courses.sum::<f64>() + contests * CONTEST_S
+impl Benchmark for QualityOptions {
+    fn of_report(quick: bool) -> Self {
+        if !quick {
+            return defaults();
+        }
+        Self {
+            rounds: 1,
+            quick,
+            courses: vec![Course::Spiral, Course::Gap, Course::Crossing],
+            cycles_max: 200,
+            budgets_us: vec![20, 200, 2000],
+            swarms: vec![(6, 30), (24, 30)],
+            horizons: vec![2, 8],
+            restarts: 2,
+        }
+    }
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
+
+    fn resolved(self) -> Result<Self> {
+        Ok(if self.quick {
+            Self::of_report(true)
+        } else {
+            self
+        })
+    }
+
+    fn expected_s(&self) -> f64 {
+        let rounds = f64::from(self.rounds);
+        let contests = rounds * f64::from(self.restarts) * Field::ALL.len() as f64;
+        let courses = self.courses.iter().map(|&course| {
+            let Ok(scene) = self.scene(course) else {
+                return 0.0;
+            };
+            let variants = self.variants(course, &Sizing { iteration_us: 10.0 });
+            let round_s: f64 = variants.iter().map(|variant| run_s(variant, &scene)).sum();
+            SIZING_S + rounds * round_s
+        });
+        courses.sum::<f64>() + contests * CONTEST_S
+    }
+
+    /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        let mut courses = Vec::new();
+        for &course in &self.courses {
+            interrupt::check()?;
+            progress.begin(&format!("sizing the swarm of {}", course.name()));
+            let sizing = Sizing::measure(course)?;
+            progress.advance(SIZING_S);
+            let variants = self.variants(course, &sizing).into_iter();
+            let cases = variants.map(|variant| Case {
+                variant,
+                rounds: Vec::new(),
+            });
+            courses.push((self.scene(course)?, cases.collect::<Vec<_>>()));
+        }
+        let mut endings = Vec::new();
+        for round in 0..self.rounds {
+            for (scene, cases) in &mut courses {
+                drive_all(scene, cases, round, progress)?;
+            }
+            endings.push(contest_all(self.restarts, round, progress)?);
+        }
+        let cases: Vec<Case> = courses.into_iter().flat_map(|(_, cases)| cases).collect();
+        report::dataset(&cases, &endings)
+    }
 }
 
 /// About how long one run of a variant takes \[s\].
 fn run_s(variant: &Variant, scene: &Scene) -> f64 {
     scene.cycles as f64 * variant.solve_us() * 1e-6
-}
-
-/// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
-pub fn run(options: &QualityOptions, progress: &mut Progress) -> Result<Dataset> {
-    let mut courses = Vec::new();
-    for &course in &options.courses {
-        interrupt::check()?;
-        progress.begin(&format!("sizing the swarm of {}", course.name()));
-        let sizing = Sizing::measure(course)?;
-        progress.advance(SIZING_S);
-        let cases = options
-            .variants(course, &sizing)
-            .into_iter()
-            .map(|variant| Case {
-                variant,
-                rounds: Vec::new(),
-            });
-        courses.push((options.scene(course)?, cases.collect::<Vec<_>>()));
-    }
-    let mut endings = Vec::new();
-    for round in 0..options.rounds {
-        for (scene, cases) in &mut courses {
-            drive_all(scene, cases, round, progress)?;
-        }
-        endings.push(contest_all(options.restarts, round, progress)?);
-    }
-    let cases: Vec<Case> = courses.into_iter().flat_map(|(_, cases)| cases).collect();
-    report::dataset(&cases, &endings)
 }
 
 /// One round of every variant of a course.

@@ -185,12 +185,4 @@ mod tests {
         keys.dedup();
         assert_eq!(keys.len(), count);
     }
-
-    #[test]
-    fn before_gauss_newton_the_swarm_grows_with_the_budget() {
-        let sizing = Sizing { iteration_us: 2.0 };
-        let iterations = BUDGETS_US
-            .map(|us| Variant::timed(Course::Spiral, Solver::KpsoRefined, us, &sizing).iterations);
-        assert_eq!(iterations, [2, 5, 12, 25, 50, 125, 250, 500, 1000]);
-    }
 }

@@ -20,6 +20,7 @@ pub use case::Case;
 pub use trial::{Length, Trial};
 pub use trial_metrics::{TrialMetrics, Verdict};
 
+use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
 use crate::interrupt;
 use crate::progress::Progress;
@@ -31,41 +32,56 @@ use case::Stage;
 const PERIODS_MS: [f64; 7] = [5.0, 2.0, 1.0, 0.5, 0.25, 0.2, 0.1];
 /// The periods that the default is shown with \[ms\]: the 200 Hz that are asked, 1, 2, 5 and 10 kHz.
 const STEPS_MS: [f64; 5] = [5.0, 1.0, 0.5, 0.2, 0.1];
+const LENGTH: Length = Length {
+    least_s: 2.0,
+    least_periods: 4000,
+};
 const FIRST_GUESS: usize = 4;
 /// Trials that the search for one case takes, about: the border from both sides, and a repetition.
 const TRIALS: f64 = 3.2;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct RateOptions {
-    /// How often the default is measured with each of its periods.
+    /// How often the default is measured with each of its periods, 1 to 100. The search for the shortest periods
+    /// is made once.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: u32,
-    /// How long the daemon spins before each release \[µs\]; at most a quarter of the period.
+    /// The default and its solvers only, in short trials: a look of half a minute instead of a measurement of
+    /// five.
+    #[arg(long, conflicts_with = "rounds")]
+    pub quick: bool,
+    /// Let the daemon wake up so long before each release and spin to it, 0 to 1000 µs; at most a quarter of the
+    /// period.
+    #[arg(long = "spin", value_name = "US", default_value_t = 0.0, value_parser = spin_us)]
     pub spin_us: f64,
+    #[arg(skip = LENGTH)]
     pub length: Length,
+    #[arg(skip = Case::all())]
     pub cases: Vec<Case>,
     /// The periods that are tried, longest first \[ms\].
+    #[arg(skip = PERIODS_MS)]
     pub periods_ms: Vec<f64>,
     /// The periods that the default is shown with \[ms\].
+    #[arg(skip = STEPS_MS)]
     pub steps_ms: Vec<f64>,
 }
 
-impl RateOptions {
-    pub fn full() -> Self {
-        Self {
-            rounds: 3,
-            spin_us: 0.0,
-            length: Length {
-                least_s: 2.0,
-                least_periods: 4000,
-            },
-            cases: Case::all(),
-            periods_ms: PERIODS_MS.to_vec(),
-            steps_ms: STEPS_MS.to_vec(),
-        }
+fn spin_us(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
+    if (0.0..=1000.0).contains(&value) {
+        Ok(value)
+    } else {
+        Err("must be 0 to 1000".to_owned())
     }
+}
 
-    /// The default and its solvers in short trials, about half a minute: a look, no measurement.
-    pub fn quick() -> Self {
+impl Benchmark for RateOptions {
+    /// Quick: the default and its solvers in short trials, about half a minute.
+    fn of_report(quick: bool) -> Self {
+        let all: Self = defaults();
+        if !quick {
+            return all;
+        }
         let like_default = |case: &Case| {
             case.sections == Case::DEFAULT.sections
                 && case.horizon_steps == Case::DEFAULT.horizon_steps
@@ -77,8 +93,34 @@ impl RateOptions {
                 least_periods: 400,
             },
             cases: Case::all().into_iter().filter(like_default).collect(),
-            ..Self::full()
+            ..all
         }
+    }
+
+    fn rounds_mut(&mut self) -> &mut u32 {
+        &mut self.rounds
+    }
+
+    fn resolved(self) -> Result<Self> {
+        Ok(if self.quick {
+            Self {
+                spin_us: self.spin_us,
+                ..Self::of_report(true)
+            }
+        } else {
+            self
+        })
+    }
+
+    fn expected_s(&self) -> f64 {
+        let whole_s = |period_ms: &f64| self.length.whole_s(*period_ms);
+        let round_s: f64 = self.steps_ms.iter().map(whole_s).sum();
+        f64::from(self.rounds) * round_s + self.cases.len() as f64 * search_s(self)
+    }
+
+    /// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
+    fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        report::dataset(measure(self, progress)?)
     }
 }
 
@@ -152,22 +194,10 @@ pub struct Step {
     pub rounds: Vec<Trial>,
 }
 
-/// How long [`run`] takes, about \[s\].
-pub fn expected_s(options: &RateOptions) -> f64 {
-    let whole_s = |period_ms: &f64| options.length.whole_s(*period_ms);
-    let round_s: f64 = options.steps_ms.iter().map(whole_s).sum();
-    f64::from(options.rounds) * round_s + options.cases.len() as f64 * search_s(options)
-}
-
 /// How long the search for one case takes, about \[s\].
 fn search_s(options: &RateOptions) -> f64 {
     let shortest_ms = options.periods_ms.last();
     shortest_ms.map_or(0.0, |period_ms| TRIALS * options.length.whole_s(*period_ms))
-}
-
-/// Measures the default with each of its periods, in rounds, then looks for the shortest period of each case.
-pub fn run(options: &RateOptions, progress: &mut Progress) -> Result<Dataset> {
-    report::dataset(measure(options, progress)?)
 }
 
 pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measured> {

@@ -8,22 +8,23 @@ use anyhow::Result;
 use clap::ValueEnum;
 
 use super::{BenchReport, Extent, Part, Start};
-use crate::budget;
+use crate::benchmark::Benchmark;
+use crate::budget::BudgetOptions;
 use crate::dataset::Dataset;
-use crate::deadline;
-use crate::footprint;
+use crate::deadline::DeadlineOptions;
+use crate::footprint::FootprintOptions;
 use crate::interrupt;
-use crate::latency;
-use crate::paper;
+use crate::latency::LatencyOptions;
 use crate::progress::Progress;
-use crate::quality;
-use crate::rate;
-use crate::robustness;
-use crate::solver;
+use crate::quality::QualityOptions;
+use crate::rate::RateOptions;
+use crate::robustness::RobustnessOptions;
+use crate::simulation::Effort;
+use crate::solver::SolverOptions;
 
 /// A benchmark, in the order in which they are run: those of real time come first, while the machine is quiet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-pub enum Benchmark {
+pub enum Name {
     /// Deadline misses and latencies beside a bare loop.
     Deadline,
     /// How long messages take.
@@ -52,13 +53,13 @@ pub struct Request {
     /// Configuration of the daemon; none: the default.
     pub config: Option<PathBuf>,
     /// Which benchmarks, in any order.
-    pub benchmarks: Vec<Benchmark>,
+    pub benchmarks: Vec<Name>,
 }
 
 impl Request {
     /// About how long it takes \[s\].
     pub fn expected_s(&self) -> f64 {
-        let plans = Benchmark::value_variants()
+        let plans = Name::value_variants()
             .iter()
             .filter(|b| self.benchmarks.contains(b));
         plans.map(|benchmark| benchmark.plan(self).expected_s).sum()
@@ -66,7 +67,7 @@ impl Request {
 
     /// Runs the benchmarks. One that fails is part of the report and does not keep the others from running.
     pub fn run(&self, start: Start, progress: &mut Progress) -> Result<BenchReport> {
-        let asked = Benchmark::value_variants()
+        let asked = Name::value_variants()
             .iter()
             .filter(|b| self.benchmarks.contains(b));
         let plans: Vec<Plan> = asked.map(|benchmark| benchmark.plan(self)).collect();
@@ -88,64 +89,19 @@ impl Request {
     }
 }
 
-impl Benchmark {
+impl Name {
     fn plan(self, request: &Request) -> Plan {
-        let Extent { quick, rounds } = request.extent;
-        macro_rules! plan {
-            ($module:ident, $options:ident) => {{
-                let mut options = sized(quick, $module::$options::quick, $module::$options::full);
-                options.rounds = rounds.unwrap_or(options.rounds);
-                Plan::of(
-                    stringify!($module),
-                    options,
-                    $module::expected_s,
-                    $module::run,
-                )
-            }};
-        }
         match self {
-            Self::Deadline => {
-                let mut options = sized(
-                    quick,
-                    deadline::DeadlineOptions::quick,
-                    deadline::DeadlineOptions::default,
-                );
-                options.rounds = rounds.unwrap_or(options.rounds);
-                options.config.clone_from(&request.config);
-                Plan::of("deadline", options, deadline::expected_s, deadline::run)
-            }
-            Self::Latency => {
-                let mut options = sized(quick, quick_latency, latency::LatencyOptions::default);
-                options.rounds = rounds.map_or(options.rounds, |rounds| rounds as usize);
-                options.config.clone_from(&request.config);
-                Plan::of("latency", options, latency::expected_s, latency::run)
-            }
-            Self::Rate => plan!(rate, RateOptions),
-            Self::Footprint => plan!(footprint, FootprintOptions),
-            Self::Quality => plan!(quality, QualityOptions),
-            Self::Robustness => plan!(robustness, RobustnessOptions),
-            Self::Paper => {
-                let mut effort = if quick { paper::QUICK } else { paper::FULL };
-                effort.seeds = rounds.map_or(effort.seeds, u64::from);
-                Plan::of("paper", effort, paper::expected_s, paper::run)
-            }
-            Self::Solver => plan!(solver, SolverOptions),
-            Self::Budget => plan!(budget, BudgetOptions),
+            Self::Deadline => Plan::of::<DeadlineOptions>("deadline", request),
+            Self::Latency => Plan::of::<LatencyOptions>("latency", request),
+            Self::Rate => Plan::of::<RateOptions>("rate", request),
+            Self::Footprint => Plan::of::<FootprintOptions>("footprint", request),
+            Self::Quality => Plan::of::<QualityOptions>("quality", request),
+            Self::Robustness => Plan::of::<RobustnessOptions>("robustness", request),
+            Self::Paper => Plan::of::<Effort>("paper", request),
+            Self::Solver => Plan::of::<SolverOptions>("solver", request),
+            Self::Budget => Plan::of::<BudgetOptions>("budget", request),
         }
-    }
-}
-
-/// The quick options, or the usual ones.
-fn sized<O>(is_quick: bool, quick: fn() -> O, usual: fn() -> O) -> O {
-    if is_quick { quick() } else { usual() }
-}
-
-fn quick_latency() -> latency::LatencyOptions {
-    let (rounds, samples) = latency::LatencyOptions::QUICK;
-    latency::LatencyOptions {
-        rounds,
-        samples,
-        ..latency::LatencyOptions::default()
     }
 }
 
@@ -159,16 +115,18 @@ struct Plan {
 }
 
 impl Plan {
-    fn of<O: Send + 'static>(
-        name: &'static str,
-        options: O,
-        expected_s: fn(&O) -> f64,
-        run: fn(&O, &mut Progress) -> Result<Dataset>,
-    ) -> Self {
+    fn of<B: Benchmark>(name: &'static str, request: &Request) -> Self {
+        let mut options = B::of_report(request.extent.quick);
+        if let Some(rounds) = request.extent.rounds {
+            *options.rounds_mut() = rounds;
+        }
+        if let Some(config) = options.config_mut() {
+            config.clone_from(&request.config);
+        }
         Self {
             name,
-            expected_s: expected_s(&options),
-            run: Box::new(move |progress| run(&options, progress)),
+            expected_s: options.expected_s(),
+            run: Box::new(move |progress| options.run(progress)),
         }
     }
 
@@ -195,29 +153,16 @@ impl Plan {
 mod tests {
     use super::*;
 
-    fn fails(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
-        anyhow::bail!("no luck")
-    }
-
-    fn panics(_: &budget::BudgetOptions, _: &mut Progress) -> Result<Dataset> {
-        panic!("a test of a panic")
-    }
-
     #[test]
     fn a_benchmark_that_fails_or_panics_is_a_part_without_a_result() {
-        for (run, words) in [
-            (
-                fails as fn(&budget::BudgetOptions, &mut Progress) -> _,
-                "no luck",
-            ),
-            (panics, "panicked"),
-        ] {
-            let plan = Plan::of(
-                "budget",
-                budget::BudgetOptions::quick(),
-                budget::expected_s,
+        let fails: Box<Run> = Box::new(|_| anyhow::bail!("no luck"));
+        let panics: Box<Run> = Box::new(|_| panic!("a test of a panic"));
+        for (run, words) in [(fails, "no luck"), (panics, "panicked")] {
+            let plan = Plan {
+                name: "budget",
+                expected_s: 1.0,
                 run,
-            );
+            };
             let part = plan.carry_out(&mut Progress::silent());
             let cause = part.result.err().expect("no result");
             assert!(cause.contains(words), "{cause}");
@@ -232,7 +177,7 @@ mod tests {
                 rounds: None,
             },
             config: None,
-            benchmarks: Benchmark::value_variants().to_vec(),
+            benchmarks: Name::value_variants().to_vec(),
         };
         assert!(request(true).expected_s() < request(false).expected_s() / 4.0);
     }

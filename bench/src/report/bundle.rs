@@ -118,16 +118,4 @@ mod tests {
         );
         assert_eq!(fs::read_dir(place.path()).expect("a folder").count(), 2);
     }
-
-    #[test]
-    fn no_name_is_used_twice_and_many_are_counted() {
-        let mut bundle = bundle("");
-        assert!(bundle.add("a.txt", String::new()).is_err());
-        for i in 0..5 {
-            bundle
-                .add(format!("{i}.csv"), String::new())
-                .expect("added");
-        }
-        assert_eq!(bundle.words(), "5 CSV, deep/b.hlog, a.txt");
-    }
 }

@@ -304,16 +304,6 @@ mod tests {
     }
 
     #[test]
-    fn memory_is_locked_when_it_was_in_every_round() {
-        for (rounds, reached) in [([1.0, 1.0], true), ([1.0, 0.0], false)] {
-            let metrics = [Metric::new("footprint/locked", "", Better::Higher, rounds)];
-            let found = targets(&metrics, &Map::new());
-            assert_eq!(found.len(), 1, "{found:?}");
-            assert_eq!(found[0].reached, reached);
-        }
-    }
-
-    #[test]
     fn a_stop_is_judged_beyond_the_period_of_its_run() {
         let target =
             |leg: &str, p99_us: f64| json!({ "leg": leg, "p99_us": p99_us, "limit_us": 2100.0 });

@@ -5,8 +5,9 @@ use std::process::{Child, Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use cdcr_bench::benchmark::{Benchmark, defaults};
 use cdcr_bench::latency::baseline::PEER;
-use cdcr_bench::latency::{LatencyOptions, Leg, run};
+use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
 
@@ -23,9 +24,9 @@ fn every_way_is_measured_in_every_round() {
     let options = LatencyOptions {
         rounds: 2,
         samples: 10,
-        ..LatencyOptions::default()
+        ..defaults()
     };
-    let report = run(&options, &mut Progress::silent()).unwrap();
+    let report = options.run(&mut Progress::silent()).unwrap();
     let json = report.json();
     let row = |leg: Leg| &json["legs"][leg as usize];
     let samples = |leg: Leg| {
@@ -62,41 +63,6 @@ fn every_way_is_measured_in_every_round() {
     assert!(json["unmeasured"]["spoilt_stops"].is_u64());
     assert!(json["unmeasured"]["without_command"].is_u64());
     assert_eq!(report.plots.len(), 1);
-}
-
-#[test]
-fn the_program_prints_csv_and_takes_another_period() {
-    let output = program()
-        .args([
-            "latency",
-            "--rounds",
-            "1",
-            "--samples",
-            "5",
-            "--period",
-            "10ms",
-            "--format",
-            "csv",
-        ])
-        .output()
-        .unwrap();
-    let errors = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{errors}");
-    let mut reader = csv::Reader::from_reader(output.stdout.as_slice());
-    let heads = reader.headers().unwrap().clone();
-    for name in [
-        "leg",
-        "from",
-        "to",
-        "samples",
-        "latency_us_p50",
-        "latency_us_p999",
-        "rounds_us_p99",
-    ] {
-        assert!(heads.iter().any(|head| head == name), "{name} in {heads:?}");
-    }
-    let rows: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
-    assert_eq!(rows.len(), Leg::ALL.len());
 }
 
 /// A peer at `place` whose parent is, so it is told, the process `parent`.

@@ -15,4 +15,5 @@ mod paper;
 mod quality;
 mod rate;
 mod refused;
+mod results;
 mod robustness;

@@ -1,11 +1,10 @@
 //! What `cdcr-bench paper` hands over, from runs of a few cycles.
 
-use std::collections::HashSet;
 use std::path::Path;
 
+use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
-use cdcr_bench::paper;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::{Start, dataset_bundle};
 use cdcr_bench::simulation::{Effort, Simulation, run};
@@ -18,7 +17,9 @@ const QUICK: Effort = Effort {
 };
 
 fn report() -> Dataset {
-    paper::run(&QUICK, &mut Progress::silent()).expect("all experiments run")
+    QUICK
+        .run(&mut Progress::silent())
+        .expect("all experiments run")
 }
 
 fn rows(report: &Dataset) -> Vec<Value> {
@@ -89,20 +90,6 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields_and_no_others() {
             row["name"] != "circle"
         );
     }
-}
-
-#[test]
-fn every_experiment_has_numbers_of_its_own_for_every_seed() {
-    let effort = Effort {
-        seeds: 2,
-        cycles_max: 2,
-    };
-    let metrics = paper::run(&effort, &mut Progress::silent())
-        .expect("all run")
-        .metrics;
-    let names: HashSet<&str> = metrics.iter().map(|metric| &*metric.name).collect();
-    assert_eq!(names.len(), 2 * Experiment::all().len());
-    assert!(metrics.iter().all(|metric| metric.rounds.len() >= 2));
 }
 
 #[test]

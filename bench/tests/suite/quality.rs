@@ -2,16 +2,18 @@
 
 use std::sync::OnceLock;
 
+use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::quality::course::Course;
 use cdcr_bench::quality::restarts::Contender;
-use cdcr_bench::quality::{self, Field, QualityOptions};
+use cdcr_bench::quality::{Field, QualityOptions};
 
 /// Two courses, one with an obstacle, for a quarter of a second each.
 fn small() -> QualityOptions {
     QualityOptions {
         rounds: 2,
+        quick: true,
         courses: vec![Course::Line, Course::Crossing],
         cycles_max: 50,
         budgets_us: vec![20, 500],
@@ -24,7 +26,7 @@ fn small() -> QualityOptions {
 /// One run for all tests.
 fn report() -> &'static Dataset {
     static REPORT: OnceLock<Dataset> = OnceLock::new();
-    REPORT.get_or_init(|| quality::run(&small(), &mut Progress::silent()).expect("it runs"))
+    REPORT.get_or_init(|| small().run(&mut Progress::silent()).expect("it runs"))
 }
 
 #[test]
@@ -130,7 +132,7 @@ fn what_no_clock_ends_comes_out_the_same_again() {
         ..small()
     };
     let [first, second] = [(); 2].map(|()| {
-        let report = quality::run(&options, &mut Progress::silent()).expect("it runs");
+        let report = options.run(&mut Progress::silent()).expect("it runs");
         let metrics = report.metrics.into_iter();
         metrics
             .map(|metric| (metric.name, metric.rounds))

@@ -1,4 +1,5 @@
 //! What `cdcr-bench rate` finds out, from short trials with real daemons.
+use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
 use cdcr_bench::rate::{self, Case, Length, Measured, RateOptions, Trial, Verdict};
@@ -13,7 +14,7 @@ fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
         cases,
         periods_ms: periods_ms.to_vec(),
         steps_ms: steps_ms.to_vec(),
-        ..RateOptions::quick()
+        ..RateOptions::of_report(true)
     };
     rate::measure(&options, &mut Progress::silent()).unwrap()
 }

@@ -4,6 +4,7 @@
 //! not its model ([`Driven`]), with a driver and an estimate.
 
 mod driven;
+mod figure_eight;
 
 use nalgebra::Vector3;
 
@@ -14,6 +15,7 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
 use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
 pub use driven::{Driven, Sensor};
+pub use figure_eight::{FigureEight, FigureEightError, FigureEightRun};
 
 /// The robot, the obstacles and the reference around it, and the last word on its commands.
 ///

@@ -1,33 +1,13 @@
 //! A robot that is not its model, tracked as a daemon tracks it: how far its tip is from the reference in truth.
 
-use cdcr_controller::closed_loop::{ClosedLoop, Driven, Sensor};
+use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun, Sensor};
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::plant::Flaws;
-use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
-use nalgebra::Vector3;
 
-const PERIOD_S: f64 = 0.005;
-const CYCLES: u32 = 3000;
 const SEEDS: u64 = 3;
 
-/// A figure eight across the robot's axis, at up to 52 mm/s.
-fn eight(time_s: f64) -> ReferenceSample {
-    let (turn, size_m) = (0.46 * time_s, 0.08);
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: Vector3::new(
-            0.25 + size_m * turn.sin(),
-            0.5 * size_m * (2.0 * turn).sin(),
-            0.7,
-        ),
-        orientation: Orientation::Free,
-    }
-}
-
 /// The error of the tip in truth, the first second apart.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Figures {
     mean_mm: f64,
     rms_mm: f64,
@@ -36,72 +16,29 @@ struct Figures {
     rate_change_rms: f64,
 }
 
-/// The shape that the robot has at its beginning.
-fn start(robot: &Robot) -> Configuration {
-    let settings = NmpcSettings::default();
-    let bent = vec![[0.4, 0.0]; robot.section_count()];
-    let bent = Configuration::from_bend_angles(&bent);
-    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-    let mut closed = ClosedLoop::new(robot, PERIOD_S, settings, bent, &[], |_| eight(0.0));
-    for _ in 0..600 {
-        closed.step(&mut nmpc);
-    }
-    assert!(closed.error_m() < 1e-6, "{}", closed.error_m());
-    *closed.configuration()
-}
-
-/// 15 s on the figure eight, three sections.
-fn run(driven: Driven) -> Figures {
-    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let settings = NmpcSettings::default();
-    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-    let from = start(&robot);
-    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, from, &[], eight)
-        .with_acceleration(40.0)
-        .with_driven(driven)
-        .unwrap();
-    let mut before = BendRates::zero(3);
-    let (mut errors_mm, mut changes) = (Vec::new(), 0.0);
-    for cycle in 0..CYCLES {
-        closed.step(&mut nmpc);
-        let rates = closed.command().rates;
-        if cycle >= 200 {
-            errors_mm.push(1e3 * closed.error_m());
-            let pairs = rates.as_slice().iter().zip(before.as_slice());
-            changes += pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+impl Figures {
+    fn or_worse(&self, run: &FigureEightRun) -> Self {
+        Self {
+            mean_mm: self.mean_mm.max(run.mean_mm()),
+            rms_mm: self.rms_mm.max(run.rms_mm()),
+            max_mm: self.max_mm.max(run.max_mm()),
+            rate_change_rms: self.rate_change_rms.max(run.rate_change_square().sqrt()),
         }
-        before = rates;
-    }
-    let count = errors_mm.len() as f64;
-    Figures {
-        mean_mm: errors_mm.iter().sum::<f64>() / count,
-        rms_mm: (errors_mm.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
-        max_mm: errors_mm.iter().copied().fold(0.0, f64::max),
-        rate_change_rms: (changes / count).sqrt(),
     }
 }
 
 /// The worst of some seeds, for motors that obey positions and for those that obey speeds.
 fn worst(name: &str, driven: Driven) -> Figures {
-    let mut worst = Figures {
-        mean_mm: 0.0,
-        rms_mm: 0.0,
-        max_mm: 0.0,
-        rate_change_rms: 0.0,
-    };
+    let eight = FigureEight::new().unwrap();
+    let mut worst = Figures::default();
     for obeys_positions in [true, false] {
         for seed in 1..=SEEDS {
-            let run = run(Driven {
+            let driven = Driven {
                 obeys_positions,
                 seed,
                 ..driven
-            });
-            worst = Figures {
-                mean_mm: worst.mean_mm.max(run.mean_mm),
-                rms_mm: worst.rms_mm.max(run.rms_mm),
-                max_mm: worst.max_mm.max(run.max_mm),
-                rate_change_rms: worst.rate_change_rms.max(run.rate_change_rms),
             };
+            worst = worst.or_worse(&eight.run(driven, &[]).unwrap());
         }
     }
     println!("{name}: {worst:.3?}");

@@ -1,0 +1,171 @@
+//! Robots, what is known of them, and what is done about the rest.
+
+use cdcr_controller::closed_loop::{Driven, Sensor};
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::{Flaws, Preset};
+use plotters::style::RGBColor;
+
+use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
+use crate::named::named;
+
+/// Time constant of a daemon's estimate, by default \[s\].
+const TIME_CONSTANT_S: f64 = 0.1;
+
+named! {
+    /// What is done about it.
+    pub(super) enum Control {
+        /// All that a daemon does.
+        Full = "full",
+        /// The motors are taken for ideal.
+        NoActuator = "no actuator model",
+        /// What is measured is believed at once, and the motors are taken for ideal.
+        NoEstimator = "no estimator",
+        /// The sensor of the tip is not used.
+        NoTip = "no tip",
+        /// Nothing is measured.
+        OpenLoop = "open loop",
+    }
+}
+
+impl Control {
+    pub(super) fn colour(self) -> RGBColor {
+        match self {
+            Self::Full => BLUE,
+            Self::NoActuator => GREEN,
+            Self::NoTip => PURPLE,
+            Self::NoEstimator => ORANGE,
+            Self::OpenLoop => GREY,
+        }
+    }
+}
+
+/// A robot, and what is known of it.
+#[derive(Debug, Clone)]
+pub(super) struct Scenario {
+    pub(super) name: &'static str,
+    pub(super) flaws: Flaws,
+    /// What its motors are taken for.
+    actuator: Actuator,
+    sensor: Sensor,
+    /// A ball stands at the way.
+    pub(super) has_ball: bool,
+    /// The mean error that is wanted \[mm\].
+    pub(super) target_mm: Option<f64>,
+}
+
+impl Scenario {
+    /// Its motors are known, and of its state the lengths of the cables.
+    fn new(name: &'static str, flaws: Flaws) -> Self {
+        Self {
+            name,
+            actuator: flaws.actuator,
+            flaws,
+            sensor: Sensor::Cables,
+            has_ball: false,
+            target_mm: None,
+        }
+    }
+
+    fn sensor(self, sensor: Sensor) -> Self {
+        Self { sensor, ..self }
+    }
+
+    fn target_mm(self, mm: f64) -> Self {
+        let target_mm = Some(mm);
+        Self { target_mm, ..self }
+    }
+
+    /// In the order of the tables.
+    pub(super) fn all() -> Vec<Self> {
+        let known = motors(0.015, 0.03);
+        let lagging = |name, actuator| Self {
+            actuator: known,
+            ..Self::new(name, with(|f| f.actuator = actuator)).target_mm(0.5)
+        };
+        let noisy_tip = |name, noise_m| {
+            Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
+        };
+        let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
+        let wrong_model = with(|f| {
+            f.length_error = 0.05;
+            f.payload_rad = [0.015, 0.0];
+            f.tip_noise_m = 3e-4;
+        });
+        let play = with(|f| {
+            f.backlash_m = 5e-4;
+            f.tip_noise_m = 3e-4;
+        });
+        let tip = |every| Sensor::CablesAndTip { every };
+        vec![
+            Self::new("ideal", Flaws::default()),
+            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5)).target_mm(0.15),
+            lagging("lag 30 ms, delay 15 ms", known),
+            lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
+            lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
+            Self::new("wrong model", wrong_model)
+                .sensor(tip(2))
+                .target_mm(0.2),
+            Self::new("play of 0.5 mm", play)
+                .sensor(tip(1))
+                .target_mm(0.3),
+            noisy_tip("tip alone, 0.1 mm", 1e-4).target_mm(0.1),
+            noisy_tip("tip alone, 0.5 mm", 5e-4).target_mm(0.25),
+            of_preset("laboratory", Preset::Laboratory),
+            Self {
+                has_ball: true,
+                ..of_preset("laboratory, ball", Preset::Laboratory)
+            },
+            of_preset("sloppy, with tip", Preset::Sloppy).sensor(tip(2)),
+            of_preset("slow", Preset::Slow),
+            of_preset("blind", Preset::Blind).sensor(Sensor::Tip { every: 1 }),
+        ]
+    }
+
+    /// The controllers that differ on it.
+    pub(super) fn controls(&self) -> impl Iterator<Item = Control> {
+        let has_tip = matches!(self.sensor, Sensor::CablesAndTip { .. });
+        let lags = self.actuator != Actuator::IDEAL;
+        Control::ALL
+            .into_iter()
+            .filter(move |control| match control {
+                Control::Full | Control::OpenLoop => true,
+                Control::NoActuator => lags,
+                Control::NoEstimator => !has_tip,
+                Control::NoTip => has_tip,
+            })
+    }
+
+    pub(super) fn driven(&self, control: Control, obeys_positions: bool, seed: u64) -> Driven {
+        let mut driven = Driven {
+            flaws: self.flaws,
+            actuator: self.actuator,
+            time_constant_s: TIME_CONSTANT_S,
+            obeys_positions,
+            sensor: self.sensor,
+            seed,
+        };
+        match control {
+            Control::Full => {}
+            Control::NoActuator => driven.actuator = Actuator::IDEAL,
+            Control::NoEstimator => {
+                (driven.actuator, driven.time_constant_s) = (Actuator::IDEAL, 0.0);
+            }
+            Control::NoTip => driven.sensor = Sensor::Cables,
+            Control::OpenLoop => driven.sensor = Sensor::Nothing,
+        }
+        driven
+    }
+}
+
+fn with(change: impl FnOnce(&mut Flaws)) -> Flaws {
+    let mut flaws = Flaws::default();
+    change(&mut flaws);
+    flaws
+}
+
+fn motors(delay_s: f64, time_constant_s: f64) -> Actuator {
+    Actuator {
+        delay_s,
+        time_constant_s,
+    }
+}

@@ -1,0 +1,52 @@
+//! The tables of `docs/results.md` are those of the committed results; `CDCR_GENERATE=1` writes them.
+
+use std::path::Path;
+
+use cdcr_bench::dataset::Sheet;
+use cdcr_bench::robustness;
+use serde_json::Value;
+
+/// Where a table begins in the document, and where it ends.
+const MARKS: (&str, &str) = (
+    "<!-- generated from ",
+    "<!-- end of what is generated -->\n",
+);
+
+fn rows(document: &Value, key: &str) -> Vec<Value> {
+    document[key].as_array().expect("rows").clone()
+}
+
+/// The table that stands for a result in the document.
+fn table(file: &str, document: &Value) -> Sheet {
+    match file {
+        "results/robustness.json" => robustness::comparison(&rows(document, "scenarios")),
+        other => panic!("no table is made from {other}"),
+    }
+}
+
+#[test]
+fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
+    let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
+    let place = docs.join("results.md");
+    let text = std::fs::read_to_string(&place).expect("the document");
+    let mut parts = text.split(MARKS.0);
+    let mut made = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let (file, rest) = part.split_once(" -->\n").expect("a file and its table");
+        let (_, rest) = rest.split_once(MARKS.1).expect("an end of the table");
+        let json = std::fs::read_to_string(docs.join(file)).expect(file);
+        let table = table(file, &serde_json::from_str(&json).expect("one object"));
+        let (begin, end) = MARKS;
+        made += &format!("{begin}{file} -->\n{}{end}{rest}", table.markdown());
+    }
+    assert!(
+        made.contains("| 30 µm of noise |"),
+        "the table of robustness"
+    );
+    if std::env::var_os("CDCR_GENERATE").is_some() {
+        std::fs::write(&place, &made).expect("written");
+        return;
+    }
+    let how = "CDCR_GENERATE=1 cargo test -p cdcr-bench results";
+    assert!(made == text, "docs/results.md is not up to date: {how}");
+}

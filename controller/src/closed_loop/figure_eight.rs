@@ -1,0 +1,165 @@
+//! Three sections on a figure eight: the task on which robots that are not their model are compared.
+
+use nalgebra::Vector3;
+
+use super::{ClosedLoop, Driven};
+use crate::nmpc::{Nmpc, NmpcSettings, SettingsError};
+use crate::reference::{Orientation, ReferenceSample, ReferenceState};
+use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotParameters};
+
+/// Largest acceleration of a robot behind a driver, by default (rad/s²).
+const ACCELERATION_RAD_S2: f64 = 40.0;
+/// Periods until the robot has reached the beginning of the reference.
+const APPROACH_CYCLES: u32 = 600;
+
+/// The paper's robot with the default settings, at rest where the figure eight begins.
+#[derive(Debug, Clone)]
+pub struct FigureEight {
+    robot: Robot,
+    settings: NmpcSettings,
+    start: Configuration,
+}
+
+/// Why there is no run.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FigureEightError {
+    /// The flaws of the geometry make it no robot.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// The settings do not suit the solver.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+}
+
+/// One run, cycle by cycle.
+#[derive(Debug, Clone)]
+pub struct FigureEightRun {
+    errors_mm: Vec<f64>,
+    rate_changes: f64,
+    min_clearance_mm: f64,
+}
+
+impl FigureEight {
+    /// Period (s).
+    pub const PERIOD_S: f64 = 0.005;
+    /// Cycles of a run: once round, and a little more.
+    pub const CYCLES: u32 = 3000;
+    /// Cycles at the beginning that do not count: the estimate settles.
+    pub const BEGIN_CYCLES: u32 = 200;
+
+    /// 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
+    pub fn reference(time_s: f64) -> ReferenceSample {
+        let (turn, size_m) = (0.46 * time_s, 0.08);
+        ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: Vector3::new(
+                0.25 + size_m * turn.sin(),
+                0.5 * size_m * (2.0 * turn).sin(),
+                0.7,
+            ),
+            orientation: Orientation::Free,
+        }
+    }
+
+    /// Lets the ideal robot go to the beginning of the figure eight.
+    ///
+    /// # Errors
+    /// [`FigureEightError`], which the paper's robot and the default settings never give.
+    pub fn new() -> Result<Self, FigureEightError> {
+        let robot = Robot::new(&RobotParameters::paper(3))?;
+        let settings = NmpcSettings::default();
+        let bent = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
+        let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
+        let begin = |_| Self::reference(0.0);
+        let mut closed = ClosedLoop::new(&robot, Self::PERIOD_S, settings, bent, &[], begin);
+        for _ in 0..APPROACH_CYCLES {
+            closed.step(&mut nmpc);
+        }
+        Ok(Self {
+            start: *closed.configuration(),
+            robot,
+            settings,
+        })
+    }
+
+    /// Once round with a robot that is not its model, behind a driver. `obstacles` are where they are at the beginning.
+    ///
+    /// # Errors
+    /// [`FigureEightError::Robot`] when the flaws of the geometry make it no robot.
+    pub fn run(
+        &self,
+        driven: Driven,
+        obstacles: &[Obstacle],
+    ) -> Result<FigureEightRun, FigureEightError> {
+        let (robot, settings, start) = (&self.robot, self.settings, self.start);
+        let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
+        let way = Self::reference;
+        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)
+            .with_acceleration(ACCELERATION_RAD_S2)
+            .with_driven(driven)?;
+        let mut run = FigureEightRun {
+            errors_mm: Vec::with_capacity(Self::CYCLES as usize),
+            rate_changes: 0.0,
+            min_clearance_mm: f64::INFINITY,
+        };
+        let mut before = BendRates::zero(robot.section_count());
+        for cycle in 0..Self::CYCLES {
+            closed.step(&mut nmpc);
+            let rates = closed.command().rates;
+            run.errors_mm.push(1e3 * closed.error_m());
+            run.min_clearance_mm = run.min_clearance_mm.min(1e3 * closed.clearance_m());
+            if cycle >= Self::BEGIN_CYCLES {
+                let pairs = rates.as_slice().iter().zip(before.as_slice());
+                run.rate_changes += pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
+            }
+            before = rates;
+        }
+        Ok(run)
+    }
+}
+
+impl FigureEightRun {
+    /// Distance of the tip from the reference in truth at the end of each cycle (mm).
+    pub fn errors_mm(&self) -> &[f64] {
+        &self.errors_mm
+    }
+
+    /// Mean error of the cycles that count (mm).
+    pub fn mean_mm(&self) -> f64 {
+        mean(self.counted())
+    }
+
+    /// Mean error of the second half of the cycles that count (mm).
+    pub fn settled_mm(&self) -> f64 {
+        mean(&self.counted()[self.counted().len() / 2..])
+    }
+
+    /// Root mean square of the errors that count (mm).
+    pub fn rms_mm(&self) -> f64 {
+        let squares: f64 = self.counted().iter().map(|error| error * error).sum();
+        (squares / self.counted().len() as f64).sqrt()
+    }
+
+    /// Largest error that counts (mm).
+    pub fn max_mm(&self) -> f64 {
+        self.counted().iter().copied().fold(0.0, f64::max)
+    }
+
+    /// Mean square of what the rates change by from cycle to cycle, all components together (rad²/s²).
+    pub fn rate_change_square(&self) -> f64 {
+        self.rate_changes / self.counted().len() as f64
+    }
+
+    /// Least clearance of the true body, over all cycles (mm); infinite without obstacles.
+    pub fn min_clearance_mm(&self) -> f64 {
+        self.min_clearance_mm
+    }
+
+    fn counted(&self) -> &[f64] {
+        &self.errors_mm[FigureEight::BEGIN_CYCLES as usize..]
+    }
+}
+
+fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
