@@ -49,7 +49,9 @@ pub fn remedy(outcome: Outcome) -> &'static str {
         Outcome::WrongInterface => {
             "Set link.interface to what the driver obeys, \"position\" or \"velocity\"."
         }
-        Outcome::OtherDriver => "End the other driver first: a robot has one at a time.",
+        Outcome::OtherDriver => {
+            "End the other driver (or tip sensor) first: a robot has one at a time. A tip sensor that is a process of its own needs link.tip_sensor = \"separate\"."
+        }
         Outcome::Ending => "The daemon is coming to rest and ends; start it again first.",
         Outcome::Overruled => {
             "Somebody stopped the robot at the same moment: see why, then cdcrctl reset, and ask again."

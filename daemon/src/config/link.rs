@@ -28,6 +28,18 @@ pub enum Interface {
     Position,
 }
 
+/// Which process measures the tip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum TipSensor {
+    /// The driver, if any.
+    #[default]
+    Driver,
+    /// One that measures nothing else.
+    Separate,
+}
+
 cdcr_controller::parameters! {
     /// Where measurements come from and commands go to.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -45,9 +57,13 @@ cdcr_controller::parameters! {
         /// What of a command the robot obeys: "velocity", the speeds, or "position", the positions. A driver says which it obeys,
         /// and is refused where that is not what stands here. The simulated robot can do both.
         interface: Interface = Interface::Velocity;
+        /// Which process measures the tip. "driver": the driver, if any. "separate": a process of its own, a camera for
+        /// example, beside a driver that measures bends or cables.
+        tip_sensor: TipSensor = TipSensor::Driver;
         /// Bend vectors (u, v) at the start in rad, one pair for each section; empty: straight.
         initial_bend_rad: Vec<[f64; 2]> = Vec::new();
-        /// A driver's measurement older than this is lost, and the robot faults, {range}.
+        /// A driver's measurement older than this is lost, and the robot faults, {range}. A tip sensor that is silent for so long
+        /// may be replaced by another one.
         measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
         /// How long after its release a robot follows a command without a newer one before it holds, {range}; 0: three
         /// periods.

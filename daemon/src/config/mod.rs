@@ -44,7 +44,7 @@ pub use error::ConfigError;
 pub use estimator::EstimatorConfig;
 pub use explain::explain;
 pub use layers::Layers;
-pub use link::{Interface, LinkConfig, LinkKind};
+pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
 pub use motion::{ApproachKind, MotionConfig, REST_MAX_S};
 pub use obstacles::{ObstaclesConfig, SourceSilent};
 pub use origin::{Origin, Origins};
