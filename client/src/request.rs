@@ -43,8 +43,8 @@ pub enum RequestError {
     },
     /// Another daemon answered than the one that gave the lease.
     #[error(
-        "cannot {kind} again: the daemon was started again, and the lease ended with the one before. \
-         Acquire a new one"
+        "cannot {kind} again: the daemon was started again, and the lease \
+         is gone. Acquire a new one"
     )]
     Restarted {
         /// What was asked for.
@@ -59,7 +59,7 @@ pub enum RequestError {
         cause: String,
     },
     /// The answer holds a code that this version does not know.
-    #[error("cannot tell whether the daemon did {kind}: its answer has {code}")]
+    #[error("the outcome of {kind} is unknown: the daemon's answer has {code}")]
     Answer {
         /// What was asked for.
         kind: RequestKind,

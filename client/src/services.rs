@@ -169,7 +169,7 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     let owner_id = std::fs::metadata(&place.root).map_err(missing)?.uid();
     let user_id = rustix::process::geteuid().as_raw();
     Err(if owner_id == user_id {
-        let found = "anybody may write to the root path, and no daemon uses such a one";
+        let found = "every user may write to the root path, and a daemon refuses such a folder";
         ConnectError::not_running(place, found)
     } else {
         ConnectError::OtherUser {

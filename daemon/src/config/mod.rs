@@ -80,7 +80,7 @@ cdcr_controller::parameters! {
         motion: MotionConfig = MotionConfig::default();
         /// What counts as a fault of the robot, its sensors or its surroundings.
         safety: SafetyConfig = SafetyConfig::default();
-        /// Those who send obstacles.
+        /// Supervision of the sources of obstacles.
         obstacles: ObstaclesConfig = ObstaclesConfig::default();
         /// The reference and its lease.
         reference: ReferenceConfig = ReferenceConfig::default();

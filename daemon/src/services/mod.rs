@@ -29,7 +29,7 @@ pub enum ServiceError {
     /// The node cannot be created.
     #[error(
         "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
-         check that the folder belongs to you and has room"
+         check that the folder belongs to you and has free space"
     )]
     Node {
         /// Prefix.

@@ -145,7 +145,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
     let message = error.to_string();
     assert!(
         message.contains("faulted because the measurement is lost")
-            && message.contains("whether the driver runs"),
+            && message.contains("Check that the driver runs"),
         "{message}"
     );
     let status = wait_status(&connection, |status| status.lease_holder == 0);
