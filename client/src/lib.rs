@@ -82,7 +82,6 @@ mod requester;
 mod robot;
 mod sender;
 mod services;
-mod shm_space;
 mod stream;
 mod tip_sensor;
 mod trajectory;

@@ -3,6 +3,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
+use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Request, Response, Service, SolverSettings, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
@@ -12,7 +13,6 @@ use crate::LinkError;
 use crate::remedy::{refusal, request_remedy};
 use crate::sender::Sender;
 use crate::services::ControlChannel;
-use crate::shm_space::PORT_BYTES;
 
 /// How often a waiting client looks for the answer.
 pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);

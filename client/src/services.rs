@@ -3,6 +3,7 @@ use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 
+use cdcr_shared_types::shm_space::{self, InsufficientSpace};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
@@ -11,8 +12,10 @@ use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
-use crate::shm_space::{self, CONNECTION_BYTES, InsufficientSpace};
 use crate::{ConnectError, Message};
+
+/// What a connection takes without further ports \[bytes\]. No more than it needs: a stop has to get in.
+const CONNECTION_BYTES: u64 = 64 * 1024;
 
 /// A publish-subscribe service that is open.
 pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Service, T, ()>>;
