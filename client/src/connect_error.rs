@@ -48,7 +48,7 @@ pub enum ConnectError {
     /// A daemon runs, and shows no sign of life.
     #[error(
         "the daemon for {place} runs ({process}), but {found}\n\
-         to stop the robot all the same: cdcrctl stop, or the signal USR1 to that process"
+         to stop the robot nevertheless: cdcrctl stop, or the signal USR1 to that process"
     )]
     Silent {
         /// Where it was found.
@@ -73,8 +73,8 @@ pub enum ConnectError {
     },
     /// The files belong to another user.
     #[error(
-        "{} belongs to user {owner_id}, this program runs as user {user_id}: only the daemon's own \
-         user can reach it, and the group to which that opened it (transport.group). Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
+        "{} belongs to user {owner_id}, this program runs as user {user_id}: only the \
+         daemon's own user and the group in transport.group have access. Run as that user (for example sudo -u '#{owner_id}' cdcrctl …), or start \
          a daemon of your own with another --root",
         place.root.display()
     )]

@@ -14,7 +14,8 @@ use crate::sender::Sender;
 use crate::services::{Services, check_owner};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
-    ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, Trajectory, monotonic_ns,
+    ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, TipSensor, Trajectory,
+    monotonic_ns,
 };
 
 /// How long a request waits for its answer; a daemon answers within a few cycles of 5 ms.
@@ -242,6 +243,15 @@ impl Connection {
     pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
         let robot = self.status(STATUS_FRESH)?.robot;
         Driver::open(&self.services, self.sender.clone(), &robot, interface)
+    }
+
+    /// The port of a process that measures the tip beside the driver (`link.tip_sensor = "separate"`).
+    ///
+    /// # Errors
+    /// When the service has as many writers as it allows, [`LinkError::Silent`] when the daemon is away.
+    pub fn tip_sensor(&self) -> Result<TipSensor, LinkError> {
+        let status = self.status(STATUS_FRESH)?;
+        TipSensor::open(&self.services.measurement, self.sender.clone(), &status)
     }
 
     /// One record of every cycle from now on.

@@ -85,8 +85,8 @@ mod requester;
 mod robot;
 mod sender;
 mod services;
-mod shm_space;
 mod stream;
+mod tip_sensor;
 mod trajectory;
 
 pub use clock::monotonic_ns;
@@ -107,6 +107,7 @@ pub use request::RequestError;
 pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};
+pub use tip_sensor::TipSensor;
 pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory};
 #[cfg(feature = "csv")]
 pub use trajectory::{FileTrajectory, TrajectoryFileError};

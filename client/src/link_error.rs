@@ -24,7 +24,7 @@ pub enum LinkError {
     },
     /// The port for requests could not be made.
     #[error(
-        "cannot ask the daemon for anything: {cause}. At most {} clients may at one time; close one of them",
+        "cannot send requests to the daemon: {cause}. At most {} clients may do so at one time; close one of them",
         Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     )]
     Askers {

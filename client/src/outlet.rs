@@ -1,10 +1,10 @@
+use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Header, ipc};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::BackpressureStrategy;
 
 use crate::sender::Sender;
 use crate::services::Channel;
-use crate::shm_space::PORT_BYTES;
 use crate::{LinkError, Message};
 
 /// The writing end of one service: stamps the header and sends.

@@ -4,7 +4,7 @@ use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 pub fn remedy(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::Accepted => "Nothing to do.",
-        Outcome::NotFinite => "Look for NaN or infinite numbers in what was sent.",
+        Outcome::NotFinite => "Remove NaN and infinite numbers from the message.",
         Outcome::InThePast => {
             "The sender fell behind: let it start later (--lead) or send further ahead."
         }
@@ -35,7 +35,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "See the mode in cdcrctl status: hold ends homing, reset leaves stopped and faulted."
         }
         Outcome::CauseStands => {
-            "Mend the cause first (cdcrctl status names it), then cdcrctl reset again."
+            "Correct the cause first (cdcrctl status names it), then repeat cdcrctl reset."
         }
         Outcome::Waits => {
             "Start the program that sends the obstacles again, or forget them all: cdcrctl obstacle clear."
@@ -44,15 +44,17 @@ pub fn remedy(outcome: Outcome) -> &'static str {
             "Bring the tip nearer first, with cdcrctl goto or home, or set motion.approach to \"smooth\"."
         }
         Outcome::Busy => "Wait a moment and try again.",
-        Outcome::Stale => "Use one connection for each sender, and count its messages up.",
+        Outcome::Stale => "Use one connection for each sender, with increasing sequence numbers.",
         Outcome::WrongRobot => "Use the number of sections that cdcrctl status shows.",
         Outcome::WrongInterface => {
             "Set link.interface to what the driver obeys, \"position\" or \"velocity\"."
         }
-        Outcome::OtherDriver => "End the other driver first: a robot has one at a time.",
+        Outcome::OtherDriver => {
+            "End the other driver (or tip sensor) first: a robot has one at a time. A tip sensor that is a process of its own needs link.tip_sensor = \"separate\"."
+        }
         Outcome::Ending => "The daemon is coming to rest and ends; start it again first.",
         Outcome::Overruled => {
-            "Somebody stopped the robot at the same moment: see why, then cdcrctl reset, and ask again."
+            "Another client stopped the robot at the same moment: find out why, then cdcrctl reset, and repeat the request."
         }
     }
 }
@@ -60,7 +62,7 @@ pub fn remedy(outcome: Outcome) -> &'static str {
 /// Why a request was refused, in the words that fit it.
 pub(crate) fn refusal(kind: RequestKind, outcome: Outcome) -> &'static str {
     match (kind, outcome) {
-        (RequestKind::Track, Outcome::NoLease) => "nobody feeds a reference",
+        (RequestKind::Track, Outcome::NoLease) => "no client feeds a reference",
         _ => outcome.text(),
     }
 }
@@ -75,7 +77,7 @@ pub(crate) fn request_remedy(kind: RequestKind, outcome: Outcome, mode: Mode) ->
     }
     match mode {
         Mode::Starting => {
-            "The driver's first measurement is missing: see whether the driver runs and sends."
+            "The driver's first measurement is missing: check that the driver runs and sends."
         }
         Mode::Stopped | Mode::Faulted => "Leave this mode with: cdcrctl reset.",
         Mode::Holding | Mode::Tracking | Mode::Homing if kind == RequestKind::Reset => {

@@ -3,6 +3,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
+use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Request, Response, Service, SolverSettings, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
@@ -12,7 +13,6 @@ use crate::LinkError;
 use crate::remedy::{refusal, request_remedy};
 use crate::sender::Sender;
 use crate::services::ControlChannel;
-use crate::shm_space::PORT_BYTES;
 
 /// How often a waiting client looks for the answer.
 pub(crate) const LOOK_AGAIN: Duration = Duration::from_millis(1);
@@ -43,8 +43,8 @@ pub enum RequestError {
     },
     /// Another daemon answered than the one that gave the lease.
     #[error(
-        "cannot {kind} again: the daemon was started again, and the lease ended with the one before. \
-         Acquire a new one"
+        "cannot {kind} again: the daemon was started again, and the lease \
+         is gone. Acquire a new one"
     )]
     Restarted {
         /// What was asked for.
@@ -59,7 +59,7 @@ pub enum RequestError {
         cause: String,
     },
     /// The answer holds a code that this version does not know.
-    #[error("cannot tell whether the daemon did {kind}: its answer has {code}")]
+    #[error("the outcome of {kind} is unknown: the daemon's answer has {code}")]
     Answer {
         /// What was asked for.
         kind: RequestKind,

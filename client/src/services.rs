@@ -3,6 +3,7 @@ use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 
+use cdcr_shared_types::shm_space::{self, InsufficientSpace};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
@@ -11,8 +12,10 @@ use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
-use crate::shm_space::{self, CONNECTION_BYTES, InsufficientSpace};
 use crate::{ConnectError, Message};
+
+/// What a connection takes without further ports \[bytes\]. No more than it needs: a stop has to get in.
+const CONNECTION_BYTES: u64 = 64 * 1024;
 
 /// A publish-subscribe service that is open.
 pub(crate) type Channel<T> = Open<publish_subscribe::PortFactory<ipc::Service, T, ()>>;
@@ -169,7 +172,7 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     let owner_id = std::fs::metadata(&place.root).map_err(missing)?.uid();
     let user_id = rustix::process::geteuid().as_raw();
     Err(if owner_id == user_id {
-        let found = "anybody may write to the root path, and no daemon uses such a one";
+        let found = "every user may write to the root path, and a daemon refuses such a folder";
         ConnectError::not_running(place, found)
     } else {
         ConnectError::OtherUser {

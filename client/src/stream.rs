@@ -2,12 +2,12 @@ use std::collections::HashMap;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Command, Header, Telemetry, ipc};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::service::port_factory::PortFactory as _;
 
 use crate::services::Channel;
-use crate::shm_space::PORT_BYTES;
 use crate::{LinkError, Message};
 
 /// How often a waiting reader looks for a message: a fifth of the daemon's usual period.

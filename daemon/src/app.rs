@@ -183,8 +183,8 @@ fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result
     if shared.last_word_moves() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
-            message: "the last command that left was not rest, though the robot was brought to rest: shared memory \
-                      took no newer one. The robot holds when that command runs out (link.command_valid_ms)"
+            message: "the last command that was sent was not rest, although the robot was \
+                      brought to rest: shared memory accepted no newer one. The robot holds when that command runs out (link.command_valid_ms)"
                 .to_owned(),
         });
     }

@@ -267,7 +267,7 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
-    use crate::rt::attribution::LateCause;
+    use cdcr_shared_types::codes::LateCause;
 
     const MS: u64 = 1_000_000;
 

@@ -87,7 +87,7 @@ pub enum InstanceError {
     /// Other users may write to the root folder.
     #[error(
         "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
-         daemon\nlook what is in it, close it with `chmod go-rwx {root}`, or choose another with --root"
+         daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or choose another with --root"
     )]
     OpenRoot {
         /// Root folder.
@@ -98,7 +98,7 @@ pub enum InstanceError {
     /// Another daemon lives in the root folder, and other users may use it than this one wants.
     #[error(
         "the root folder {root} is {access}, and others run in it: {daemons}\nthis daemon, with transport.group = {group}, \
-         would change for them who may use it: give all daemons of a root folder the same group, end the others first, or choose \
+         would change its permissions for them: give all daemons of a root folder the same group, end the others first, or choose \
          another with --root"
     )]
     RootInUse {
@@ -113,7 +113,7 @@ pub enum InstanceError {
     },
     /// Other users could enter the root folder, which is not empty.
     #[error(
-        "other users could enter the root folder {root} (mode {mode:04o}), and who has opened a file in it keeps it\n\
+        "other users could enter the root folder {root} (mode {mode:04o}), and files that they have opened stay open to them\n\
          empty it, or choose another with --root"
     )]
     EnteredRoot {
@@ -124,8 +124,8 @@ pub enum InstanceError {
     },
     /// Somebody who is no daemon that runs has locked the root folder.
     #[error(
-        "another process has locked the root folder {root}: a daemon that only starts, a program that deletes old files, or one \
-         that should not (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
+        "another process has locked the root folder {root}: a daemon that is starting, or a program \
+         that deletes old files (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
     )]
     RootLocked {
         /// Root folder.
@@ -133,7 +133,7 @@ pub enum InstanceError {
     },
     /// The root folder is not in memory.
     #[error(
-        "the root folder {root} lies on a disk, and the system would hold up the daemon to write shared memory to it\n\
+        "the root folder {root} is on a disk, and writing shared memory to it would delay the daemon\n\
          choose a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
     )]
     RootOnDisk {

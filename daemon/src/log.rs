@@ -91,7 +91,7 @@ fn start_lines(text: &Text) -> Option<TextGuard> {
             }
             Err(error) => {
                 log.with(lines(text)).init();
-                tracing::warn!(%error, "the journal takes no fields: its socket cannot be used");
+                tracing::warn!(%error, "cannot send fields to the journal: its socket cannot be used");
             }
         }
     } else {
@@ -258,7 +258,7 @@ impl<S: Subscriber> Layer<S> for RateLimit {
         let verdict = self.judge(metadata.callsite(), Instant::now());
         if let Verdict::PassAfter { left_out } = verdict {
             // The lock is free again: this line comes through here, too.
-            tracing::warn!(left_out, "{left_out} lines like the next were left out");
+            tracing::warn!(left_out, "suppressed {left_out} similar messages");
         }
         verdict != Verdict::LeaveOut
     }

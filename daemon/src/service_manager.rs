@@ -100,7 +100,7 @@ impl ServiceManager {
             return Self::nobody();
         };
         Self::at(&name, sd_notify::watchdog_enabled()).unwrap_or_else(|error| {
-            tracing::warn!(socket = ?name, %error, "no service manager can be told: NOTIFY_SOCKET is unusable");
+            tracing::warn!(socket = ?name, %error, "cannot notify the service manager: NOTIFY_SOCKET is invalid");
             Self::nobody()
         })
     }
@@ -207,7 +207,7 @@ impl ServiceManager {
         if !self.complained {
             self.complained = true;
             let socket = &listener.name;
-            tracing::warn!(?socket, %error, "the service manager could not be told; this is said once");
+            tracing::warn!(?socket, %error, "cannot notify the service manager; this is reported once");
         }
         false
     }

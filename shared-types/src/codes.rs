@@ -248,7 +248,7 @@ wire_enum! {
         Hold = 2: "hold",
         /// Stop and latch.
         Stop = 3: "stop",
-        /// Leave stopped or faulted.
+        /// Leave the modes stopped and faulted.
         Reset = 4: "reset",
         /// Move to the straight configuration.
         Home = 5: "home",

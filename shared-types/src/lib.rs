@@ -32,7 +32,7 @@
 //!   not tell anybody that a peer was killed, so freshness is judged from these stamps.
 //!
 //! The messages have no logic: nothing here validates, computes or decides; `daemon/src/convert/` does that at the edge. Beside
-//! them is only what daemon and client need to meet: folders, files, locks, who may come in.
+//! them is only what daemon and client need to meet: folders, files, locks, permissions, space in memory.
 
 mod access;
 pub mod codes;
@@ -49,6 +49,7 @@ mod presence;
 mod reference;
 mod services;
 mod settings;
+pub mod shm_space;
 mod status;
 mod telemetry;
 

@@ -9,8 +9,11 @@ message! {
     /// where the robot is, and must go on; the tip tells what the model is off by there. Of a driver that sends only tips, the
     /// tip tells where the robot is.
     ///
+    /// With `link.tip_sensor = "separate"` tips come from one process, bends or cables from another one, the driver; the tip alone
+    /// never tells where the robot is then.
+    ///
     /// One driver has the robot: the first whose measurement was accepted, by its `header.sender_id`, until it is lost. Those
-    /// of another one are refused, and so are those that are older than `link.measurement_timeout_ms` when they arrive.
+    /// of another one are refused (of another tip sensor likewise), and so are those that are older than `link.measurement_timeout_ms` when they arrive.
     pub struct Measurement "cdcr.Measurement.v2" {
         /// Sender, sequence, time of sending.
         header: Header,
@@ -20,7 +23,7 @@ message! {
         kind: u32 [code MeasurementKind],
         /// Sections of the robot it belongs to; must be the daemon's.
         sections: u32,
-        /// [`codes::Interface`](crate::codes::Interface) that the driver obeys; must be the daemon's `link.interface`.
+        /// [`codes::Interface`](crate::codes::Interface) that the driver of the robot obeys; must be the daemon's `link.interface`.
         interface: u32 [code Interface],
         /// Zero.
         reserved: u32 [reserved],

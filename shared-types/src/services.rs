@@ -116,8 +116,8 @@ impl Service {
             // 32 chunks: the whole reference buffer of the daemon.
             Self::Reference => (8, 4, 1, 32, 0),
             Self::Obstacles => (8, 4, 1, 16, 0),
-            // Who may connect may read, where the messages are small.
-            Self::Measurement => (2, Self::NODES + 1, 1, 16, 0),
+            // A driver, the one that takes its place, a tip sensor. Who may connect may read, where the messages are small.
+            Self::Measurement => (3, Self::NODES + 1, 1, 16, 0),
             // A driver, and the one that takes its place.
             Self::Command => (1, Self::NODES + 2, 2, 16, 0),
             // 256 records: 1.28 s at 5 ms. A reader costs 4 MB.

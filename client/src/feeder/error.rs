@@ -44,12 +44,12 @@ pub enum FeedError {
         time_s: f64,
     },
     /// The daemon never said what became of the first chunk.
-    #[error("the daemon took no notice of the reference within 1 s; see cdcrctl status")]
+    #[error("the daemon did not react to the reference within 1 s; see cdcrctl status")]
     Ignored,
     /// Another daemon took the place of the one that was fed.
     #[error(
-        "the daemon was started again after {played_s:.2} s of the reference: the lease and the reference \
-         ended with the one before. Feed it anew"
+        "the daemon was started again after {played_s:.2} s of the reference: lease and reference are gone. Feed \
+         the reference again"
     )]
     Restarted {
         /// How much of the trajectory was played \[s\].

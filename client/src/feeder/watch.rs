@@ -128,37 +128,37 @@ impl Watch {
 /// What to do when the daemon left tracking for this reason.
 fn reason_remedy(reason: Reason) -> &'static str {
     match reason {
-        Reason::Start => "The daemon was started again: feed the reference anew.",
+        Reason::Start => "The daemon was started again: feed the reference again.",
         Reason::Request => "Another client asked for it.",
         Reason::ReferenceEnded => {
             "The chunks came too late: give this program more time, or send further ahead."
         }
         Reason::LeaseExpired | Reason::LeaseReleased => {
-            "This program was held up for too long, or another client released its lease."
+            "This program was delayed for too long, or another client released its lease."
         }
         Reason::HomeReached => "Another client sent it home.",
         Reason::DeadlineMisses => {
             "The machine is too busy: see the causes in cdcrctl status, then cdcrctl reset. The limit is the setting \
              cycle.miss_limit."
         }
-        Reason::MeasurementLost => "See whether the driver runs, then cdcrctl reset.",
+        Reason::MeasurementLost => "Check that the driver runs, then cdcrctl reset.",
         Reason::MeasurementJump => {
-            "See the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
+            "Check the sensors and the driver (cdcrctl echo telemetry shows each measurement's state), then \
              cdcrctl reset."
         }
         Reason::MeasurementFrozen => {
-            "See whether the driver still reads the sensors and the robot can move, then cdcrctl reset."
+            "Check that the driver still reads the sensors and the robot can move, then cdcrctl reset."
         }
         Reason::FollowingError => {
-            "See whether the motors run and nothing holds the robot (cdcrctl status shows the following error), then \
+            "Check that the motors run and nothing holds the robot (cdcrctl status shows the following error), then \
              cdcrctl reset."
         }
         Reason::InputsStale => {
-            "The machine held the daemon's exchange up: see the causes in cdcrctl incidents, then track again."
+            "The machine delayed the daemon's exchange thread: see the causes in cdcrctl incidents, then track again."
         }
-        Reason::Suspended => "The machine slept: see that the robot is well, then cdcrctl reset.",
+        Reason::Suspended => "The machine was suspended: check the robot, then cdcrctl reset.",
         Reason::ObstacleSourceSilent => {
-            "See whether the program that sends the obstacles runs, then track again."
+            "Check that the program that sends the obstacles runs, then track again."
         }
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",

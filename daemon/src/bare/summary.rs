@@ -7,7 +7,6 @@ use serde::Serialize;
 
 use super::{BareCycle, Blame, Recorder};
 use crate::config::{Config, ns};
-use crate::convert;
 use crate::handover::Policy;
 use crate::rt::latency;
 
@@ -114,7 +113,7 @@ fn causes(cycles: &[BareCycle]) -> BTreeMap<&'static str, u64> {
     let mut causes = BTreeMap::new();
     for cycle in cycles {
         if let Blame::Own(cause) = cycle.blame {
-            *causes.entry(convert::late_cause(cause).text()).or_default() += 1;
+            *causes.entry(cause.text()).or_default() += 1;
         }
     }
     causes
@@ -157,9 +156,9 @@ mod tests {
 
     use super::*;
     use crate::bare::Interference;
-    use crate::rt::attribution::LateCause;
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
+    use cdcr_shared_types::codes::LateCause;
 
     fn cycle(number: u64, wake_ns: u64, blame: Blame, run_delay_ns: Option<u64>) -> BareCycle {
         let due_ns = number * 5_000_000;

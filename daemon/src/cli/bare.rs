@@ -8,7 +8,6 @@ use clap::{Args, ValueEnum};
 
 use super::{Source, end_with_process};
 use crate::bare::{self, BareCycle, Outcome, Percentiles, Summary};
-use crate::convert;
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --format csv > bare.csv\n\n\
@@ -100,10 +99,7 @@ fn write_csv(out: &mut impl Write, cycles: &[BareCycle]) -> io::Result<()> {
             release.skipped,
             u8::from(cycle.lateness.late_start),
             u8::from(cycle.lateness.deadline_miss),
-            cycle
-                .blame
-                .cause()
-                .map_or(0, |cause| convert::late_cause(cause).code())
+            cycle.blame.cause().unwrap_or_default().code()
         )?;
     }
     Ok(())
@@ -189,9 +185,10 @@ mod tests {
 
     use super::*;
     use crate::bare::Interference;
-    use crate::rt::attribution::{Blame, LateCause};
+    use crate::rt::attribution::Blame;
     use crate::rt::schedule::Lateness;
     use crate::rt::schedule::Release;
+    use cdcr_shared_types::codes::LateCause;
 
     fn outcome() -> Outcome {
         let cycle = BareCycle {

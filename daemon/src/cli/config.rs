@@ -25,7 +25,7 @@ pub(super) enum ConfigCommand {
     #[command(after_help = "Example: cdcrd config schema > cdcr.schema.json\n\
         Editors that know Taplo find it by this first line of a configuration: #:schema ./cdcr.schema.json")]
     Schema,
-    /// Say all about one key, or about a table: type, range, default, and the value in force.
+    /// Explain a key or a table: type, range, default, and the value in force.
     #[command(
         after_help = "Example: cdcrd config explain cycle.period_ms --config robot.toml\n\
         \u{20}        cdcrd config explain cycle"
@@ -153,7 +153,7 @@ fn text_of(value: OsString, key: &str, origin: &Origin) -> Result<String, Config
     value.into_string().map_err(|value| ConfigError::Value {
         origin: origin.clone(),
         key: key.to_owned(),
-        message: format!("{} is no UTF-8 text", value.display()),
+        message: format!("{} is not UTF-8 text", value.display()),
     })
 }
 
@@ -171,7 +171,7 @@ pub(super) fn check(source: &Source) -> Result<()> {
     let settings = source.settings()?;
     let changed = settings.changed();
     let validated = settings.validate()?;
-    let mut lines = vec!["the configuration is good".to_owned()];
+    let mut lines = vec!["the configuration is valid".to_owned()];
     lines.extend(robot(&validated));
     lines.extend(control(&validated));
     if !changed.is_empty() {

@@ -11,7 +11,7 @@ use crate::doctor::{Finding, Report, Verdict, examine};
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
-    Takes a second, in which it watches who uses the core of the real-time threads.\n\n\
+    Takes a second, in which it samples which threads use the core of the real-time threads.\n\n\
     Exit status: 0 all is ok; 10 a warning, or something that cannot be read; 20 a fault: the daemon\n\
     does not start, or lacks what realtime.mode = \"require\" asks for. With realtime.mode = \"off\",\n\
     what matters only to real time is shown and never bad.";

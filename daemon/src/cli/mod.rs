@@ -42,13 +42,13 @@ enum Command {
         #[arg(long, value_name = "PID", hide = true)]
         end_with_parent: Option<i32>,
     },
-    /// Run the real-time loop of a configuration with nothing to do: what the machine alone does to it.
+    /// Run the real-time loop of a configuration without work: the baseline of this machine.
     #[command(after_help = bare::AFTER_HELP)]
     Bare(bare::Options),
-    /// Check a configuration and say what would run.
+    /// Check a configuration and show what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
-    /// Examine this machine: what is in the way of a loop that must be on time, and the remedy.
+    /// Examine this machine: what delays a real-time loop, and the remedy.
     #[command(after_help = doctor::AFTER_HELP)]
     Doctor(doctor::Options),
     /// Print configurations.

@@ -162,7 +162,7 @@ fn read(path: &Path) -> io::Result<String> {
     let refused = |words: &str| Err(io::Error::other(words));
     let metadata = std::fs::metadata(path)?;
     if !metadata.is_file() {
-        return refused("it is no file");
+        return refused("it is not a file");
     }
     let mut text = String::new();
     let file = File::open(path)?;
@@ -186,7 +186,7 @@ fn mistyped(text: &str, key: &str, origin: &Origin, cause: &toml::de::Error) -> 
 /// The text of a variable.
 fn text_of<'a>(value: &'a OsString, key: &str, origin: &Origin) -> Result<&'a str, ConfigError> {
     let text = value.to_str();
-    text.ok_or_else(|| error(key, origin, "the value is no UTF-8 text"))
+    text.ok_or_else(|| error(key, origin, "the value is not UTF-8 text"))
 }
 
 fn error(key: &str, origin: &Origin, message: &str) -> ConfigError {

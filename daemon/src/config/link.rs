@@ -16,7 +16,7 @@ pub enum LinkKind {
     Driver,
 }
 
-/// What of a command the robot's driver obeys.
+/// Which part of a command the robot's driver follows.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
@@ -28,6 +28,18 @@ pub enum Interface {
     Position,
 }
 
+/// Which process measures the tip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(test, derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum TipSensor {
+    /// The driver, if any.
+    #[default]
+    Driver,
+    /// One that measures nothing else.
+    Separate,
+}
+
 cdcr_controller::parameters! {
     /// Where measurements come from and commands go to.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -36,18 +48,23 @@ cdcr_controller::parameters! {
     pub struct LinkConfig {
         /// "simulated": a robot inside the daemon. "driver": a process that publishes measurements and follows commands.
         kind: LinkKind = LinkKind::Simulated;
-        /// Which simulated robot. "ideal": exactly its model. "laboratory": built well, motors with a lag of 20 ms, encoders and motors 0.1 mm
-        /// beside, 30 µm of noise. "sloppy": worn, with play, delay, a load, and a geometry that is not its model's. "slow": motors with a lag of 100 ms
-        /// after 30 ms. "blind": as laboratory, but only its tip is measured, with 0.3 mm of noise.
+        /// Which simulated robot. "ideal": exactly its model. "laboratory": built well, motors with a lag of 20 ms, encoders and
+        /// motors with an offset of 0.1 mm, 30 µm of noise. "sloppy": worn, with play, delay, a load, and a geometry that is not
+        /// its model's. "slow": motors with a lag of 100 ms after 30 ms. "blind": as laboratory, but only its tip is measured,
+        /// with 0.3 mm of noise.
         simulated: Preset = Preset::Ideal;
         /// Seed of its noise, {range}.
         simulated_seed: u32 = 1, in 0.0..=4_294_967_295.0;
-        /// What of a command the robot obeys: "velocity", the speeds, or "position", the positions. A driver says which it obeys,
-        /// and is refused where that is not what stands here. The simulated robot can do both.
+        /// Which part of a command the robot follows: "velocity", the speeds, or "position", the
+        /// positions. A driver reports which it follows, and is refused where that differs. The simulated robot can do both.
         interface: Interface = Interface::Velocity;
+        /// Which process measures the tip. "driver": the driver, if any. "separate": a process of its own, a camera for
+        /// example, beside a driver that measures bends or cables.
+        tip_sensor: TipSensor = TipSensor::Driver;
         /// Bend vectors (u, v) at the start in rad, one pair for each section; empty: straight.
         initial_bend_rad: Vec<[f64; 2]> = Vec::new();
-        /// A driver's measurement older than this is lost, and the robot faults, {range}.
+        /// A driver's measurement older than this is lost, and the robot faults, {range}. A tip sensor that is silent for so long
+        /// may be replaced by another one.
         measurement_timeout_ms: f64 = 50.0, in 1.0..=10_000.0;
         /// How long after its release a robot follows a command without a newer one before it holds, {range}; 0: three
         /// periods.

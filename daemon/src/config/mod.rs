@@ -44,7 +44,7 @@ pub use error::ConfigError;
 pub use estimator::EstimatorConfig;
 pub use explain::explain;
 pub use layers::Layers;
-pub use link::{Interface, LinkConfig, LinkKind};
+pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
 pub use motion::{ApproachKind, MotionConfig, REST_MAX_S};
 pub use obstacles::{ObstaclesConfig, SourceSilent};
 pub use origin::{Origin, Origins};
@@ -80,7 +80,7 @@ cdcr_controller::parameters! {
         motion: MotionConfig = MotionConfig::default();
         /// What counts as a fault of the robot, its sensors or its surroundings.
         safety: SafetyConfig = SafetyConfig::default();
-        /// Those who send obstacles.
+        /// Supervision of the sources of obstacles.
         obstacles: ObstaclesConfig = ObstaclesConfig::default();
         /// The reference and its lease.
         reference: ReferenceConfig = ReferenceConfig::default();

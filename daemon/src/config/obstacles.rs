@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum SourceSilent {
-    /// The robot holds until the source is heard again, or a client clears the obstacles. They stay meanwhile.
+    /// The robot holds until the source sends again, or a client clears the obstacles. They stay meanwhile.
     #[default]
     Hold,
     /// The obstacles stay, and the robot goes on.
@@ -13,17 +13,17 @@ pub enum SourceSilent {
 }
 
 cdcr_controller::parameters! {
-    /// Those who send obstacles.
+    /// Supervision of the sources of obstacles.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(test, derive(schemars::JsonSchema))]
     #[serde(default, deny_unknown_fields)]
     pub struct ObstaclesConfig {
-        /// A source of obstacles, that is a client that has sent one with a limited lifetime, which sends nothing for this long is
-        /// silent, {range}; 0: nobody is watched, and obstacles expire whatever became of their source. With a timeout an
-        /// obstacle expires only while its source lives: when that is heard after the lifetime and has not renewed it. Clearing
-        /// the obstacles ends the watch over all sources.
+        /// A client that has sent an obstacle with a limited lifetime is a source. A source that sends nothing for this long is
+        /// silent, {range}; 0: sources are not supervised, and obstacles expire whatever became of their source. With a timeout an
+        /// obstacle expires only while its source lives: when a message of it arrives after the lifetime and has not renewed the
+        /// obstacle. Clearing the obstacles ends the supervision of all sources.
         source_timeout_ms: f64 = 0.0, in 0.0..=60_000.0;
-        /// What happens when a source is silent. "hold": the robot holds until the source is heard again, or a client clears the
+        /// What happens when a source is silent. "hold": the robot holds until the source sends again, or a client clears the
         /// obstacles. "keep": the robot goes on. With both the obstacles stay where the source saw them last.
         source_silent: SourceSilent = SourceSilent::Hold;
     }

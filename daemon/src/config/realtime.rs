@@ -14,7 +14,7 @@ pub enum RealtimeMode {
     Auto,
     /// Refuse to start without all of it.
     Require,
-    /// Take what the system grants, and say what is missing.
+    /// Take what the system grants, and report what is missing.
     Prefer,
     /// Ordinary threads.
     Off,
@@ -38,7 +38,7 @@ cdcr_controller::parameters! {
     #[serde(default, deny_unknown_fields)]
     pub struct RealtimeConfig {
         /// "require": refuse to start without SCHED_FIFO, a core and locked memory. "prefer": take what the system
-        /// grants and say what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with
+        /// grants and report what is missing. "off": ordinary threads. "auto": "require" with link.kind = "driver", "prefer" with
         /// "simulated".
         mode: RealtimeMode = RealtimeMode::default();
         /// Core of the real-time threads, {range}; -1: one that no other loop has, isolated rather than not, fast rather than an

@@ -21,7 +21,7 @@ cdcr_controller::parameters! {
         /// while a measurement is under way.
         measurement_frozen_rad: f64 = 0.2, in 1e-6..=1e3;
         /// Following error: how far a section is measured from where it was commanded to be in the last following_lag_ms. Above
-        /// this it is a warning, {range}. Not judged while only the tip is measured.
+        /// this it is a warning, {range}. Not evaluated while only the tip is measured.
         following_warning_rad: f64 = 0.1, in 1e-6..=1e3, "at most safety.following_fault_rad";
         /// Above this it is a fault, {range}, and at least following_warning_rad.
         following_fault_rad: f64 = 0.3, in 1e-6..=1e3, "at least safety.following_warning_rad";

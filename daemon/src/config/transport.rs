@@ -15,8 +15,8 @@ cdcr_controller::parameters! {
         prefix: String = DEFAULT_PREFIX.to_owned();
         /// Root folder in memory (tmpfs), absolute, at most 100 characters; "": /dev/shm/cdcr-<user id>.
         root: String = String::new();
-        /// Group whose members may take part as well: its name in /etc/group, or its number; "": none. The root folder must lie in one
-        /// that belongs to root, like /run, so that nobody else can put a folder in its place.
+        /// Group whose members have access, too: its name in /etc/group, or its number; "": none. The root folder must lie in one
+        /// that belongs to root, like /run, so that no other user can replace it.
         group: String = String::new();
     }
 }

@@ -8,7 +8,6 @@ use cdcr_shared_types::codes;
 
 use crate::config::{Interface, LinkKind};
 use crate::handover::MeasurementUse;
-use crate::rt::attribution::LateCause;
 
 macro_rules! to_wire {
     ($($(#[$meta:meta])* $vis:vis $name:ident: $domain:ident => $code:ident { $($variant:ident),+ $(,)? })+) => { $(
@@ -34,8 +33,6 @@ to_wire! {
     pub interface: Interface => Interface { Velocity, Position }
     /// Which robot.
     pub link: LinkKind => RobotLink { Simulated, Driver }
-    /// Why a cycle was late.
-    pub late_cause: LateCause => LateCause { Platform, Load, PageFault, Stall, Compute }
     /// The reference lease.
     pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
     /// What became of the measurement.

@@ -5,16 +5,16 @@ use cdcr_controller::nmpc::{SolveReport, SolveStatus};
 use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{Robot, Shape, quaternion_xyzw};
 use cdcr_shared_types as wire;
-use cdcr_shared_types::codes;
+use cdcr_shared_types::codes::{self, LateCause};
 
 use super::enumerations::{
-    self, interface, late_cause, lease_state, measurement_state, mode, reason, reference_state,
-    solver_status, winner,
+    self, interface, lease_state, measurement_state, mode, reason, reference_state, solver_status,
+    winner,
 };
 use super::settings::settings_to_wire;
 use crate::handover::{CycleRecord, TimedMeasurement};
 use crate::obstacles::KnownObstacle;
-use crate::rt::attribution::{LateCause, Scheduling};
+use crate::rt::attribution::Scheduling;
 
 /// The robot on the wire.
 pub fn robot(robot: &Robot) -> wire::RobotDescription {
@@ -229,7 +229,7 @@ pub fn scheduling(
         longest_gap_ns,
         page_faults,
         switches,
-        late_cause: cause.map_or(0, |cause| late_cause(cause).code()),
+        late_cause: cause.unwrap_or_default().code(),
         known: u32::from(scheduling.is_some()),
     }
 }

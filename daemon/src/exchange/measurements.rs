@@ -1,21 +1,23 @@
 use cdcr_controller::estimator::Measurement as Measured;
 use cdcr_controller::robot::Robot;
 use cdcr_shared_types::Measurement;
-use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::codes::{MeasurementKind, Outcome};
 
-use super::bound_driver::BoundDriver;
-use crate::config::{Config, Interface, LinkKind, ns};
+use super::bound_sender::BoundSender;
+use crate::config::{Config, Interface, LinkKind, TipSensor, ns};
 use crate::convert::{self, Refused};
 use crate::handover::TimedMeasurement;
 
-/// The driver's newest measurement, and whose measurements count.
+/// The newest measurements of driver and tip sensor, and whose measurements count.
 #[derive(Debug)]
 pub(super) struct Measurements {
     has_driver: bool,
     interface: Interface,
     /// A measurement that is older than this when it arrives is refused \[ns\].
     timeout_ns: u64,
-    driver: BoundDriver,
+    driver: BoundSender,
+    /// A process that measures only the tip, where the configuration says that there is one.
+    tip_sensor: Option<BoundSender>,
     /// Of the bends or cables; of the tip where the driver measures nothing else.
     newest: Option<TimedMeasurement>,
     /// Of the tip, beside the bends or cables.
@@ -41,7 +43,9 @@ impl Measurements {
             has_driver: config.link.kind == LinkKind::Driver,
             interface: config.link.interface,
             timeout_ns,
-            driver: BoundDriver::new(timeout_ns),
+            driver: BoundSender::new(timeout_ns),
+            tip_sensor: (config.link.tip_sensor == TipSensor::Separate)
+                .then(|| BoundSender::new(timeout_ns)),
             newest: None,
             newest_tip: None,
         }
@@ -50,9 +54,12 @@ impl Measurements {
     /// Nobody listened for `unheard_ns`: that is no silence of the driver.
     pub(super) fn extend(&mut self, unheard_ns: u64) {
         self.driver.extend(unheard_ns);
+        if let Some(tip_sensor) = &mut self.tip_sensor {
+            tip_sensor.extend(unheard_ns);
+        }
     }
 
-    /// The newest one of the tip, where the driver measures bends or cables, too.
+    /// The newest one of the tip beside the bends or cables.
     pub(super) fn newest_tip(&self) -> Option<TimedMeasurement> {
         self.newest_tip
     }
@@ -70,43 +77,51 @@ impl Measurements {
         robot: &Robot,
         arrival: Arrival,
     ) -> Result<Outcome, Refused> {
-        let timed = self.checked(message, robot, arrival)?;
-        // What another driver measured does not say what this one does.
-        let is_bound = self.driver.is_bound_to(message.header.sender_id);
-        let has_bends = is_bound && self.newest.as_ref().is_some_and(|newest| !is_tip(newest));
-        let newest = if has_bends && is_tip(&timed) {
-            &mut self.newest_tip
-        } else {
-            &mut self.newest
-        };
-        if !is_newer || newest.is_some_and(|newest| timed.measured_ns <= newest.measured_ns) {
-            return Ok(Outcome::Stale);
-        }
-        *newest = Some(timed);
-        if !is_bound {
-            self.newest_tip = None;
-        }
-        self.driver
-            .hear(message.header.sender_id, arrival.gather_ns);
-        Ok(Outcome::Accepted)
-    }
-
-    /// One that is old at its arrival does not tell where the robot is, though its driver may be well: it is never
-    /// believed, and a first one least of all.
-    fn checked(
-        &self,
-        message: &Measurement,
-        robot: &Robot,
-        arrival: Arrival,
-    ) -> Result<TimedMeasurement, Refused> {
         if !self.has_driver {
             return Err(Refused::whole(Outcome::Unsupported));
         }
         let sender = message.header.sender_id;
-        if !self
-            .driver
-            .is(sender, arrival.gather_ns, arrival.is_faulted)
-        {
+        let is_tip = message.kind == MeasurementKind::TipPose.code();
+        if is_tip && let Some(mut tip_sensor) = self.tip_sensor {
+            // Without it the robot goes on, so no fault has to come before its successor.
+            let timed = self.checked(message, tip_sensor, true, robot, arrival)?;
+            let outcome = keep(&mut self.newest_tip, timed, is_newer);
+            if outcome == Outcome::Accepted {
+                tip_sensor.hear(sender, arrival.gather_ns);
+                self.tip_sensor = Some(tip_sensor);
+            }
+            return Ok(outcome);
+        }
+        let timed = self.checked(message, self.driver, arrival.is_faulted, robot, arrival)?;
+        // What another driver measured does not say what this one does.
+        let is_bound = self.driver.is_bound_to(sender);
+        let has_bends = is_bound && self.newest.as_ref().is_some_and(|newest| !is_a_tip(newest));
+        let newest = if has_bends && is_tip {
+            &mut self.newest_tip
+        } else {
+            &mut self.newest
+        };
+        let outcome = keep(newest, timed, is_newer);
+        if outcome == Outcome::Accepted {
+            if !is_bound && self.tip_sensor.is_none() {
+                self.newest_tip = None;
+            }
+            self.driver.hear(sender, arrival.gather_ns);
+        }
+        Ok(outcome)
+    }
+
+    /// One that is old at its arrival does not tell where the robot is, though its sender may be well: it is never
+    /// believed, and a first one least of all.
+    fn checked(
+        &self,
+        message: &Measurement,
+        bound: BoundSender,
+        may_change: bool,
+        robot: &Robot,
+        arrival: Arrival,
+    ) -> Result<TimedMeasurement, Refused> {
+        if !bound.is(message.header.sender_id, arrival.gather_ns, may_change) {
             return Err(Refused::whole(Outcome::OtherDriver));
         }
         let interface = convert::interface(self.interface);
@@ -118,7 +133,15 @@ impl Measurements {
     }
 }
 
-fn is_tip(timed: &TimedMeasurement) -> bool {
+fn keep(newest: &mut Option<TimedMeasurement>, timed: TimedMeasurement, is_newer: bool) -> Outcome {
+    if !is_newer || newest.is_some_and(|newest| timed.measured_ns <= newest.measured_ns) {
+        return Outcome::Stale;
+    }
+    *newest = Some(timed);
+    Outcome::Accepted
+}
+
+fn is_a_tip(timed: &TimedMeasurement) -> bool {
     matches!(timed.measurement, Measured::TipPosition(_))
 }
 
@@ -128,24 +151,36 @@ mod tests {
     use std::path::Path;
 
     use cdcr_shared_types::Header;
-    use cdcr_shared_types::codes::{Interface, MeasurementKind};
+    use cdcr_shared_types::codes::Interface;
 
     use super::*;
 
-    #[test]
-    fn the_tip_counts_alone_until_something_tells_the_bends() {
-        let text = "[link]\nkind = \"driver\"\n";
-        let validated = Config::parse(text, Path::new("measurements")).unwrap();
-        let mut desk = Measurements::new(&validated.config);
-        let mut now_ns = 1_000_000_000;
-        let mut take = |desk: &mut Measurements, sender_id: u64, kind: MeasurementKind| {
-            now_ns += 1_000_000;
+    /// A desk, and the time that goes on by 1 ms with each measurement.
+    struct Rig {
+        desk: Measurements,
+        robot: Robot,
+        now_ns: u64,
+    }
+
+    impl Rig {
+        fn new(more: &str) -> Self {
+            let text = format!("[link]\nkind = \"driver\"\n{more}");
+            let validated = Config::parse(&text, Path::new("measurements")).unwrap();
+            Self {
+                desk: Measurements::new(&validated.config),
+                robot: validated.robot,
+                now_ns: 1_000_000_000,
+            }
+        }
+
+        fn take(&mut self, sender_id: u64, kind: MeasurementKind) -> Outcome {
+            self.now_ns += 1_000_000;
             let message = Measurement {
                 header: Header {
                     sender_id,
                     ..Header::default()
                 },
-                measured_ns: now_ns,
+                measured_ns: self.now_ns,
                 kind: kind.code(),
                 interface: Interface::Velocity.code(),
                 sections: 3,
@@ -153,36 +188,73 @@ mod tests {
                 ..Measurement::default()
             };
             let arrival = Arrival {
-                gather_ns: now_ns,
-                now_ns,
+                gather_ns: self.now_ns,
+                now_ns: self.now_ns,
                 is_faulted: false,
             };
-            let taken = desk.take(&message, true, &validated.robot, arrival);
-            assert_eq!(
-                taken.map_err(|refused| refused.outcome),
-                Ok(Outcome::Accepted)
-            );
-            now_ns
-        };
-        let stamp = |timed: Option<TimedMeasurement>| timed.map(|timed| timed.measured_ns);
-        let tip = take(&mut desk, 1, MeasurementKind::TipPose);
-        assert_eq!(
-            (stamp(desk.newest()), stamp(desk.newest_tip())),
-            (Some(tip), None)
-        );
-        let bends = take(&mut desk, 1, MeasurementKind::Configuration);
-        assert_eq!(stamp(desk.newest()), Some(bends));
-        let tip = take(&mut desk, 1, MeasurementKind::TipPose);
-        assert_eq!(
-            (stamp(desk.newest()), stamp(desk.newest_tip())),
-            (Some(bends), Some(tip))
-        );
+            let taken = self.desk.take(&message, true, &self.robot, arrival);
+            taken.unwrap_or_else(|refused| refused.outcome)
+        }
+
+        /// A measurement that is accepted, and when.
+        fn accept(&mut self, sender_id: u64, kind: MeasurementKind) -> u64 {
+            assert_eq!(self.take(sender_id, kind), Outcome::Accepted);
+            self.now_ns
+        }
+
+        /// Stamps of the newest measurement, and of the newest tip beside it.
+        fn newest(&self) -> (Option<u64>, Option<u64>) {
+            let stamp = |timed: Option<TimedMeasurement>| timed.map(|timed| timed.measured_ns);
+            (stamp(self.desk.newest()), stamp(self.desk.newest_tip()))
+        }
+    }
+
+    const BENDS: MeasurementKind = MeasurementKind::Configuration;
+    const TIP: MeasurementKind = MeasurementKind::TipPose;
+
+    #[test]
+    fn the_tip_counts_alone_until_something_tells_the_bends() {
+        let mut rig = Rig::new("");
+        let tip = rig.accept(1, TIP);
+        assert_eq!(rig.newest(), (Some(tip), None));
+        let bends = rig.accept(1, BENDS);
+        assert_eq!(rig.newest().0, Some(bends));
+        let tip = rig.accept(1, TIP);
+        assert_eq!(rig.newest(), (Some(bends), Some(tip)));
         // The encoders of a driver that is gone say nothing of one that has none.
-        desk.driver = BoundDriver::new(0);
-        let tip = take(&mut desk, 2, MeasurementKind::TipPose);
-        assert_eq!(
-            (stamp(desk.newest()), stamp(desk.newest_tip())),
-            (Some(tip), None)
-        );
+        rig.desk.driver = BoundSender::new(0);
+        let tip = rig.accept(2, TIP);
+        assert_eq!(rig.newest(), (Some(tip), None));
+    }
+
+    #[test]
+    fn a_sender_of_tips_is_another_driver_unless_the_configuration_has_a_tip_sensor() {
+        let mut rig = Rig::new("");
+        rig.accept(1, BENDS);
+        assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
+    }
+
+    #[test]
+    fn a_tip_sensor_and_a_driver_are_bound_each_for_itself() {
+        let mut rig = Rig::new("tip_sensor = \"separate\"\n");
+        // Whichever is first: the tip alone never tells where the robot is.
+        let tip = rig.accept(2, TIP);
+        assert_eq!(rig.newest(), (None, Some(tip)));
+        let bends = rig.accept(1, BENDS);
+        assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+        for (sender_id, kind) in [(3, TIP), (1, TIP), (3, BENDS), (2, BENDS)] {
+            assert_eq!(rig.take(sender_id, kind), Outcome::OtherDriver);
+        }
+        let tip = rig.accept(2, TIP);
+        assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+        // A silent tip sensor is replaced without a fault, a silent driver is not.
+        rig.now_ns += rig.desk.timeout_ns;
+        let tip = rig.accept(3, TIP);
+        assert_eq!(rig.take(3, BENDS), Outcome::OtherDriver);
+        assert_eq!(rig.newest(), (Some(bends), Some(tip)));
+        // While nobody listens nobody is silent.
+        rig.now_ns += rig.desk.timeout_ns;
+        rig.desk.extend(rig.desk.timeout_ns);
+        assert_eq!(rig.take(2, TIP), Outcome::OtherDriver);
     }
 }

@@ -14,7 +14,7 @@
 //! has a limit per gather, and writers are served in turn. Who only watches costs nothing here, readers of commands excepted: that is the
 //! [reporter](crate::reporter)'s.
 
-mod bound_driver;
+mod bound_sender;
 mod events;
 mod gather;
 mod lease;

@@ -24,7 +24,7 @@ pub(super) fn take(
             Ok(listener) => return Ok(Some(listener)),
             Err(error) if error.kind() == ErrorKind::AddrInUse => {}
             Err(error) => {
-                tracing::warn!(%error, "a second daemon is kept out by the lock file alone: no abstract socket");
+                tracing::warn!(%error, "only the lock file prevents a second daemon: no abstract socket");
                 return Ok(None);
             }
         }
@@ -39,7 +39,7 @@ pub(super) fn take(
     }
     tracing::warn!(
         name = location.daemon_name(robot),
-        "a second daemon is kept out by the lock file alone: another user holds the name of this daemon's socket, or keeps it busy"
+        "only the lock file prevents a second daemon: another user holds the name of this daemon's socket, or keeps it busy"
     );
     Ok(None)
 }

@@ -85,7 +85,7 @@ impl PlaceWatch {
             let mended = acl::set_for(&self.root, self.group_id);
             tracing::warn!(
                 ?mended,
-                "who may use the root folder was changed, by its mode or its access control list: set back"
+                "restored the permissions of the root folder: its mode or its access control list had been changed"
             );
         }
     }

@@ -58,7 +58,7 @@ fn lost(lines: usize) -> Vec<u8> {
     let mut entry = Entry::new(Level::WARN);
     entry.put(
         "MESSAGE",
-        &format!("{lines} lines so far were lost: the journal took none"),
+        &format!("{lines} log lines have been lost so far: the journal accepts none"),
     );
     entry.put("CDCR_LOST", &lines.to_string());
     entry.0

@@ -85,7 +85,8 @@ impl Text {
 }
 
 fn lost_text(lines: usize) -> Vec<u8> {
-    format!("cdcrd: {lines} lines so far were lost: nobody read the standard error\n").into_bytes()
+    format!("cdcrd: {lines} log lines have been lost so far: the standard error is not read\n")
+        .into_bytes()
 }
 
 /// Writes line after line until the log ends and none is left.
@@ -226,8 +227,9 @@ mod tests {
             .map(|(a, b)| (a.to_owned(), b.to_owned()))
             .unwrap();
         assert_eq!(first.lines().count() + lost, LINES);
-        let said =
-            format!("{lost} lines so far were lost: nobody read the standard error\nafter\nlast\n");
+        let said = format!(
+            "{lost} log lines have been lost so far: the standard error is not read\nafter\nlast\n"
+        );
         assert_eq!(end, said, "it is said once");
     }
 

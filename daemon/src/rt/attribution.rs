@@ -12,6 +12,8 @@
 //! An overrun that takes the next release with it is one event: the punctual cycle after it has no cause of
 //! its own.
 
+use cdcr_shared_types::codes::LateCause;
+
 use super::schedule::Lateness;
 
 /// What the scheduler knows about the cycle thread, counted since the thread began.
@@ -70,21 +72,6 @@ pub struct Timing {
     pub longest_gap_ns: u64,
     /// From the end of the solver to the hand-over: limits and clearance guard \[ns\].
     pub after_solve_ns: u64,
-}
-
-/// What made a cycle late.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum LateCause {
-    /// The wake-up came late, with the core free.
-    Platform,
-    /// Another task had the core.
-    Load,
-    /// Memory was not there when it was touched.
-    PageFault,
-    /// The processor stood still in the middle of the computation.
-    Stall,
-    /// The cycle itself computed for too long.
-    Compute,
 }
 
 /// Two looks at the clock are a few microseconds apart; so far apart, the processor stood still \[ns\].

@@ -2,6 +2,7 @@
 
 use std::fmt::Debug;
 
+use cdcr_shared_types::shm_space::{InsufficientSpace, PORT_BYTES};
 use cdcr_shared_types::{
     Command, Header, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
     Request, Response, Service, Telemetry, ipc,
@@ -18,7 +19,7 @@ mod inlet;
 mod shm_space;
 pub mod stale;
 
-use shm_space::{InsufficientSpace, MANAGEMENT_BYTES, ShmSpace};
+use shm_space::ShmSpace;
 
 pub use inlet::{Inlet, Received};
 pub use shm_space::{daemon_bytes, mount_point};
@@ -29,7 +30,7 @@ pub enum ServiceError {
     /// The node cannot be created.
     #[error(
         "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
-         check that the folder belongs to you and has room"
+         check that the folder belongs to you and has free space"
     )]
     Node {
         /// Prefix.
@@ -80,7 +81,7 @@ pub enum ServiceError {
 impl ServiceError {
     fn full(what: String, lack: &InsufficientSpace) -> Self {
         Self::Full {
-            mount: lack.mount.display().to_string(),
+            mount: mount_point(&lack.folder).display().to_string(),
             what,
             needed_mb: lack.needed_bytes as f64 * 1e-6,
             free_mb: lack.free_bytes as f64 * 1e-6,
@@ -187,7 +188,7 @@ fn with_room<P>(
         ServiceError::full(service, &lack)
     };
     let room = ShmSpace::of(node);
-    room.ask(bytes + MANAGEMENT_BYTES).map_err(full)?;
+    room.ask(bytes + PORT_BYTES).map_err(full)?;
     let port = create()?;
     room.take().map_err(full)?;
     Ok(port)

@@ -8,18 +8,16 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
+use cdcr_shared_types::shm_space::{self, InsufficientSpace, PORT_BYTES, free_bytes};
 use cdcr_shared_types::{
     Command, Incident, Response, Service, Status, Telemetry, ipc, memory_files,
 };
 use iceoryx2::prelude::Node;
-use rustix::fs::{FallocateFlags, fallocate, statvfs};
+use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
 /// Answers to one request that may be in the making, wait or be held: iceoryx2's defaults.
 const ANSWERS: usize = 6;
-/// What iceoryx2 needs beside the messages to manage one port and its readers \[bytes\].
-pub(super) const MANAGEMENT_BYTES: u64 = 64 * 1024;
-
 /// Bytes of one writer's messages.
 pub(super) const fn writer_bytes(service: Service, message_bytes: usize) -> u64 {
     service.queues().writer_bytes(message_bytes)
@@ -38,16 +36,7 @@ pub const fn daemon_bytes() -> u64 {
         + writer_bytes(Service::Status, size_of::<Status>())
         + writer_bytes(Service::Incidents, size_of::<Incident>())
         + control_bytes();
-    messages + messages / 50 + MANAGEMENT_BYTES
-}
-
-/// There is less space than is needed.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct InsufficientSpace {
-    /// The file system that is full.
-    pub(super) mount: PathBuf,
-    pub(super) needed_bytes: u64,
-    pub(super) free_bytes: u64,
+    messages + messages / 50 + PORT_BYTES
 }
 
 /// The memory of one location.
@@ -76,31 +65,24 @@ impl ShmSpace {
 
     /// Whether `needed_bytes` are free. Where the system does not tell, they are.
     pub(super) fn ask(&self, needed_bytes: u64) -> Result<(), InsufficientSpace> {
-        match self.free_bytes() {
-            Some(free_bytes) if free_bytes < needed_bytes => Err(InsufficientSpace {
-                mount: mount_point(&self.root),
-                needed_bytes,
-                free_bytes,
-            }),
-            _ => Ok(()),
-        }
+        shm_space::ask(&self.root, needed_bytes)
     }
 
     /// Has every page of the files allocated; what they hold stays.
     pub(super) fn take(&self) -> Result<(), InsufficientSpace> {
-        let mut free_before = self.free_bytes();
+        let mut free_before = free_bytes(&self.root);
         for file in self.files() {
             let Ok(size) = file.metadata().map(|file| file.len()) else {
                 continue;
             };
             if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
                 return Err(InsufficientSpace {
-                    mount: mount_point(&self.root),
+                    folder: self.root.clone(),
                     needed_bytes: size,
                     free_bytes: free_before.unwrap_or(0),
                 });
             }
-            free_before = self.free_bytes();
+            free_before = free_bytes(&self.root);
         }
         Ok(())
     }
@@ -109,12 +91,6 @@ impl ShmSpace {
     pub(super) fn taken_bytes(&self) -> u64 {
         let blocks = self.files().filter_map(|file| file.metadata().ok());
         blocks.map(|file| file.blocks() * 512).sum()
-    }
-
-    /// Free bytes; none when the system does not tell, or sets no limit.
-    fn free_bytes(&self) -> Option<u64> {
-        let folder = statvfs(&self.root).ok()?;
-        (folder.f_blocks > 0).then_some(folder.f_bavail * folder.f_frsize)
     }
 
     /// Files of ours. One that has just gone is left out.
@@ -173,7 +149,7 @@ mod tests {
     #[test]
     fn what_nobody_has_is_refused_in_words() {
         let room = ShmSpace::new(Path::new(Location::MEMORY), "");
-        let Some(free_bytes) = room.free_bytes() else {
+        let Some(free_bytes) = free_bytes(&room.root) else {
             return;
         };
         let refused = room.ask(u64::MAX).unwrap_err();

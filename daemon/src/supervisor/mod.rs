@@ -307,7 +307,7 @@ impl Supervisor {
         if resets != self.resets {
             self.resets = resets;
             self.statistics.reset(now_ns);
-            tracing::info!("the statistics begin anew");
+            tracing::info!("statistics reset");
         }
         self.status.origin_ns = shared.origin_ns();
         self.status.dropped_records = dropped;

@@ -120,7 +120,7 @@ fn what_is_no_text_is_refused() {
     command.arg("check").arg("--root").arg(root);
     let text = refused(&command.output().unwrap());
     assert!(text.contains("--root: transport.root: "), "{text}");
-    assert!(text.contains("no UTF-8 text"), "{text}");
+    assert!(text.contains("not UTF-8 text"), "{text}");
 }
 
 #[test]

@@ -27,9 +27,9 @@ end
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -s V -l version -d 'Print version'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "run" -d 'Run the control loop until SIGINT or SIGTERM'
-complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "bare" -d 'Run the real-time loop of a configuration with nothing to do: what the machine alone does to it'
-complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a configuration and say what would run'
-complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what is in the way of a loop that must be on time, and the remedy'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "bare" -d 'Run the real-time loop of a configuration without work: the baseline of this machine'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a configuration and show what would run'
+complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what delays a real-time loop, and the remedy'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print configurations'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
@@ -66,7 +66,7 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -s h -l help -d 'Pri
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "default" -d 'Print the default configuration, every key explained'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "schema" -d 'Print the JSON schema of the configuration, for editors and other programs'
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "explain" -d 'Say all about one key, or about a table: type, range, default, and the value in force'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_subcommand_from default schema explain" -f -a "explain" -d 'Explain a key or a table: type, range, default, and the value in force'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from default" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from schema" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F

@@ -122,7 +122,7 @@ pub(crate) enum Task {
     /// Move the tip by so much from where it is, along a straight way, and hold there
     #[command(after_help = "Example:\n  cdcrctl jog 0,0,-0.01 --speed 0.01")]
     Jog(JogOptions),
-    /// Ask the daemon to follow the reference that a client feeds; waits for one at most 2 s
+    /// Follow the reference that a client feeds; waits at most 2 s for one
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,
     /// Stop following and keep the position
@@ -138,14 +138,14 @@ pub(crate) enum Task {
     /// Stop the robot and latch; only a reset lets it move again
     #[command(after_help = "Example:\n  cdcrctl stop && cdcrctl reset")]
     Stop,
-    /// Leave stopped or faulted
+    /// Leave the modes stopped and faulted
     #[command(after_help = "Example:\n  cdcrctl reset --wait")]
     Reset(WaitOptions),
     /// Show the newest snapshot: mode, counters, latencies, robot, settings
     #[command(
         after_help = "Examples:\n  cdcrctl status\n  cdcrctl status --watch                once a second\n  \
         cdcrctl status --format json          everything, with all percentiles\n  \
-        cdcrctl status --reset-statistics     begin the statistics anew, for all clients"
+        cdcrctl status --reset-statistics     reset the statistics, for all clients"
     )]
     Status(StatusOptions),
     /// Show the last bad cycles: late starts, deadline misses, skipped periods, beginnings of faults
@@ -219,10 +219,10 @@ pub(crate) struct StatusOptions {
     /// How to print
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
-    /// Show it anew every second, until interrupted
+    /// Update it every second, until interrupted
     #[arg(long)]
     pub(crate) watch: bool,
-    /// Begin the statistics anew and show nothing; a stopped robot stays stopped (that is cdcrctl reset)
+    /// Reset the statistics and show nothing; a stopped robot stays stopped (that is cdcrctl reset)
     #[arg(long, conflicts_with_all = ["watch", "format"])]
     pub(crate) reset_statistics: bool,
 }
@@ -230,13 +230,13 @@ pub(crate) struct StatusOptions {
 /// Options of `incidents`.
 #[derive(Debug, Args)]
 pub(crate) struct IncidentsOptions {
-    /// One line for each (text), or each whole as one JSON object on a line
+    /// One line (text) or one JSON object for each
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
     /// Show only the N most recent
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..))]
     pub(crate) count: Option<u64>,
-    /// Go on with each new one, until interrupted
+    /// Then show each new one, until interrupted
     #[arg(long)]
     pub(crate) follow: bool,
 }

@@ -104,8 +104,8 @@ fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
     let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
     if add.lifetime.is_some() && timeout_ms > 0.0 {
         bail!(
-            "this daemon watches those who send obstacles with lifetimes (obstacles.source_timeout_ms = {timeout_ms}): \
-             this command ends at once, would count as a source that has died, and the robot would hold\nleave \
+            "this daemon supervises the sources of obstacles with lifetimes (obstacles.source_timeout_ms = {timeout_ms}): \
+             this command ends at once, so it would count as a lost source, and the robot would hold\nleave \
              --lifetime out, and remove the obstacle with: cdcrctl obstacle remove {}",
             add.id
         );
@@ -126,7 +126,7 @@ fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
 fn advice(outcome: Outcome) -> &'static str {
     match outcome {
         Outcome::BufferFull => {
-            "It knows as many as it can (64): remove some with cdcrctl obstacle remove or clear."
+            "The maximum of 64 obstacles is reached: remove some with cdcrctl obstacle remove or clear."
         }
         Outcome::OutOfRange => {
             "Positions and velocities are within ±1000000 m and m/s, the radius is 0 to 1000000 m."

@@ -159,14 +159,18 @@ enum Wanted {
 impl Change {
     /// `KEY=VALUE`, with a key that exists and a value in its range.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
-        let (key, value) = text
-            .split_once('=')
-            .ok_or_else(|| format!("{text:?} is no KEY=VALUE, for example horizon_steps=5"))?;
+        let (key, value) = text.split_once('=').ok_or_else(|| {
+            format!("invalid setting {text:?}: use KEY=VALUE, for example horizon_steps=5")
+        })?;
         let (key, value) = (key.trim(), value.trim());
         let known = Setting::all().find(|setting| setting.key == key);
         let setting = known.ok_or_else(|| unknown(key))?;
-        let value = wanted(setting, value)
-            .ok_or_else(|| format!("{key} cannot be {value:?}; it may be {}", setting.allowed()))?;
+        let value = wanted(setting, value).ok_or_else(|| {
+            format!(
+                "invalid value {value:?} for {key}: use {}",
+                setting.allowed()
+            )
+        })?;
         Ok(Self { setting, value })
     }
 
@@ -217,10 +221,10 @@ fn unknown(key: &str) -> String {
     let nearest = Setting::all()
         .max_by(|a, b| likeness(a).total_cmp(&likeness(b)))
         .filter(|setting| likeness(setting) > 0.8)
-        .map(|setting| format!("; do you mean {}?", setting.key));
+        .map(|setting| format!("; did you mean {}?", setting.key));
     let all: Vec<_> = Setting::all().map(|setting| setting.key).collect();
     format!(
-        "there is no setting {key:?}{} All settings: {}",
+        "unknown setting {key:?}{} All settings: {}",
         nearest.unwrap_or_else(|| ".".to_owned()),
         all.join(", ")
     )
@@ -256,7 +260,7 @@ mod tests {
     fn what_is_wrong_is_told_with_what_is_right() {
         for (text, part) in [
             ("horizon_steps", "KEY=VALUE"),
-            ("horizon_step=3", "do you mean horizon_steps?"),
+            ("horizon_step=3", "did you mean horizon_steps?"),
             ("zzz=3", "All settings: solver, horizon_steps"),
             ("horizon_steps=51", "1 to 50"),
             ("horizon_steps=2.5", "1 to 50"),

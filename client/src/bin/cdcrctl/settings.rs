@@ -78,7 +78,10 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
         writeln!(out, "{}: {old} -> {new}", setting.key)?;
     }
     if changed(before, after).next().is_none() {
-        writeln!(out, "nothing changes: the settings were so already")?;
+        writeln!(
+            out,
+            "nothing to change: these settings are in force already"
+        )?;
     }
     writeln!(
         out,
@@ -111,7 +114,7 @@ fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
         ..NmpcSettings::default()
     };
     let broken = rules.validate().err();
-    broken.map(|bound| format!("with the other settings as they are, {bound}"))
+    broken.map(|bound| format!("with the other settings unchanged, {bound}"))
 }
 
 #[cfg(test)]

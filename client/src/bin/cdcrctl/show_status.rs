@@ -28,10 +28,7 @@ pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Do
     if options.reset_statistics {
         let response = connection.reset_statistics()?;
         let cycle = response.cycle;
-        writeln!(
-            std::io::stdout(),
-            "statistics: begun anew after cycle {cycle}"
-        )?;
+        writeln!(std::io::stdout(), "statistics: reset after cycle {cycle}")?;
         return Ok(Done::Good);
     }
     if options.watch {

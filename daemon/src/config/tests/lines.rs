@@ -179,9 +179,9 @@ fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
     std::fs::write(&large, " ".repeat((1 << 20) + 1)).unwrap();
     mkfifoat(CWD, &pipe, Mode::from_raw_mode(0o600)).unwrap();
     for (path, words) in [
-        (Path::new("/dev/zero"), "it is no file"),
-        (folder.path(), "it is no file"),
-        (&pipe, "it is no file"),
+        (Path::new("/dev/zero"), "it is not a file"),
+        (folder.path(), "it is not a file"),
+        (&pipe, "it is not a file"),
         (&large, "it is larger than 1 MiB"),
     ] {
         let message = Config::load(path).expect_err("refused").to_string();

@@ -37,7 +37,7 @@ fn errors_say_what_is_so_and_what_to_do() {
             "status --robot other",
             &format!("the robot that runs there: {ROBOT}")[..],
         ),
-        ("track", "nobody feeds a reference"),
+        ("track", "no client feeds a reference"),
         (
             "settings set safe_distance_m=0.004",
             "safe_distance_m = 0.004 is less than the configuration of the daemon allows: at least 0.01",

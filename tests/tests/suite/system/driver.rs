@@ -4,9 +4,13 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, FeedEvent, FeedOptions, Line, monotonic_ns};
+use cdcr_client::{
+    Connection, FeedEvent, FeedOptions, Line, TipSensor, monotonic_ns, section_lengths_m,
+};
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::codes::{
+    Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
+};
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status, wait_until};
 
@@ -16,6 +20,9 @@ use super::freeze;
 /// robot that goes on blindly at its largest rates stays inside its limits.
 const CONFIGURATION: &str = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n\
     [cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
+
+/// So far beside where the bends place it the tip is measured.
+const OFFSET_M: f64 = 0.02;
 
 /// A robot with a thread of its own, this one.
 struct Robot(DrivenRobot);
@@ -138,7 +145,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
     let message = error.to_string();
     assert!(
         message.contains("faulted because the measurement is lost")
-            && message.contains("whether the driver runs"),
+            && message.contains("Check that the driver runs"),
         "{message}"
     );
     let status = wait_status(&connection, |status| status.lease_holder == 0);
@@ -268,4 +275,63 @@ fn a_bad_measurement_is_refused_and_counted() {
         connection.status(PATIENCE).unwrap().mode,
         Mode::Starting.code()
     );
+}
+
+#[test]
+fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
+    let separate = CONFIGURATION.replace("[link]\n", "[link]\ntip_sensor = \"separate\"\n");
+    let daemon = Daemon::start(&separate);
+    let (connection, beside, other) = (daemon.connect(), daemon.connect(), daemon.connect());
+    let mut telemetry = connection.telemetry().unwrap();
+    let length_m: f64 = section_lengths_m(&connection.status(PATIENCE).unwrap().robot)
+        .iter()
+        .sum();
+    let (sensor, second) = (beside.tip_sensor().unwrap(), other.tip_sensor().unwrap());
+    let mut sent = 0_u32;
+    // Each position differs from the last one in its bits.
+    let mut sense = |sensor: &TipSensor| {
+        sent += 1;
+        let position_m = [OFFSET_M, 0.0, length_m + f64::from(sent % 7) * 1e-6];
+        sensor.send(monotonic_ns(), position_m).unwrap();
+    };
+    // The tip alone does not tell where the robot is.
+    let mut seen = 0;
+    wait_until("tips are seen", || {
+        sense(&sensor);
+        while let Some(record) = telemetry.try_next().unwrap() {
+            assert_eq!(record.mode, Mode::Starting.code());
+            seen += u32::from(record.tip_state == MeasurementState::Used.code());
+        }
+        seen > 10
+    });
+    let mut robot = Robot::new(&connection);
+    let mut newest = None;
+    robot.run_until(|| {
+        sense(&sensor);
+        sense(&second);
+        while let Some(record) = telemetry.try_next().unwrap() {
+            newest = Some(record);
+        }
+        newest.is_some_and(|record| {
+            let missed_m = (record.tip_offset_m[0] - OFFSET_M).abs();
+            record.mode == Mode::Holding.code() && missed_m < OFFSET_M / 10.0
+        })
+    });
+    // Another sensor is refused, and the robot goes on without any.
+    let code = Outcome::OtherDriver.code() as usize;
+    wait_status(&connection, |status| status.outcomes[code] > 0);
+    let offset_m = newest.unwrap().tip_offset_m;
+    let begin_ns = monotonic_ns();
+    robot.run_until(|| {
+        while let Some(record) = telemetry.try_next().unwrap() {
+            newest = Some(record);
+        }
+        newest.is_some_and(|record| {
+            record.release_ns > begin_ns + 500_000_000
+                && record.tip_state == MeasurementState::Repeated.code()
+        })
+    });
+    let silent = newest.unwrap();
+    assert_eq!(silent.mode, Mode::Holding.code());
+    assert!((silent.tip_offset_m[0] - offset_m[0]).abs() < OFFSET_M / 10.0);
 }

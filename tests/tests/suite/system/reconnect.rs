@@ -243,7 +243,10 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
     let error = fed.expect_err("its lease died with the daemon");
     let is_told = matches!(error, FeedError::Restarted { .. });
     if is_told {
-        assert!(error.to_string().contains("Feed it anew"), "{error}");
+        assert!(
+            error.to_string().contains("Feed the reference again"),
+            "{error}"
+        );
     } else {
         // A start that a bad machine makes long is silence before it is another daemon.
         let silence = killed.unwrap().elapsed();

@@ -67,11 +67,11 @@ pub(crate) struct ObstacleAdd {
     /// Velocity in m/s: the daemon moves it on from now
     #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, default_value = "0,0,0", allow_hyphen_values = true)]
     pub(crate) velocity: Vector,
-    /// How long it stays known [default: until removed]. Refused where the daemon watches those who send
-    /// obstacles with lifetimes
+    /// How long it stays known [default: until removed]. Refused where the daemon
+    /// supervises the sources of obstacles
     #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
     pub(crate) lifetime: Option<Duration>,
-    /// The numbers are in m, however far away that is
+    /// Accept positions that are far away: the numbers are in m
     #[arg(long)]
     pub(crate) far: bool,
 }

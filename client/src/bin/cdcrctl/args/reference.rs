@@ -50,7 +50,7 @@ pub(crate) struct FeedArguments {
     /// unit, 2mm or 0.002m
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
-    /// How long after now the reference begins
+    /// Time from now until the reference begins
     #[arg(long, value_name = "TIME", default_value = "300ms", value_parser = value::duration)]
     pub(crate) lead: Duration,
     /// Time between two points of a curve

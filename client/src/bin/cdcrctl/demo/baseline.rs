@@ -71,8 +71,9 @@ impl Baseline {
         }
         let json = fs::read_to_string(place.folder().join(RESULT))
             .context("cannot read the result of cdcrd bare")?;
-        let summary: BareSummary = serde_json::from_str(&json)
-            .context("cdcrd bare wrote no result that cdcrctl knows; build both at one time")?;
+        let summary: BareSummary = serde_json::from_str(&json).context(
+            "cannot read the result of cdcrd bare; build cdcrd and cdcrctl from one version",
+        )?;
         Ok(Some(summary.into()))
     }
 }

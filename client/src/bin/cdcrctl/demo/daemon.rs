@@ -130,7 +130,7 @@ fn is_running(connection: &Connection) -> bool {
 
 /// A program in the folder of this one.
 pub(super) fn beside_ourselves(name: &str) -> anyhow::Result<PathBuf> {
-    let ourselves = std::env::current_exe().context("cannot tell where cdcrctl lies")?;
+    let ourselves = std::env::current_exe().context("cannot determine the folder of cdcrctl")?;
     let program = ourselves.with_file_name(name);
     if !program.exists() {
         bail!(

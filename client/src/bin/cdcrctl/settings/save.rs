@@ -37,7 +37,10 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
     };
     let (text, changed) = merged(&before, settings, period).with_context(|| name.to_string())?;
     if changed.is_empty() {
-        writeln!(out, "{name}: nothing to change, it says so already")?;
+        writeln!(
+            out,
+            "{name}: nothing to change, it has these values already"
+        )?;
         return Ok(Done::Good);
     }
     replace(file, &text).with_context(|| format!("cannot write {name}"))?;
@@ -96,10 +99,7 @@ fn value(setting: Setting, settings: SolverSettings, period: Duration) -> anyhow
                 i64::MAX
             ),
         },
-        other => bail!(
-            "{} has no value that a configuration knows: {other}",
-            setting.key
-        ),
+        other => bail!("{} has an unknown value: {other}", setting.key),
     })
 }
 

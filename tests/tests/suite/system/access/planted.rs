@@ -49,7 +49,7 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
         &["mode 0777", "chmod go-rwx", remedy],
     );
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
-    let words = "anybody may write to the root path";
+    let words = "every user may write to the root path";
     assert_says(&place.cdcrctl(&["status"]), 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of theirs to a folder of ours.

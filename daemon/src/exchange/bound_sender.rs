@@ -1,9 +1,9 @@
-/// The driver whose measurements count: the first that is heard, until it is lost. With two drivers on one robot the
-/// measurements would be those of two robots, in turn. That it is lost is the cycle's to say; what is counted here only
-/// tells that fault from others.
+/// The process whose measurements count: the first that is heard, until it is lost. With two drivers on one robot the
+/// measurements would be those of two robots, in turn. A lost driver is a fault that the cycle detects; what is counted here
+/// only tells that fault from others. A lost tip sensor is no fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct BoundDriver {
-    /// A driver without an accepted measurement for longer than this is lost \[ns\].
+pub(super) struct BoundSender {
+    /// A process without an accepted measurement for longer than this is lost \[ns\].
     lost_after_ns: u64,
     heard: Option<Heard>,
 }
@@ -14,8 +14,8 @@ struct Heard {
     heard_ns: u64,
 }
 
-impl BoundDriver {
-    /// No driver yet; each is lost after `lost_after_ns` of silence.
+impl BoundSender {
+    /// No process yet; each is lost after `lost_after_ns` of silence.
     pub(super) fn new(lost_after_ns: u64) -> Self {
         Self {
             lost_after_ns,
@@ -23,11 +23,11 @@ impl BoundDriver {
         }
     }
 
-    /// Whether measurements of `sender` count at `now_ns`, on a robot that is faulted or not.
-    pub(super) fn is(&self, sender: u64, now_ns: u64, is_faulted: bool) -> bool {
+    /// Whether measurements of `sender` count at `now_ns`; `may_change`: whether another process may take the place of a silent one.
+    pub(super) fn is(&self, sender: u64, now_ns: u64, may_change: bool) -> bool {
         self.heard.is_none_or(|heard| {
             let is_silent = now_ns.saturating_sub(heard.heard_ns) > self.lost_after_ns;
-            let is_lost = is_faulted && is_silent;
+            let is_lost = may_change && is_silent;
             heard.sender == sender || is_lost
         })
     }
@@ -43,7 +43,7 @@ impl BoundDriver {
         self.heard = Some(Heard { sender, heard_ns });
     }
 
-    /// Nobody listened for `unheard_ns`: that is no silence of the driver.
+    /// Nobody listened for `unheard_ns`: that is no silence of the process.
     pub(super) fn extend(&mut self, unheard_ns: u64) {
         if let Some(heard) = &mut self.heard {
             heard.heard_ns += unheard_ns;
@@ -57,7 +57,7 @@ mod tests {
 
     #[test]
     fn the_first_driver_stays_until_it_is_lost() {
-        let mut driver = BoundDriver::new(100);
+        let mut driver = BoundSender::new(100);
         assert!(driver.is(1, 0, false) && driver.is(2, 0, false));
         driver.hear(1, 50);
         assert!(driver.is(1, 60, false) && !driver.is(2, 60, true));
