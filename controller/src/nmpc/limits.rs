@@ -15,6 +15,9 @@ const BEND_WEIGHT: f64 = 1e6;
 const STROKE_WEIGHT: f64 = 1e10;
 /// Weight of the squared excess of a cable's speed, per (m/s)² and position weight.
 const SPEED_WEIGHT: f64 = 1e6;
+/// How far inside its limits the plan aims, in rad, m and m/s: what a penalty leaves is far less, so the last word need
+/// not change what ends there.
+const INSIDE: f64 = 1e-6;
 /// Index of the limits among the violations.
 pub(super) const LIMITS: usize = 1;
 
@@ -52,15 +55,15 @@ impl<'a> Limits<'a> {
         let start = motion.start_shape();
         let bends = start.pairs();
         let sections = robot.sections().iter().zip(bends).zip(fastest_rad_s);
-        let bend = sections
-            .clone()
-            .any(|((section, [u, v]), rate)| u.hypot(*v) + rate * horizon_s > section.bend_max_rad);
+        let bend = sections.clone().any(|((section, [u, v]), rate)| {
+            u.hypot(*v) + rate * horizon_s > section.bend_max_rad - INSIDE
+        });
         // No cable is faster than all sections together; the last section's cables pass all of them.
         let fastest_m_s: f64 = sections.map(|((s, _), rate)| s.cable_radius_m * rate).sum();
         let strokes_m = robot.cable_strokes(&start);
         let longest_m = strokes_m.iter().fold(0.0_f64, |most, s| most.max(s.abs()));
-        let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m();
-        let speed = fastest_m_s > robot.cable_speed_max_m_s();
+        let stroke = longest_m + fastest_m_s * horizon_s > robot.cable_stroke_max_m() - INSIDE;
+        let speed = fastest_m_s > robot.cable_speed_max_m_s() - INSIDE;
         let mut units_m_rad = [[0.0; CABLES_MAX]; COORDINATES_MAX];
         if stroke || speed {
             for (i, unit) in units_m_rad[..motion.width()].iter_mut().enumerate() {
@@ -124,11 +127,14 @@ impl<'a> Limits<'a> {
         evaluation: &mut Evaluation<W>,
     ) {
         let zero = Wide::splat(0.0);
-        let beyond = value + -most;
         // A NaN is not "less": it stays, and spoils the cost as it should.
-        let beyond = zero.select(beyond, beyond.less(zero));
-        evaluation.cost = evaluation.cost + beyond * beyond * (weight * self.weight);
-        let share = beyond * (1.0 / most);
+        let beyond = |most: f64| {
+            let beyond = value + -most;
+            zero.select(beyond, beyond.less(zero))
+        };
+        let near = beyond(most - INSIDE);
+        evaluation.cost = evaluation.cost + near * near * (weight * self.weight);
+        let share = beyond(most) * (1.0 / most);
         let worst = evaluation.violations[LIMITS];
         evaluation.violations[LIMITS] = share.select(worst, worst.less(share));
     }
@@ -150,7 +156,7 @@ impl<'a> Limits<'a> {
                     derivatives[2 * j] = -scale * u / bend;
                     derivatives[2 * j + 1] = -scale * v / bend;
                     push(LimitRow {
-                        h: scale * (section.bend_max_rad - bend),
+                        h: scale * (section.bend_max_rad - INSIDE - bend),
                         derivatives,
                         of_step: false,
                     });
@@ -192,7 +198,7 @@ impl<'a> Limits<'a> {
                 *derivative = towards * unit[cable];
             }
             push(LimitRow {
-                h: scale * (most - value.abs()),
+                h: scale * (most - INSIDE - value.abs()),
                 derivatives,
                 of_step,
             });

@@ -1,4 +1,4 @@
-//! Obstacles over the horizon: culled once per solve, then a penalty on every step too near to one.
+//! Obstacles over the horizon: culled once per solve, then a penalty on every step of each section too near to one.
 
 use super::motion::Motion;
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
@@ -12,6 +12,8 @@ pub(super) const CLEARANCE: usize = 0;
 const SPHERE_NS: u32 = 40;
 /// Nominal time of one section against a capsule \[ns\], likewise.
 const CAPSULE_NS: u32 = 300;
+/// Nominal time of the derivatives of one distance \[ns\].
+const ROW_NS: u32 = 160;
 /// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
 /// leaves away does not break the distance itself.
 const MARGIN_M: f64 = 1e-6;
@@ -54,6 +56,14 @@ fn first_step(distance_m: f64, per_step_m: f64) -> usize {
     let steps = (distance_m - ROUNDING_M) / per_step_m;
     // A cast saturates: infinite is never, NaN is at once.
     (steps.ceil() - 1.0) as usize
+}
+
+/// The sections of a set, each as a set of its own.
+#[inline(always)]
+fn bits(sections: u8) -> impl Iterator<Item = u8> {
+    (0..SECTIONS_MAX)
+        .map(|j| 1 << j)
+        .filter(move |bit| sections & bit != 0)
 }
 
 /// Nominal time of one section against this obstacle \[ns\].
@@ -150,20 +160,23 @@ impl Obstacles {
                 return None;
             }
             let obstacle = near.obstacle.moved(at.time_s);
-            let clearance_m = body.clearance_below(&obstacle, enough_m, sections);
-            let depth_m = Wide::splat(enough_m) - clearance_m;
-            let inside = zero.less(depth_m);
-            let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
-            let beyond = depth_m * settings.obstacle_slope_penalty
-                + depth_m * depth_m * settings.obstacle_square_penalty;
-            evaluation.cost = evaluation.cost + (step + beyond);
-            let worst = evaluation.violations[CLEARANCE];
-            evaluation.violations[CLEARANCE] = depth_m.select(worst, worst.less(depth_m));
+            // Section by section: one that cannot leave must not let another come in.
+            for section in bits(sections) {
+                let clearance_m = body.clearance_below(&obstacle, enough_m, section);
+                let depth_m = Wide::splat(enough_m) - clearance_m;
+                let inside = zero.less(depth_m);
+                let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
+                let beyond = depth_m * settings.obstacle_slope_penalty
+                    + depth_m * depth_m * settings.obstacle_square_penalty;
+                evaluation.cost = evaluation.cost + (step + beyond);
+                let worst = evaluation.violations[CLEARANCE];
+                evaluation.violations[CLEARANCE] = depth_m.select(worst, worst.less(depth_m));
+            }
         }
         Some(())
     }
 
-    /// The nearest place of the body to each obstacle that a step could bring too near, for a
+    /// The nearest place of each section to each obstacle that a step could bring too near, for a
     /// Gauss-Newton step. False: the budget was spent.
     pub(super) fn rows(
         &self,
@@ -182,23 +195,27 @@ impl Obstacles {
         let kept_m = settings.safe_distance_m + MARGIN_M;
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
         for near in &self.near {
-            if near.sections[at.step] == 0 {
+            let sections = near.sections[at.step];
+            if sections == 0 {
                 continue;
             }
-            if !budget.spend(2 * section_ns(&near.obstacle) * robot.section_count() as u32) {
+            if !budget.spend((section_ns(&near.obstacle) + ROW_NS) * sections.count_ones()) {
                 return false;
             }
-            let nearest = body.nearest(&near.obstacle.moved(at.time_s));
-            robot.body_point_jacobian(shape, nearest.section, nearest.s, &mut jacobian);
-            let mut derivatives = [0.0; COORDINATES_MAX];
-            for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
-                let along = nearest.direction.iter().zip(velocity);
-                *derivative = scale * along.map(|(d, v)| d * v).sum::<f64>();
+            let obstacle = near.obstacle.moved(at.time_s);
+            for section in bits(sections) {
+                let nearest = body.nearest_of(section.trailing_zeros() as usize, &obstacle);
+                robot.body_point_jacobian(shape, nearest.section, nearest.s, &mut jacobian);
+                let mut derivatives = [0.0; COORDINATES_MAX];
+                for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
+                    let along = nearest.direction.iter().zip(velocity);
+                    *derivative = scale * along.map(|(d, v)| d * v).sum::<f64>();
+                }
+                push(ClearanceRow {
+                    h: scale * (nearest.clearance_m - kept_m),
+                    derivatives,
+                });
             }
-            push(ClearanceRow {
-                h: scale * (nearest.clearance_m - kept_m),
-                derivatives,
-            });
         }
         true
     }

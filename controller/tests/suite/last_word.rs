@@ -1,5 +1,6 @@
 //! What limits and clearance guard leave of motion: a robot that could go on goes on.
 
+use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
@@ -145,6 +146,43 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     let mean_mm = last_mm.iter().sum::<f64>() / last_mm.len() as f64;
     println!("frozen in {frozen} of 2000 cycles, {mean_mm:.1} mm from the goals: {last_mm:.1?}");
     assert!(frozen < 20 && mean_mm < 15.0);
+}
+
+/// The plan ends inside its limits: where they hold the robot back from its goal, the last word changes nothing for good.
+#[test]
+fn a_plan_that_rests_at_a_limit_is_not_cut() {
+    let limited: [fn(&mut RobotParameters); 2] = [
+        |p| p.sections.iter_mut().for_each(|s| s.bend_max_rad = 0.5),
+        |p| p.cable_stroke_max_m = 0.006,
+    ];
+    for (index, limit) in limited.into_iter().enumerate() {
+        let mut parameters = RobotParameters::paper(2);
+        limit(&mut parameters);
+        let robot = Robot::new(&parameters).unwrap();
+        let settings = NmpcSettings::default();
+        let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+        let goal = |_| ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: Vector3::new(0.25, 0.0, 0.0),
+            orientation: Orientation::Free,
+        };
+        let start = Configuration::from_slice(&[0.1, 0.0, 0.1, 0.0]).unwrap();
+        let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal);
+        for cycle in 0..600 {
+            closed.step(&mut nmpc);
+            let hit = closed.command().limits_hit;
+            assert!(
+                cycle < 500 || !hit.bend && !hit.cable_stroke,
+                "{index}, {cycle}: {hit:?}"
+            );
+        }
+        let at = closed.configuration();
+        let left = match index {
+            0 => 0.5 - at.bend_rad(0).max(at.bend_rad(1)),
+            _ => 0.006 - largest_stroke_m(&robot, at),
+        };
+        assert!((1e-8..2e-6).contains(&left), "{index}: {left}");
+    }
 }
 
 /// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many

@@ -233,6 +233,34 @@ fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
     }
 }
 
+/// A post that leans away from beside the base, which stands inside the safe distance and cannot leave, to where the tip is sent.
+#[test]
+fn what_is_too_near_to_the_base_keeps_its_distance_from_the_tip() {
+    let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
+    let shape = Shape::Capsule {
+        start_m: Vector3::new(0.029, 0.0, 0.0),
+        end_m: Vector3::new(0.25, 0.0, 0.6),
+    };
+    let post = Obstacle::new(shape, 0.01, Vector3::zeros()).unwrap();
+    let goal = sample(Vector3::new(0.213, 0.0, 0.5), Orientation::Free);
+    for solver in [SolverKind::GaussNewton, SolverKind::KpsoRefined] {
+        let settings = NmpcSettings {
+            solver,
+            ..NmpcSettings::default()
+        };
+        let start = Configuration::from_slice(&[0.1, 0.0, 0.1, 0.0]).unwrap();
+        let mut control = Loop::new(&robot, start, settings);
+        let mut nearest_m = f64::INFINITY;
+        for _ in 0..400 {
+            control.step(|_| goal, |_| vec![post]);
+            let body = robot.body(&control.at);
+            assert!(body.clearance_of(0, &post) < 0.0041);
+            nearest_m = nearest_m.min(body.clearance_of(1, &post));
+        }
+        assert!((nearest_m - 0.01).abs() < 1e-5, "{solver:?}: {nearest_m} m");
+    }
+}
+
 #[test]
 fn a_moving_obstacle_is_seen_coming() {
     // It crosses the resting robot's tip at 0.1 m/s: the robot gives way before, and comes back.
@@ -342,7 +370,7 @@ fn crowd(robot: &Robot, at: &Configuration) -> Vec<Obstacle> {
 #[test]
 fn culling_leaves_the_cost_as_it_is() {
     // The cost of a plan, by the solver with its culling and lanes, and by the definition: every obstacle
-    // at every step with the exact clearance of the whole body.
+    // at every step with the exact clearance of every section.
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     let at = Configuration::from_slice(&[0.5, 0.1, -0.4, 0.3, 0.2, 0.6]).unwrap();
     let obstacles = crowd(&robot, &at);
@@ -378,9 +406,10 @@ fn culling_leaves_the_cost_as_it_is() {
             bends = bends.advanced(&rates, PERIOD_S);
             let tip_m = robot.tip_position(&bends);
             cost += (tip_m - goal.position_m).norm_squared();
-            for obstacle in &obstacles {
+            let body = robot.body(&bends);
+            for (obstacle, section) in obstacles.iter().flat_map(|o| [(o, 0), (o, 1), (o, 2)]) {
                 let now = obstacle.moved(f64::from(step) * PERIOD_S);
-                let depth_m = settings.safe_distance_m - robot.clearance_m(&bends, &now);
+                let depth_m = settings.safe_distance_m - body.clearance_of(section, &now);
                 if depth_m > 0.0 {
                     hit += 1;
                     cost += settings.obstacle_step_penalty
