@@ -20,6 +20,7 @@
 //! | [`estimator`] | configuration from measurements | commands to come |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine, limits, clearance guard: the last word before the cables | optimisation |
+//! | [`calibration`] | the geometry that explains measured cables and tips | time, files |
 //! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
 //! | [`closed_loop`] | solver, last word and ideal robot, period by period: for simulations | clocks |
 //!
@@ -102,6 +103,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod calibration;
 pub mod closed_loop;
 pub mod estimator;
 pub mod nmpc;

@@ -82,6 +82,15 @@ impl MisbehavingRobot {
         })
     }
 
+    /// The same with cables and sections that are those of another robot, whatever the flaws say of its geometry. It has as many
+    /// sections as the model.
+    #[must_use]
+    pub fn with_truth(mut self, truth: Robot) -> Self {
+        debug_assert_eq!(truth.section_count(), self.model.section_count());
+        self.truth = truth;
+        self
+    }
+
     /// Other flaws of motors, cables and sensors from now on: a cable slips, a load comes. The geometry stays.
     pub fn set_flaws(&mut self, flaws: Flaws) {
         self.flaws = flaws;

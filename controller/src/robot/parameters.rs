@@ -311,7 +311,7 @@ impl Robot {
     }
 
     /// (cos β, sin β) of the three cables of each section, base first.
-    pub(super) fn cable_directions(&self) -> &[[[f64; 2]; 3]] {
+    pub(crate) fn cable_directions(&self) -> &[[[f64; 2]; 3]] {
         &self.cable_directions[..self.section_count]
     }
 }

@@ -1,0 +1,85 @@
+use core::fmt;
+
+use super::fit::{Square, scaled};
+use super::geometry::{PARAMETERS_MAX, Parameter};
+
+/// A combination of parameters is told by the data where they know it this many times better than its plausible errors.
+const TOLD: f64 = 5.0;
+/// Parameters with this part of the largest share in a combination belong to it.
+const SHARE: f64 = 0.3;
+
+/// A parameter that was not estimated, and why.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Held {
+    /// Which.
+    pub parameter: Parameter,
+    /// Why.
+    pub why: Why,
+}
+
+/// Why a parameter was not estimated.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Why {
+    /// It was asked for.
+    Asked,
+    /// The data cannot tell it from these; none: they do not depend on it.
+    Untold(Vec<Parameter>),
+}
+
+impl fmt::Display for Why {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Asked => write!(f, "asked for"),
+            Self::Untold(others) if others.is_empty() => {
+                write!(f, "these data do not depend on it")
+            }
+            Self::Untold(others) => {
+                let names: Vec<_> = others.iter().map(ToString::to_string).collect();
+                write!(f, "these data cannot tell it from: {}", names.join(", "))
+            }
+        }
+    }
+}
+
+/// Takes parameters out of `active` until the data tell every combination of the others. Of a combination that they do not tell, the one is
+/// held that is most likely to be right as it is: base and sensor first, lengths last.
+pub(super) fn hold_what_is_weak(
+    square: &Square,
+    scale: &[f64; PARAMETERS_MAX],
+    active: &mut Vec<usize>,
+    held: &mut Vec<Held>,
+) {
+    while !active.is_empty() {
+        let eigen = scaled(square, active, scale).symmetric_eigen();
+        // Vectors of what is not estimated have the eigenvalue 1 and no share in any active parameter.
+        let is_active = |vector: usize| {
+            let shares = active
+                .iter()
+                .map(|&i| eigen.eigenvectors[(i, vector)].powi(2));
+            shares.sum::<f64>() > 0.5
+        };
+        let weakest = (0..PARAMETERS_MAX)
+            .filter(|&vector| is_active(vector))
+            .min_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
+        let Some(weakest) = weakest.filter(|&at| eigen.eigenvalues[at] < TOLD * TOLD) else {
+            return;
+        };
+        let share = |index: usize| eigen.eigenvectors[(index, weakest)].abs();
+        let largest = active.iter().map(|&i| share(i)).fold(0.0, f64::max);
+        let mut combined = active.clone();
+        combined.retain(|&index| share(index) >= SHARE * largest);
+        let first = combined.iter().copied().min_by(|&a, &b| {
+            let group = |index: usize| Parameter::at(index).group();
+            group(a).cmp(&group(b)).then(share(b).total_cmp(&share(a)))
+        });
+        let Some(first) = first else {
+            return;
+        };
+        active.retain(|&index| index != first);
+        combined.retain(|&index| index != first);
+        held.push(Held {
+            parameter: Parameter::at(first),
+            why: Why::Untold(combined.into_iter().map(Parameter::at).collect()),
+        });
+    }
+}

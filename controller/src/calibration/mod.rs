@@ -1,0 +1,422 @@
+//! Which robot it is: lengths, radii, angles and zeros of cables, and where base and sensor are, from measured cables and tips.
+//!
+//! A row is what was measured at one time. The cables say how the sections are bent, given the geometry; the geometry is the one that
+//! puts the tip where it was measured (weighted non-linear least squares). Noise of the cables counts, too: at 12.5 mm from the backbone, 30 µm
+//! move the tip of a metre of robot by more than a millimetre.
+//!
+//! What the rows cannot tell is held at its old value, and named: [`Calibration::held`]. A turn of the base about z and the same
+//! turn of all cables, for instance, are one and the same to every row.
+//!
+//! Invariant: nothing here knows a file, a unit other than SI, or a robot's mode.
+
+mod exciting_path;
+mod fit;
+mod geometry;
+mod held;
+mod noise;
+mod prediction;
+
+use nalgebra::Vector3;
+use thiserror::Error;
+
+pub use exciting_path::{ExcitingPath, PathError};
+use fit::{Estimated, Square, fit, information, residuals, scaled};
+pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
+use held::hold_what_is_weak;
+pub use held::{Held, Why};
+pub use noise::Noise;
+pub use prediction::CalibrationRow;
+use prediction::{Twist, residual_of};
+
+use crate::robot::{RobotError, RobotParameters};
+
+/// Rows at least.
+pub const ROWS_MIN: usize = 100;
+/// The rows are cut into so many stretches, of which every fifth is held out of the fit.
+const STRETCHES: usize = 25;
+/// Of a robot that moves, a cable of each section moves by more than this times its distance from the backbone.
+const MOTION_MIN_RAD: f64 = 0.05;
+/// Rounds of fit and noise at the most.
+const ROUNDS_MAX: usize = 8;
+/// A normal number is within this times its standard deviation in 95 of 100 cases.
+const SHARE_95: f64 = 1.96;
+
+/// Why there is no calibration.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum CalibrationError {
+    /// Too little was measured.
+    #[error(
+        "{rows} rows are too few: at least {ROWS_MIN} are needed, and a minute of motion is good"
+    )]
+    TooFewRows {
+        /// How many there are.
+        rows: usize,
+    },
+    /// The robot did not move.
+    #[error(
+        "no section bends by more than {bend_rad:.4} rad in these rows: there is nothing to learn without motion; move every \
+         section (cdcrctl calibrate excite)"
+    )]
+    NoMotion {
+        /// The most that a section bends (rad).
+        bend_rad: f64,
+    },
+    /// The configured robot is none.
+    #[error(transparent)]
+    Robot(#[from] RobotError),
+    /// No robot explains the rows.
+    #[error(
+        "no robot near the configured one explains these rows: see that lengths are in m, cables in the order of the configuration, \
+         and tip poses in the base frame"
+    )]
+    NoRobot,
+    /// Everything was held, or can be told by nothing in the rows.
+    #[error("nothing is left to estimate: {held} parameters are held")]
+    NothingLeft {
+        /// How many are held.
+        held: usize,
+    },
+}
+
+/// What was found of one parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Estimate {
+    /// Which.
+    pub parameter: Parameter,
+    /// As configured (m or rad).
+    pub old: f64,
+    /// As found.
+    pub value: f64,
+    /// The truth is within this of `value` in 95 of 100 calibrations.
+    pub within: f64,
+}
+
+/// How far measured tips are beside where the cables place them.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct TipError {
+    /// Rows.
+    pub rows: usize,
+    /// Root mean square of the distance (m).
+    pub rms_m: f64,
+    /// The same of each coordinate (m).
+    pub axis_rms_m: [f64; 3],
+    /// The largest distance (m).
+    pub max_m: f64,
+    /// Root mean square of the angle (rad); 0 where no rotation was measured.
+    pub rms_rad: f64,
+}
+
+/// What the rows say of a robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// What was found; what is held is as configured.
+    pub geometry: Geometry,
+    /// What was estimated. Zeros of cables are in `cable_zeros`.
+    pub estimates: Vec<Estimate>,
+    /// Zero of each cable: how much longer it is measured than it is, beside the mean of its section's three (m), with the bound of
+    /// 95 %. That mean bends nothing.
+    pub cable_zeros: Vec<[(f64, f64); 3]>,
+    /// What was not estimated.
+    pub held: Vec<Held>,
+    /// Standard deviations of what was measured.
+    pub noise: Noise,
+    /// Rows of the fit that no noise explains, and that were left out.
+    pub outliers: usize,
+    /// By how much longer the bounds are than if the residuals of one row said nothing of those of the next: 1 where the model is right.
+    pub correlation: f64,
+    /// With the configured robot: in the fit, and held out.
+    pub before: [TipError; 2],
+    /// With what was found: in the fit without outliers, and held out.
+    pub after: [TipError; 2],
+    /// How well three cables agree on the length of the backbone: rms of their mean beside its average, for each section (m).
+    pub cable_rms_m: Vec<f64>,
+}
+
+/// Finds the robot that explains the rows, which are in the order in which they were measured. `hold` are groups that are not estimated.
+///
+/// A fifth of the rows, in five stretches, is held out and only checked. 12 000 rows of three sections take some seconds.
+///
+/// # Errors
+/// With what is wrong with the rows.
+pub fn calibrate(
+    robot: &RobotParameters,
+    rows: &[CalibrationRow],
+    hold: &[ParameterGroup],
+) -> Result<Calibration, CalibrationError> {
+    let configured = Geometry::configured(robot);
+    configured.checked()?;
+    check(robot, rows)?;
+    let (held_out, fitted): (Vec<_>, Vec<_>) = rows
+        .iter()
+        .enumerate()
+        .partition(|(at, _)| at * STRETCHES / rows.len() % 5 == 2);
+    let without_index = |rows: Vec<(usize, _)>| rows.into_iter().map(|(_, row)| row).collect();
+    let (held_out, fitted): (Vec<_>, Vec<_>) = (without_index(held_out), without_index(fitted));
+    let mut search = Search::new(&configured, rows, hold);
+
+    // What these rows cannot tell stays where it is believed to be, until it is known what that is.
+    search.fit(&configured, &fitted, true, true)?;
+    // Judged with base and sensor as configured: a sensor on the tip's axis makes up for length and radius of the last section, and does so
+    // a little less where noise has moved it.
+    let judged = Geometry {
+        base: configured.base,
+        sensor: configured.sensor,
+        ..search.geometry.clone()
+    };
+    let square = information(&judged, &fitted, &search.noise, &search.active)
+        .ok_or(CalibrationError::NoRobot)?;
+    hold_what_is_weak(&square, &search.scale, &mut search.active, &mut search.held);
+    if search.active.is_empty() {
+        let held = search.held.len();
+        return Err(CalibrationError::NothingLeft { held });
+    }
+    search.put_back(&configured);
+    search.fit(&configured, &fitted, false, true)?;
+    let kept = search.without_outliers(&fitted)?;
+    search.fit(&configured, &kept, false, false)?;
+    search.result(&configured, &fitted, &kept, &held_out)
+}
+
+/// Refuses rows that cannot tell anything.
+fn check(robot: &RobotParameters, rows: &[CalibrationRow]) -> Result<(), CalibrationError> {
+    if rows.len() < ROWS_MIN {
+        return Err(CalibrationError::TooFewRows { rows: rows.len() });
+    }
+    let bend_rad = |cable: usize| {
+        let lengths_m = || rows.iter().map(move |row| row.cable_length_m[cable]);
+        let longest_m = lengths_m().fold(f64::NEG_INFINITY, f64::max);
+        let shortest_m = lengths_m().fold(f64::INFINITY, f64::min);
+        (longest_m - shortest_m) / robot.sections[cable / 3].cable_radius_m
+    };
+    let bend_rad = (0..3 * robot.sections.len())
+        .map(bend_rad)
+        .fold(0.0, f64::max);
+    if bend_rad < MOTION_MIN_RAD {
+        return Err(CalibrationError::NoMotion { bend_rad });
+    }
+    Ok(())
+}
+
+/// The fit as it goes on.
+struct Search {
+    geometry: Geometry,
+    noise: Noise,
+    scale: [f64; PARAMETERS_MAX],
+    active: Vec<usize>,
+    held: Vec<Held>,
+}
+
+impl Search {
+    fn new(configured: &Geometry, rows: &[CalibrationRow], hold: &[ParameterGroup]) -> Self {
+        let sections = configured.robot.sections.len();
+        let is_turned = rows.iter().all(|row| row.tip_rotation.is_some());
+        let all = (0..PARAMETERS_MAX).map(Parameter::at).filter(|p| match p {
+            Parameter::Length(j)
+            | Parameter::CableRadius(j)
+            | Parameter::CableAngle(j)
+            | Parameter::CableZero(j, _) => *j < sections,
+            Parameter::SensorRotation(_) => is_turned,
+            _ => true,
+        });
+        let (asked, active): (Vec<_>, Vec<_>) = all.partition(|p| hold.contains(&p.group()));
+        let mut scale = [1.0; PARAMETERS_MAX];
+        for parameter in asked.iter().chain(&active) {
+            scale[parameter.index()] = parameter.plausible_error(&configured.robot);
+        }
+        let why = |parameter: &Parameter| Held {
+            parameter: *parameter,
+            why: Why::Asked,
+        };
+        Self {
+            geometry: configured.clone(),
+            noise: Noise::of_cables(rows, sections),
+            scale,
+            active: active.iter().map(|parameter| parameter.index()).collect(),
+            held: asked.iter().map(why).collect(),
+        }
+    }
+
+    /// Fits and learns the noise in turns, until neither changes.
+    fn fit(
+        &mut self,
+        configured: &Geometry,
+        rows: &[&CalibrationRow],
+        prior: bool,
+        robust: bool,
+    ) -> Result<(), CalibrationError> {
+        for _ in 0..ROUNDS_MAX {
+            let estimated = Estimated {
+                active: &self.active,
+                scale: &self.scale,
+                prior,
+                robust,
+            };
+            self.geometry = fit(configured, &self.geometry, rows, &self.noise, &estimated)
+                .ok_or(CalibrationError::NoRobot)?;
+            let learnt = self.noise.learnt(&self.geometry, rows);
+            let before = core::mem::replace(&mut self.noise, learnt);
+            let change = self.noise.tip_m / before.tip_m + self.noise.tip_rad / before.tip_rad;
+            if (change - 2.0).abs() < 0.01 {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Held parameters go back to where they were.
+    fn put_back(&mut self, configured: &Geometry) {
+        let mut kept = [0.0; PARAMETERS_MAX];
+        for &index in &self.active {
+            let parameter = Parameter::at(index);
+            kept[index] = self.geometry.value(parameter) - configured.value(parameter);
+        }
+        self.geometry = configured.moved(&kept);
+    }
+
+    /// The rows that noise explains.
+    fn without_outliers<'a>(
+        &self,
+        rows: &[&'a CalibrationRow],
+    ) -> Result<Vec<&'a CalibrationRow>, CalibrationError> {
+        let gate = (freedom(rows) as f64).sqrt() + 3.5;
+        let residuals =
+            residuals(&self.geometry, rows, &self.noise).ok_or(CalibrationError::NoRobot)?;
+        let rows = rows.iter().zip(&residuals);
+        Ok(rows
+            .filter(|(_, residual)| residual.norm() <= gate)
+            .map(|(row, _)| *row)
+            .collect())
+    }
+
+    fn result(
+        self,
+        configured: &Geometry,
+        fitted: &[&CalibrationRow],
+        kept: &[&CalibrationRow],
+        held_out: &[&CalibrationRow],
+    ) -> Result<Calibration, CalibrationError> {
+        let no_robot = CalibrationError::NoRobot;
+        let white = residuals(&self.geometry, kept, &self.noise).ok_or(no_robot.clone())?;
+        let square = information(&self.geometry, kept, &self.noise, &self.active);
+        let covariance = scaled(&square.ok_or(no_robot.clone())?, &self.active, &self.scale)
+            .try_inverse()
+            .ok_or(no_robot.clone())?;
+        let numbers = (freedom(kept) * kept.len()) as f64;
+        let squares: f64 = white.iter().map(Twist::norm_squared).sum();
+        let per_number = squares / numbers;
+        let correlation = correlation(&white).sqrt();
+        let spread = SHARE_95 * per_number.max(f64::MIN_POSITIVE).sqrt() * correlation;
+        let estimates = self.active.iter().map(|&index| {
+            let parameter = Parameter::at(index);
+            Estimate {
+                parameter,
+                old: configured.value(parameter),
+                value: self.geometry.value(parameter),
+                within: spread * self.scale[index] * covariance[(index, index)].sqrt(),
+            }
+        });
+        let estimates: Vec<_> = estimates
+            .filter(|estimate| estimate.parameter.group() != ParameterGroup::Zeros)
+            .collect();
+        let error = |geometry: &Geometry, rows: &[&CalibrationRow]| {
+            tip_error(geometry, rows).ok_or(no_robot.clone())
+        };
+        Ok(Calibration {
+            cable_zeros: self.cable_zeros(&covariance, spread),
+            cable_rms_m: cable_rms_m(configured.robot.sections.len(), kept),
+            estimates,
+            outliers: fitted.len() - kept.len(),
+            correlation,
+            before: [error(configured, kept)?, error(configured, held_out)?],
+            after: [
+                error(&self.geometry, kept)?,
+                error(&self.geometry, held_out)?,
+            ],
+            noise: self.noise,
+            held: self.held,
+            geometry: self.geometry,
+        })
+    }
+
+    /// Zeros cable by cable.
+    fn cable_zeros(&self, covariance: &Square, spread: f64) -> Vec<[(f64, f64); 3]> {
+        let zeros = (0..self.geometry.robot.sections.len()).map(|j| {
+            let beside_m = self.geometry.section_zeros_m(j);
+            core::array::from_fn(|cable| {
+                let index = |pattern| Parameter::CableZero(j, pattern).index();
+                let mut variance = 0.0;
+                for a in (0..2).filter(|a| self.active.contains(&index(*a))) {
+                    for b in (0..2).filter(|b| self.active.contains(&index(*b))) {
+                        variance += geometry::ZERO_PATTERNS[a][cable]
+                            * geometry::ZERO_PATTERNS[b][cable]
+                            * covariance[(index(a), index(b))]
+                            * self.scale[index(a)]
+                            * self.scale[index(b)];
+                    }
+                }
+                (beside_m[cable], spread * variance.sqrt())
+            })
+        });
+        zeros.collect()
+    }
+}
+
+/// Numbers that each row has of its tip.
+fn freedom(rows: &[&CalibrationRow]) -> usize {
+    let is_turned = rows.first().is_some_and(|row| row.tip_rotation.is_some());
+    if is_turned { 6 } else { 3 }
+}
+
+/// The mean of three cables beside its average: rms, for each section (m).
+fn cable_rms_m(sections: usize, rows: &[&CalibrationRow]) -> Vec<f64> {
+    let count = rows.len() as f64;
+    let rms_m = |j: usize| {
+        let mean_m =
+            |row: &&CalibrationRow| row.cable_length_m[3 * j..3 * j + 3].iter().sum::<f64>() / 3.0;
+        let average_m = rows.iter().map(mean_m).sum::<f64>() / count;
+        let squares = rows.iter().map(|row| (mean_m(row) - average_m).powi(2));
+        (squares.sum::<f64>() / count).sqrt()
+    };
+    (0..sections).map(rms_m).collect()
+}
+
+fn tip_error(geometry: &Geometry, rows: &[&CalibrationRow]) -> Option<TipError> {
+    let robot = geometry.checked().ok()?;
+    let mut error = TipError {
+        rows: rows.len(),
+        ..TipError::default()
+    };
+    let mut squares = Twist::zeros();
+    for row in rows {
+        let residual = residual_of(&robot, geometry, row);
+        squares += residual.component_mul(&residual);
+        error.max_m = error.max_m.max(residual.fixed_rows::<3>(0).norm());
+    }
+    squares /= rows.len().max(1) as f64;
+    let position: Vector3<f64> = squares.fixed_rows::<3>(0).into_owned();
+    error.rms_m = position.sum().sqrt();
+    error.axis_rms_m = position.map(f64::sqrt).into();
+    error.rms_rad = squares.fixed_rows::<3>(3).sum().sqrt();
+    Some(error)
+}
+
+/// By how much larger the variance of a sum of these is than if one said nothing of the next: 1 + 2 Σ of their correlations, as long as they
+/// are more than chance.
+fn correlation(residuals: &[Twist]) -> f64 {
+    let own: f64 = residuals.iter().map(Twist::norm_squared).sum();
+    if own == 0.0 {
+        return 1.0;
+    }
+    let count = residuals.len();
+    let chance = 2.0 / (count as f64).sqrt();
+    let mut sum = 1.0;
+    for apart in 1..count / 4 {
+        let pairs = residuals.iter().zip(&residuals[apart..]);
+        let part = pairs.map(|(a, b)| a.dot(b)).sum::<f64>() / own;
+        if part < chance {
+            break;
+        }
+        sum += 2.0 * part;
+    }
+    sum
+}
