@@ -18,7 +18,8 @@
 //! * [`Connection::telemetry`] is a [`Stream`] of one record per cycle, which counts what was lost;
 //!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
 //!   kept whole.
-//! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say.
+//! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say;
+//!   `PlantDriver` is a simulated robot behind a driver.
 //! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
 //!   programs that do more than feed a curve.
 //!
@@ -78,6 +79,8 @@ mod message;
 pub mod model;
 mod obstacle_sender;
 mod outlet;
+#[cfg(feature = "model")]
+mod plant_driver;
 mod reference_feed;
 mod remedy;
 mod request;
@@ -101,6 +104,8 @@ pub use lease::Lease;
 pub use link_error::LinkError;
 pub use message::Message;
 pub use obstacle_sender::ObstacleSender;
+#[cfg(feature = "model")]
+pub use plant_driver::{PlantDriver, PlantError};
 pub use reference_feed::ReferenceFeed;
 pub use remedy::remedy;
 pub use request::RequestError;

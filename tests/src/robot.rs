@@ -1,12 +1,12 @@
-//! A robot behind a driver, played by a test: [`MisbehavingRobot`] at the ports of a [`Driver`].
+//! A robot behind a driver, played by a test.
 
 #![allow(
     clippy::unwrap_used,
     reason = "in a test a panic is the report, in its helpers, too"
 )]
 
-use cdcr_client::{CommandRefusal, Connection, Driver, monotonic_ns};
-use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_client::{CommandRefusal, Connection, PlantDriver, monotonic_ns};
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::COORDINATES_MAX;
@@ -15,21 +15,15 @@ use cdcr_shared_types::{Command, Measurement};
 use crate::PATIENCE;
 use crate::record::robot_of;
 
-/// The motors are moved on in steps of this \[ns\].
-const STEP_NS: u64 = 1_000_000;
 /// Of its noise, where the test does not ask for another.
 const SEED: u64 = 11;
 
-/// Its motors do what the driver obeys, for as long as that holds, however seldom the test comes to turn it.
+/// A [`PlantDriver`] of which a test expects that its daemon commands only what a robot may do.
 #[derive(Debug)]
 pub struct DrivenRobot {
-    driver: Driver,
-    interface: Interface,
+    driver: PlantDriver,
     model: Robot,
-    plant: MisbehavingRobot,
     last_command: Option<Command>,
-    /// Until when the motors have been moved on \[ns\].
-    moved_ns: u64,
 }
 
 impl DrivenRobot {
@@ -52,43 +46,19 @@ impl DrivenRobot {
         let model = robot_of(&connection.status(PATIENCE).unwrap().robot);
         let at = Configuration::from_slice(&bend_rad[..model.coordinate_count()]).unwrap();
         Self {
-            driver: connection.driver(interface).unwrap(),
-            interface,
-            plant: MisbehavingRobot::new(&model, &at, flaws, SEED).unwrap(),
+            driver: PlantDriver::new(connection, interface, Some(&at), flaws, SEED).unwrap(),
             model,
             last_command: None,
-            moved_ns: monotonic_ns(),
         }
     }
 
     /// Moves on to now, and takes the commands that have come.
-    ///
-    /// The time that has passed belongs to the old commands, because a motor does not know those that come.
     pub fn follow(&mut self) {
-        self.move_to(monotonic_ns());
-        let update = self.driver.update().unwrap();
+        let update = self.driver.follow().unwrap();
         if let Some(refusal) = update.refused {
             assert!(may_happen(&refusal), "the daemon's command: {refusal}");
         }
         self.last_command = update.command.or(self.last_command);
-    }
-
-    fn move_to(&mut self, now_ns: u64) {
-        while self.moved_ns < now_ns {
-            let step_ns = STEP_NS.min(now_ns - self.moved_ns);
-            self.moved_ns += step_ns;
-            let order = match self.interface {
-                Interface::Position => self
-                    .driver
-                    .position_at(self.moved_ns)
-                    .map_or(MotorOrder::Stand, |position| {
-                        MotorOrder::Lengths(position.cable_length_m)
-                    }),
-                _ => MotorOrder::Speeds(self.driver.rates_at(self.moved_ns).cable_speed_m_s),
-            };
-            self.plant.order(order);
-            self.plant.advance(step_ns as f64 * 1e-9);
-        }
     }
 
     /// Follows, and sends a measurement of the bends.
@@ -110,7 +80,7 @@ impl DrivenRobot {
             kind: kind.code(),
             ..Measurement::default()
         };
-        let lengths_m = self.plant.measure_cables();
+        let lengths_m = self.driver.plant().measure_cables();
         if kind == MeasurementKind::CableLengths {
             measurement.cable_length_m = lengths_m;
         } else {
@@ -125,12 +95,12 @@ impl DrivenRobot {
             sections: self.model.section_count() as u32,
             ..*measurement
         };
-        self.driver.send(measurement).unwrap();
+        self.driver.driver().send(measurement).unwrap();
     }
 
     /// How it is bent in truth \[rad\].
-    pub fn bend_rad(&self) -> [f64; COORDINATES_MAX] {
-        padded(&self.plant.configuration())
+    pub fn bend_rad(&mut self) -> [f64; COORDINATES_MAX] {
+        padded(&self.driver.plant().configuration())
     }
 
     /// The last command that the driver took.

@@ -81,6 +81,17 @@ impl Preset {
         Self::Blind,
     ];
 
+    /// Its name, as in a configuration.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Ideal => "ideal",
+            Self::Laboratory => "laboratory",
+            Self::Sloppy => "sloppy",
+            Self::Slow => "slow",
+            Self::Blind => "blind",
+        }
+    }
+
     /// What is wrong with it.
     pub fn flaws(self) -> Flaws {
         let laboratory = Flaws {

@@ -1,5 +1,6 @@
 pub(crate) mod complete;
 mod obstacle;
+mod plant;
 mod reference;
 mod settings;
 mod straight;
@@ -15,6 +16,7 @@ use clap_complete::ArgValueCandidates;
 
 use crate::value;
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
+pub(crate) use plant::PlantOptions;
 pub(crate) use reference::{
     CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
 };
@@ -122,6 +124,11 @@ pub(crate) enum Task {
     /// Move the tip by so much from where it is, along a straight way, and hold there
     #[command(after_help = "Example:\n  cdcrctl jog 0,0,-0.01 --speed 0.01")]
     Jog(JogOptions),
+    /// Play a simulated robot behind a driver, for a daemon with link.kind = "driver"
+    #[command(
+        after_help = "Example:\n  cdcrd run --set link.kind=driver --set realtime.mode=prefer\n  cdcrctl plant --preset sloppy --tip 100"
+    )]
+    Plant(PlantOptions),
     /// Follow the reference that a client feeds; waits at most 2 s for one
     #[command(after_help = "Example:\n  cdcrctl ref spiral & cdcrctl track")]
     Track,

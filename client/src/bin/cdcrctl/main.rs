@@ -14,6 +14,7 @@ mod incidents;
 mod interrupt;
 mod known_obstacles;
 mod obstacle;
+mod plant;
 mod request;
 mod setting;
 mod settings;
@@ -68,6 +69,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Jog(options) => feed::go(target, &options.way, |tip_m| {
             core::array::from_fn(|i| tip_m[i] + options.by[i])
         }),
+        Task::Plant(options) => plant::run(target, options),
         Task::Track => request::run(target, RequestKind::Track, None),
         Task::Hold(options) => request::run(target, RequestKind::Hold, options.wait),
         Task::Home(options) => request::run(target, RequestKind::Home, options.wait),

@@ -1,6 +1,8 @@
 //! Motions that a person asks for: to a point, by so much, along a reference, and all of it without moving.
 
-use cdcr_tests::{Daemon, PATIENT, text};
+use cdcr_shared_types::codes::Mode;
+use cdcr_tests::{Daemon, PATIENT, Program, text, wait_mode};
+use rustix::process::Signal;
 
 const LABORATORY: &str = "[link]\nsimulated = \"laboratory\"\n";
 
@@ -73,4 +75,22 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     // What is approached from far is followed well from then on.
     let spiral = says(&daemon, "ref spiral --track --max-error 3mm", 0);
     assert!(spiral.contains("approached in"), "{spiral}");
+}
+
+#[test]
+fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
+    for (interface, preset) in [("position", "sloppy"), ("velocity", "laboratory")] {
+        let daemon = Daemon::start(&format!(
+            "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
+        ));
+        let mut command = daemon.place().command("cdcrctl");
+        let plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
+        wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
+        let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
+        says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
+        plant.signal(Signal::INT);
+        let output = plant.output();
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output));
+        assert!(text(&output).contains(preset), "{}", text(&output));
+    }
 }

@@ -1,0 +1,40 @@
+use cdcr_controller::plant::Preset;
+use cdcr_shared_types::codes::Interface;
+use clap::Args;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
+use crate::value;
+
+/// Options of `plant`.
+#[derive(Debug, Args)]
+pub(crate) struct PlantOptions {
+    /// Which robot, as link.simulated: laboratory is built well, sloppy is worn, slow has motors with a lag, of blind only
+    /// the tip is measured, ideal is exactly its model
+    #[arg(long, value_parser = preset(), default_value = "laboratory")]
+    pub(crate) preset: Preset,
+    /// What of a command it obeys [default: link.interface of the daemon]
+    #[arg(long, value_parser = interface())]
+    pub(crate) interface: Option<Interface>,
+    /// Measure the tip beside the cables, so often a second
+    #[arg(long, value_name = "HZ", value_parser = value::positive)]
+    pub(crate) tip: Option<f64>,
+    /// Seed of its noise
+    #[arg(long, default_value_t = 1)]
+    pub(crate) seed: u64,
+}
+
+fn preset() -> impl TypedValueParser<Value = Preset> {
+    PossibleValuesParser::new(Preset::ALL.map(Preset::name)).map(|name| {
+        Preset::ALL
+            .into_iter()
+            .find(|preset| preset.name() == name)
+            .unwrap_or_default()
+    })
+}
+
+fn interface() -> impl TypedValueParser<Value = Interface> {
+    PossibleValuesParser::new(["velocity", "position"]).map(|name| match &*name {
+        "position" => Interface::Position,
+        _ => Interface::Velocity,
+    })
+}
