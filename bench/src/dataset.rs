@@ -264,6 +264,17 @@ impl Sheet {
     }
 }
 
+/// The fields of several objects in one.
+pub fn joined<const N: usize>(objects: [impl Serialize; N]) -> Result<Value> {
+    let mut all = Map::new();
+    for object in objects {
+        if let Value::Object(fields) = serde_json::to_value(object)? {
+            all.extend(fields);
+        }
+    }
+    Ok(Value::Object(all))
+}
+
 /// What JSON nests, under one name. A list stays one value.
 pub(crate) fn flat(row: &Value) -> BTreeMap<String, Value> {
     fn add(name: &str, value: &Value, values: &mut BTreeMap<String, Value>) {

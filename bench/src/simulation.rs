@@ -88,7 +88,7 @@ pub struct Effort {
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
     /// Cycles of a run at most: for a quick look.
-    #[arg(long = "cycles", hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long = "cycles", value_name = "CYCLES", hide = true, default_value_t = u64::MAX, value_parser = clap::value_parser!(u64).range(1..))]
     pub cycles_max: u64,
 }
 

@@ -6,10 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Result, bail, ensure};
 use cdcr_bench::progress::Progress;
-use cdcr_bench::report::benchmark::{Name, Request};
-use cdcr_bench::report::{BenchReport, Extent, Start};
+use cdcr_bench::report::benchmark::Request;
+use cdcr_bench::report::{BenchReport, Start};
 use cdcr_testbed::interrupt;
-use clap::ValueEnum;
 
 use super::output::{keep, make, show};
 
@@ -22,31 +21,19 @@ pub(super) struct AllArguments {
     /// histograms; made if it does not exist, written into at the end only.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// A look of a few minutes that proves little.
-    #[arg(long)]
-    quick: bool,
-    /// Rounds of each benchmark, 1 to 100, instead of the usual number of each; compare needs at least 3.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
-    rounds: Option<u32>,
-    /// Only these, separated by commas.
-    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
-    only: Vec<Name>,
-    /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
-    /// benchmarks choose their own, and with it no figure to reach is judged.
-    #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    #[command(flatten)]
+    request: Request,
 }
 
 pub(super) fn run(args: &AllArguments) -> Result<()> {
     let start = Start::now()?;
     interrupt::catch()?;
-    if let Some(config) = &args.config {
+    if let Some(config) = &args.request.config {
         ensure!(config.is_file(), "there is no file {}", config.display());
     }
     make(&args.out)?;
-    let request = request(args);
-    let mut progress = Progress::new(request.expected_s());
-    let report = request.run(start, &mut progress)?;
+    let mut progress = Progress::new(args.request.expected_s());
+    let report = args.request.run(start, &mut progress)?;
     drop(progress);
     keep(&report.bundle()?, &folder(&report, &args.out)?)?;
     show(&report.summary()?)?;
@@ -60,21 +47,6 @@ pub(super) fn run(args: &AllArguments) -> Result<()> {
         );
     }
     Ok(())
-}
-
-fn request(args: &AllArguments) -> Request {
-    Request {
-        extent: Extent {
-            quick: args.quick,
-            rounds: args.rounds,
-        },
-        config: args.config.clone(),
-        benchmarks: if args.only.is_empty() {
-            Name::value_variants().to_vec()
-        } else {
-            args.only.clone()
-        },
-    }
 }
 
 /// The folder itself, unless it holds a report with results that this one lacks.

@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 
 use anyhow::Result;
-use serde::Serialize;
+use serde_json::{Value, json, to_value};
 
 use super::Setup;
 use super::segment::{Segment, Subject};
-use super::tally::{Counts, PerTime, Tally, TimeQuantiles};
-use crate::load::{Done, Load};
+use super::tally::{COMMAND, COMPUTE, RESPONSE, Tally, TimeQuantiles, WAKE, times_json};
+use crate::dataset::joined;
+use crate::load::Load;
 use crate::quantiles::Quantiles;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -59,80 +60,62 @@ impl Case {
     }
 
     /// All rounds together, their medians, and the rounds themselves.
-    pub fn row(&self) -> CaseRow {
+    pub fn row(&self) -> Result<Value> {
         let shares = self.rounds.iter().filter_map(|r| r.segment.tracking_share);
         let budget_hits = self.rounds.iter().map(|round| round.segment.budget_hits);
         let rounds = self.rounds.iter().map(|r| r.segment.tally.quantiles());
         let rounds: Vec<TimeQuantiles> = rounds.collect();
-        let index = PerTime {
-            wake: 0,
-            compute: 1,
-            response: 2,
-            command: 3,
-        };
-        let median_of_rounds = index.map(|time| {
-            let of_time = rounds.iter().filter_map(|times| *times.named()[*time].1);
+        let median_of_rounds = [WAKE, COMPUTE, RESPONSE, COMMAND].map(|time| {
+            let of_time = rounds.iter().filter_map(|times| times[time]);
             Quantiles::over_rounds(&of_time.collect::<Vec<_>>())
         });
-        CaseRow {
-            load: self.key.load,
-            set_up: self.key.setup,
-            subject: self.key.subject,
-            realtime: self.key.setup == Setup::Realtime,
-            counts: self.total.counts,
-            budget_hits: budget_hits.sum(),
-            times: self.total.quantiles(),
-            median_of_rounds,
-            tracking_share: shares.reduce(f64::min),
-            rounds: self.round_rows(),
-        }
+        let own = json!({
+            "set_up": self.key.setup,
+            "budget_hits": budget_hits.sum::<u64>(),
+            "median_of_rounds": times_json(median_of_rounds),
+            "tracking_share": shares.reduce(f64::min),
+            "rounds": self.round_rows()?,
+        });
+        self.told(own, &self.total)
     }
 
-    pub fn round_rows(&self) -> Vec<RoundRow> {
+    pub fn round_rows(&self) -> Result<Vec<Value>> {
         let rounds = self.rounds.iter().enumerate();
         let row = |(index, round): (usize, &Round)| {
-            let Segment { tally, load, .. } = &round.segment;
-            RoundRow {
-                load: self.key.load,
-                subject: self.key.subject,
-                realtime: self.key.setup == Setup::Realtime,
-                round: index + 1,
-                start_s: round.start_s,
-                counts: tally.counts,
-                times: tally.quantiles(),
-                load_did: *load,
-            }
+            let (start_s, did) = (round.start_s, round.segment.load);
+            let own = json!({ "round": index + 1, "start_s": start_s, "load_did": did });
+            self.told(own, &round.segment.tally)
         };
         rounds.map(row).collect()
     }
-}
 
-#[derive(Debug, Serialize)]
-pub struct CaseRow {
-    load: Load,
-    set_up: Setup,
-    subject: Subject,
-    realtime: bool,
-    #[serde(flatten)]
-    counts: Counts,
-    budget_hits: u64,
-    #[serde(flatten)]
-    times: TimeQuantiles,
-    median_of_rounds: TimeQuantiles,
-    tracking_share: Option<f64>,
-    rounds: Vec<RoundRow>,
-}
-
-#[derive(Debug, Serialize)]
-pub struct RoundRow {
-    load: Load,
-    subject: Subject,
-    realtime: bool,
-    round: usize,
-    start_s: f64,
-    #[serde(flatten)]
-    counts: Counts,
-    #[serde(flatten)]
-    times: TimeQuantiles,
-    load_did: Done,
+    /// With what was measured under which load; null is what the subject does not tell: cyclictest tells neither why it
+    /// was late nor how long it waited for its core, and only a daemon has clients.
+    fn told(&self, own: Value, tally: &Tally) -> Result<Value> {
+        const OF_CLIENTS: [&str; 3] = ["lost_records", "lost_commands", "budget_hits"];
+        const OF_CAUSES: [&str; 3] = ["causes", "own_misses", "run_delay_ms"];
+        let Key {
+            setup,
+            load,
+            subject,
+        } = self.key;
+        let of_key = json!({
+            "load": load,
+            "subject": subject,
+            "realtime": setup == Setup::Realtime,
+        });
+        let counts = to_value(tally.counts)?;
+        let mut row = joined([own, of_key, counts, times_json(tally.quantiles())])?;
+        let unknown = match subject {
+            Subject::Daemon => Vec::new(),
+            Subject::Bare => OF_CLIENTS.to_vec(),
+            Subject::Cyclictest => [OF_CLIENTS, OF_CAUSES].concat(),
+        };
+        for key in unknown {
+            if let Some(value) = row.get_mut(key) {
+                *value = Value::Null;
+            }
+        }
+        Ok(row)
+    }
 }

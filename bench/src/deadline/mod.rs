@@ -22,7 +22,7 @@ pub use case::{Case, Cases, Key, Round};
 pub use observer::{Observed, Observer};
 pub use ratio::{Ratio, misses_p_value, ratios};
 pub use segment::{Runner, Segment, Subject};
-pub use tally::{Counts, Tally, Times};
+pub use tally::{Counts, Tally};
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;

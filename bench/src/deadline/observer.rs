@@ -15,7 +15,7 @@ use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream, monotonic_
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Incident, Location, Telemetry};
 
-use super::tally::Tally;
+use super::tally::{COMMAND, Tally};
 use crate::interrupt;
 use crate::subject::Cycle;
 use crate::subject::place::ROBOT;
@@ -249,7 +249,7 @@ impl Watch {
             match self.arrivals.get(&record.number) {
                 Some(arrival_ns) => {
                     let command_ns = arrival_ns.saturating_sub(record.cycle.due_ns);
-                    tally.times.command.saturating_record(command_ns);
+                    tally.times[COMMAND].saturating_record(command_ns);
                 }
                 None => tally.counts.lost_commands += 1,
             }

@@ -1,12 +1,12 @@
 //! The daemon beside the bare loop: what can be believed on a machine that is not quiet.
 
-use serde::Serialize;
+use serde_json::{Value, json};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
 use super::Setup;
 use super::case::{Case, Cases, Key, Round};
 use super::segment::Subject;
-use super::tally::{Counts, TimeQuantiles};
+use super::tally::{COMMAND, Counts, RESPONSE, TimeQuantiles, WAKE};
 use crate::load::Load;
 use crate::metric::{median, range};
 
@@ -14,41 +14,11 @@ use crate::metric::{median, range};
 const SIGNIFICANCE: f64 = 0.05;
 
 /// One load: the daemon over the bare loop, round by round.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug)]
 pub struct Ratio {
-    pub load: Load,
-    pub set_up: Setup,
-    pub realtime: bool,
-    /// Median wake-up of the daemon over that of the bare loop: median of the rounds.
-    pub wake_p50: Option<f64>,
-    pub wake_p99: Option<f64>,
-    pub wake_p50_range: Option<(f64, f64)>,
-    pub wake_p99_range: Option<(f64, f64)>,
-    /// Misses of the daemon beyond those of the bare loop \[per million cycles\]; negative: it missed less often.
-    pub misses_beyond_bare: f64,
-    /// How often chance alone gives the daemon at least so many of the misses of both.
-    pub misses_p_value: f64,
-    /// Whether the daemon misses more often than the bare loop, as far as can be told.
-    pub misses_more: bool,
-    /// Misses of the daemon that are its own: a computation that took too long, a page that was missing.
-    pub own_misses: u64,
-    /// Median of release → command in the client's hands, less the median wake-up \[µs\]: median of the rounds.
-    pub command_beyond_wake_p50_us: Option<f64>,
-    /// 99th percentile of the daemon's response under this load over that without one, round by round.
-    pub response_p99_to_unloaded: Option<f64>,
-    /// The ratios of the single rounds, for the comparison of runs.
-    #[serde(skip)]
-    pub rounds: Rounds,
-}
-
-#[derive(Debug, Clone, Default)]
-pub struct Rounds {
-    pub wake_p50: Vec<f64>,
-    pub wake_p99: Vec<f64>,
-    /// Of the median command, less the median wake-up \[µs\].
-    pub command_beyond_wake: Vec<f64>,
-    /// Of the response under load over that without.
-    pub response_p99_to_unloaded: Vec<f64>,
+    pub row: Value,
+    /// Name, unit and the rounds of what two runs are compared by.
+    pub metrics: [(String, &'static str, Vec<f64>); 4],
 }
 
 /// A ratio for each load that was measured with both the bare loop and the daemon.
@@ -72,35 +42,45 @@ pub fn ratios(cases: &Cases) -> Vec<Ratio> {
 
 impl Ratio {
     fn of(daemon: &Case, bare: &Case, unloaded: Option<&Case>) -> Self {
-        let rounds = Rounds {
-            wake_p50: over(daemon, bare, |t| t.wake.map(|q| q.p50)),
-            wake_p99: over(daemon, bare, |t| t.wake.map(|q| q.p99)),
-            command_beyond_wake: daemon.each(|t| Some(t.command?.p50 - t.wake?.p50)),
-            response_p99_to_unloaded: unloaded.map_or_else(Vec::new, |unloaded| {
-                over(daemon, unloaded, |t| t.response.map(|q| q.p99))
-            }),
-        };
+        let wake_p50 = over(daemon, bare, |t| t[WAKE].map(|q| q.p50));
+        let wake_p99 = over(daemon, bare, |t| t[WAKE].map(|q| q.p99));
+        let command = daemon.each(|t| Some(t[COMMAND]?.p50 - t[WAKE]?.p50));
+        let response = unloaded.map_or_else(Vec::new, |unloaded| {
+            over(daemon, unloaded, |t| t[RESPONSE].map(|q| q.p99))
+        });
         let (ours, theirs) = (&daemon.total.counts, &bare.total.counts);
         let p_value = misses_p_value(
             (ours.deadline_misses, due(ours)),
             (theirs.deadline_misses, due(theirs)),
         );
-        Self {
-            load: daemon.key.load,
-            set_up: daemon.key.setup,
-            realtime: daemon.key.setup == Setup::Realtime,
-            wake_p50: median(rounds.wake_p50.iter().copied()),
-            wake_p99: median(rounds.wake_p99.iter().copied()),
-            wake_p50_range: range(rounds.wake_p50.iter().copied()),
-            wake_p99_range: range(rounds.wake_p99.iter().copied()),
-            misses_beyond_bare: per_million(ours) - per_million(theirs),
-            misses_p_value: p_value,
-            misses_more: p_value < SIGNIFICANCE,
-            own_misses: ours.own_misses,
-            command_beyond_wake_p50_us: median(rounds.command_beyond_wake.iter().copied()),
-            response_p99_to_unloaded: median(rounds.response_p99_to_unloaded.iter().copied()),
-            rounds,
-        }
+        let middle = |rounds: &[f64]| median(rounds.iter().copied());
+        let ends = |rounds: &[f64]| range(rounds.iter().copied());
+        let (load, setup) = (daemon.key.load, daemon.key.setup);
+        let row = json!({
+            "load": load,
+            "set_up": setup,
+            "realtime": setup == Setup::Realtime,
+            // Wake-up of the daemon over that of the bare loop: median of the rounds, and their range.
+            "wake_p50": middle(&wake_p50),
+            "wake_p99": middle(&wake_p99),
+            "wake_p50_range": ends(&wake_p50),
+            "wake_p99_range": ends(&wake_p99),
+            // Per million cycles that were due; negative: the daemon missed less often.
+            "misses_beyond_bare": per_million(ours) - per_million(theirs),
+            "misses_p_value": p_value,
+            "misses_more": p_value < SIGNIFICANCE,
+            "own_misses": ours.own_misses,
+            "command_beyond_wake_p50_us": middle(&command),
+            "response_p99_to_unloaded": middle(&response),
+        });
+        let name = |what: &str| format!("deadline/{}/{}/{what}", load.name(), setup.name());
+        let metrics = [
+            (name("wake_p50_to_bare"), "", wake_p50),
+            (name("wake_p99_to_bare"), "", wake_p99),
+            (name("command_beyond_wake_p50"), "µs", command),
+            (name("response_p99_to_unloaded"), "", response),
+        ];
+        Self { row, metrics }
     }
 }
 

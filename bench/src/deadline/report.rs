@@ -2,17 +2,16 @@
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
-use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Value, json, to_value};
 
 use super::case::{Case, Cases, Key};
-use super::ratio::{Ratio, per_million, ratios};
+use super::ratio::{per_million, ratios};
 use super::segment::Subject;
-use super::tally::TimeQuantiles;
+use super::tally::{COMMAND, RESPONSE, TIME_NAMES, WAKE};
 use super::{Counts, DeadlineOptions, Run, Setup};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet};
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, fixed, percent, plain, signed, word,
+    Column, Dataset, Plot, Recording, Sheet, fixed, joined, percent, plain, signed, word,
 };
 use crate::load::Load;
 use crate::quantiles::Quantiles;
@@ -78,39 +77,32 @@ const TIMES: [Column; 9] = [
     fixed("max", "max", 1),
 ];
 
-#[derive(Serialize)]
-struct TimeRow {
-    load: Load,
-    set_up: Setup,
-    subject: Subject,
-    to: &'static str,
-    #[serde(flatten)]
-    quantiles: Quantiles,
-}
-
 pub(super) fn dataset(run: Run<'_>, options: &DeadlineOptions) -> Result<Dataset> {
     let cases = run.cases;
     let ratios = ratios(&cases);
+    let ratio_rows: Vec<&Value> = ratios.iter().map(|ratio| &ratio.row).collect();
     let title = format!(
         "The daemon over the bare loop: medians of {} rounds, and their range",
         options.rounds
     );
-    let rows = known(&cases, Case::row)?;
-    let each = known(&cases, Case::round_rows)?;
-    let each: Vec<&Value> = each.iter().filter_map(Value::as_array).flatten().collect();
-    let times: Vec<TimeRow> = cases.values().flat_map(time_rows).collect();
+    let rows: Vec<Value> = cases.values().map(Case::row).collect::<Result<_>>()?;
+    let each: Vec<Vec<Value>> = cases
+        .values()
+        .map(Case::round_rows)
+        .collect::<Result<_>>()?;
+    let times: Vec<Vec<Value>> = cases.values().map(time_rows).collect::<Result<_>>()?;
     let mut dataset = Dataset {
         name: "deadline",
         heading: "Deadline misses and latencies, beside a bare loop",
         explanation: EXPLANATION,
         sheets: vec![
-            Sheet::new(&ratios)?.key("ratios").table(title, &RATIOS),
+            Sheet::new(&ratio_rows)?.key("ratios").table(title, &RATIOS),
             Sheet::new(&rows)?.key("cases").table(
                 "Cycles that were late, and why (causes of late starts, misses and skipped periods)",
                 &COUNTS,
             ),
-            Sheet::new(&times)?.table("Latencies of all rounds together, µs", &TIMES),
-            Sheet::new(&each)?.file("deadline").order(&COUNTS),
+            Sheet::new(&times.concat())?.table("Latencies of all rounds together, µs", &TIMES),
+            Sheet::new(&each.concat())?.file("deadline").order(&COUNTS),
         ],
         plots: plots(&cases)?,
         ..Dataset::default()
@@ -120,8 +112,8 @@ pub(super) fn dataset(run: Run<'_>, options: &DeadlineOptions) -> Result<Dataset
     dataset.fact("measured_again", run.failures);
     dataset.fact("rounds", options.rounds);
     dataset.fact("segment_s", options.segment().as_secs_f64());
-    for ratio in &ratios {
-        ratio_metrics(&mut dataset, ratio);
+    for (name, unit, rounds) in ratios.into_iter().flat_map(|ratio| ratio.metrics) {
+        dataset.lower(name, unit, rounds);
     }
     for case in cases.values() {
         case_metrics(&mut dataset, case);
@@ -131,86 +123,24 @@ pub(super) fn dataset(run: Run<'_>, options: &DeadlineOptions) -> Result<Dataset
     Ok(dataset)
 }
 
-/// Rows as JSON, without what their subject does not tell.
-fn known<T: Serialize>(cases: &Cases, row: fn(&Case) -> T) -> Result<Vec<Value>> {
-    let rows = cases.values().map(|case| {
-        let mut row = serde_json::to_value(row(case))?;
-        forget(&mut row, case.key.subject);
-        Ok(row)
-    });
-    rows.collect()
-}
-
-/// cyclictest tells neither why it was late nor how long it waited for its core; only a daemon has clients.
-fn forget(row: &mut Value, subject: Subject) {
-    if let Some(rows) = row.as_array_mut() {
-        for row in rows {
-            forget(row, subject);
-        }
-        return;
-    }
-    let unknown: &[&str] = match subject {
-        Subject::Daemon => &[],
-        Subject::Bare => &["lost_records", "lost_commands", "budget_hits"],
-        Subject::Cyclictest => &[
-            "causes",
-            "own_misses",
-            "run_delay_ms",
-            "lost_records",
-            "lost_commands",
-            "budget_hits",
-        ],
-    };
-    for key in unknown {
-        if row.get(key).is_some() {
-            row[key] = Value::Null;
-        }
-    }
-    if let Some(rounds) = row.get_mut("rounds") {
-        forget(rounds, subject);
-    }
-}
-
-fn time_rows(case: &Case) -> Vec<TimeRow> {
+fn time_rows(case: &Case) -> Result<Vec<Value>> {
     const TO: [&str; 4] = [
         "start (wake-up)",
         "hand-over, from the start (compute)",
         "hand-over (response)",
         "the client (command)",
     ];
-    let times = case.total.quantiles();
-    let kinds = TO.into_iter().zip(times.named());
-    let Key {
-        load,
-        setup,
-        subject,
-    } = case.key;
-    let row = |(to, (_, quantiles)): (_, (_, &Option<Quantiles>))| {
-        Some(TimeRow {
-            load,
-            set_up: setup,
-            subject,
-            to,
-            quantiles: (*quantiles)?,
-        })
+    let (key, times) = (case.key, case.total.quantiles());
+    let measured = TO.into_iter().zip(times);
+    let measured = measured.filter_map(|(to, quantiles)| Some((to, quantiles?)));
+    let row = |(to, quantiles): (&str, Quantiles)| {
+        let of = json!({ "load": key.load, "set_up": key.setup, "subject": key.subject, "to": to });
+        joined([of, to_value(quantiles)?])
     };
-    kinds.filter_map(row).collect()
-}
-
-fn ratio_metrics(dataset: &mut Dataset, ratio: &Ratio) {
-    let (load, setup) = (ratio.load.name(), ratio.set_up.name());
-    let name = |what: &str| format!("deadline/{load}/{setup}/{what}");
-    let rounds = ratio.rounds.clone();
-    dataset.lower(name("wake_p50_to_bare"), "", rounds.wake_p50);
-    dataset.lower(name("wake_p99_to_bare"), "", rounds.wake_p99);
-    let command = rounds.command_beyond_wake;
-    dataset.lower(name("command_beyond_wake_p50"), "µs", command);
-    let response = rounds.response_p99_to_unloaded;
-    dataset.lower(name("response_p99_to_unloaded"), "", response);
+    measured.map(row).collect()
 }
 
 fn case_metrics(dataset: &mut Dataset, case: &Case) {
-    type Times = fn(&TimeQuantiles) -> Option<Quantiles>;
     let name = |what: &str| format!("deadline/{}/{what}", path(&case.key).join("/"));
     if case.key.subject == Subject::Daemon {
         let counts = |count: fn(&Counts) -> f64| {
@@ -220,17 +150,17 @@ fn case_metrics(dataset: &mut Dataset, case: &Case) {
         dataset.lower(name("own_misses"), "", counts(|c| c.own_misses as f64));
         dataset.lower(name("misses"), "per million", counts(per_million));
     }
-    for (kind, times) in [
-        ("wake", (|t| t.wake) as Times),
-        ("response", |t| t.response),
-        ("command", |t| t.command),
-    ] {
+    for time in [WAKE, RESPONSE, COMMAND] {
         for (quantile, value) in [
             ("p50", (|q| q.p50) as fn(Quantiles) -> f64),
             ("p99", |q| q.p99),
         ] {
-            let rounds = case.each(|t| Some(value(times(t)?)));
-            dataset.lower(name(&format!("{kind}_{quantile}")), "µs", rounds);
+            let rounds = case.each(|t| Some(value(t[time]?)));
+            dataset.lower(
+                name(&format!("{}_{quantile}", TIME_NAMES[time])),
+                "µs",
+                rounds,
+            );
         }
     }
 }
@@ -241,7 +171,7 @@ fn recordings(cases: Cases, options: &DeadlineOptions) -> Vec<Recording> {
         let path = path(&case.key).join(".");
         for round in case.rounds {
             let times = round.segment.tally.times;
-            let named = times.named().into_iter();
+            let named = TIME_NAMES.iter().zip(&times);
             let measured = named.filter(|(_, histogram_ns)| !histogram_ns.is_empty());
             all.extend(measured.map(|(name, histogram_ns)| Recording {
                 tag: format!("{path}.{name}"),
@@ -296,9 +226,9 @@ fn panels(cases: &Cases, setup: Setup) -> Vec<Panel> {
             };
             let times = &cases.get(&key)?.total.times;
             let times = if colour == GREY {
-                &times.command
+                &times[COMMAND]
             } else {
-                &times.wake
+                &times[WAKE]
             };
             Some(Curve::line(label, survival(times), colour))
         };

@@ -5,61 +5,33 @@ use cdcr_shared_types::codes::LateCause;
 use derive_more::AddAssign;
 use hdrhistogram::Histogram;
 use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::causes::Causes;
 use crate::quantiles::{Quantiles, histogram};
 use crate::subject::Cycle;
 use crate::subject::cyclictest::Latencies;
 
-/// One thing for each time of a cycle, all from the release that was due but for `compute`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct PerTime<T> {
-    #[serde(rename = "wake_us")]
-    pub wake: T,
-    /// Start to hand-over of the command.
-    #[serde(rename = "compute_us")]
-    pub compute: T,
-    /// To the hand-over of the command.
-    #[serde(rename = "response_us")]
-    pub response: T,
-    /// To the command in the client's hands.
-    #[serde(rename = "command_us")]
-    pub command: T,
+// The times of a cycle, all from the release that was due but for compute.
+pub(super) const WAKE: usize = 0;
+/// Start to hand-over of the command.
+pub(super) const COMPUTE: usize = 1;
+/// To the hand-over of the command.
+pub(super) const RESPONSE: usize = 2;
+/// To the command in the client's hands.
+pub(super) const COMMAND: usize = 3;
+pub(super) const TIME_NAMES: [&str; 4] = ["wake", "compute", "response", "command"];
+
+/// Of each time five numbers \[µs\]; none of those that were not measured.
+pub(super) type TimeQuantiles = [Option<Quantiles>; 4];
+
+/// Under their names, with the unit.
+pub(super) fn times_json(times: TimeQuantiles) -> Value {
+    let named = TIME_NAMES.iter().zip(times);
+    named
+        .map(|(name, quantiles)| (format!("{name}_us"), json!(quantiles)))
+        .collect()
 }
-
-impl<T> PerTime<T> {
-    pub fn map<U>(&self, value: impl Fn(&T) -> U) -> PerTime<U> {
-        PerTime {
-            wake: value(&self.wake),
-            compute: value(&self.compute),
-            response: value(&self.response),
-            command: value(&self.command),
-        }
-    }
-
-    pub fn named(&self) -> [(&'static str, &T); 4] {
-        [
-            ("wake", &self.wake),
-            ("compute", &self.compute),
-            ("response", &self.response),
-            ("command", &self.command),
-        ]
-    }
-
-    fn each_mut(&mut self) -> [&mut T; 4] {
-        [
-            &mut self.wake,
-            &mut self.compute,
-            &mut self.response,
-            &mut self.command,
-        ]
-    }
-}
-
-/// All latencies \[ns\]; empty for what has no such time.
-pub type Times = PerTime<Histogram<u64>>;
-/// The latencies of a stretch in five numbers each \[µs\]; none of those that were not measured.
-pub(super) type TimeQuantiles = PerTime<Option<Quantiles>>;
 
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, AddAssign)]
 pub struct Counts {
@@ -83,19 +55,15 @@ pub struct Counts {
 #[derive(Debug, Clone)]
 pub struct Tally {
     pub counts: Counts,
-    pub times: Times,
+    /// All latencies \[ns\]; empty for what has no such time.
+    pub times: [Histogram<u64>; 4],
 }
 
 impl Tally {
     pub fn new() -> Result<Self> {
         Ok(Self {
             counts: Counts::default(),
-            times: Times {
-                wake: histogram()?,
-                compute: histogram()?,
-                response: histogram()?,
-                command: histogram()?,
-            },
+            times: [histogram()?, histogram()?, histogram()?, histogram()?],
         })
     }
 
@@ -113,7 +81,7 @@ impl Tally {
     /// Of what cyclictest tells: a wake-up later than the deadline is a miss, later than the limit a late start.
     pub fn of_cyclictest(latencies: &Latencies, deadline_ns: u64, late_ns: u64) -> Result<Self> {
         let mut tally = Self::new()?;
-        tally.times.wake.add(&latencies.histogram_ns)?;
+        tally.times[WAKE].add(&latencies.histogram_ns)?;
         tally.counts.cycles = latencies.cycles;
         tally.counts.skipped_periods = latencies.skipped_periods;
         tally.counts.late_starts = latencies.later_than(late_ns);
@@ -136,25 +104,24 @@ impl Tally {
         }
         counts.run_delay_ms += cycle.run_delay_ns as f64 * 1e-6;
         let times = &mut self.times;
-        times.wake.saturating_record(cycle.wake_ns);
+        times[WAKE].saturating_record(cycle.wake_ns);
         if computes {
             let compute_ns = cycle.response_ns.saturating_sub(cycle.wake_ns);
-            times.compute.saturating_record(compute_ns);
-            times.response.saturating_record(cycle.response_ns);
+            times[COMPUTE].saturating_record(compute_ns);
+            times[RESPONSE].saturating_record(cycle.response_ns);
         }
     }
 
     pub fn add(&mut self, other: &Self) -> Result<()> {
         self.counts += other.counts;
-        let others = other.times.named().into_iter();
-        for (mine, (_, theirs)) in self.times.each_mut().into_iter().zip(others) {
+        for (mine, theirs) in self.times.iter_mut().zip(&other.times) {
             mine.add(theirs)?;
         }
         Ok(())
     }
 
     pub fn quantiles(&self) -> TimeQuantiles {
-        self.times.map(Quantiles::of)
+        self.times.each_ref().map(Quantiles::of)
     }
 }
 
@@ -206,10 +173,10 @@ mod tests {
         };
         assert_eq!(counts.causes, expected);
         assert!((counts.run_delay_ms - 3.5).abs() < 1e-9);
-        assert_eq!(tally.times.response.len(), 7);
+        assert_eq!(tally.times[RESPONSE].len(), 7);
         let twice = tally.clone();
         tally.add(&twice).unwrap();
         assert_eq!(tally.counts.causes.load, 2);
-        assert_eq!(tally.times.wake.len(), 14);
+        assert_eq!(tally.times[WAKE].len(), 14);
     }
 }

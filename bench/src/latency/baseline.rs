@@ -17,7 +17,6 @@ use cdcr_client::monotonic_ns;
 use cdcr_shared_types::{Command, Header, Location, Request, Response, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::server::Server;
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
@@ -120,14 +119,30 @@ fn is_root_of_place(root: &Path) -> bool {
 }
 
 fn answer(options: &PeerOptions, ends: &AtomicBool) -> Result<()> {
-    let far = Far::open(&options.location).context("a port of the peer")?;
+    let services = Services::open(&options.location).context("a service of the peer")?;
+    let there = services.there.subscriber_builder().create()?;
+    let back = services.back.publisher_builder().create()?;
+    let control = services.control.server_builder().create()?;
     let mut looks = 0_u32;
     loop {
         looks = looks.wrapping_add(1);
         if looks.is_multiple_of(LOOKS) && ends.load(Ordering::Relaxed) {
             return Ok(());
         }
-        far.look().context("the peer cannot answer")?;
+        if let Some(sample) = there.receive().context("the peer cannot hear")? {
+            let mut message = *sample.payload();
+            message.header.sent_ns = monotonic_ns();
+            back.send_copy(message).context("the peer cannot answer")?;
+        }
+        if let Some(asked) = control.receive().context("the peer cannot hear")? {
+            let response = Response {
+                request_sequence: asked.payload().header.sequence,
+                ..Response::default()
+            };
+            asked
+                .send_copy(response)
+                .context("the peer cannot answer")?;
+        }
         if options.shares {
             thread::yield_now();
         }
@@ -155,39 +170,6 @@ impl Services {
             back: topic("bare/back")?,
             control: control.open_or_create()?,
         })
-    }
-}
-
-struct Far {
-    there: Subscriber<ipc::Service, Command, ()>,
-    back: Publisher<ipc::Service, Command, ()>,
-    control: Server<ipc::Service, Request, (), Response, ()>,
-}
-
-impl Far {
-    fn open(location: &Location) -> Result<Self> {
-        let services = Services::open(location)?;
-        Ok(Self {
-            there: services.there.subscriber_builder().create()?,
-            back: services.back.publisher_builder().create()?,
-            control: services.control.server_builder().create()?,
-        })
-    }
-
-    fn look(&self) -> Result<()> {
-        if let Some(sample) = self.there.receive()? {
-            let mut message = *sample.payload();
-            message.header.sent_ns = monotonic_ns();
-            self.back.send_copy(message)?;
-        }
-        if let Some(asked) = self.control.receive()? {
-            let response = Response {
-                request_sequence: asked.payload().header.sequence,
-                ..Response::default()
-            };
-            asked.send_copy(response)?;
-        }
-        Ok(())
     }
 }
 
@@ -251,16 +233,13 @@ impl Near {
     /// Looks until `look` finds something, without a rest.
     fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
         let begin = Instant::now();
-        loop {
+        while begin.elapsed() < PATIENCE {
             if let Some(found) = look()? {
                 return Ok((found, monotonic_ns()));
             }
             self.pause()?;
-            ensure!(
-                begin.elapsed() < PATIENCE,
-                "the peer of the bare measurement is silent for {PATIENCE:?}"
-            );
         }
+        bail!("the peer of the bare measurement is silent for {PATIENCE:?}")
     }
 
     fn pause(&self) -> Result<()> {

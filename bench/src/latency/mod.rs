@@ -35,13 +35,14 @@ use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
 
-use anyhow::{Result, anyhow};
+use anyhow::{Context, Result, anyhow};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::{Interface, realtime};
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
+use crate::named::named;
 use crate::progress::Progress;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::system::cores::Cores;
@@ -162,29 +163,33 @@ impl Benchmark for LatencyOptions {
         };
         let began_ns = monotonic_ns();
         let mut rounds = Vec::new();
-        let mut reported = Reported::default();
+        let mut setting = bench.setting();
         for number in 1..=self.rounds {
             let mut round = Round::new(began_ns)?;
-            let mut part = |index: usize, what: &str, work: &mut dyn FnMut() -> Result<()>| {
-                progress.begin(&format!("round {number} of {}, {what}", self.rounds));
-                work()?;
-                progress.advance(seconds(self)[index]);
-                anyhow::Ok(())
-            };
-            part(0, "iceoryx2 alone", &mut || {
-                baseline::measure(&bench.cores, self.bare(), &mut round)
-            })?;
-            part(1, "a simulated robot", &mut || {
-                reported.add(&bench.simulated(&mut round)?);
-                Ok(())
-            })?;
-            part(2, "a robot behind a driver", &mut || {
-                reported.add(&bench.driven(&mut round)?);
-                Ok(())
-            })?;
+            for (part, seconds) in Part::ALL.into_iter().zip(seconds(self)) {
+                progress.begin(&format!(
+                    "round {number} of {}, {}",
+                    self.rounds,
+                    part.name()
+                ));
+                match part {
+                    Part::Bare => baseline::measure(&bench.cores, self.bare(), &mut round)?,
+                    Part::Simulated => bench.simulated(&mut round, &mut setting)?,
+                    Part::Driven => bench.driven(&mut round, &mut setting)?,
+                }
+                progress.advance(seconds);
+            }
             rounds.push(round);
         }
-        report::dataset(&bench.setting(&reported), &rounds)
+        report::dataset(&setting, &rounds)
+    }
+}
+
+named! {
+    enum Part {
+        Bare = "iceoryx2 alone",
+        Simulated = "a simulated robot",
+        Driven = "a robot behind a driver",
     }
 }
 
@@ -204,33 +209,6 @@ fn seconds(options: &LatencyOptions) -> [f64; 3] {
     ]
 }
 
-/// What the daemons told of themselves, and how the client did.
-#[derive(Debug, Clone, Copy, Default)]
-struct Reported {
-    period_ns: u64,
-    lead_ns: u64,
-    realtime_missing: u32,
-    looks: Looks,
-}
-
-impl Reported {
-    fn of(hands: &Hands) -> Self {
-        Self {
-            period_ns: hands.grid.period_ns,
-            lead_ns: hands.grid.lead_ns,
-            realtime_missing: hands.status.realtime_missing,
-            looks: hands.looks,
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.period_ns = other.period_ns;
-        self.lead_ns = self.lead_ns.max(other.lead_ns);
-        self.realtime_missing |= other.realtime_missing;
-        self.looks += other.looks;
-    }
-}
-
 struct Bench<'a> {
     options: &'a LatencyOptions,
     cores: Cores,
@@ -238,7 +216,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn simulated(&self, round: &mut Round) -> Result<Reported> {
+    fn simulated(&self, round: &mut Round, setting: &mut Setting) -> Result<()> {
         let samples = self.options.samples();
         self.with_daemon("simulated", |location| {
             let mut hands = Hands::open(location)?;
@@ -262,11 +240,12 @@ impl Bench<'_> {
             let (feed, asker) = (hands.connection.reference_feed()?, requests.into_asker());
             let mut stops = Stops::new(&hands, feed, asker, self.options.stops())?;
             hands.run(&mut stops, round)?;
-            Ok(Reported::of(&hands))
+            setting.add(&hands);
+            Ok(())
         })
     }
 
-    fn driven(&self, round: &mut Round) -> Result<Reported> {
+    fn driven(&self, round: &mut Round, setting: &mut Setting) -> Result<()> {
         let samples = self.options.samples();
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
@@ -279,7 +258,8 @@ impl Bench<'_> {
             let _feed = scene::follow(&hands)?;
             let mut inputs = Inputs::new(&hands, vec![awakening.into_source()], samples);
             hands.run(&mut inputs, round)?;
-            Ok(Reported::of(&hands))
+            setting.add(&hands);
+            Ok(())
         })
     }
 
@@ -288,12 +268,12 @@ impl Bench<'_> {
     fn with_daemon(
         &self,
         link: &str,
-        work: impl FnOnce(&Location) -> Result<Reported> + Send,
-    ) -> Result<Reported> {
+        work: impl FnOnce(&Location) -> Result<()> + Send,
+    ) -> Result<()> {
         let launch = self.options.launch(link, &self.cores, self.may_be_realtime);
         let daemon = Daemon::start(&launch, &self.cores)?;
         let location = daemon.location();
-        let reported = thread::scope(|scope| {
+        let worked = thread::scope(|scope| {
             let working = scope.spawn(|| {
                 if self.may_be_realtime {
                     set_fifo(WATCHER_PRIORITY);
@@ -305,25 +285,34 @@ impl Bench<'_> {
                 .join()
                 .map_err(|_| anyhow!("the client of the bench panicked"))?
         });
-        let reported =
-            reported.map_err(|error| error.context(format!("with link.kind = {link}")))?;
-        daemon.stop()?;
-        Ok(reported)
+        worked.with_context(|| format!("with link.kind = {link}"))?;
+        daemon.stop()
     }
 
-    fn setting(&self, reported: &Reported) -> Setting {
+    fn setting(&self) -> Setting {
         Setting {
             rounds: self.options.rounds as usize,
             samples: self.options.samples(),
             stops: self.options.stops(),
-            period_us: reported.period_ns as f64 * 1e-3,
-            gather_lead_us: reported.lead_ns as f64 * 1e-3,
-            realtime: reported.realtime_missing & (realtime::FIFO | realtime::OFF) == 0,
+            period_us: 0.0,
+            gather_lead_us: 0.0,
+            realtime: true,
             client_realtime: self.may_be_realtime,
             realtime_core: self.cores.realtime,
             client_core: self.cores.client(),
-            looks: reported.looks,
+            looks: Looks::default(),
         }
+    }
+}
+
+impl Setting {
+    /// What a daemon told of itself, and how its client did.
+    fn add(&mut self, hands: &Hands) {
+        let (grid, missing) = (&hands.grid, hands.status.realtime_missing);
+        self.period_us = grid.period_ns as f64 * 1e-3;
+        self.gather_lead_us = self.gather_lead_us.max(grid.lead_ns as f64 * 1e-3);
+        self.realtime &= missing & (realtime::FIFO | realtime::OFF) == 0;
+        self.looks += hands.looks;
     }
 }
 

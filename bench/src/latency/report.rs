@@ -99,14 +99,6 @@ struct LegRow {
     fewest: u64,
 }
 
-#[derive(Debug, Clone, Serialize)]
-struct RoundRow {
-    round: usize,
-    leg: Leg,
-    samples: u64,
-    latency_us: Quantiles,
-}
-
 pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
     let rows = Leg::ALL.iter().filter_map(|leg| row(*leg, rounds));
     let rows: Vec<LegRow> = rows.collect();
@@ -249,18 +241,17 @@ fn target(row: &LegRow, limit_us: f64) -> Value {
     })
 }
 
-fn round_rows(rounds: &[Round]) -> Vec<RoundRow> {
-    let row = |index: usize, leg: Leg| {
+fn round_rows(rounds: &[Round]) -> Vec<Value> {
+    let row = |(index, leg): (usize, Leg)| {
         let latencies = &rounds[index].leg(leg).latencies;
-        Some(RoundRow {
-            round: index + 1,
-            leg,
-            samples: latencies.len(),
-            latency_us: Quantiles::of(latencies)?,
-        })
+        let latency_us = Quantiles::of(latencies)?;
+        let samples = latencies.len();
+        Some(
+            json!({ "round": index + 1, "leg": leg, "samples": samples, "latency_us": latency_us }),
+        )
     };
     let all = (0..rounds.len()).flat_map(|index| Leg::ALL.map(|leg| (index, leg)));
-    all.filter_map(|(index, leg)| row(index, leg)).collect()
+    all.filter_map(row).collect()
 }
 
 fn recordings(rounds: &[Round]) -> Vec<Recording> {
@@ -314,62 +305,42 @@ mod tests {
         }
     }
 
-    /// Two rounds in which every leg takes 1 to 100 µs, times the number of the round.
-    fn two_rounds(stop_us: u64) -> Dataset {
-        let round = |factor: u64| {
-            let mut round = Round::new(0).expect("bounds");
-            for leg in Leg::ALL {
-                for us in 1..=100 {
-                    round.record(
-                        leg,
-                        1000 * if is_bound(leg) { stop_us } else { factor * us },
-                    );
-                }
+    /// A round in which every leg takes 1 to 100 µs, times `factor`, and every stop `stop_us`.
+    fn round(factor: u64, stop_us: u64) -> Round {
+        let mut round = Round::new(0).expect("bounds");
+        for leg in Leg::ALL {
+            for us in 1..=100 {
+                let us = if is_bound(leg) { stop_us } else { factor * us };
+                round.record(leg, 1000 * us);
             }
-            round
-        };
-        dataset(&setting(), &[round(1), round(2)]).expect("a result")
+        }
+        round
     }
 
     #[test]
-    fn every_leg_has_a_row_of_all_rounds() {
-        let found = two_rounds(5000);
-        let json = found.json();
-        let row = &json["legs"][Leg::ReferenceCommand as usize];
-        assert_eq!(
-            (&row["leg"], &row["samples"]),
-            (&json!("reference.command"), &json!(200))
-        );
-        let near = |value: &Value, expected: f64| {
-            (value.as_f64().expect("a number") - expected).abs() <= 2e-3 * expected
-        };
-        assert!(near(&row["latency_us"]["max"], 200.0), "{row}");
-        // The medians of the rounds are 50 and 100.
-        assert!(near(&row["rounds_us"]["p50"], 75.0), "{row}");
-        assert!(
-            json["ratios"]
-                .as_array()
-                .expect("a list")
-                .iter()
-                .all(|r| near(&r["p50"], 1.0))
-        );
-        assert!(found.metrics.iter().all(|metric| metric.rounds.len() == 2));
-        assert!(
-            !found
-                .metrics
-                .iter()
-                .any(|metric| metric.name.contains("grid"))
-        );
-        assert_eq!(found.recordings.len(), 2 * Leg::ALL.len());
-    }
-
-    #[test]
-    fn a_stop_has_a_period_and_a_little_more() {
+    fn every_leg_has_a_row_of_all_rounds_and_a_stop_a_period_and_a_little_more() {
         for (stop_us, kept) in [(5090, true), (5120, false)] {
-            let targets = two_rounds(stop_us).json()["targets"].clone();
+            let found =
+                dataset(&setting(), &[round(1, stop_us), round(2, stop_us)]).expect("a result");
+            let json = found.json();
+            let row = &json["legs"][Leg::ReferenceCommand as usize];
+            let expected = (&json!("reference.command"), &json!(200));
+            assert_eq!((&row["leg"], &row["samples"]), expected);
+            let near = |value: &Value, expected: f64| {
+                (value.as_f64().expect("a number") - expected).abs() <= 2e-3 * expected
+            };
+            assert!(near(&row["latency_us"]["max"], 200.0), "{row}");
+            // The medians of the rounds are 50 and 100.
+            assert!(near(&row["rounds_us"]["p50"], 75.0), "{row}");
+            let ratios = json["ratios"].as_array().expect("a list");
+            assert!(ratios.iter().all(|ratio| near(&ratio["p50"], 1.0)));
+            let mut metrics = found.metrics.iter();
+            assert!(metrics.all(|m| m.rounds.len() == 2 && !m.name.contains("grid")));
+            assert_eq!(found.recordings.len(), 2 * Leg::ALL.len());
+            let targets = &json["targets"];
             assert_eq!(
                 [&targets[0]["kept"], &targets[1]["kept"]],
-                [&json!(kept), &json!(kept)]
+                [&json!(kept); 2]
             );
         }
     }

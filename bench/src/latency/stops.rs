@@ -364,20 +364,29 @@ mod tests {
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        let mut missing = stop();
-        missing.remove(4);
-        assert_eq!(judge(&missing, 5_300_000), None);
-        let mut lost = stop();
-        lost[10].received_ns = None;
-        assert_eq!(judge(&lost, 5_300_000), None);
-        let mut slow = stop();
-        slow[1].previous_speed_rad_s = 0.15;
-        assert_eq!(judge(&slow, 5_300_000), None);
-        assert_eq!(
-            judge(&stop()[1..], 5_300_000),
-            None,
-            "nothing says what it did before"
-        );
-        assert_eq!(judge(&stop()[..10], 5_300_000), None, "it does not rest");
+        let changed = |change: fn(&mut Vec<Kept>)| {
+            let mut records = stop();
+            change(&mut records);
+            judge(&records, 5_300_000)
+        };
+        let missing: [(fn(&mut Vec<Kept>), &str); 5] = [
+            (|records| _ = records.remove(4), "a record is missing"),
+            (
+                |records| records[10].received_ns = None,
+                "a command never came",
+            ),
+            (
+                |records| records[1].previous_speed_rad_s = 0.15,
+                "it hardly moved",
+            ),
+            (
+                |records| _ = records.remove(0),
+                "nothing says what it did before",
+            ),
+            (|records| _ = records.pop(), "it does not rest"),
+        ];
+        for (change, why) in missing {
+            assert_eq!(changed(change), None, "{why}");
+        }
     }
 }

@@ -132,66 +132,50 @@ pub struct Measured {
     pub spin_us: f64,
     /// When the run began \[ns, `CLOCK_MONOTONIC`\].
     pub begin_ns: u64,
-    pub steps: Vec<Step>,
+    pub steps: Vec<Tried>,
     pub shortest: Vec<Shortest>,
     /// All trials of the search, in their order.
     pub trials: Vec<Trial>,
 }
 
+/// The trials with one period: the rounds of the default, or those of a search.
+#[derive(Debug, Clone)]
+pub struct Tried {
+    pub period_ms: f64,
+    /// The last one decides.
+    pub trials: Vec<Trial>,
+}
+
+impl Tried {
+    pub fn held(&self) -> usize {
+        self.trials.iter().filter(|trial| trial.holds).count()
+    }
+}
+
 #[derive(Debug, Clone)]
 pub struct Shortest {
     pub case: Case,
-    /// The trial with the shortest period that held; none when not even the longest did.
-    pub held: Option<Trial>,
-    /// How many trials that period had, and how many of them held.
-    pub held_tally: Tally,
-    /// The last trial with the next shorter period; none when there is no shorter one.
-    pub failed: Option<Trial>,
-    pub failed_tally: Tally,
+    /// The shortest period that held; none when not even the longest did.
+    pub held: Option<Tried>,
+    /// The next shorter period; none when there is no shorter one.
+    pub failed: Option<Tried>,
 }
 
 impl Shortest {
     /// Of the trials of one search, which found the period with this index.
     fn of(case: Case, periods_ms: &[f64], index: Option<usize>, trials: &[Trial]) -> Self {
-        let with = |wanted_ms: Option<&f64>| -> Vec<&Trial> {
-            let is_wanted =
-                |trial: &&Trial| wanted_ms.is_some_and(|ms| trial.period_ms.total_cmp(ms).is_eq());
-            trials.iter().filter(is_wanted).collect()
+        let with = |index: usize| {
+            let period_ms = *periods_ms.get(index)?;
+            let is_it = |trial: &&Trial| trial.period_ms.total_cmp(&period_ms).is_eq();
+            let trials = trials.iter().filter(is_it).cloned().collect();
+            Some(Tried { period_ms, trials })
         };
-        let held = with(index.and_then(|index| periods_ms.get(index)));
-        let failed = with(periods_ms.get(index.map_or(0, |index| index + 1)));
-        // The last one decided.
-        let decided = |trials: &[&Trial]| trials.last().copied().cloned();
         Self {
             case,
-            held: decided(&held),
-            held_tally: Tally::of(held),
-            failed: decided(&failed),
-            failed_tally: Tally::of(failed),
+            held: index.and_then(with),
+            failed: with(index.map_or(0, |index| index + 1)),
         }
     }
-}
-
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Tally {
-    pub held: usize,
-    pub trials: usize,
-}
-
-impl Tally {
-    fn of<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> Self {
-        trials.into_iter().fold(Self::default(), |sum, trial| Self {
-            held: sum.held + usize::from(trial.holds),
-            trials: sum.trials + 1,
-        })
-    }
-}
-
-/// The default with one period, round by round.
-#[derive(Debug, Clone)]
-pub struct Step {
-    pub period_ms: f64,
-    pub rounds: Vec<Trial>,
 }
 
 /// How long the search for one case takes, about \[s\].
@@ -253,15 +237,15 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// The default with each of its periods, one after the other in each round.
-    fn steps(&mut self) -> Result<Vec<Step>> {
-        let empty = |period_ms: &f64| Step {
+    fn steps(&mut self) -> Result<Vec<Tried>> {
+        let empty = |period_ms: &f64| Tried {
             period_ms: *period_ms,
-            rounds: Vec::new(),
+            trials: Vec::new(),
         };
-        let mut steps: Vec<Step> = self.options.steps_ms.iter().map(empty).collect();
+        let mut steps: Vec<Tried> = self.options.steps_ms.iter().map(empty).collect();
         for _ in 0..self.options.rounds {
             for step in &mut steps {
-                step.rounds.push(self.trial(Case::DEFAULT, step.period_ms)?);
+                step.trials.push(self.trial(Case::DEFAULT, step.period_ms)?);
             }
         }
         Ok(steps)
@@ -359,35 +343,26 @@ mod tests {
         for failing in [Verdict::Machine, Verdict::Own, Verdict::Slow] {
             for holding in 0..=PERIODS_MS.len() {
                 for guess in 0..PERIODS_MS.len() {
-                    let (found, trials) = search(guess, |index, _| {
-                        if index < holding {
-                            Verdict::Holds
-                        } else {
-                            failing
-                        }
-                    });
-                    let period_ms = |index: usize| PERIODS_MS.get(index).copied();
-                    assert_eq!(
-                        found.period_ms(),
-                        holding.checked_sub(1).and_then(period_ms)
-                    );
-                    let failed = found.failed.as_ref().map(|trial| trial.period_ms);
-                    assert_eq!(failed, period_ms(holding));
-                    let held = usize::from(holding > 0);
-                    assert_eq!(
-                        (found.held_tally.held, found.held_tally.trials),
-                        (held, held)
-                    );
-                    let failures = failed.map_or(0, |_| failing.trials());
-                    assert_eq!(
-                        (found.failed_tally.held, found.failed_tally.trials),
-                        (0, failures)
-                    );
-                    assert!(
-                        trials
-                            .iter()
-                            .all(|trial| trial.holds || !trial.remarks.is_empty())
-                    );
+                    let verdict = |index, _| match index < holding {
+                        true => Verdict::Holds,
+                        false => failing,
+                    };
+                    let (found, trials) = search(guess, verdict);
+                    let tallied =
+                        |tried: &Tried| (tried.period_ms, tried.held(), tried.trials.len());
+                    let expected = |index: usize, held, trials| {
+                        PERIODS_MS
+                            .get(index)
+                            .map(|period_ms| (*period_ms, held, trials))
+                    };
+                    let held = holding
+                        .checked_sub(1)
+                        .and_then(|index| expected(index, 1, 1));
+                    assert_eq!(found.held.as_ref().map(tallied), held);
+                    let failed = expected(holding, 0, failing.trials());
+                    assert_eq!(found.failed.as_ref().map(tallied), failed);
+                    let said = |trial: &Trial| trial.holds || !trial.remarks.is_empty();
+                    assert!(trials.iter().all(said));
                 }
             }
         }
@@ -396,18 +371,13 @@ mod tests {
     #[test]
     fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
         for spoilt in 0..Verdict::Machine.trials() {
-            let (found, trials) = search(2, |_, count| {
-                if count > spoilt {
-                    Verdict::Holds
-                } else {
-                    Verdict::Machine
-                }
+            let (found, trials) = search(2, |_, count| match count > spoilt {
+                true => Verdict::Holds,
+                false => Verdict::Machine,
             });
-            assert_eq!(found.period_ms(), PERIODS_MS.last().copied());
-            assert_eq!(
-                (found.held_tally.held, found.held_tally.trials),
-                (1, spoilt + 1)
-            );
+            let held = found.held.unwrap();
+            assert_eq!(Some(&held.period_ms), PERIODS_MS.last());
+            assert_eq!((held.held(), held.trials.len()), (1, spoilt + 1));
             assert!(found.failed.is_none());
             assert_eq!(trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
         }

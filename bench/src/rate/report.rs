@@ -6,10 +6,10 @@ use serde_json::{Value, json, to_value};
 use super::case::Case;
 use super::trial::Trial;
 use super::trial_metrics::TrialMetrics;
-use super::{Measured, Shortest, Step, Tally};
+use super::{Measured, Shortest, Tried};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Recording, Sheet, fixed, percent, plain, power, word};
-use crate::metric::{median, range};
+use crate::metric::median;
 
 const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
          (no cycle, or a command handed over after the end of the period), and no cycle was late by the \
@@ -63,12 +63,12 @@ const SHORTEST: [Column; 16] = [
 ];
 
 pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
-    let steps: Vec<Value> = measured.steps.iter().map(Step::row).collect();
-    let shortest: Result<Vec<Value>> = measured.shortest.iter().map(Shortest::row).collect();
+    let steps: Vec<Value> = measured.steps.iter().map(step_row).collect();
+    let shortest: Result<Vec<Value>> = measured.shortest.iter().map(shortest_row).collect();
     let rounds: Vec<&Trial> = measured
         .steps
         .iter()
-        .flat_map(|step| &step.rounds)
+        .flat_map(|step| &step.trials)
         .collect();
     let all: Vec<&Trial> = rounds.iter().copied().chain(&measured.trials).collect();
     let how = how(&measured);
@@ -100,7 +100,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
     dataset.fact("spin_us", measured.spin_us);
     metrics(&mut dataset, &measured);
     let begin_ns = measured.begin_ns;
-    let trials = measured.steps.into_iter().flat_map(|step| step.rounds);
+    let trials = measured.steps.into_iter().flat_map(|step| step.trials);
     let recording = |trial: Trial| {
         Some(Recording {
             tag: trial.tag,
@@ -141,12 +141,13 @@ fn metrics(dataset: &mut Dataset, measured: &Measured) {
         let rate_hz = rate_hz(step.period_ms).round();
         for (what, unit, value) in quantities {
             let name = format!("rate/default/{rate_hz}-hz/{what}");
-            dataset.lower(name, unit, step.values(value));
+            dataset.lower(name, unit, measured_in(step).map(value));
         }
     }
     for shortest in &measured.shortest {
         let name = format!("rate/shortest/{}", shortest.case.key());
-        dataset.lower(name, "ms", shortest.period_ms());
+        let held_ms = shortest.held.as_ref().map(|held| held.period_ms);
+        dataset.lower(name, "ms", held_ms);
     }
 }
 
@@ -188,119 +189,94 @@ fn plot(rows: &[Value]) -> Result<Plot> {
     })
 }
 
-impl Shortest {
-    pub fn period_ms(&self) -> Option<f64> {
-        self.held.as_ref().map(|trial| trial.period_ms)
+fn shortest_row(shortest: &Shortest) -> Result<Value> {
+    let (held, failed) = (shortest.held.as_ref(), shortest.failed.as_ref());
+    let last = |tried: Option<&Tried>| tried.and_then(|tried| tried.trials.last().cloned());
+    let metrics = last(held).and_then(|trial| trial.metrics);
+    let counts =
+        |tried: Option<&Tried>| tried.map_or((0, 0), |tried| (tried.held(), tried.trials.len()));
+    let ended_by = match (failed, held) {
+        (Some(failed), _) => format!(
+            "{} ms, held in {} trials: {}",
+            failed.period_ms,
+            held_in(failed),
+            last(Some(failed)).map_or_else(String::new, |trial| trial.remarks)
+        ),
+        (None, Some(_)) => "nothing: no shorter one was tried".to_owned(),
+        (None, None) => String::new(),
+    };
+    let period_ms = held.map(|held| held.period_ms);
+    let mut row = json!({
+        "sections": shortest.case.sections,
+        "solver": shortest.case.solver,
+        "horizon_steps": shortest.case.horizon_steps,
+        "shortest_period_ms": period_ms,
+        "rate_hz": period_ms.map(rate_hz),
+        "trials_held": counts(held).0,
+        "trials": counts(held).1,
+        "core_share": metrics.as_ref().map(TrialMetrics::core_share),
+        "lost_share": metrics.as_ref().map(TrialMetrics::lost_share),
+        "ended_by": ended_by,
+        "held_in": held.map_or_else(String::new, held_in),
+        "failed_period_ms": failed.map(|failed| failed.period_ms),
+        "failed_trials_held": counts(failed).0,
+        "failed_trials": counts(failed).1,
+        "failed_remarks": last(failed).map(|trial| trial.remarks),
+    });
+    if let Some(held) = last(held) {
+        row["held"] = to_value(held)?;
     }
-
-    fn row(&self) -> Result<Value> {
-        let failed = self.failed.as_ref();
-        let metrics = self.held.as_ref().and_then(|trial| trial.metrics.as_ref());
-        let mut row = to_value(self.case)?;
-        let of_case = json!({
-            "shortest_period_ms": self.period_ms(),
-            "rate_hz": self.period_ms().map(rate_hz),
-            "trials_held": self.held_tally.held,
-            "trials": self.held_tally.trials,
-            "core_share": metrics.map(TrialMetrics::core_share),
-            "lost_share": metrics.map(TrialMetrics::lost_share),
-            "ended_by": self.ended_by(),
-            "held_in": self.held_tally.words(),
-            "failed_period_ms": failed.map(|trial| trial.period_ms),
-            "failed_trials_held": self.failed_tally.held,
-            "failed_trials": self.failed_tally.trials,
-            "failed_remarks": failed.map(|trial| &trial.remarks),
-        });
-        if let (Value::Object(row), Value::Object(of_case)) = (&mut row, of_case) {
-            row.extend(of_case);
-        }
-        if let Some(held) = &self.held {
-            row["held"] = to_value(held)?;
-        }
-        Ok(row)
-    }
-
-    fn ended_by(&self) -> String {
-        match (&self.failed, &self.held) {
-            (Some(failed), _) => format!(
-                "{} ms, held in {} trials: {}",
-                failed.period_ms,
-                self.failed_tally.words(),
-                failed.remarks
-            ),
-            (None, Some(_)) => "nothing: no shorter one was tried".to_owned(),
-            (None, None) => String::new(),
-        }
-    }
+    Ok(row)
 }
 
-impl Step {
-    /// One value of each round in which the robot followed.
-    fn values(&self, value: impl Fn(&TrialMetrics) -> f64) -> impl Iterator<Item = f64> {
-        self.measured().map(value)
-    }
+fn held_in(tried: &Tried) -> String {
+    format!("{} of {}", tried.held(), tried.trials.len())
+}
 
-    fn measured(&self) -> impl Iterator<Item = &TrialMetrics> {
-        let trials = self.rounds.iter();
-        trials.filter_map(|trial| trial.metrics.as_ref())
-    }
+/// Of each round in which the robot followed.
+fn measured_in(step: &Tried) -> impl Iterator<Item = &TrialMetrics> {
+    let trials = step.trials.iter();
+    trials.filter_map(|trial| trial.metrics.as_ref())
+}
 
-    fn held(&self) -> usize {
-        self.rounds.iter().filter(|trial| trial.holds).count()
-    }
-
-    /// Medians over the rounds, and sums of what was counted.
-    fn row(&self) -> Value {
-        let middle = |value: fn(&TrialMetrics) -> f64| median(self.values(value));
-        let sum = |count: fn(&TrialMetrics) -> u64| -> u64 { self.measured().map(count).sum() };
-        let tracking = range(self.values(|f| f.tracking_share));
-        json!({
-            "period_ms": self.period_ms,
-            "rate_hz": rate_hz(self.period_ms),
-            "rounds": self.rounds.len(),
-            "rounds_held": self.held(),
-            "wake_p50_us": middle(|f| f.wake_us.p50),
-            "wake_p99_us": middle(|f| f.wake_us.p99),
-            "solve_p50_us": middle(|f| f.solve_us.p50),
-            "response_p50_us": middle(|f| f.response_us.p50),
-            "response_p99_us": middle(|f| f.response_us.p99),
-            "response_p999_us": middle(|f| f.response_us.p999),
-            "core_share": middle(TrialMetrics::core_share),
-            "budget_hit_share": middle(|f| f.budget_hit_share),
-            "stale_input_share": middle(|f| f.stale_input_share),
-            "error_p99_mm": middle(|f| f.error_p99_mm),
-            "cycles": sum(|f| f.cycles),
-            "own_misses": sum(|f| f.causes.own()),
-            "late_cycles": sum(|f| f.causes.all()),
-            "deadline_misses": sum(|f| f.deadline_misses),
-            "skipped_periods": sum(|f| f.skipped_periods),
-            "lost_share": sum(TrialMetrics::lost) as f64 / sum(TrialMetrics::due).max(1) as f64,
-            "dropped_records": sum(|f| f.dropped_records),
-            "tracking_share_least": tracking.map_or(0.0, |(least, _)| least),
-            "remarks": self.remarks(),
-            "held_in": format!("{} of {}", self.held(), self.rounds.len()),
-        })
-    }
-
-    /// Those of the first round that did not hold, or else of the last one.
-    fn remarks(&self) -> String {
-        let failed = self.rounds.iter().find(|trial| !trial.holds);
-        let told = failed.or(self.rounds.last());
-        told.map_or_else(String::new, |trial| trial.remarks.clone())
-    }
+/// Medians over the rounds, and sums of what was counted.
+fn step_row(step: &Tried) -> Value {
+    let middle = |value: fn(&TrialMetrics) -> f64| median(measured_in(step).map(value));
+    let sum = |count: fn(&TrialMetrics) -> u64| -> u64 { measured_in(step).map(count).sum() };
+    let tracking = measured_in(step).map(|f| f.tracking_share);
+    // Those of the first round that did not hold, or else of the last one.
+    let failed = step.trials.iter().find(|trial| !trial.holds);
+    let told = failed.or(step.trials.last());
+    json!({
+        "period_ms": step.period_ms,
+        "rate_hz": rate_hz(step.period_ms),
+        "rounds": step.trials.len(),
+        "rounds_held": step.held(),
+        "wake_p50_us": middle(|f| f.wake_us.p50),
+        "wake_p99_us": middle(|f| f.wake_us.p99),
+        "solve_p50_us": middle(|f| f.solve_us.p50),
+        "response_p50_us": middle(|f| f.response_us.p50),
+        "response_p99_us": middle(|f| f.response_us.p99),
+        "response_p999_us": middle(|f| f.response_us.p999),
+        "core_share": middle(TrialMetrics::core_share),
+        "budget_hit_share": middle(|f| f.budget_hit_share),
+        "stale_input_share": middle(|f| f.stale_input_share),
+        "error_p99_mm": middle(|f| f.error_p99_mm),
+        "cycles": sum(|f| f.cycles),
+        "own_misses": sum(|f| f.causes.own()),
+        "late_cycles": sum(|f| f.causes.all()),
+        "deadline_misses": sum(|f| f.deadline_misses),
+        "skipped_periods": sum(|f| f.skipped_periods),
+        "lost_share": sum(TrialMetrics::lost) as f64 / sum(TrialMetrics::due).max(1) as f64,
+        "dropped_records": sum(|f| f.dropped_records),
+        "tracking_share_least": tracking.reduce(f64::min).unwrap_or(0.0),
+        "remarks": told.map_or("", |trial| &trial.remarks),
+        "held_in": held_in(step),
+    })
 }
 
 fn rate_hz(period_ms: f64) -> f64 {
     1e3 / period_ms
-}
-
-impl Tally {
-    fn words(self) -> String {
-        match self.trials {
-            0 => String::new(),
-            trials => format!("{} of {trials}", self.held),
-        }
-    }
 }
 
 #[cfg(test)]
@@ -325,23 +301,22 @@ mod tests {
 
     #[test]
     fn what_failed_is_told_and_is_no_value_of_a_metric() {
-        let step = |period_ms, holds| Step {
+        let tried = |period_ms, holds: &[bool]| Tried {
             period_ms,
-            rounds: vec![trial(period_ms, true), trial(period_ms, holds)],
+            trials: holds.iter().map(|holds| trial(period_ms, *holds)).collect(),
         };
+        let (held, failed) = (tried(0.5, &[false, true]), tried(0.25, &[false; 3]));
         let found = dataset(Measured {
             realtime: false,
             spin_us: 0.0,
             begin_ns: 0,
-            steps: vec![step(5.0, true), step(0.1, false)],
+            steps: vec![tried(5.0, &[true, true]), tried(0.1, &[true, false])],
+            trials: [&held.trials[..], &failed.trials].concat(),
             shortest: vec![Shortest {
                 case: Case::DEFAULT,
-                held: Some(trial(0.5, true)),
-                held_tally: Tally { held: 1, trials: 2 },
-                failed: Some(trial(0.25, false)),
-                failed_tally: Tally { held: 0, trials: 3 },
+                held: Some(held),
+                failed: Some(failed),
             }],
-            trials: vec![trial(0.5, true), trial(0.25, false)],
         })
         .unwrap();
         let json = found.json();
@@ -349,7 +324,7 @@ mod tests {
         assert_eq!(json["default"][1]["remarks"], "too short");
         assert_eq!(json["shortest"][0]["shortest_period_ms"], 0.5);
         assert_eq!(json["shortest"][0]["failed_period_ms"], 0.25);
-        assert_eq!(json["trials"][1]["holds"], false);
+        assert_eq!(json["trials"][2]["holds"], false);
         let text = found.text();
         assert!(
             text.contains("0.25 ms, held in 0 of 3 trials: too short")

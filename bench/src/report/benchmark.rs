@@ -46,31 +46,35 @@ pub enum Name {
 }
 
 /// What is asked for.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct Request {
-    /// How much.
+    #[command(flatten)]
     pub extent: Extent,
-    /// Configuration of the daemon; none: the default.
+    /// Only these, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
+    pub only: Vec<Name>,
+    /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
+    /// benchmarks choose their own, and with it no figure to reach is judged.
+    #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
-    /// Which benchmarks, in any order.
-    pub benchmarks: Vec<Name>,
 }
 
 impl Request {
+    /// Of those that were asked for; of all when none was named.
+    fn plans(&self) -> Vec<Plan> {
+        let all = Name::value_variants().iter();
+        let asked = all.filter(|name| self.only.is_empty() || self.only.contains(name));
+        asked.map(|name| name.plan(self)).collect()
+    }
+
     /// About how long it takes \[s\].
     pub fn expected_s(&self) -> f64 {
-        let plans = Name::value_variants()
-            .iter()
-            .filter(|b| self.benchmarks.contains(b));
-        plans.map(|benchmark| benchmark.plan(self).expected_s).sum()
+        self.plans().iter().map(|plan| plan.expected_s).sum()
     }
 
     /// Runs the benchmarks. One that fails is part of the report and does not keep the others from running.
     pub fn run(&self, start: Start, progress: &mut Progress) -> Result<BenchReport> {
-        let asked = Name::value_variants()
-            .iter()
-            .filter(|b| self.benchmarks.contains(b));
-        let plans: Vec<Plan> = asked.map(|benchmark| benchmark.plan(self)).collect();
+        let plans = self.plans();
         let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
         let mut parts = Vec::new();
         for plan in plans {
@@ -177,7 +181,7 @@ mod tests {
                 rounds: None,
             },
             config: None,
-            benchmarks: Name::value_variants().to_vec(),
+            only: Vec::new(),
         };
         assert!(request(true).expected_s() < request(false).expected_s() / 4.0);
     }

@@ -56,10 +56,14 @@ impl Start {
     }
 }
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+/// How much of each benchmark is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]
 pub struct Extent {
+    /// A look of a few minutes that proves little.
+    #[arg(long)]
     pub quick: bool,
-    /// Rounds, where another number than the usual one was asked for.
+    /// Rounds of each benchmark, 1 to 100, instead of the usual number of each; compare needs at least 3.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub rounds: Option<u32>,
 }
 

@@ -39,77 +39,68 @@ pub struct Target {
     pub reached: bool,
 }
 
-struct Wanted {
-    what: &'static str,
-    target: &'static str,
-    unit: &'static str,
-    found: fn(&Found<'_>) -> Option<Worst>,
-    reached: fn(f64) -> bool,
-}
-
 struct Found<'a> {
     metrics: &'a [Metric],
     results: &'a Map<String, Value>,
 }
 
-struct Worst {
-    value: f64,
-    range: Option<(f64, f64)>,
-    of: String,
-}
+/// What was found, the range of its rounds, and which case it comes from or how much was measured.
+type Worst = (f64, Option<(f64, f64)>, String);
+/// What, the target in words, unit, where it is found, and the condition on what was found.
+type Wanted = (
+    &'static str,
+    &'static str,
+    &'static str,
+    fn(&Found<'_>) -> Option<Worst>,
+    fn(f64) -> bool,
+);
 
-/// One line for each: what, the target in words, unit, where it is found, and the condition on what was found.
-macro_rules! wanted {
-    ($($what:literal, $target:literal, $unit:literal, $found:expr, $reached:expr;)+) => {
-        &[$(Wanted { what: $what, target: $target, unit: $unit, found: $found, reached: $reached }),+]
-    };
-}
-
-const WANTED: &[Wanted] = wanted! {
-    "wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
-        |found| found.most("deadline/*/realtime/wake_p50_to_bare"), |ratio| ratio <= 1.1;
-    "wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
-        |found| found.most("deadline/*/realtime/wake_p99_to_bare"), |ratio| ratio <= 1.1;
-    "misses with cause compute or fault, all loads", "0", "",
-        |found| found.own_misses(), |count| count == 0.0;
-    "misses beyond the bare loop's, all loads: probability by chance", "not below 0.05", "",
-        |found| found.chance_of_misses(), |probability| probability >= CHANCE;
-    "release to command in the client, p50 less wake-up p50, no load", "≤ 40 µs", "µs",
-        |found| found.most("deadline/none/realtime/command_beyond_wake_p50"), |us| us <= 40.0;
-    "response p99 under clients that connect, loaded / unloaded", "≤ 1.3", "",
-        |found| found.most("deadline/clients/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3;
-    "response p99 under a flood, loaded / unloaded", "≤ 1.3", "",
-        |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3;
-    "shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
-        |found| found.most("rate/shortest/3-sections/kpso-refined/n2"), |ms| ms <= 0.5;
-    "CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
-        |found| found.most("footprint/core_tracking_percent"), |percent| percent <= 3.0;
-    "resident memory", "≤ 64 MB", "MB",
-        |found| found.most("footprint/resident_mb"), |mb| mb <= 64.0;
-    "resident memory that tracking adds", "0", "kB",
-        |found| found.most("footprint/growth_kb"), |kb| kb <= 0.0;
-    "memory is locked (1: in every round)", "1", "",
-        |found| found.least("footprint/locked"), |locked| locked == 1.0;
-    "stop request to zero rates without ramp, p99, beyond one period", "≤ 100 µs", "µs",
-        |found| found.stop_beyond_period(), |us| us <= STOP_MARGIN_US;
-};
+#[rustfmt::skip]
+const WANTED: [Wanted; 13] = [
+    ("wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
+        |found| found.most("deadline/*/realtime/wake_p50_to_bare"), |ratio| ratio <= 1.1),
+    ("wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
+        |found| found.most("deadline/*/realtime/wake_p99_to_bare"), |ratio| ratio <= 1.1),
+    ("misses with cause compute or fault, all loads", "0", "",
+        |found| found.own_misses(), |count| count == 0.0),
+    ("misses beyond the bare loop's, all loads: probability by chance", "not below 0.05", "",
+        |found| found.chance_of_misses(), |probability| probability >= CHANCE),
+    ("release to command in the client, p50 less wake-up p50, no load", "≤ 40 µs", "µs",
+        |found| found.most("deadline/none/realtime/command_beyond_wake_p50"), |us| us <= 40.0),
+    ("response p99 under clients that connect, loaded / unloaded", "≤ 1.3", "",
+        |found| found.most("deadline/clients/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3),
+    ("response p99 under a flood, loaded / unloaded", "≤ 1.3", "",
+        |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3),
+    ("shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
+        |found| found.most("rate/shortest/3-sections/kpso-refined/n2"), |ms| ms <= 0.5),
+    ("CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
+        |found| found.most("footprint/core_tracking_percent"), |percent| percent <= 3.0),
+    ("resident memory", "≤ 64 MB", "MB",
+        |found| found.most("footprint/resident_mb"), |mb| mb <= 64.0),
+    ("resident memory that tracking adds", "0", "kB",
+        |found| found.most("footprint/growth_kb"), |kb| kb <= 0.0),
+    ("memory is locked (1: in every round)", "1", "",
+        |found| found.least("footprint/locked"), |locked| locked == 1.0),
+    ("stop request to zero rates without ramp, p99, beyond one period", "≤ 100 µs", "µs",
+        |found| found.stop_beyond_period(), |us| us <= STOP_MARGIN_US),
+];
 
 /// The figures that the metrics and results of a run tell.
 pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> {
     let found = Found { metrics, results };
-    let target = |wanted: &Wanted| {
-        let worst = (wanted.found)(&found)?;
+    let target = |(what, target, unit, find, is_reached): Wanted| {
+        let (value, range, of) = find(&found)?;
         Some(Target {
-            what: wanted.what,
-            target: wanted.target,
-            found: worst.value,
-            unit: wanted.unit,
-            range: worst.range,
-            of: worst.of,
-            reached: (wanted.reached)(worst.value),
+            what,
+            target,
+            found: value,
+            unit,
+            range,
+            of,
+            reached: is_reached(value),
         })
     };
-    WANTED.iter().filter_map(target).collect()
+    WANTED.into_iter().filter_map(target).collect()
 }
 
 pub(super) fn sheet(targets: &[Target]) -> Result<Sheet> {
@@ -133,23 +124,16 @@ impl Found<'_> {
             .iter()
             .filter(|metric| fits(pattern, &metric.name));
         let values = fitting.filter_map(|metric| {
-            Some(Worst {
-                value: metric.median()?,
-                range: range_of_rounds(metric),
-                of: own_part(pattern, &metric.name),
-            })
+            let of = own_part(pattern, &metric.name);
+            Some((metric.median()?, range_of_rounds(metric), of))
         });
-        values.max_by(|one, other| one.value.total_cmp(&other.value))
+        values.max_by(|one, other| one.0.total_cmp(&other.0))
     }
 
     fn least(&self, name: &str) -> Option<Worst> {
         let metric = self.metrics.iter().find(|metric| metric.name == name)?;
         let (value, _) = range(metric.rounds.iter().copied())?;
-        Some(Worst {
-            value,
-            range: range_of_rounds(metric),
-            of: String::new(),
-        })
+        Some((value, range_of_rounds(metric), String::new()))
     }
 
     /// The cases of a subject, `daemon` or `bare`, with real time.
@@ -167,11 +151,8 @@ impl Found<'_> {
             own += case["own_misses"].as_u64()?;
             cycles += due(case)?;
         }
-        (cycles > 0).then(|| Worst {
-            value: own as f64,
-            range: None,
-            of: format!("{:.1} min", cycles as f64 * period_ms / 60e3),
-        })
+        let minutes = cycles as f64 * period_ms / 60e3;
+        (cycles > 0).then(|| (own as f64, None, format!("{minutes:.1} min")))
     }
 
     /// Of all loads that were measured with both.
@@ -187,11 +168,8 @@ impl Found<'_> {
                 sum.1 += due(case)?;
             }
         }
-        (ours.1 > 0 && bare.1 > 0).then(|| Worst {
-            value: misses_p_value(ours, bare),
-            range: None,
-            of: format!("{} against {}", counts(ours), counts(bare)),
-        })
+        let of = format!("{} against {}", counts(ours), counts(bare));
+        (ours.1 > 0 && bare.1 > 0).then(|| (misses_p_value(ours, bare), None, of))
     }
 
     /// As `latency` judges it, for the period that it measured with.
@@ -199,13 +177,10 @@ impl Found<'_> {
         let targets = self.results.get("latency")?["targets"].as_array()?;
         let values = targets.iter().filter_map(|target| {
             let (p99_us, limit_us) = (target["p99_us"].as_f64()?, target["limit_us"].as_f64()?);
-            Some(Worst {
-                value: p99_us - limit_us + STOP_MARGIN_US,
-                range: None,
-                of: target["leg"].as_str()?.to_owned(),
-            })
+            let beyond_us = p99_us - limit_us + STOP_MARGIN_US;
+            Some((beyond_us, None, target["leg"].as_str()?.to_owned()))
         });
-        values.max_by(|one, other| one.value.total_cmp(&other.value))
+        values.max_by(|one: &Worst, other| one.0.total_cmp(&other.0))
     }
 }
 
@@ -246,8 +221,9 @@ mod tests {
     use super::*;
     use crate::metric::Better;
 
-    fn lower<const N: usize>(name: &str, unit: &str, rounds: [f64; N]) -> Metric {
-        Metric::new(name, unit, Better::Lower, rounds)
+    fn lower(case: &str, rounds: [f64; 3]) -> Metric {
+        let name = format!("deadline/{case}/wake_p50_to_bare");
+        Metric::new(name, "", Better::Lower, rounds)
     }
 
     fn object(value: &Value) -> Map<String, Value> {
@@ -257,17 +233,9 @@ mod tests {
     #[test]
     fn the_worst_load_counts_and_what_was_not_measured_has_no_row() {
         let metrics = [
-            lower(
-                "deadline/none/realtime/wake_p50_to_bare",
-                "",
-                [1.0, 1.02, 1.01],
-            ),
-            lower(
-                "deadline/cpu/realtime/wake_p50_to_bare",
-                "",
-                [1.2, 1.3, 1.1],
-            ),
-            lower("deadline/cpu/ordinary/wake_p50_to_bare", "", [9.0]),
+            lower("none/realtime", [1.0, 1.02, 1.01]),
+            lower("cpu/realtime", [1.2, 1.3, 1.1]),
+            lower("cpu/ordinary", [9.0, 9.0, 9.0]),
         ];
         let found = targets(&metrics, &Map::new());
         assert_eq!(found.len(), 1, "{found:?}");

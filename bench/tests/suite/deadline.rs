@@ -1,22 +1,10 @@
 //! What `cdcr-bench deadline` hands over, from a few seconds of real processes.
 
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use cdcr_test_skip::{Need, skip};
 use serde_json::Value;
-
-fn run(arguments: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .arg("deadline")
-        .args(arguments)
-        .output()
-        .expect("the program runs")
-}
-
-fn says(output: &Output) -> String {
-    String::from_utf8_lossy(&output.stderr).into_owned()
-}
 
 /// Whether this user may have real-time threads; if not, only a part can be measured.
 fn is_realtime() -> bool {
@@ -74,6 +62,7 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     let setup = if is_realtime() { "both" } else { "ordinary" };
     let folder = tempfile::tempdir().expect("a folder");
     let arguments = [
+        "deadline",
         "--duration=2s",
         "--rounds=2",
         "--load=flood",
@@ -82,10 +71,13 @@ fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
         setup,
         "--out",
     ];
-    let mut arguments = arguments.to_vec();
-    arguments.push(folder.path().to_str().expect("a text"));
-    let output = run(&arguments);
-    assert!(output.status.success(), "{}", says(&output));
+    let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
+        .args(arguments)
+        .arg(folder.path())
+        .output()
+        .expect("the program runs");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
     let document: Value = serde_json::from_slice(&output.stdout).expect("one object");
 
     let cases = document["cases"].as_array().expect("a list");
