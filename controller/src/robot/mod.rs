@@ -17,6 +17,7 @@
 //! | `cables` | how long is each cable, how fast does it run, and back |
 //! | `obstacle` | what must the body keep away from, and where is it later |
 //! | `tube` | how far is one section from a point, from a segment |
+//! | `chord` | how far is one section from a segment at least, for less work |
 //! | `clearance` | how far is the body from an obstacle, where, and how does that place move |
 //! | `wide` | where are the tips of many configurations, side by side |
 //! | `lanes` | vectors and frames of many configurations, side by side |
@@ -30,6 +31,7 @@
 
 mod body_wide;
 mod cables;
+mod chord;
 mod clearance;
 mod configuration;
 mod jacobian;
