@@ -44,6 +44,7 @@ mod section;
 mod tube;
 mod wide;
 
+#[doc(hidden)]
 pub use body_wide::BodyWide;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
@@ -52,7 +53,9 @@ pub use kinematics::Pose;
 pub use obstacle::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M, Obstacle, ObstacleError, Shape};
 pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
-pub use section::{Arc, Coefficients, rotate_wide};
+#[doc(hidden)]
+pub use section::rotate_wide;
+pub use section::{Arc, Coefficients};
 
 /// Six sections: the longest robot published has five. Every array of this crate is sized by it.
 pub const SECTIONS_MAX: usize = 6;
