@@ -100,6 +100,9 @@
 //! # Ok(())
 //! # }
 //! ```
+//!
+//! What this page leaves out, the lanes that the swarm computes with (`wide`), is public for the tests of this crate alone, and may
+//! change at any time.
 
 #![forbid(unsafe_code)]
 
@@ -113,4 +116,5 @@ pub mod plant;
 pub mod reference;
 pub mod robot;
 pub mod safety;
+#[doc(hidden)]
 pub mod wide;

@@ -33,7 +33,7 @@ pub struct ClosedLoop<R> {
     obstacles_at_start: Vec<Obstacle>,
     cycle: u64,
     configuration: Configuration,
-    /// Where they are now.
+    /// Where they are when the robot is at `configuration`: behind motors with a lag, after it.
     obstacles: Vec<Obstacle>,
     /// The reference at the steps of the horizon.
     reference: Vec<ReferenceSample>,
@@ -203,20 +203,20 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
                 plant.truth().body(&plant.configuration())
             }
         };
-        let clearances_m = self.obstacles.iter().map(|o| body.clearance_m(o));
-        clearances_m.fold(f64::INFINITY, f64::min)
+        let from_the_start = self.obstacles_at_start.iter();
+        body.least_clearance_m(from_the_start.map(|obstacle| obstacle.moved(self.time_s())))
     }
 
-    /// Obstacles now, and the reference over the horizon.
+    /// Obstacles, and the reference over the horizon, in the time of the robot that lags.
     fn look_around(&mut self) {
         let time_s = self.time_s();
         self.obstacles.clear();
         let from_the_start = self.obstacles_at_start.iter();
+        let lead_s = self.driven.as_ref().map_or(0.0, |driven| driven.lead_s());
         self.obstacles
-            .extend(from_the_start.map(|obstacle| obstacle.moved(time_s)));
+            .extend(from_the_start.map(|obstacle| obstacle.moved(time_s + lead_s)));
         let first = self.cycle + 1;
         let cycles = first..first + u64::from(self.settings.horizon_steps);
-        let lead_s = self.driven.as_ref().map_or(0.0, |driven| driven.lead_s());
         let times_s = cycles.map(|cycle| cycle as f64 * self.period_s + lead_s);
         let driven = self.driven.as_ref();
         let offset_m = driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m());

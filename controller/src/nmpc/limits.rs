@@ -127,14 +127,12 @@ impl<'a> Limits<'a> {
         evaluation: &mut Evaluation<W>,
     ) {
         let zero = Wide::splat(0.0);
+        let near = value + -(most - INSIDE);
         // A NaN is not "less": it stays, and spoils the cost as it should.
-        let beyond = |most: f64| {
-            let beyond = value + -most;
-            zero.select(beyond, beyond.less(zero))
-        };
-        let near = beyond(most - INSIDE);
+        let near = zero.select(near, near.less(zero));
         evaluation.cost = evaluation.cost + near * near * (weight * self.weight);
-        let share = beyond(most) * (1.0 / most);
+        // Below zero where the limit holds: no violation.
+        let share = (near + -INSIDE) * (1.0 / most);
         let worst = evaluation.violations[LIMITS];
         evaluation.violations[LIMITS] = share.select(worst, worst.less(share));
     }

@@ -58,14 +58,6 @@ fn first_step(distance_m: f64, per_step_m: f64) -> usize {
     (steps.ceil() - 1.0) as usize
 }
 
-/// The sections of a set, each as a set of its own.
-#[inline(always)]
-fn bits(sections: u8) -> impl Iterator<Item = u8> {
-    (0..SECTIONS_MAX)
-        .map(|j| 1 << j)
-        .filter(move |bit| sections & bit != 0)
-}
-
 /// Nominal time of one section against this obstacle \[ns\].
 #[inline(always)]
 fn section_ns(obstacle: &Obstacle) -> u32 {
@@ -161,8 +153,11 @@ impl Obstacles {
             }
             let obstacle = near.obstacle.moved(at.time_s);
             // Section by section: one that cannot leave must not let another come in.
-            for section in bits(sections) {
-                let clearance_m = body.clearance_below(&obstacle, enough_m, section);
+            for j in 0..SECTIONS_MAX {
+                if sections & 1 << j == 0 {
+                    continue;
+                }
+                let clearance_m = body.clearance_below(&obstacle, enough_m, 1 << j);
                 let depth_m = Wide::splat(enough_m) - clearance_m;
                 let inside = zero.less(depth_m);
                 let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
@@ -203,8 +198,8 @@ impl Obstacles {
                 return false;
             }
             let obstacle = near.obstacle.moved(at.time_s);
-            for section in bits(sections) {
-                let nearest = body.nearest_of(section.trailing_zeros() as usize, &obstacle);
+            for j in (0..SECTIONS_MAX).filter(|j| sections & 1 << j != 0) {
+                let nearest = body.nearest_of(j, &obstacle);
                 robot.body_point_jacobian(shape, nearest.section, nearest.s, &mut jacobian);
                 let mut derivatives = [0.0; COORDINATES_MAX];
                 for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {

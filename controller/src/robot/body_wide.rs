@@ -143,6 +143,7 @@ impl Robot {
     /// θ ≤ 2π.
     ///
     /// [`Body`]: super::Body
+    #[doc(hidden)]
     #[inline(always)]
     pub fn body_wide<const W: usize>(&self, bend_rad: impl Fn(usize) -> Wide<W>) -> BodyWide<W> {
         // Filled in place: a copy would cost as much as the arithmetic.

@@ -81,6 +81,7 @@ impl Robot {
     /// By how much each cable is shorter than at the straight robot (m), for W shapes side by side:
     /// `bend_rad(i)` is the i-th bend-vector component of each (rad). Linear: rates (rad/s) give the speed at
     /// which cables are pulled (m/s). In the order of [`Self::cable_lengths`]; 3n are used, the rest are 0.
+    #[doc(hidden)]
     #[inline(always)]
     pub fn cable_shortening_wide<const W: usize>(
         &self,

@@ -10,6 +10,7 @@
 
 use nalgebra::Vector3;
 
+use super::chord::Chord;
 use super::lanes::Frame;
 use super::obstacle::{Axis, Obstacle};
 use super::tube::{Foot, Tube};
@@ -39,13 +40,14 @@ pub struct Nearest {
     pub direction: Vector3<f64>,
 }
 
-/// The body in one state, prepared for many obstacles. 1.1 kB in fixed arrays, no heap.
+/// The body in one state, prepared for many obstacles. 1.6 kB in fixed arrays, no heap.
 ///
 /// A NaN in the bends makes every clearance NaN, never a large number: write `clearance_m >= wanted`, which it fails.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Body {
     /// The first `section_count` are used, the rest repeat the last.
     tubes: [Tube<1>; SECTIONS_MAX],
+    chords: [Chord; SECTIONS_MAX],
     section_count: usize,
 }
 
@@ -96,6 +98,22 @@ impl Body {
         self.closest(obstacle).clearance_m
     }
 
+    /// The least clearance from some obstacles (m): infinite without any, NaN for a NaN in the bends. Those that are farther than
+    /// what is found cost next to nothing.
+    pub fn least_clearance_m(&self, obstacles: impl IntoIterator<Item = Obstacle>) -> f64 {
+        let mut least_m = f64::INFINITY;
+        for obstacle in obstacles {
+            if self.reaches(&obstacle, least_m) {
+                let clearance_m = self.clearance_m(&obstacle);
+                if clearance_m.is_nan() {
+                    return clearance_m;
+                }
+                least_m = least_m.min(clearance_m);
+            }
+        }
+        least_m
+    }
+
     /// Whether the body may be within `travel_m` (m) of the obstacle. Cheap, by balls around the sections: where it says no, the
     /// clearance is above `travel_m`; where it says yes, it need not be below. Ask with the safe distance plus all that body
     /// and obstacle can move over the horizon. A NaN gives yes.
@@ -122,12 +140,33 @@ impl Body {
         obstacle: &Obstacle,
         travel_m: &[f64; SECTIONS_MAX],
     ) -> [f64; SECTIONS_MAX] {
+        self.clearances_below(obstacle, travel_m, f64::INFINITY)
+    }
+
+    /// The same, exactly where it is below `enough_m` (m): elsewhere perhaps a bound that is not below it either, which is cheaper for
+    /// a capsule.
+    pub fn clearances_below(
+        &self,
+        obstacle: &Obstacle,
+        travel_m: &[f64; SECTIONS_MAX],
+        enough_m: f64,
+    ) -> [f64; SECTIONS_MAX] {
         let axis = obstacle.shape().axis();
         let mut clearances_m = [f64::INFINITY; SECTIONS_MAX];
         for (j, tube) in self.tubes().iter().enumerate() {
             let least_m = clearance_min_m(tube, &axis, obstacle.radius_m());
             if is_beyond(least_m, &axis, travel_m[j]) {
                 continue;
+            }
+            if !axis.is_point() {
+                let least_m = self.clearance_min_of(j, obstacle);
+                if least_m > travel_m[j] {
+                    continue;
+                }
+                if least_m >= enough_m {
+                    clearances_m[j] = least_m;
+                    continue;
+                }
             }
             let clearance_m = self.closest_of(j, obstacle, &axis).clearance_m;
             if !is_beyond(clearance_m, &axis, travel_m[j]) {
@@ -141,6 +180,15 @@ impl Body {
     pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
         let axis = obstacle.shape().axis();
         self.closest_of(section, obstacle, &axis).clearance_m
+    }
+
+    /// What the clearance of one section of this robot is at least (m), by its chord: for about a fifth of the time that the
+    /// exact one from a capsule takes. Minus infinity where the chord tells nothing, and for a NaN in the bends.
+    pub fn clearance_min_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
+        let axis = obstacle.shape().axis();
+        let distance_m = self.chords[section].distance_min_m(&axis);
+        let radii_m = self.tubes[section].radius_m + obstacle.radius_m();
+        distance_m - radii_m - (ROUNDING_M + axis.rounding_m())
     }
 
     fn tubes(&self) -> &[Tube<1>] {
@@ -242,6 +290,7 @@ impl Robot {
         }
         Body {
             tubes,
+            chords: tubes.map(|tube| tube.chord()),
             section_count: self.section_count(),
         }
     }

@@ -17,6 +17,7 @@
 //! | `cables` | how long is each cable, how fast does it run, and back |
 //! | `obstacle` | what must the body keep away from, and where is it later |
 //! | `tube` | how far is one section from a point, from a segment |
+//! | `chord` | how far is one section from a segment at least, for less work |
 //! | `clearance` | how far is the body from an obstacle, where, and how does that place move |
 //! | `wide` | where are the tips of many configurations, side by side |
 //! | `lanes` | vectors and frames of many configurations, side by side |
@@ -30,6 +31,7 @@
 
 mod body_wide;
 mod cables;
+mod chord;
 mod clearance;
 mod configuration;
 mod jacobian;
@@ -42,6 +44,7 @@ mod section;
 mod tube;
 mod wide;
 
+#[doc(hidden)]
 pub use body_wide::BodyWide;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
@@ -50,7 +53,9 @@ pub use kinematics::Pose;
 pub use obstacle::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M, Obstacle, ObstacleError, Shape};
 pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
-pub use section::{Arc, Coefficients, rotate_wide};
+#[doc(hidden)]
+pub use section::rotate_wide;
+pub use section::{Arc, Coefficients};
 
 /// Six sections: the longest robot published has five. Every array of this crate is sized by it.
 pub const SECTIONS_MAX: usize = 6;

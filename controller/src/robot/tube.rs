@@ -29,6 +29,7 @@ use core::f64::consts::{PI, TAU};
 use nalgebra::Vector3;
 
 use super::SectionParameters;
+use super::chord::Chord;
 use super::lanes::{Frame, WideVector};
 use super::obstacle::Axis;
 use crate::wide::{Wide, all, any, both, either, not};
@@ -230,6 +231,13 @@ impl<const W: usize> Tube<W> {
 }
 
 impl Tube<1> {
+    pub(super) fn chord(&self) -> Chord {
+        let ends_m = [self.start_m, self.end_m].map(|end_m| end_m.narrow());
+        let axes = [self.along, self.across].map(|axis| axis.narrow());
+        let Wide([bend_rad]) = self.bend_rad;
+        Chord::new(ends_m, axes, self.length_m, bend_rad)
+    }
+
     /// Normal to the plane of the arc, a unit vector in the base frame; of a straight section, some normal.
     pub(super) fn normal(&self) -> Vector3<f64> {
         self.normal.narrow()

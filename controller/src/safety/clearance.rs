@@ -5,14 +5,14 @@ mod near;
 mod rows;
 mod way;
 
-use crate::robot::{BendRates, Body, Configuration, Obstacle, Robot};
+use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
 use super::Limits;
 use super::projection::Region;
 use near::{Near, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
-const CORRECTIONS: usize = 6;
+const CORRECTIONS: usize = 12;
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
 /// Scales that are tried.
@@ -146,11 +146,11 @@ impl ClearanceGuard<'_> {
         }
         let stance = Stance::new(self.robot, self.at);
         let Some(measured) = Near::find(self, &stance, rates, is_ramp) else {
-            return guarded(self.rest(), least_clearance_m(&stance.body, self.obstacles));
+            return guarded(self.rest(), self.clearance_m(&stance));
         };
         let clearance_m = match measured.least_clearance_m() {
             Some(clearance_m) => clearance_m,
-            None => least_clearance_m(&stance.body, self.obstacles),
+            None => self.clearance_m(&stance),
         };
         let commanded = self.commanded.filter(|commanded| *commanded != self.at);
         let stance = commanded.map(|commanded| Stance::new(self.robot, commanded));
@@ -232,6 +232,11 @@ impl ClearanceGuard<'_> {
         held
     }
 
+    fn clearance_m(&self, stance: &Stance) -> f64 {
+        let obstacles = self.obstacles.iter();
+        stance.body.least_clearance_m(obstacles.copied())
+    }
+
     fn rest(&self) -> BendRates {
         BendRates::zero(self.robot.section_count())
     }
@@ -267,20 +272,6 @@ impl Places<'_> {
             .map(is_bounded)
             .fold(false, |any, one| any | one)
     }
-}
-
-fn least_clearance_m(body: &Body, obstacles: &[Obstacle]) -> f64 {
-    let mut least_m = f64::INFINITY;
-    for obstacle in obstacles {
-        if body.reaches(obstacle, least_m) {
-            let clearance_m = body.clearance_m(obstacle);
-            if clearance_m.is_nan() {
-                return clearance_m;
-            }
-            least_m = least_m.min(clearance_m);
-        }
-    }
-    least_m
 }
 
 pub(super) fn times(rates: &BendRates, factor: f64) -> BendRates {

@@ -2,7 +2,8 @@
 //!
 //! Knows no robot. Dual active-set method of Goldfarb and Idnani (Mathematical Programming 27, 1983) with the identity as
 //! Hessian: it begins at the point itself, takes in the half-space that is violated most, and lets go of those that no
-//! longer hold the point back. Work and memory are bounded, nothing allocates, the same input gives the same bits.
+//! longer hold the point back. A search for the same point goes on from where the one before ended: what is added afterwards only
+//! bounds more. Work and memory are bounded, nothing allocates, the same input gives the same bits.
 
 use crate::robot::COORDINATES_MAX;
 
@@ -29,6 +30,16 @@ pub(super) struct Region {
     row_count: usize,
     /// Whether a half-space was left out.
     is_full: bool,
+    /// What was found last.
+    found: Option<Found>,
+}
+
+/// The nearest point to `to` before more half-spaces came, and what holds it there.
+#[derive(Debug, Clone, Copy)]
+struct Found {
+    to: Vector,
+    at: Vector,
+    active: Active,
 }
 
 /// normal · x ≥ bound, with a normal of length 1.
@@ -58,6 +69,7 @@ impl Region {
             rows: [Row::ZERO; ROWS_MAX],
             row_count: 0,
             is_full: false,
+            found: None,
         }
     }
 
@@ -84,6 +96,7 @@ impl Region {
 
     /// Only where no component is larger than `most`.
     pub(super) fn slow_down_to(&mut self, most: f64) {
+        self.found = None;
         for (lower, upper) in self.lower.iter_mut().zip(&mut self.upper) {
             *lower = lower.max(-most);
             *upper = upper.min(most);
@@ -92,9 +105,24 @@ impl Region {
 
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
     /// a bounded number of steps.
-    pub(super) fn nearest(&self, to: &Vector) -> Option<Vector> {
-        let mut at = *to;
-        let mut active = Active::NONE;
+    pub(super) fn nearest(&mut self, to: &Vector) -> Option<Vector> {
+        let before = self.found.take().filter(|found| found.to == *to);
+        let Found { at, active, .. } = before.unwrap_or(Found {
+            to: *to,
+            at: *to,
+            active: Active::NONE,
+        });
+        let (at, active) = self.nearest_from(at, active)?;
+        self.found = Some(Found {
+            to: *to,
+            at,
+            active,
+        });
+        Some(at)
+    }
+
+    /// From the nearest point to the same one with fewer half-spaces, and those that hold it.
+    fn nearest_from(&self, mut at: Vector, mut active: Active) -> Option<(Vector, Active)> {
         let mut steps = 0;
         while let Some(row) = self.most_violated(&at) {
             let mut multiplier = 0.0;
@@ -128,7 +156,7 @@ impl Region {
                 active.remove(let_go);
             }
         }
-        Some(at)
+        Some((at, active))
     }
 
     /// What is violated most at `at`; a NaN violates nothing.
@@ -299,20 +327,20 @@ mod tests {
         let mut region = Region::new(2);
         region.lower = padded(&[-1.0, -1.0]);
         region.upper = padded(&[1.0, 1.0]);
-        let near = |region: &Region, x: f64, y: f64| {
+        let near = |region: &mut Region, x: f64, y: f64| {
             region.nearest(&padded(&[x, y])).map(|p| [p[0], p[1]])
         };
-        assert_eq!(near(&region, 0.5, -0.5), Some([0.5, -0.5]));
-        assert_eq!(near(&region, 3.0, 0.5), Some([1.0, 0.5]));
-        assert_eq!(near(&region, 3.0, -4.0), Some([1.0, -1.0]));
+        assert_eq!(near(&mut region, 0.5, -0.5), Some([0.5, -0.5]));
+        assert_eq!(near(&mut region, 3.0, 0.5), Some([1.0, 0.5]));
+        assert_eq!(near(&mut region, 3.0, -4.0), Some([1.0, -1.0]));
         region.bound(&padded(&[-1.0, -1.0]), 0.0);
-        let [x, y] = near(&region, 3.0, 3.0).unwrap();
+        let [x, y] = near(&mut region, 3.0, 3.0).unwrap();
         assert!(x.abs() < 1e-12 && y.abs() < 1e-12, "{x} {y}");
         // A half-space that says the same again, and one that no point satisfies.
         region.bound(&padded(&[-2.0, -2.0]), 0.0);
-        assert!(near(&region, 3.0, 3.0).is_some());
+        assert!(near(&mut region, 3.0, 3.0).is_some());
         region.bound(&padded(&[1.0, 1.0]), 1.0);
-        assert_eq!(near(&region, 3.0, 3.0), None);
+        assert_eq!(near(&mut region, 3.0, 3.0), None);
     }
 
     #[test]
@@ -351,6 +379,15 @@ mod tests {
             let to = padded(&to);
             let nearest = region.nearest(&to);
             prop_assert!(nearest.is_some(), "`inside` is one");
+            // The same beside rounding, however many half-spaces there were when it was looked for first.
+            let mut grown = Region { rows: [Row::ZERO; ROWS_MAX], row_count: 0, found: None, ..region.clone() };
+            for row in &region.rows[..region.row_count] {
+                grown.bound(&row.normal, row.bound);
+                prop_assert!(grown.nearest(&to).is_some());
+            }
+            for (one, other) in grown.nearest(&to).unwrap().iter().zip(nearest.unwrap()) {
+                prop_assert!((one - other).abs() < 1e-9);
+            }
             let nearest = nearest.unwrap();
             let lack = |at: &Vector| region.most_violated(at).map_or(0.0, |row| row.bound - dot(&row.normal, at));
             prop_assert!(lack(&nearest) < 1e-12);

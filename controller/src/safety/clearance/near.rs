@@ -13,15 +13,15 @@ pub(super) const NEAR_MAX: usize = 64;
 const DIP_M: f64 = 1e-3;
 /// What a bound on a clearance allows for rounding \[m\], with obstacles of any size.
 const ROUNDING_M: f64 = 1e-6;
-/// The work for one command, in the time of an exact clearance from a sphere, about 25 ns: when it is used up, what is not known to
+/// The work for one command, in the time of an exact clearance from a sphere, about 30 ns: when it is used up, what is not known to
 /// be clear counts as not clear.
-const LOOKS: u32 = 6000;
-/// How many of them a capsule takes the time of,
-const CAPSULE_LOOKS: u32 = 4;
+const LOOKS: u32 = 3000;
+/// How many of them an exact clearance from a capsule takes the time of,
+const CAPSULE_LOOKS: u32 = 6;
 /// a place of the way,
-const PLACE_LOOKS: u32 = 40;
-/// and a row of a correction, with its part of the solution.
-pub(super) const ROW_LOOKS: u32 = 25;
+const PLACE_LOOKS: u32 = 18;
+/// and a row of a correction, with its part of the solution, beside its clearance.
+pub(super) const ROW_LOOKS: u32 = 12;
 
 /// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: infinite
 /// where nothing is watched, NaN where the state is not finite.
@@ -40,8 +40,9 @@ pub(super) struct Near<'a> {
     watched: [Option<Watched>; NEAR_MAX],
     /// What is left of [`LOOKS`].
     looks: Cell<u32>,
-    /// The watched obstacle that was the last to be too near: it is looked at first.
-    last_short: Cell<usize>,
+    /// The watched obstacles in the order in which they are looked at: first those that were the last to be too near, then
+    /// those that are nearest now.
+    order: Cell<[u8; NEAR_MAX]>,
     /// What was too small when rates were checked last.
     lack: Cell<Option<Lack>>,
     /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
@@ -67,7 +68,8 @@ pub(super) struct Stance {
 pub(super) struct Watched {
     obstacle: Obstacle,
     speed_m_s: f64,
-    /// The clearance of each section now \[m\]: infinite for one that is not watched.
+    /// The clearance of each section now \[m\], at least, and exactly where it is less than `kept_m`: infinite for one that is
+    /// not watched.
     start_m: [f64; SECTIONS_MAX],
     /// D, or what counts instead \[m\].
     pub(super) kept_m: f64,
@@ -120,18 +122,19 @@ impl<'a> Near<'a> {
             watched_count: 0,
             watched: [None; NEAR_MAX],
             looks: Cell::new(LOOKS),
-            last_short: Cell::new(0),
+            order: Cell::new(core::array::from_fn(|index| index as u8)),
             lack: Cell::new(None),
             rows: [const { Cell::new(0) }; NEAR_MAX],
         };
         let body = &still.body;
-        let mut looks = LOOKS;
+        let (mut looks, mut least_m) = (LOOKS, f64::INFINITY);
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
             let safe_m = guard.safe_distance_m;
             let speed_m_s = obstacle.velocity_m_s().norm();
             let reach_m = travel_m.map(|travel_m| safe_m + travel_m + 2.0 * time_s * speed_m_s);
-            let start_m = body.clearances_in_reach(obstacle, &reach_m);
+            let enough_m = least_m.max(safe_m);
+            let start_m = body.clearances_below(obstacle, &reach_m, enough_m);
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
@@ -150,25 +153,33 @@ impl<'a> Near<'a> {
                 },
                 dip_m,
             };
-            looks = looks.saturating_sub(watched.looks() * watched.sections().count_ones());
+            let is_exact = |start_m: &&f64| **start_m < enough_m;
+            let exact_count = start_m.iter().filter(is_exact).count() as u32;
+            looks = looks.saturating_sub(watched.looks() * exact_count);
+            least_m = watched.nearest_m().min(least_m);
             *slots.next()? = Some(watched);
             near.watched_count += 1;
         }
         near.looks.set(looks);
+        near.order_by_distance();
         Some(near)
+    }
+
+    /// Those that are nearest now are looked at first.
+    fn order_by_distance(&mut self) {
+        let nearest_m = |index: &u8| {
+            let watched = self.watched[usize::from(*index)].as_ref();
+            watched.map_or(f64::INFINITY, Watched::nearest_m)
+        };
+        let mut order = self.order.get();
+        order[..self.watched_count]
+            .sort_unstable_by(|one, other| nearest_m(one).total_cmp(&nearest_m(other)));
+        self.order.set(order);
     }
 
     /// The least clearance of the body now \[m\], where a watched section has it; NaN where the state is not finite.
     pub(super) fn least_clearance_m(&self) -> Option<f64> {
-        let clearances_m = self.watched().flat_map(|watched| watched.start_m);
-        let least_m = clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
-            // A NaN stays.
-            if least_m.is_nan() || clearance_m >= least_m {
-                least_m
-            } else {
-                clearance_m
-            }
-        });
+        let least_m = least_m(self.watched().map(Watched::nearest_m));
         (least_m.is_nan() || least_m <= self.beyond_m).then_some(least_m)
     }
 
@@ -228,9 +239,9 @@ impl<'a> Near<'a> {
         lack_m: impl Fn(&Watched) -> f64,
     ) -> Result<Spare, f64> {
         let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
-        let last = self.last_short.get();
-        let order = core::iter::once(last).chain((0..self.watched_count).filter(|i| *i != last));
-        for index in order {
+        let mut order = self.order.get();
+        for turn in 0..self.watched_count {
+            let index = usize::from(order[turn]);
             let Some(watched) = &self.watched[index] else {
                 continue;
             };
@@ -240,7 +251,8 @@ impl<'a> Near<'a> {
                 let lack_m = lack_m(watched);
                 let is_enough = spare >= -lack_m;
                 if !is_enough {
-                    self.last_short.set(index);
+                    order[..=turn].rotate_right(1);
+                    self.order.set(order);
                     self.set_lack(index, j, place.way_s);
                     let start = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
                     return Err((start + lack_m) / (start - spare));
@@ -257,7 +269,7 @@ impl<'a> Near<'a> {
         if clearance_m >= watched.kept_m {
             return clearance_m - watched.kept_m;
         }
-        clearance_m - watched.floor_m(j, &self.still.body, place.time_s)
+        clearance_m - self.floor_m(watched, j, place.time_s)
     }
 
     /// The clearance of section j at a place \[m\]: exactly, or a bound of at least what is kept.
@@ -267,11 +279,35 @@ impl<'a> Near<'a> {
         if least_m >= watched.kept_m {
             return least_m;
         }
+        self.clearance_below(&place.stance.body, watched, j, place.time_s)
+    }
+
+    /// The clearance of section j of a body from an obstacle after a time \[m\]: exactly, or a bound of at least what is kept.
+    fn clearance_below(&self, body: &Body, watched: &Watched, j: usize, time_s: f64) -> f64 {
+        let obstacle = watched.obstacle_at(time_s);
+        if watched.looks() > 1 {
+            let least_m = body.clearance_min_of(j, &obstacle);
+            if least_m >= watched.kept_m {
+                self.count(1);
+                return least_m;
+            }
+        }
         self.count(watched.looks());
-        place
-            .stance
-            .body
-            .clearance_of(j, &watched.obstacle_at(place))
+        body.clearance_of(j, &obstacle)
+    }
+
+    /// What section j must keep after `time_s` \[m\]: min(D, what is left to the robot that stands still). A NaN gives D, which
+    /// no NaN reaches.
+    pub(super) fn floor_m(&self, watched: &Watched, j: usize, time_s: f64) -> f64 {
+        let start_m = watched.start_m[j];
+        if watched.stands() || start_m == f64::INFINITY {
+            return start_m.min(watched.kept_m);
+        }
+        if start_m - watched.moves_m(time_s) - ROUNDING_M >= watched.kept_m {
+            return watched.kept_m;
+        }
+        self.clearance_below(&self.still.body, watched, j, time_s)
+            .min(watched.kept_m)
     }
 
     /// The robot that stands still.
@@ -318,7 +354,7 @@ impl<'a> Near<'a> {
 
     /// Whether as much is left as it takes to scale a command down.
     pub(super) fn has_looks_to_correct(&self) -> bool {
-        self.looks.get() >= LOOKS / 4
+        self.looks.get() >= LOOKS / 8
     }
 
     /// Whether nothing is near.
@@ -328,16 +364,25 @@ impl<'a> Near<'a> {
 }
 
 impl Watched {
-    /// Where it is when the robot has come to a place.
-    pub(super) fn obstacle_at(&self, place: &Place) -> Obstacle {
-        if self.speed_m_s == 0.0 {
+    /// Where it is after a time.
+    pub(super) fn obstacle_at(&self, time_s: f64) -> Obstacle {
+        if self.stands() {
             return self.obstacle;
         }
-        self.obstacle.moved(place.time_s)
+        self.obstacle.moved(time_s)
+    }
+
+    pub(super) fn stands(&self) -> bool {
+        self.speed_m_s == 0.0
+    }
+
+    /// The least of its clearances now \[m\]; NaN where one is.
+    fn nearest_m(&self) -> f64 {
+        least_m(self.start_m.into_iter())
     }
 
     /// What an exact clearance from it counts.
-    fn looks(&self) -> u32 {
+    pub(super) fn looks(&self) -> u32 {
         match self.obstacle.shape() {
             Shape::Sphere { .. } => 1,
             Shape::Capsule { .. } => CAPSULE_LOOKS,
@@ -355,24 +400,21 @@ impl Watched {
         self.speed_m_s * time_s
     }
 
-    /// What section j must keep after `time_s`: min(D, what is left to the robot that stands still). A NaN gives D, which
-    /// no NaN reaches.
-    pub(super) fn floor_m(&self, j: usize, still: &Body, time_s: f64) -> f64 {
-        let start_m = self.start_m[j];
-        if self.speed_m_s == 0.0 || start_m == f64::INFINITY {
-            return start_m.min(self.kept_m);
-        }
-        if start_m - self.moves_m(time_s) - ROUNDING_M >= self.kept_m {
-            return self.kept_m;
-        }
-        let moved = self.obstacle.moved(time_s);
-        still.clearance_of(j, &moved).min(self.kept_m)
-    }
-
     /// What that is at most, for less than it costs to find it.
     pub(super) fn floor_most_m(&self, j: usize, time_s: f64) -> f64 {
         (self.start_m[j] + self.moves_m(time_s)).min(self.kept_m)
     }
+}
+
+/// The least of some clearances; NaN where one is.
+fn least_m(clearances_m: impl Iterator<Item = f64>) -> f64 {
+    clearances_m.fold(f64::INFINITY, |least_m, clearance_m| {
+        if least_m.is_nan() || clearance_m >= least_m {
+            least_m
+        } else {
+            clearance_m
+        }
+    })
 }
 
 /// The sections of a bit set.

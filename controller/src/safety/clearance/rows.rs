@@ -22,32 +22,30 @@ struct Short<'a> {
     section: usize,
 }
 
-/// Bounds `region` to where the clearances that are too small at these rates are as large as they must be, to first order: at the
-/// ends of the way, and where the check of these rates found one between. Whether there were some. Of very many the smallest are
-/// left out.
+/// Bounds `region` to where the clearances that are too small are as large as they must be, to first order: those at the place where the
+/// check of these rates found one. Whether there were some. Of very many the smallest are left out.
 pub(super) fn bound(
     near: &Near<'_>,
     guard: &ClearanceGuard<'_>,
     rates: &BendRates,
     region: &mut Region,
 ) -> bool {
-    let ends_s = ends_s(guard, rates);
-    let places = ends_s.map(|way_s| near.place(guard, rates, way_s));
-    let between = near.lack().filter(|lack| !ends_s.contains(&lack.way_s));
-    let between = between.map(|lack| (lack, near.place(guard, rates, lack.way_s)));
+    let Some(lack) = near.lack() else {
+        return false;
+    };
+    let place = near.place(guard, rates, lack.way_s);
     let mut least = Least {
         rows: [None; ROWS_MAX],
         count: 0,
     };
-    if let Some((lack, place)) = &between {
-        least.insert_if_short(near, place, lack.index, lack.section, true);
-    }
-    for place in &places {
+    if ends_s(guard, rates).contains(&lack.way_s) {
         for (index, watched) in near.watched().enumerate() {
             for section in sections(watched.sections()) {
-                least.insert_if_short(near, place, index, section, false);
+                least.insert_if_short(near, &place, index, section, false);
             }
         }
+    } else {
+        least.insert_if_short(near, &place, lack.index, lack.section, true);
     }
     let shorts = || least.rows.iter().flatten();
     for short in shorts() {
@@ -112,8 +110,8 @@ impl Short<'_> {
         rates: &BendRates,
         region: &mut Region,
     ) {
-        near.count(ROW_LOOKS);
-        let obstacle = self.watched.obstacle_at(self.place);
+        near.count(ROW_LOOKS + self.watched.looks());
+        let obstacle = self.watched.obstacle_at(self.place.time_s);
         let is_first = !near.has_row(self.index, self.section);
         let stance = if is_first {
             near.still()
@@ -133,8 +131,7 @@ impl Short<'_> {
         } else {
             let rates = rates.as_slice().iter();
             let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
-            let (still, time_s) = (&near.still().body, self.place.time_s);
-            let floor_m = self.watched.floor_m(self.section, still, time_s);
+            let floor_m = near.floor_m(self.watched, self.section, self.place.time_s);
             gained_m + MARGIN_M + floor_m - nearest.clearance_m
         };
         region.bound(&slope, least_m);

@@ -35,6 +35,15 @@ proptest! {
             if !robot.reaches(&shape, &obstacle, travel_m) {
                 prop_assert!(clearance_m > travel_m);
             }
+            let body = robot.body(&shape);
+            for (j, section) in robot.sections().iter().enumerate() {
+                let (exact_m, least_m) = (body.clearance_of(j, &obstacle), body.clearance_min_of(j, &obstacle));
+                prop_assert!(least_m <= exact_m);
+                // By at most what the arc leaves its chord by, on either side of it.
+                let bulge_m = 0.125 * section.length_m * shape.bend_rad(j);
+                let is_known = shape.bend_rad(j) <= PI && least_m > f64::NEG_INFINITY;
+                prop_assert!(!is_known || exact_m - least_m <= 2.0 * bulge_m + 1e-6);
+            }
             // Within the diameter of the largest ball the bound has to let go.
             let largest_m = robot.sections().iter().map(|section| section.length_m).fold(0.0, f64::max);
             prop_assert!(robot.reaches(&shape, &obstacle, clearance_m));
