@@ -84,7 +84,7 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
             "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
         ));
         let mut command = daemon.place().command("cdcrctl");
-        let plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
+        let mut plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
         wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
         says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
