@@ -83,8 +83,7 @@ fn demands(
     };
     let period_s = record.period_ns as f64 * 1e-9;
     let known: Vec<Obstacle> = obstacles(record).iter().filter_map(obstacle_of).collect();
-    let mut nmpc =
-        Nmpc::new(robot.clone(), period_s, settings)?.with_acceleration(record.acceleration_rad_s2);
+    let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
     let acceleration = record.acceleration_rad_s2;
     let closed_loop = |start, obstacles: &[Obstacle], from_s: Option<f64>| {
         let reference_at =
