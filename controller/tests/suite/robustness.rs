@@ -4,7 +4,11 @@ use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun, Sensor};
 use cdcr_controller::estimator::Actuator;
 use cdcr_controller::plant::Flaws;
 
-const SEEDS: u64 = 3;
+/// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
+fn seeds() -> u64 {
+    let set = std::env::var("CDCR_ROBUSTNESS_SEEDS");
+    set.map_or(1, |seeds| seeds.parse().unwrap())
+}
 
 /// The error of the tip in truth, the first second apart.
 #[derive(Debug, Default)]
@@ -32,7 +36,7 @@ fn worst(name: &str, driven: Driven) -> Figures {
     let eight = FigureEight::new().unwrap();
     let mut worst = Figures::default();
     for obeys_positions in [true, false] {
-        for seed in 1..=SEEDS {
+        for seed in 1..=seeds() {
             let driven = Driven {
                 obeys_positions,
                 seed,
