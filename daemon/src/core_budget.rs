@@ -134,7 +134,10 @@ const STALLED: usize = 30;
 /// The newest costs of one part.
 #[derive(Debug, Clone)]
 pub struct RecentCosts {
+    /// As they came.
     costs_ns: [u64; REMEMBERED],
+    /// The same, the least first: the cycle asks each time.
+    sorted_ns: [u64; REMEMBERED],
     noted: usize,
     next: usize,
 }
@@ -143,6 +146,7 @@ impl Default for RecentCosts {
     fn default() -> Self {
         Self {
             costs_ns: [0; REMEMBERED],
+            sorted_ns: [0; REMEMBERED],
             noted: 0,
             next: 0,
         }
@@ -152,8 +156,20 @@ impl Default for RecentCosts {
 impl RecentCosts {
     /// Takes note of one more.
     pub fn note(&mut self, cost_ns: u64) {
-        if let Some(oldest) = self.costs_ns.get_mut(self.next) {
-            *oldest = cost_ns;
+        let oldest_ns = core::mem::replace(&mut self.costs_ns[self.next % REMEMBERED], cost_ns);
+        // The place of the one that is forgotten, or the first free one.
+        let from = if self.noted < REMEMBERED {
+            self.noted
+        } else {
+            self.count_below(oldest_ns)
+        };
+        let to = self.count_below(cost_ns);
+        if to <= from {
+            self.sorted_ns.copy_within(to..from, to + 1);
+            self.sorted_ns[to] = cost_ns;
+        } else {
+            self.sorted_ns.copy_within(from + 1..to, from);
+            self.sorted_ns[to - 1] = cost_ns;
         }
         self.next = (self.next + 1) % REMEMBERED;
         self.noted = (self.noted + 1).min(REMEMBERED);
@@ -172,12 +188,14 @@ impl RecentCosts {
 
     /// The largest without the `left_out` ones above it; 0 when there are no more \[ns\].
     fn largest_but_ns(&self, left_out: usize) -> u64 {
-        let mut costs_ns = self.costs_ns;
-        let noted_ns = costs_ns.get_mut(..self.noted).unwrap_or_default();
-        let Some(at) = noted_ns.len().checked_sub(1 + left_out) else {
-            return 0;
-        };
-        *noted_ns.select_nth_unstable(at).1
+        let at = self.noted.checked_sub(1 + left_out);
+        at.and_then(|at| self.sorted_ns.get(at))
+            .map_or(0, |cost_ns| *cost_ns)
+    }
+
+    fn count_below(&self, cost_ns: u64) -> usize {
+        let noted_ns = self.sorted_ns.get(..self.noted).unwrap_or_default();
+        noted_ns.partition_point(|noted_ns| *noted_ns < cost_ns)
     }
 }
 
@@ -276,6 +294,30 @@ mod tests {
             recent.note(20);
         }
         assert_eq!(recent.high_on_core_ns(), 20);
+    }
+
+    #[test]
+    fn the_order_that_is_kept_is_that_of_sorting_anew() {
+        let (mut recent, mut random, mut all_ns) = (RecentCosts::default(), 1_u64, Vec::new());
+        for turn in 0..1000 {
+            random = random.wrapping_mul(0x5851_f42d_4c95_7f2d).wrapping_add(1);
+            // Many are the same.
+            let cost_ns = if turn % 3 == 0 {
+                random >> 61
+            } else {
+                random >> 50
+            };
+            recent.note(cost_ns);
+            all_ns.push(cost_ns);
+            let mut last_ns = all_ns[all_ns.len().saturating_sub(REMEMBERED)..].to_vec();
+            last_ns.sort_unstable();
+            assert_eq!(recent.sorted_ns[..recent.noted], last_ns);
+            let expected_ns = last_ns
+                .len()
+                .checked_sub(1 + STALLS)
+                .map_or(0, |at| last_ns[at]);
+            assert_eq!(recent.high_on_core_ns(), expected_ns);
+        }
     }
 
     #[test]

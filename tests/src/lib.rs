@@ -15,6 +15,7 @@ pub mod system_calls;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -385,6 +386,16 @@ pub fn wait_record(
         }
         assert!(begin.elapsed() < PATIENCE, "no such record");
         std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+/// Tells another thread to end, also when the test fails.
+#[derive(Debug)]
+pub struct EndWhenDropped<'a>(pub &'a AtomicBool);
+
+impl Drop for EndWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
     }
 }
 

@@ -73,13 +73,17 @@ impl DrivenRobot {
         self.send(&measurement);
     }
 
-    /// What it measures now: bends or cables.
+    /// What it measures now.
     pub fn measurement(&mut self, kind: MeasurementKind) -> Measurement {
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),
             kind: kind.code(),
             ..Measurement::default()
         };
+        if kind == MeasurementKind::TipPose {
+            measurement.tip_position_m = self.driver.plant().measure_tip().into();
+            return measurement;
+        }
         let lengths_m = self.driver.plant().measure_cables();
         if kind == MeasurementKind::CableLengths {
             measurement.cable_length_m = lengths_m;

@@ -89,6 +89,13 @@ impl Estimator {
         self.motors.begin();
     }
 
+    /// Begins anew where the measurements alone say that the commands lead, with motors that are still on their way there.
+    pub fn begin_moving(&mut self) {
+        self.estimate = self.measured;
+        self.uncorrected_s = None;
+        self.tip_offset = TipOffset::new();
+    }
+
     /// Where the commands up to now lead the robot.
     pub fn configuration(&self) -> &Configuration {
         &self.estimate

@@ -85,6 +85,18 @@ impl FollowingWatch {
         *self = Self::new(self.rules, self.obeys_positions, at);
     }
 
+    /// The same while the robot is still on its way to `at`: what was commanded within the lag is moved along.
+    pub fn begin_moving(&mut self, at: Configuration) {
+        let from = core::mem::replace(&mut self.commanded, at);
+        for past in &mut self.past {
+            let ends = at.as_slice().iter().zip(from.as_slice());
+            for (past, (to, from)) in past.commanded.as_mut_slice().iter_mut().zip(ends) {
+                *past += to - from;
+            }
+        }
+        self.error = FollowingError::default();
+    }
+
     /// What it checks by.
     pub fn rules(&self) -> &FollowingRules {
         &self.rules

@@ -9,7 +9,12 @@ use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Sh
 use nalgebra::Vector3;
 
 const PERIOD_S: f64 = 0.005;
-const SEEDS: u64 = 3;
+
+/// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
+fn seeds() -> u64 {
+    let set = std::env::var("CDCR_ROBUSTNESS_SEEDS");
+    set.map_or(1, |seeds| seeds.parse().unwrap())
+}
 
 /// The error of the tip in truth, the first second apart.
 #[derive(Debug, Default)]
@@ -37,7 +42,7 @@ fn worst(name: &str, driven: Driven) -> Figures {
     let eight = FigureEight::new().unwrap();
     let mut worst = Figures::default();
     for obeys_positions in [true, false] {
-        for seed in 1..=SEEDS {
+        for seed in 1..=seeds() {
             let driven = Driven {
                 obeys_positions,
                 seed,

@@ -7,13 +7,14 @@
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
 //! in the record, so that the cycle can be computed again.
 
+mod present_clearance;
 mod state;
 mod warm_up;
 
 use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{FollowedReference, GridPoint, ReferenceSample};
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot};
+use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
     ramp_to_zero, safe_command,
@@ -30,6 +31,7 @@ use crate::link::RobotLink;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
+use present_clearance::present_clearance_m;
 use state::RobotState;
 
 /// The controller of one robot, cycle by cycle.
@@ -164,7 +166,7 @@ impl Cycle {
         self.state.move_on(&self.rates, elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_use = self.state.measure_tip(inputs.tip, release.release_ns);
-        self.state.count_straight(elapsed_ns);
+        self.state.locate(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.get(release.cycle);
@@ -172,17 +174,11 @@ impl Cycle {
         let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
         let answers = self.answer(next_request, inputs, &seen);
-        // A robot that is still on its ramp goes on along it first, and motors that lag come to its end.
-        self.control_begins |= was_latched && !self.modes.mode().is_latched();
-        self.control_begins &= matches!(self.modes.mode(), Mode::Holding { .. });
-        if self.control_begins && self.is_at_rest() && self.state.has_arrived() {
-            self.control_begins = false;
-            self.state.take_control();
-        }
+        self.begin_control(was_latched);
 
         let previous_rates = self.rates;
         let configuration = *self.state.configuration();
-        let present = self.state.present();
+        let present = *self.state.present();
         let solve_start_ns = clock.now_ns();
         self.longest_gap_ns = solve_start_ns - release.start_ns;
         let costs = Costs {
@@ -202,7 +198,11 @@ impl Cycle {
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&desired_rates, comes_to_rest);
-        self.clearance_m = self.present_clearance_m(&present, &obstacles, safe.clearance_m);
+        self.clearance_m = if self.policy.reference_lead_ns == 0 {
+            safe.clearance_m
+        } else {
+            present_clearance_m(&self.robot, &present, &obstacles, safe.clearance_m)
+        };
         self.rates = safe.rates;
         self.link
             .command(release.release_ns, &safe.rates, self.state.commanded());
@@ -369,8 +369,9 @@ impl Cycle {
         if self.clearance_m < self.policy.clearance_fault_m {
             return Some(Reason::ClearanceBroken);
         }
-        // A robot that is stopped or faulted may be moved by hand.
-        if self.state.following().is_broken() && !self.modes.mode().is_latched() {
+        // A robot that is stopped or faulted may be moved by hand, until control begins anew.
+        let is_in_control = !self.modes.mode().is_latched() && !self.control_begins;
+        if is_in_control && self.state.following().is_broken() {
             return Some(Reason::FollowingError);
         }
         self.state.place_fault()
@@ -401,6 +402,23 @@ impl Cycle {
             });
         }
         answers
+    }
+
+    /// After a latched mode was left, control begins anew. A robot that is still on its ramp goes on along it first, and motors
+    /// that lag come to its end; unless the robot is asked to move before.
+    fn begin_control(&mut self, was_latched: bool) {
+        let mode = self.modes.mode();
+        self.control_begins = (self.control_begins || was_latched) && !mode.is_latched();
+        if !self.control_begins {
+            return;
+        }
+        if self.is_at_rest() && self.state.has_arrived() {
+            self.control_begins = false;
+            self.state.take_control();
+        } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
+            self.control_begins = false;
+            self.state.take_control_moving();
+        }
     }
 
     /// The rates that the mode wants.
@@ -508,23 +526,6 @@ impl Cycle {
             self.modes.fault(Reason::NonFinite);
         }
         safe
-    }
-
-    /// Clearance of the body where it is; `led_m` where its commands lead it, which is the same without a lead.
-    fn present_clearance_m(
-        &self,
-        present: &Configuration,
-        obstacles: &ObstacleSet,
-        led_m: f64,
-    ) -> f64 {
-        if self.policy.reference_lead_ns == 0 || !led_m.is_finite() {
-            return led_m;
-        }
-        let body = self.robot.body(present);
-        let clearances_m = obstacles
-            .iter()
-            .map(|known| body.clearance_m(&known.obstacle));
-        clearances_m.fold(f64::INFINITY, f64::min)
     }
 
     fn copy_plans(&self, record: &mut CycleRecord) {

@@ -22,6 +22,8 @@ pub(super) struct RobotState {
     policy: Policy,
     period_ns: u64,
     estimator: Estimator,
+    /// Where the robot is now.
+    present: Configuration,
     /// A state, moved by the commanded rates and by nothing else while the robot is in control. A robot that obeys
     /// positions is told it.
     commanded: Configuration,
@@ -61,6 +63,7 @@ impl RobotState {
             policy,
             period_ns,
             estimator,
+            present: initial,
             commanded: initial,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
@@ -82,20 +85,15 @@ impl RobotState {
     }
 
     /// Where it is now: behind that where its motors are behind their commands.
-    pub(super) fn present(&self) -> Configuration {
-        self.estimator.present()
+    pub(super) fn present(&self) -> &Configuration {
+        &self.present
     }
 
     /// Whether its motors have come to where the commands lead them, as far as that is known.
     pub(super) fn has_arrived(&self) -> bool {
-        let present = self.present();
-        let pairs = present
-            .as_slice()
-            .iter()
-            .zip(self.configuration().as_slice());
-        pairs
-            .into_iter()
-            .all(|(here, end)| (end - here).abs() < ARRIVED_RAD)
+        let ends = self.configuration().as_slice();
+        let mut pairs = self.present.as_slice().iter().zip(ends);
+        pairs.all(|(here, end)| (end - here).abs() < ARRIVED_RAD)
     }
 
     /// Where it is commanded to be.
@@ -210,7 +208,7 @@ impl RobotState {
 
     /// Where the tip is.
     pub(super) fn tip(&self) -> Pose {
-        self.tip_at(&self.present())
+        self.tip_at(&self.present)
     }
 
     /// Where the commands up to now lead the tip.
@@ -230,9 +228,22 @@ impl RobotState {
     /// by hand.
     pub(super) fn take_control(&mut self) {
         let here = self.measured.unwrap_or(*self.configuration());
-        self.commanded = here;
         self.following.begin(here);
         self.estimator.begin(here);
+        self.begin_at(here);
+    }
+
+    /// The same while the motors are still on their way: control begins where that leads them from where they were measured.
+    pub(super) fn take_control_moving(&mut self) {
+        self.estimator.begin_moving();
+        let end = *self.configuration();
+        self.following.begin_moving(end);
+        self.begin_at(end);
+    }
+
+    fn begin_at(&mut self, at: Configuration) {
+        self.commanded = at;
+        self.present = self.estimator.present();
         self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
         self.tip_is_wrong = false;
     }
@@ -259,8 +270,10 @@ impl RobotState {
         };
     }
 
-    /// Counts how long the robot has been straight, in time that was seen: a stall on the way through is no rest.
-    pub(super) fn count_straight(&mut self, elapsed_ns: u64) {
+    /// Where the robot is after all that was measured and commanded, and how long it has been straight, in time that was
+    /// seen: a stall on the way through is no rest.
+    pub(super) fn locate(&mut self, elapsed_ns: u64) {
+        self.present = self.estimator.present();
         self.straight_ns = if self.is_within(self.policy.home_tolerance_rad) {
             let seen_ns = elapsed_ns.min(2 * self.period_ns);
             self.straight_ns.saturating_add(seen_ns)
@@ -275,8 +288,7 @@ impl RobotState {
     }
 
     fn is_within(&self, tolerance_rad: f64) -> bool {
-        let present = self.present();
-        let mut bends = present.as_slice().iter();
+        let mut bends = self.present.as_slice().iter();
         bends.all(|bend| bend.abs() < tolerance_rad)
     }
 

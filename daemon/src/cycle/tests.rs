@@ -5,6 +5,7 @@
 )]
 
 mod approach;
+mod lead;
 mod trial;
 
 use std::path::Path;

@@ -12,7 +12,9 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{Command, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, wait_mode, wait_record, wait_until};
+use cdcr_tests::{
+    Daemon, EndWhenDropped, PATIENCE, PATIENT, Place, wait_mode, wait_record, wait_until,
+};
 
 /// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
 const SETTLED_CYCLES: u64 = 100;
@@ -152,15 +154,6 @@ struct RobotThread {
     ending: AtomicBool,
     is_mad: AtomicBool,
     asked: AtomicBool,
-}
-
-/// Ends the robot also when the test fails.
-struct EndWhenDropped<'a>(&'a AtomicBool);
-
-impl Drop for EndWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 /// Turns the robot, from a bend of 1 rad on, and answers how it is bent in truth.

@@ -140,7 +140,7 @@ fn few_moments_stand_still_without_need() {
 fn no_closed_loop_breaks_a_rule() {
     let first = number("CDCR_ORACLE_FIRST", 0);
     let mut account = Account::NEW;
-    for seed in first..first + number("CDCR_ORACLE_LOOPS", 12) {
+    for seed in first..first + number("CDCR_ORACLE_LOOPS", 8) {
         Scene::random(seed).run(&mut account);
     }
     account.check();

@@ -61,6 +61,8 @@ pub(super) struct Trial {
     sent_m: [f64; CABLES_MAX],
     /// Where the tip was at the last release \[m\].
     pub(super) tip_m: Vector3<f64>,
+    /// Its bends there.
+    pub(super) at_release: Configuration,
 }
 
 impl Trial {
@@ -111,7 +113,13 @@ impl Trial {
             target_rad: Vec::new(),
             sent_m,
             tip_m: Vector3::zeros(),
+            at_release: straight,
         }
+    }
+
+    /// The number of the cycle to come.
+    pub(super) fn next(&self) -> u64 {
+        self.next
     }
 
     pub(super) fn ask(&mut self, request: Request) -> CycleRecord {
@@ -209,6 +217,7 @@ impl Trial {
         let before_m = self.sent_m;
         self.plant.advance(MEASURED_BEFORE_NS as f64 * 1e-9);
         self.tip_m = self.plant.tip_m();
+        self.at_release = self.plant.configuration();
         self.sent_m = command.cable_length_m;
         // Evenly to the target, as `cdcr_client::Driver` goes; the last step ends where the next measurement is made.
         for step in 1..=STEPS {

@@ -20,13 +20,13 @@ mod tally;
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::{FeedOptions, Line};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, View};
@@ -128,15 +128,6 @@ fn run(link: &str) {
     assert!(driver.is_none_or(|mut driver| driver.runs()));
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
-}
-
-/// Ends the run also when the director fails.
-struct EndWhenDropped<'a>(&'a AtomicBool);
-
-impl Drop for EndWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 /// A run in which nothing happened proves nothing.

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use cdcr_client::{events, obstacles};
 use cdcr_controller::robot::Robot;
-use cdcr_shared_types::codes::{Mode, Outcome, Reason, guard};
+use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, guard};
 use cdcr_shared_types::{Command, Telemetry};
 
 use crate::chaos::modes::{ModeWatch, place};
@@ -31,6 +31,8 @@ pub(crate) struct Seen {
     pub(crate) limited: BTreeMap<&'static str, u64>,
     /// Records of tracking cycles whose robot moved.
     pub(crate) tracked_moving: u64,
+    /// Records in which a tip beside bends or cables was believed.
+    pub(crate) with_tip_beside: u64,
     /// Input messages by what became of them.
     pub(crate) outcomes: BTreeMap<&'static str, u64>,
     /// Faults that began in a record, and that the daemon counts.
@@ -174,6 +176,8 @@ impl Records {
             .iter()
             .any(|rate| *rate != 0.0);
         seen.tracked_moving += u64::from(mode == Mode::Tracking && moves);
+        let tip_is_used = record.tip_state == MeasurementState::Used.code();
+        seen.with_tip_beside += u64::from(tip_is_used);
         for (name, _) in guard::set(record.guard_flags) {
             *seen.limited.entry(name).or_default() += 1;
         }

@@ -3,6 +3,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use cdcr_client::{
@@ -10,17 +11,21 @@ use cdcr_client::{
 };
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
 use cdcr_daemon::convert;
-use cdcr_shared_types::codes::{ChunkMode, EventKind, Interface, Mode, ObstacleShape, Outcome};
+use cdcr_shared_types::codes::{
+    ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome,
+};
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
 use nalgebra::Vector3;
 
-use cdcr_tests::record::{configuration_of, obstacles_of, robot_of};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT};
+use cdcr_tests::record::{configuration_of, largest, obstacles_of, robot_of};
+use cdcr_tests::robot::DrivenRobot;
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, wait_mode};
 
 /// The events of a recording by the gather that they took effect with, in order.
 fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
@@ -187,7 +192,11 @@ struct Recording {
 impl Recording {
     /// A daemon with this configuration that tracks `curve` past `known`.
     fn make(configuration: &str, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
-        let daemon = Daemon::start(configuration);
+        Self::of(&Daemon::start(configuration), known, curve)
+    }
+
+    /// This daemon tracks `curve` past `known`.
+    fn of(daemon: &Daemon, known: &[cdcr_shared_types::Obstacle], curve: &dyn Curve) -> Self {
         let connection = daemon.connect();
         let mut telemetry = connection.telemetry().unwrap();
         let sender = connection.obstacle_sender().unwrap();
@@ -322,5 +331,40 @@ fn cycles_of_a_robot_whose_motors_lag_are_computed_again_bit_for_bit() {
     assert!(recording.records.iter().any(is_led));
     let is_approached = |record: &Telemetry| record.approach.duration_ns > 0;
     assert!(recording.records.iter().any(is_approached));
+    recording.replay();
+}
+
+/// A robot that is longer than its model, and measures its tip beside its cables.
+#[test]
+fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bit() {
+    let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    let ends = AtomicBool::new(false);
+    let drive = || {
+        let longer = Flaws {
+            length_error: 0.03,
+            ..Preset::Laboratory.flaws()
+        };
+        let connection = daemon.connect();
+        let mut robot =
+            DrivenRobot::with_flaws(&connection, Interface::Velocity, [0.0; 12], longer);
+        while !ends.load(Ordering::Relaxed) {
+            robot.follow();
+            robot.measure(MeasurementKind::CableLengths);
+            robot.measure(MeasurementKind::TipPose);
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    };
+    let recording = std::thread::scope(|scope| {
+        let _ends = EndWhenDropped(&ends);
+        scope.spawn(drive);
+        let connection = daemon.connect();
+        wait_mode(&mut connection.telemetry().unwrap(), Mode::Holding);
+        Recording::of(&daemon, &[], &spiral())
+    });
+    let is_beside =
+        |record: &&Telemetry| record.plan_length > 0 && largest(&record.tip_offset_m) > 1e-3;
+    let beside = recording.records.iter().filter(is_beside).count();
+    assert!(beside > 50, "{beside} of {}", recording.records.len());
     recording.replay();
 }

@@ -30,6 +30,8 @@ pub(super) struct Driver {
     robot: Robot,
     interface: Interface,
     kind: MeasurementKind,
+    /// It measures the tip, too.
+    has_tip_sensor: bool,
     preset: Preset,
     plant: MisbehavingRobot,
     command: Option<Command>,
@@ -51,6 +53,7 @@ impl Driver {
         Self {
             plant: bent(dice, robot, preset),
             kind: dice.pick(&kinds),
+            has_tip_sensor: dice.chance(50),
             robot: robot.clone(),
             interface,
             preset,
@@ -92,6 +95,18 @@ impl Driver {
         };
         self.last = self.measure(now_ns);
         self.under_way.push_back((now_ns + delay_ns, self.last));
+        if self.has_tip_beside() {
+            let tip = Measurement {
+                kind: MeasurementKind::TipPose.code(),
+                ..self.last
+            };
+            self.under_way.push_back((now_ns + delay_ns, tip));
+        }
+    }
+
+    /// Whether it measures the tip beside bends or cables.
+    pub(super) fn has_tip_beside(&self) -> bool {
+        self.has_tip_sensor && self.kind != MeasurementKind::TipPose
     }
 
     fn measure(&mut self, now_ns: u64) -> Measurement {

@@ -22,6 +22,7 @@ const CYCLES: u32 = 300;
 struct Sum {
     records: u64,
     tracked_moving: u64,
+    with_tip_beside: u64,
     with_obstacles: u64,
     guarded: u64,
     skipped_periods: u64,
@@ -34,6 +35,7 @@ impl Sum {
     fn add(&mut self, seen: Seen) {
         self.records += seen.records;
         self.tracked_moving += seen.tracked_moving;
+        self.with_tip_beside += seen.with_tip_beside;
         self.with_obstacles += seen.with_obstacles;
         self.guarded += seen.guarded;
         self.skipped_periods += seen.skipped_periods;
@@ -80,6 +82,7 @@ impl Sum {
             assert!(changes.any(|change| change.ends_with(&because)), "{reason}");
         }
         assert!(self.tracked_moving > self.records / 50);
+        assert!(self.with_tip_beside > self.records / 10);
         assert!(self.with_obstacles > self.records / 5);
         assert!(self.guarded > 0 && self.skipped_periods > 0);
     }

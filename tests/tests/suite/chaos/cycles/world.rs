@@ -16,7 +16,7 @@ use cdcr_daemon::link::RobotLink;
 use cdcr_daemon::obstacles::ObstacleSet;
 use cdcr_daemon::rt::clock::Clock;
 use cdcr_daemon::rt::schedule::Release;
-use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, RequestKind};
+use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Header, InputEvent, Telemetry};
 use nalgebra::Vector3;
 
@@ -204,18 +204,20 @@ impl World {
         let gather_ns = release_ns - LEAD_NS;
         self.inputs.gather += 1;
         self.inputs.gather_ns = gather_ns;
+        let has_tip_beside = self.driver.has_tip_beside();
         for message in self.driver.arrived(gather_ns) {
             let taken = convert::measurement(&message, &self.robot, self.interface, gather_ns);
-            let is_newer = |measured_ns| {
-                self.inputs
-                    .measurement
-                    .is_none_or(|newest| newest.measured_ns < measured_ns)
+            let is_tip = message.kind == MeasurementKind::TipPose.code();
+            let newest = if is_tip && has_tip_beside {
+                &mut self.inputs.tip
+            } else {
+                &mut self.inputs.measurement
             };
             if let Ok(timed) = taken
                 && gather_ns - timed.measured_ns <= self.timeout_ns
-                && is_newer(timed.measured_ns)
+                && newest.is_none_or(|newest| newest.measured_ns < timed.measured_ns)
             {
-                self.inputs.measurement = Some(timed);
+                *newest = Some(timed);
             }
         }
         self.inputs.obstacles.expire(gather_ns);

@@ -1,0 +1,20 @@
+use cdcr_controller::robot::{Configuration, Robot};
+
+use crate::obstacles::ObstacleSet;
+
+/// Clearance \[m\] of the body where it is; `led_m` is that where its commands lead it, infinite where there is no obstacle.
+pub(super) fn present_clearance_m(
+    robot: &Robot,
+    present: &Configuration,
+    obstacles: &ObstacleSet,
+    led_m: f64,
+) -> f64 {
+    if !led_m.is_finite() {
+        return led_m;
+    }
+    let body = robot.body(present);
+    let clearances_m = obstacles
+        .iter()
+        .map(|known| body.clearance_m(&known.obstacle));
+    clearances_m.fold(f64::INFINITY, f64::min)
+}

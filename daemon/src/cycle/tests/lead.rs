@@ -1,0 +1,162 @@
+//! Cycles of a robot whose motors are known to be behind their commands.
+
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::Flaws;
+use cdcr_controller::robot::{Obstacle, Shape};
+use cdcr_controller::safety::Request;
+use nalgebra::Vector3;
+
+use super::super::*;
+use super::is_at_rest;
+use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::obstacles::KnownObstacle;
+
+const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
+
+/// Motors 0.15 s behind, and as much of it as the configuration knows.
+fn lagging(interface: Interface, known: &str) -> Trial {
+    let flaws = Flaws {
+        actuator: Actuator {
+            delay_s: 0.05,
+            time_constant_s: 0.1,
+        },
+        // Bits of noise, or the measurement of a robot that stands would be frozen.
+        noise_m: 1e-9,
+        ..Flaws::default()
+    };
+    Trial::with(interface, flaws, known)
+}
+
+const KNOWN: &str = "[actuator]\ndelay_ms = 50.0\ntime_constant_ms = 100.0\n";
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |most, value| value.abs().max(most))
+}
+
+fn turns_until_latched(trial: &mut Trial) -> CycleRecord {
+    loop {
+        let record = trial.turn();
+        if record.mode.is_latched() {
+            return record;
+        }
+        assert!(record.release.cycle < 5000);
+    }
+}
+
+/// Somebody holds the robot, resets and lets it track before the motors would have come to the end of their way: control begins
+/// where the robot is, not where it was commanded to be.
+#[test]
+fn track_directly_after_a_reset_begins_where_the_robot_is() {
+    for interface in INTERFACES {
+        let mut trial = lagging(interface, KNOWN);
+        trial.stands = true;
+        trial.turns(3);
+        trial.begin_tracking();
+        let faulted = turns_until_latched(&mut trial);
+        assert_eq!(faulted.mode.reason(), Reason::FollowingError);
+        if interface == Interface::Position {
+            assert!(largest(faulted.commanded.as_slice()) > 0.3);
+        }
+        let rest = trial.turns(60);
+        let ends = rest.present.as_slice().iter();
+        let mut ways = ends.zip(rest.configuration.as_slice());
+        assert!(is_at_rest(&rest) && ways.any(|(here, end)| (end - here).abs() > 2e-3));
+        let reset = trial.ask(Request::Reset);
+        assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
+        trial.stands = false;
+        trial.begin_tracking();
+        let begun = trial.turn();
+        let pairs = begun.commanded.as_slice().iter();
+        let ends = pairs.zip(begun.configuration.as_slice());
+        let apart: Vec<_> = ends.map(|(commanded, end)| commanded - end).collect();
+        assert!(largest(&apart) < 0.05, "{interface:?}: {apart:?}");
+        for _ in 0..600 {
+            let record = trial.turn();
+            let mode = record.mode;
+            assert!(matches!(mode, Mode::Tracking { .. }), "{mode:?}");
+        }
+        let record = trial.turn();
+        let error_m = (trial.tip_m - record.reference.position_m).norm();
+        assert!(error_m < 0.01, "{interface:?}: {error_m} m");
+    }
+}
+
+/// What is known of the lag is no following error; what is not known is one.
+#[test]
+fn a_known_lag_is_no_following_error_and_an_unknown_one_is() {
+    const SHORT: &str = "[safety]\nfollowing_lag_ms = 10.0\n";
+    for interface in INTERFACES {
+        let errors_rad = ["", KNOWN].map(|known| {
+            let mut trial = lagging(interface, &format!("{known}{SHORT}"));
+            trial.turns(3);
+            trial.begin_tracking();
+            let following = (0..1500).map(|_| trial.turn().following.largest_rad());
+            following.fold(0.0, f64::max)
+        });
+        println!("{interface:?}: {errors_rad:?}");
+        let rules = Trial::new(interface).turn().policy.following;
+        assert!(errors_rad[1] < rules.warning_rad, "{errors_rad:?}");
+        assert!(errors_rad[0] > rules.warning_rad, "{errors_rad:?}");
+        // And one that stands is found all the same.
+        let mut trial = lagging(interface, &format!("{KNOWN}{SHORT}"));
+        trial.turns(3);
+        trial.begin_tracking();
+        trial.turns(400);
+        trial.stands = true;
+        let mode = turns_until_latched(&mut trial).mode;
+        assert_eq!(mode.reason(), Reason::FollowingError, "{interface:?}");
+    }
+}
+
+/// A ball runs into the tracking robot: its clearance is that of the body where the robot and the ball are in truth, 0.15 s before
+/// where the guard compares them, and contact is a fault in that cycle.
+#[test]
+fn contact_is_a_fault_where_robot_and_obstacle_are() {
+    const SPEED_M_S: f64 = 0.4;
+    // As wide as the circle: it cannot miss the robot.
+    const RADIUS_M: f64 = 0.25;
+    for interface in INTERFACES {
+        // The solver sees no obstacle: it would go out of the way.
+        let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
+        let mut trial = lagging(interface, &format!("{KNOWN}{blind}"));
+        trial.turns(3);
+        trial.begin_tracking();
+        trial.turns(600);
+        let centre_m = Vector3::new(0.0, 0.0, trial.tip_m.z + RADIUS_M + 0.3);
+        let shape = Shape::Sphere { centre_m };
+        let down_m_s = Vector3::new(0.0, 0.0, -SPEED_M_S);
+        let ball = Obstacle::new(shape, RADIUS_M, down_m_s).unwrap();
+        let placed_ns = BEGIN_NS + trial.next() * PERIOD_NS;
+        let known = KnownObstacle {
+            id: 1,
+            source: 1,
+            obstacle: ball,
+            measured_ns: placed_ns,
+            expires_ns: None,
+        };
+        trial.inputs.obstacles.upsert(known).unwrap();
+        let robot = trial.plant.truth().clone();
+        let (mut farthest_off_m, mut led_off_m) = (0.0_f64, 0.0_f64);
+        let mut broken = false;
+        loop {
+            let record = trial.turn();
+            // A fault follows in the cycle after the one that finds it.
+            assert_eq!(record.mode.is_latched(), broken, "{:?}", record.mode);
+            if broken {
+                assert_eq!(record.mode.reason(), Reason::ClearanceBroken);
+                break;
+            }
+            let passed_s = (record.release.release_ns - placed_ns) as f64 * 1e-9;
+            let true_m = robot.clearance_m(&trial.at_release, &ball.moved(passed_s));
+            farthest_off_m = farthest_off_m.max((record.clearance_m - true_m).abs());
+            let led = ball.moved(passed_s + 0.15);
+            let led_m = robot.clearance_m(&record.configuration, &led);
+            led_off_m = led_off_m.max((led_m - true_m).abs());
+            broken = record.clearance_m < record.policy.clearance_fault_m;
+            assert!(passed_s < 2.0, "{} m", record.clearance_m);
+        }
+        println!("{interface:?}: {farthest_off_m} m, led {led_off_m} m");
+        assert!(farthest_off_m < 1e-3, "{interface:?}: {farthest_off_m} m");
+        assert!(led_off_m > 0.05, "{interface:?}: {led_off_m} m");
+    }
+}
