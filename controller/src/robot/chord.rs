@@ -18,6 +18,10 @@ const TOUCHING_M2: f64 = 1e-20;
 
 /// The chord of an arc, and what the arc leaves it by.
 #[derive(Debug, Clone, Copy, PartialEq)]
+#[allow(
+    clippy::struct_field_names,
+    reason = "the unit ends the name, and all are lengths"
+)]
 pub(super) struct Chord {
     start_m: Vector3<f64>,
     span_m: Vector3<f64>,
