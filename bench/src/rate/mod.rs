@@ -343,9 +343,12 @@ mod tests {
         for failing in [Verdict::Machine, Verdict::Own, Verdict::Slow] {
             for holding in 0..=PERIODS_MS.len() {
                 for guess in 0..PERIODS_MS.len() {
-                    let verdict = |index, _| match index < holding {
-                        true => Verdict::Holds,
-                        false => failing,
+                    let verdict = |index, _| {
+                        if index < holding {
+                            Verdict::Holds
+                        } else {
+                            failing
+                        }
                     };
                     let (found, trials) = search(guess, verdict);
                     let tallied =
@@ -371,9 +374,12 @@ mod tests {
     #[test]
     fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
         for spoilt in 0..Verdict::Machine.trials() {
-            let (found, trials) = search(2, |_, count| match count > spoilt {
-                true => Verdict::Holds,
-                false => Verdict::Machine,
+            let (found, trials) = search(2, |_, count| {
+                if count > spoilt {
+                    Verdict::Holds
+                } else {
+                    Verdict::Machine
+                }
             });
             let held = found.held.unwrap();
             assert_eq!(Some(&held.period_ms), PERIODS_MS.last());
