@@ -71,7 +71,7 @@ fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Re
     loop {
         match place.look() {
             Found::Whole => {}
-            Found::Mended => tracing::warn!("recreated the lock file: it had been deleted"),
+            Found::Restored => tracing::warn!("recreated the lock file: it had been deleted"),
             // At the end the services go with their ports.
             Found::Lost { .. } if shared.is_ending() => return,
             Found::Lost { path } => {

@@ -1,52 +1,21 @@
 //! The core of the real-time threads: whom it is kept from, with whom it shares, how fast it wakes up.
 
-use super::{Check, Concern, CoreSet, Judgement, Scene, Unreadable};
+use super::{CoreSet, Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "cores",
-        title: "number of cores",
-        why: "On a single core everything else runs between the cycles, on what they leave.",
-        concern: Concern::RealTime,
-        judge: count,
-    },
-    Check {
-        key: "isolation",
-        title: "isolated core",
-        why: "The system puts ordinary threads on every core that is not isolated.",
-        concern: Concern::RealTime,
-        judge: isolation,
-    },
-    Check {
-        key: "tick",
-        title: "timer tick",
-        why: "The tick and deferred work of the kernel cost every core microseconds, hundreds of times a \
-              second.",
-        concern: Concern::RealTime,
-        judge: tick,
-    },
-    Check {
-        key: "siblings",
-        title: "hyper-threads",
-        why: "Two threads on one physical core slow each other down to about half.",
-        concern: Concern::RealTime,
-        judge: siblings,
-    },
-    Check {
-        key: "governor",
-        title: "frequency governor",
-        why: "A governor that saves power slows the core down between cycles, and a solve then takes longer.",
-        concern: Concern::RealTime,
-        judge: governor,
-    },
-    Check {
-        key: "deep_sleep",
-        title: "deep sleep",
-        why: "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.",
-        concern: Concern::RealTime,
-        judge: deep_sleep,
-    },
-];
+checks! {
+    RealTime cores, "number of cores",
+        "On a single core everything else runs between the cycles, on what they leave.";
+    RealTime isolation, "isolated core",
+        "The system puts ordinary threads on every core that is not isolated.";
+    RealTime tick, "timer tick",
+        "The tick and deferred work of the kernel cost every core microseconds, hundreds of times a second.";
+    RealTime siblings, "hyper-threads",
+        "Two threads on one physical core slow each other down to about half.";
+    RealTime governor, "frequency governor",
+        "A governor that saves power slows the core down between cycles, and a solve then takes longer.";
+    RealTime deep_sleep, "deep sleep",
+        "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.";
+}
 
 /// From this period on, the tick is small beside the period.
 const PERIOD_MS_TICK: f64 = 1.0;
@@ -55,7 +24,7 @@ pub(super) const SIBLING_SHARE: f64 = 0.05;
 /// A sleep with a shorter way out is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
-fn count(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn cores(scene: &Scene) -> Result<Judgement, Unreadable> {
     let online = scene.system.online()?;
     let allowed = CoreSet::parse(&scene.system.own_status("Cpus_allowed_list")?);
     let value = format!("{} online, {} allowed", online.count(), allowed.count());

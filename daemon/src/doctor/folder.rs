@@ -5,15 +5,12 @@ use std::path::Path;
 
 use rustix::fs::{Access, access};
 
-use super::{Check, Concern, Judgement, Scene, Unreadable};
+use super::{Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[Check {
-    key: "root_folder",
-    title: "root folder",
-    why: "Whoever may write here can disturb the robot; where the daemon may not, it does not start.",
-    concern: Concern::Always,
-    judge: root_folder,
-}];
+checks! {
+    Always root_folder, "root folder",
+        "Whoever may write here can disturb the robot; where the daemon may not, it does not start.";
+}
 
 const IN_MEMORY: &str =
     "choose a folder in memory (tmpfs), below /dev/shm or /run: --root DIR, or transport.root";

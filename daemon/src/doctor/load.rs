@@ -1,45 +1,20 @@
 //! Who else uses the core.
 
 use super::sample::{Load, Thread};
-use super::{Check, Concern, CoreSet, Judgement, Scene, Unreadable};
+use super::{CoreSet, Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "steal",
-        title: "stolen time",
-        why: "While the hypervisor lets another machine run on this core, no priority helps.",
-        concern: Concern::RealTime,
-        judge: steal,
-    },
-    Check {
-        key: "neighbours",
-        title: "threads on the core",
-        why: "Others on the core empty its caches, and keep the kernel busy there when the cycle is due.",
-        concern: Concern::RealTime,
-        judge: neighbours,
-    },
-    Check {
-        key: "realtime_neighbours",
-        title: "real-time threads",
-        why: "A real-time thread of the same or a higher priority goes before the loop.",
-        concern: Concern::RealTime,
-        judge: realtime_neighbours,
-    },
-    Check {
-        key: "interrupts",
-        title: "interrupts",
-        why: "Each interrupt on the core goes before the cycle, whatever its priority.",
-        concern: Concern::RealTime,
-        judge: interrupts,
-    },
-    Check {
-        key: "irqbalance",
-        title: "irqbalance",
-        why: "It moves interrupts to this core when others are busier.",
-        concern: Concern::RealTime,
-        judge: irqbalance,
-    },
-];
+checks! {
+    RealTime steal, "stolen time",
+        "While the hypervisor lets another machine run on this core, no priority helps.";
+    RealTime neighbours, "threads on the core",
+        "Others on the core empty its caches, and keep the kernel busy there when the cycle is due.";
+    RealTime realtime_neighbours, "real-time threads",
+        "A real-time thread of the same or a higher priority goes before the loop.";
+    RealTime interrupts, "interrupts",
+        "Each interrupt on the core goes before the cycle, whatever its priority.";
+    RealTime irqbalance, "irqbalance",
+        "It moves interrupts to this core when others are busier.";
+}
 
 /// A smaller stolen share is a matter of how time is counted.
 const STEAL_SHARE: f64 = 0.01;

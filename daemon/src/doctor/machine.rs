@@ -1,23 +1,13 @@
 //! What kind of machine this is.
 
-use super::{Check, Concern, Judgement, Scene, Unreadable};
+use super::{Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "clock_source",
-        title: "clock source",
-        why: "The loop reads the clock thousands of times a second; the slow ones cost microseconds each time.",
-        concern: Concern::RealTime,
-        judge: clock_source,
-    },
-    Check {
-        key: "virtual_machine",
-        title: "virtual machine",
-        why: "A hypervisor may halt a core for milliseconds at any time, and nothing inside can prevent it.",
-        concern: Concern::RealTime,
-        judge: virtual_machine,
-    },
-];
+checks! {
+    RealTime clock_source, "clock source",
+        "The loop reads the clock thousands of times a second; the slow ones cost microseconds each time.";
+    RealTime virtual_machine, "virtual machine",
+        "A hypervisor may halt a core for milliseconds at any time, and nothing inside can prevent it.";
+}
 
 /// Clocks that are read without a system call.
 const FAST: [&str; 9] = [

@@ -3,33 +3,17 @@
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::system::chosen_of;
-use super::{Check, Concern, Judgement, Scene, Unreadable};
+use super::{Judgement, Scene, Unreadable};
 use crate::services::daemon_bytes;
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "shared_memory",
-        title: "shared memory",
-        why: "The daemon and its clients meet in files in the root folder; when its memory is full, nobody can connect.",
-        concern: Concern::Always,
-        judge: shared_memory,
-    },
-    Check {
-        key: "huge_pages",
-        title: "transparent huge pages",
-        why: "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; \
-              hence the daemon exempts itself.",
-        concern: Concern::RealTime,
-        judge: huge_pages,
-    },
-    Check {
-        key: "swap",
-        title: "swap",
-        why: "Memory that is not locked may be on a disk when the cycle needs it.",
-        concern: Concern::RealTime,
-        judge: swap,
-    },
-];
+checks! {
+    Always shared_memory, "shared memory",
+        "The daemon and its clients meet in files in the root folder; when its memory is full, nobody can connect.";
+    RealTime huge_pages, "transparent huge pages",
+        "To make huge pages, the kernel moves the memory of a running process, which waits meanwhile; hence the daemon exempts itself.";
+    RealTime swap, "swap",
+        "Memory that is not locked may be on a disk when the cycle needs it.";
+}
 
 /// What one client and one driver add that write everything they can \[bytes\].
 const fn client_bytes() -> u64 {

@@ -7,6 +7,19 @@
 //!
 //! Where the configuration asks for no real time, what matters only to real time is shown and judged good.
 
+/// The checks of a file: whom each concerns, the function that judges it (its name is the key), title, and why it matters.
+macro_rules! checks {
+    ($($concern:ident $judge:ident, $title:literal, $why:literal;)+) => {
+        pub(super) const CHECKS: &[super::Check] = &[$(super::Check {
+            key: stringify!($judge),
+            title: $title,
+            why: $why,
+            concern: super::Concern::$concern,
+            judge: $judge,
+        }),+];
+    };
+}
+
 mod core_choice;
 mod core_set;
 mod cores;

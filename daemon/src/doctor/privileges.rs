@@ -1,30 +1,15 @@
 //! Privileges: priority, core, locked memory.
 
-use super::{Check, Concern, Judgement, Scene, Unreadable};
+use super::{Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "fifo",
-        title: "SCHED_FIFO",
-        why: "Without a real-time priority every other program may keep the cycle waiting for many periods.",
-        concern: Concern::RealTime,
-        judge: fifo,
-    },
-    Check {
-        key: "pin",
-        title: "pinned to a core",
-        why: "A thread that moves between cores meets cold caches and whoever is there.",
-        concern: Concern::RealTime,
-        judge: pin,
-    },
-    Check {
-        key: "memory_lock",
-        title: "locked memory",
-        why: "A page that was given away must be fetched again in the middle of a cycle.",
-        concern: Concern::RealTime,
-        judge: memory_lock,
-    },
-];
+checks! {
+    RealTime fifo, "SCHED_FIFO",
+        "Without a real-time priority every other program may keep the cycle waiting for many periods.";
+    RealTime pin, "pinned to a core",
+        "A thread that moves between cores meets cold caches and whoever is there.";
+    RealTime memory_lock, "locked memory",
+        "A page that was given away must be fetched again in the middle of a cycle.";
+}
 
 /// A daemon had 179 to 215 MB locked; each client that connects adds what it shares.
 const LOCKED_BYTES: u64 = 512 << 20;

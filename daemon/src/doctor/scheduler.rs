@@ -4,7 +4,7 @@ use crate::core_budget::{Costs, KERNEL_SHARE};
 
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
-use super::{Check, Concern, Judgement, Scene, System, Unreadable};
+use super::{Judgement, Scene, System, Unreadable};
 
 /// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
 pub(super) const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
@@ -24,30 +24,14 @@ pub fn kernel_share(system: &System) -> Result<f64, Unreadable> {
     })
 }
 
-pub(super) const CHECKS: &[Check] = &[
-    Check {
-        key: "preemption",
-        title: "pre-emption model",
-        why: "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.",
-        concern: Concern::RealTime,
-        judge: preemption,
-    },
-    Check {
-        key: "rt_throttling",
-        title: "RT throttling",
-        why: "The kernel halts real-time threads beyond their share of a second; without a limit a hung one \
-              keeps its core for ever.",
-        concern: Concern::RealTime,
-        judge: throttling,
-    },
-    Check {
-        key: "rt_group",
-        title: "RT group",
-        why: "In a control group without real-time runtime, SCHED_FIFO is refused even to root.",
-        concern: Concern::RealTime,
-        judge: group,
-    },
-];
+checks! {
+    RealTime preemption, "pre-emption model",
+        "Where the kernel does not let itself be interrupted, the cycle waits until it has finished.";
+    RealTime rt_throttling, "RT throttling",
+        "The kernel halts real-time threads beyond their share of a second; without a limit a hung one keeps its core for ever.";
+    RealTime rt_group, "RT group",
+        "In a control group without real-time runtime, SCHED_FIFO is refused even to root.";
+}
 
 /// From this period on, a kernel that can be interrupted everywhere is good enough without `PREEMPT_RT`.
 const PERIOD_MS_FULL: f64 = 1.0;
@@ -112,7 +96,7 @@ fn of_model(scene: &Scene, model: &str, value: &str) -> Judgement {
     )
 }
 
-fn throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn rt_throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
     let share = kernel_share(&scene.system)?;
     if scene.system.number(RT_RUNTIME_US)? < 0 {
         return Ok(Judgement::warning(
@@ -137,7 +121,7 @@ fn throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
     })
 }
 
-fn group(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn rt_group(scene: &Scene) -> Result<Judgement, Unreadable> {
     if let Some((file, runtime_us)) = group_runtime_us(scene)? {
         return Ok(if runtime_us == 0 {
             scene.plan.missing(

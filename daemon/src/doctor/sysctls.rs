@@ -1,14 +1,11 @@
 //! Settings of the running kernel that let it disturb a core or memory in use.
 
-use super::{Check, Concern, CoreSet, Judgement, Scene, Unreadable};
+use super::{CoreSet, Judgement, Scene, Unreadable};
 
-pub(super) const CHECKS: &[Check] = &[Check {
-    key: "sysctls",
-    title: "kernel settings",
-    why: "Some work that the kernel does by default moves memory in use, or comes onto a core that should be quiet.",
-    concern: Concern::RealTime,
-    judge: sysctls,
-}];
+checks! {
+    RealTime sysctls, "kernel settings",
+        "Some work that the kernel does by default moves memory in use, or comes onto a core that should be quiet.";
+}
 
 /// When a setting matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

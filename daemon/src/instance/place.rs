@@ -31,7 +31,7 @@ pub(crate) enum Found {
     /// All is there.
     Whole,
     /// The lock file was missing and has been made again.
-    Mended,
+    Restored,
     /// Clients cannot find this daemon any more, and it cannot change that.
     Lost {
         /// What is missing or is another one.
@@ -82,9 +82,9 @@ impl PlaceWatch {
     /// Closes the folder again where somebody opened it: nothing else keeps others from the files in it.
     fn look_at_access(&self) {
         if !acl::is_for(&self.root, self.group_id) {
-            let mended = acl::set_for(&self.root, self.group_id);
+            let restored = acl::set_for(&self.root, self.group_id);
             tracing::warn!(
-                ?mended,
+                ?restored,
                 "restored the permissions of the root folder: its mode or its access control list had been changed"
             );
         }
@@ -107,7 +107,7 @@ impl PlaceWatch {
         match made {
             Ok(file) => {
                 *held = file;
-                Found::Mended
+                Found::Restored
             }
             Err(_) => Found::Lost { path },
         }
