@@ -1,5 +1,6 @@
 //! The tables of `docs/results.md` are those of the committed results; `CDCR_GENERATE=1` writes them.
 
+use std::fmt::Write as _;
 use std::path::Path;
 
 use cdcr_bench::dataset::Sheet;
@@ -37,7 +38,7 @@ fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
         let json = std::fs::read_to_string(docs.join(file)).expect(file);
         let table = table(file, &serde_json::from_str(&json).expect("one object"));
         let (begin, end) = MARKS;
-        made += &format!("{begin}{file} -->\n{}{end}{rest}", table.markdown());
+        write!(made, "{begin}{file} -->\n{}{end}{rest}", table.markdown()).expect("a string grows");
     }
     assert!(
         made.contains("| 30 µm of noise |"),

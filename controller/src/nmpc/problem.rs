@@ -329,12 +329,9 @@ impl Problem for TrackingProblem<'_> {
         z: impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<W>> {
+        let free = !self.limits.matter() && !self.obstacles.matter();
         match self.motion.coordinates() {
-            // Only in a release: for `dev` it would be compiled four times more.
-            #[cfg(not(debug_assertions))]
-            Coordinates::BendVector if !self.limits.matter() && !self.obstacles.matter() => {
-                self.evaluate_in::<W, VECTORS, true>(&z, budget)
-            }
+            Coordinates::BendVector if free => self.evaluate_in::<W, VECTORS, true>(&z, budget),
             Coordinates::BendVector => self.evaluate_in::<W, VECTORS, false>(&z, budget),
             Coordinates::BendAngles => self.evaluate_in::<W, ANGLES, false>(&z, budget),
         }

@@ -119,12 +119,9 @@ fn an_obstacle_at_the_centre_of_the_circle_still_has_a_nearest_point_on_the_arc(
         for phi in [0.0, 0.7, -2.0] {
             let shape = bent(theta, phi);
             let centre_m = Vector3::new(phi.cos(), phi.sin(), 0.0) * (0.3 / theta);
-            for i in 0..5 {
-                let (sin, cos) = (TAU * f64::from(i) / 5.0).sin_cos();
+            for i in 0..12 {
+                let (sin, cos) = (TAU * f64::from(i) / 12.0).sin_cos();
                 for size in [0.0, 1e-17, 1e-16, 1e-15, 1e-12] {
-                    if size == 0.0 && i > 0 {
-                        continue; // Without a size, a direction is none.
-                    }
                     let off_m = Vector3::new(cos * phi.cos(), cos * phi.sin(), sin) * size;
                     let ball = sphere(centre_m + off_m, 0.0);
                     check_against_oracle(&robot, &shape, &ball);
