@@ -51,6 +51,7 @@ pub mod hlog;
 pub mod latency;
 pub mod metric;
 mod named;
+mod numbers;
 pub mod paper;
 pub mod plots;
 pub mod progress;

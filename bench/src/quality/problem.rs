@@ -11,6 +11,7 @@ use nalgebra::Vector3;
 
 use crate::experiment::Solver;
 use crate::named::named;
+use crate::numbers::Numbers;
 
 /// A long step, so that the horizon reaches to the target \[s\]. The tip makes 40 mm in it, and no obstacle
 /// is so thin that it could be passed between two steps.
@@ -84,28 +85,14 @@ impl Way {
     }
 }
 
-pub(super) struct Numbers {
-    seed: u64,
-    drawn: u64,
-}
-
-impl Numbers {
-    pub(super) fn new(seed: u64) -> Self {
-        Self { seed, drawn: 0 }
-    }
-
-    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
-        const BITS: u32 = 53;
-        self.drawn += 1;
-        let bits = cycle_seed(self.seed, self.drawn) >> (u64::BITS - BITS);
-        low + (high - low) * bits as f64 / (1_u64 << BITS) as f64
-    }
-
-    fn shape(&mut self) -> Configuration {
-        let bends_rad: [[f64; 2]; SECTIONS] =
-            [(); SECTIONS].map(|()| [self.between(0.0, BEND_MAX_RAD), self.between(0.0, TAU)]);
-        Configuration::from_bend_angles(&bends_rad)
-    }
+fn shape(numbers: &mut Numbers) -> Configuration {
+    let bend_rad = |_| {
+        [
+            numbers.between(0.0, BEND_MAX_RAD),
+            numbers.between(0.0, TAU),
+        ]
+    };
+    Configuration::from_bend_angles(&[(); SECTIONS].map(bend_rad))
 }
 
 /// A shape at rest, a target for its tip that it can reach, and what stands around. Both are clear.
@@ -122,7 +109,7 @@ impl Problem {
     pub(super) fn draw(field: Field, robot: &Robot, seed: u64) -> Result<Self> {
         let mut numbers = Numbers::new(cycle_seed(seed, field as u64));
         for _ in 0..DRAWS_MAX {
-            let (start, end) = (numbers.shape(), numbers.shape());
+            let (start, end) = (shape(&mut numbers), shape(&mut numbers));
             let way = Way {
                 from_m: robot.tip_pose(&start).position_m,
                 to_m: robot.tip_pose(&end).position_m,

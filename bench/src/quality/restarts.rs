@@ -8,9 +8,10 @@ use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::{Robot, RobotParameters};
 use serde::Serialize;
 
-use super::problem::{Field, Numbers, PERIOD_S, Problem, SECTIONS, settings};
+use super::problem::{Field, PERIOD_S, Problem, SECTIONS, settings};
 use crate::experiment::Solver;
 use crate::named::named;
+use crate::numbers::Numbers;
 
 /// More than this share above the best cost is stuck.
 pub const STUCK_SHARE: f64 = 0.01;

@@ -1,0 +1,221 @@
+//! How long the last word takes where it is hard: six sections among 64 obstacles, all of them in reach.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
+use cdcr_controller::safety::{SafeCommand, Situation, safe_command};
+use hdrhistogram::Histogram;
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
+use crate::metric::median;
+use crate::named::named;
+use crate::numbers::Numbers;
+use crate::quantiles::{histogram, quantile_us};
+
+const SECTIONS: usize = 6;
+const OBSTACLES: usize = 64;
+/// Random moments of each kind.
+const MOMENTS: u64 = 1000;
+/// Each command is computed so often, and the fastest counts: the work is the same, the machine is not.
+const REPEATS: usize = 5;
+const BEND_RAD: f64 = 0.8;
+/// Fastest rates of a moment \[rad/s\].
+const RATES_RAD_S: [f64; 4] = [0.1, 0.5, 1.0, 2.0];
+const SPEED_M_S: f64 = 0.3;
+const SAFE_DISTANCE_M: f64 = 0.01;
+const BODY_RADIUS_M: f64 = 0.015;
+/// Commands as a daemon asks for them by default.
+const PERIOD_S: f64 = 0.005;
+const MOVING_S: f64 = 3.0 * PERIOD_S;
+const DECELERATION_RAD_S2: f64 = 40.0;
+
+named! {
+    /// What stands around the robot.
+    pub enum Crowd {
+        Balls = "balls",
+        BallsMoving = "balls-moving",
+        HalfCapsules = "half-capsules",
+        HalfCapsulesMoving = "half-capsules-moving",
+    }
+}
+
+pub const COLUMNS: [Column; 6] = [
+    word("obstacles", "crowd"),
+    plain("moments", "moments"),
+    fixed("p50 µs", "p50_us", 1),
+    fixed("p99 µs", "p99_us", 1),
+    fixed("max µs", "max_us", 1),
+    fixed("changed %", "changed_percent", 1),
+];
+
+/// One line: the last word in one kind of crowd.
+#[derive(Debug, Clone, Serialize)]
+pub struct Guarded {
+    pub crowd: Crowd,
+    pub moments: u64,
+    pub p50_us: f64,
+    pub p99_us: f64,
+    pub max_us: f64,
+    /// Share of the commands that the clearance guard changed \[%\].
+    pub changed_percent: f64,
+}
+
+/// Measures every kind of crowd, with the same moments in each round.
+pub fn measure() -> Result<Vec<Guarded>> {
+    Crowd::ALL
+        .iter()
+        .map(|crowd| crowd.measure(MOMENTS))
+        .collect()
+}
+
+/// Adds what was measured in some rounds.
+pub fn add(dataset: &mut Dataset, rounds: &[Vec<Guarded>]) -> Result<()> {
+    let mut rows = Vec::new();
+    for (index, first) in rounds.first().into_iter().flatten().enumerate() {
+        let each = |value: fn(&Guarded) -> f64| rounds.iter().map(move |row| value(&row[index]));
+        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
+        rows.push(Guarded {
+            p50_us: middle(|row| row.p50_us),
+            p99_us: middle(|row| row.p99_us),
+            max_us: middle(|row| row.max_us),
+            ..first.clone()
+        });
+        let name = format!("guard/{}", first.crowd.name());
+        dataset.lower(format!("{name}/p50"), "µs", each(|row| row.p50_us));
+        dataset.lower(format!("{name}/p99"), "µs", each(|row| row.p99_us));
+    }
+    let sheet = Sheet::new(&rows)?.key("guard").file("guard");
+    let title = "Time of the last word: six sections, 64 obstacles in reach";
+    dataset.sheets.push(sheet.table(title, &COLUMNS));
+    Ok(())
+}
+
+impl Crowd {
+    fn measure(self, moments: u64) -> Result<Guarded> {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
+        let (mut times, mut changed) = (histogram()?, 0);
+        for seed in 0..moments {
+            let command = self.moment(&robot, seed)?.measure(&robot, &mut times);
+            changed += u64::from(command.clearance_hit);
+        }
+        Ok(Guarded {
+            crowd: self,
+            moments,
+            p50_us: quantile_us(&times, 0.5),
+            p99_us: quantile_us(&times, 0.99),
+            max_us: quantile_us(&times, 1.0),
+            changed_percent: 100.0 * changed as f64 / moments as f64,
+        })
+    }
+
+    fn moment(self, robot: &Robot, seed: u64) -> Result<Moment> {
+        let mut numbers = Numbers::new(seed);
+        let mut vector = |most: f64| -> Vec<f64> {
+            let number = |_| numbers.between(-most, most);
+            (0..2 * SECTIONS).map(number).collect()
+        };
+        let fastest_rad_s = RATES_RAD_S[seed as usize % RATES_RAD_S.len()];
+        let (bends, rates) = (vector(BEND_RAD), vector(fastest_rad_s));
+        let slower: Vec<f64> = rates.iter().map(|rate| 0.9 * rate).collect();
+        let [desired, previous] = [&rates, &slower].map(|rates| BendRates::from_slice(rates));
+        let at = Configuration::from_slice(&bends).context("a shape")?;
+        let obstacles = (0..OBSTACLES).map(|_| self.obstacle(robot, &at, &mut numbers));
+        Ok(Moment {
+            obstacles: obstacles.collect::<Result<_>>()?,
+            desired: desired.context("rates")?,
+            previous: previous.context("rates")?,
+            at,
+        })
+    }
+
+    /// Beside some point of the body, from touching the safe distance to 30 mm outside.
+    fn obstacle(
+        self,
+        robot: &Robot,
+        at: &Configuration,
+        numbers: &mut Numbers,
+    ) -> Result<Obstacle> {
+        let section = numbers.between(0.0, SECTIONS as f64) as usize;
+        let body_m = robot.body_point(at, section, numbers.between(0.0, 1.0));
+        let radius_m = numbers.between(0.005, 0.03);
+        let away_m = BODY_RADIUS_M + radius_m + SAFE_DISTANCE_M + numbers.between(0.0, 0.03);
+        let mut vector = || Vector3::from_fn(|_, _| numbers.between(-1.0, 1.0));
+        let side = vector().normalize();
+        let span_m = 0.1 * side.cross(&vector());
+        let velocity_m_s = SPEED_M_S * vector();
+        let centre_m = body_m + away_m * side;
+        let has_capsules = matches!(self, Self::HalfCapsules | Self::HalfCapsulesMoving);
+        let shape = if has_capsules && numbers.between(0.0, 1.0) < 0.5 {
+            let (start_m, end_m) = (centre_m - span_m, centre_m + span_m);
+            Shape::Capsule { start_m, end_m }
+        } else {
+            Shape::Sphere { centre_m }
+        };
+        let moves = matches!(self, Self::BallsMoving | Self::HalfCapsulesMoving);
+        let velocity_m_s = if moves {
+            velocity_m_s
+        } else {
+            Vector3::zeros()
+        };
+        Ok(Obstacle::new(shape, radius_m, velocity_m_s)?)
+    }
+}
+
+struct Moment {
+    at: Configuration,
+    previous: BendRates,
+    desired: BendRates,
+    obstacles: Vec<Obstacle>,
+}
+
+impl Moment {
+    fn measure(&self, robot: &Robot, times: &mut Histogram<u64>) -> SafeCommand {
+        let situation = Situation {
+            robot,
+            at: &self.at,
+            commanded: None,
+            previous: &self.previous,
+            obstacles: &self.obstacles,
+            safe_distance_m: SAFE_DISTANCE_M,
+            acceleration_rad_s2: DECELERATION_RAD_S2,
+            period_s: PERIOD_S,
+            moving_s: MOVING_S,
+            deceleration_rad_s2: DECELERATION_RAD_S2,
+            comes_to_rest: false,
+        };
+        let timed = |_| {
+            let begin = Instant::now();
+            let command = safe_command(&situation, &self.desired);
+            (begin.elapsed(), command)
+        };
+        let runs = [(); REPEATS].map(timed);
+        let fastest = runs.iter().map(|(time, _)| time.as_nanos() as u64).min();
+        times.saturating_record(fastest.unwrap_or(u64::MAX));
+        runs[0].1
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_obstacle_can_be_met_and_the_guard_has_work() {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS)).expect("the paper's robot");
+        for crowd in Crowd::ALL {
+            let moment = crowd.moment(&robot, 3).expect("a moment");
+            let body = robot.body(&moment.at);
+            let far = |o: &&Obstacle| body.clearance_m(o) > SAFE_DISTANCE_M + 0.03 + 1e-9;
+            assert_eq!(moment.obstacles.iter().filter(far).count(), 0);
+            let moving = |o: &&Obstacle| o.velocity_m_s() != Vector3::zeros();
+            let moving = moment.obstacles.iter().filter(moving).count();
+            assert!(moving == 0 || moving == OBSTACLES);
+            let found = crowd.measure(20).expect("measured");
+            assert!(found.p50_us > 0.0 && found.p50_us <= found.p99_us);
+            assert!(found.changed_percent > 50.0, "{found:?}");
+        }
+    }
+}
