@@ -9,7 +9,7 @@ use crate::services::Channel;
 /// The port of a process that measures the tip and nothing else, a camera for example, beside the driver of the robot.
 ///
 /// The daemon takes its measurements with `link.tip_sensor = "separate"`. One tip sensor has the robot: the first whose
-/// measurement was accepted, until none was for `link.measurement_timeout_ms`. It may pause or end; the robot goes on by its
+/// measurement was accepted, until none was for a second. It may pause or end; the robot goes on by its
 /// driver's bends or cables.
 #[derive(Debug)]
 pub struct TipSensor {

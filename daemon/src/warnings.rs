@@ -1,6 +1,6 @@
 //! What a configuration may say and hardly means.
 
-use crate::config::{Config, LinkKind, REST_MAX_S, ns};
+use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
 /// What is allowed but hardly meant, each with the keys that it is about.
@@ -56,6 +56,9 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                  before the next command comes",
                 link.command_valid_ms
             )
+        }),
+        (link.kind == LinkKind::Simulated && link.tip_sensor == TipSensor::Separate).then(|| {
+            "link.tip_sensor = \"separate\" has no effect: the simulated robot takes no measurements".to_owned()
         }),
         (link.kind == LinkKind::Driver && link.measurement_timeout_ms < period_ms).then(|| {
             format!(

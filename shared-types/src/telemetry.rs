@@ -43,17 +43,20 @@ message! {
         state: u32 [code ReferenceState],
     }
 
-    /// The smooth way to a reference that begins elsewhere than the tip is. What the plan follows at a time t is the reference plus what
-    /// is left of tip minus reference at the beginning: with s = (t - begin) / duration, `offset_m` (1 - 10 s³ + 15 s⁴ - 6 s⁵)
-    /// \+ `velocity_m_s` duration (s - 6 s³ + 8 s⁴ - 3 s⁵). All zero where the reference itself is followed.
+    /// The smooth way to a reference that begins elsewhere than the tip is, or in motion. What the plan follows at a time t is the reference plus
+    /// `offset_m` (1 - 10 s³ + 15 s⁴ - 6 s⁵) with s = (t - begin) / duration, and `velocity_m_s` joining (p - 6 p³ + 8 p⁴ - 3 p⁵) with
+    /// p = (t - begin) / joining, s and p no more than 1; its orientation is that of the reference, turned about `turn_rad` times the factor of
+    /// `offset_m`, in the base frame. All zero where the reference itself is followed.
     pub struct Approach "cdcr.Approach.v1" {
         /// Release at which it began \[ns\].
         begin_ns: u64,
-        /// How long it takes \[ns\].
+        /// How long the distance takes \[ns\].
         duration_ns: u64,
+        /// How long joining the motion takes \[ns\].
+        joining_ns: u64,
         /// Tip minus reference at the beginning \[m\].
         offset_m: [f64; 3],
-        /// The same of their velocities \[m/s\].
+        /// Velocity of what was followed before, minus that of the reference, at the beginning \[m/s\].
         velocity_m_s: [f64; 3],
         /// Rotation from the reference's orientation to the tip's at the beginning, axis times angle \[rad\].
         turn_rad: [f64; 3],

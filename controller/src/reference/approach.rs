@@ -8,44 +8,52 @@ const SPEED_PEAK: f64 = 1.875;
 /// Largest acceleration of the same, over distance / duration²: 10/√3.
 const ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
 /// Largest acceleration of the quintic that ends a speed, over speed / duration: at s = (16 - √76) / 30.
-const BRAKING_PEAK: f64 = 3.944;
+const JOINING_PEAK: f64 = 3.941;
+/// How far the same goes, over speed · duration.
+const JOINING_WAY: f64 = 0.1976;
 
 /// How fast a reference is approached.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ApproachLimits {
-    /// Largest speed that the approach adds to that of the reference \[m/s\].
+    /// Largest speed with which the distance to the reference decays \[m/s\].
     pub speed_m_s: f64,
-    /// Largest acceleration that the approach adds to that of the reference \[m/s²\].
+    /// Largest acceleration that the approach adds to that of the reference \[m/s²\]: half of it for the distance, half of it to join
+    /// the motion of the reference.
     pub acceleration_m_s2: f64,
+    /// How far the tip may leave the way to the reference, to join its motion gently \[m\]. A motion that would take it farther is
+    /// joined faster.
+    pub excursion_m: f64,
     /// How fast the tip turns at most towards an orientation that the reference asks for \[rad/s\].
     pub turn_rad_s: f64,
 }
 
 /// The smooth way to a reference that begins elsewhere than the tip is, or in motion.
 ///
-/// The reference goes on in its own time, and what the tip is beside it at the beginning decays to zero: along the
-/// quintic polynomial that begins with the tip's position and velocity, ends with the reference's, and has no
-/// acceleration of its own at either end. A quintic with given ends: L. Biagiotti, C. Melchiorri, *Trajectory Planning for
-/// Automatic Machines and Robots*, Springer 2008, §2.1.4.
+/// The reference goes on in its own time, and the difference of the followed point from it at the beginning decays to zero: that of the
+/// positions along a quintic from rest to rest, that of the velocities along a quintic of its own; neither has an acceleration at its ends.
+/// A quintic with given ends: L. Biagiotti, C. Melchiorri, *Trajectory Planning for Automatic Machines and Robots*, Springer 2008, §2.1.4.
+/// To join a motion the tip is for a moment up to 1.52 times as fast as it.
 ///
 /// Invariant: it holds all that it does in its fields, so that a cycle can be computed again from them.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Approach {
     /// When it began, on the clock of the releases \[ns\].
     pub begin_ns: u64,
-    /// How long it takes \[ns\]; 0: the reference is followed at once.
+    /// How long the distance takes \[ns\].
     pub duration_ns: u64,
+    /// How long joining the motion takes \[ns\].
+    pub joining_ns: u64,
     /// Tip minus reference at the beginning \[m\].
     pub offset_m: Vector3<f64>,
-    /// The same of their velocities \[m/s\].
+    /// Velocity of what was followed before, minus that of the reference, at the beginning \[m/s\].
     pub velocity_m_s: Vector3<f64>,
     /// Rotation from the reference's orientation to the tip's at the beginning, as axis times angle \[rad\].
     pub turn_rad: Vector3<f64>,
 }
 
 impl Approach {
-    /// From a tip at `tip`, which moves with `velocity_m_s`, to a reference that is at `reference` at `begin_ns` and moves
-    /// with `reference_m_s`. None that would be over within `period_ns`, or that is not finite.
+    /// From a tip at `tip`, led with `velocity_m_s`, to a reference that is at `reference` at `begin_ns` and moves
+    /// with `reference_m_s`. What would be over within `period_ns`, or is not finite, is left out.
     pub fn plan(
         limits: &ApproachLimits,
         begin_ns: u64,
@@ -56,36 +64,57 @@ impl Approach {
         let approach = Self {
             begin_ns,
             duration_ns: 0,
+            joining_ns: 0,
             offset_m: tip.position_m - reference.position_m,
             velocity_m_s: velocity_m_s - reference_m_s,
             turn_rad: turn_rad(tip, &reference.orientation),
         };
-        let duration_s = approach.shortest_s(limits);
-        if !duration_s.is_finite() || duration_s * 1e9 <= period_ns as f64 {
-            return Self::default();
-        }
-        Self {
-            duration_ns: (duration_s * 1e9).ceil() as u64,
+        let in_ns = |duration_s: f64| {
+            let lasts = duration_s.is_finite() && duration_s * 1e9 > period_ns as f64;
+            if lasts {
+                (duration_s * 1e9).ceil() as u64
+            } else {
+                0
+            }
+        };
+        let planned = Self {
+            duration_ns: in_ns(approach.distance_s(limits)),
+            joining_ns: in_ns(approach.joining_s(limits)),
             ..approach
+        };
+        if planned.runs() {
+            planned
+        } else {
+            Self::default()
         }
     }
 
-    /// The shortest duration within the limits \[s\].
-    fn shortest_s(&self, limits: &ApproachLimits) -> f64 {
-        let (distance_m, speed_m_s) = (self.offset_m.norm(), self.velocity_m_s.norm());
-        // Both parts together: ACCELERATION_PEAK d / t² + BRAKING_PEAK v / t ≤ a.
-        let braking = BRAKING_PEAK * speed_m_s;
-        let most = limits.acceleration_m_s2;
-        let root = (braking * braking + 4.0 * most * ACCELERATION_PEAK * distance_m).sqrt();
-        let by_acceleration_s = (braking + root) / (2.0 * most);
+    /// The shortest time in which the distance decays within the limits \[s\].
+    fn distance_s(&self, limits: &ApproachLimits) -> f64 {
+        let distance_m = self.offset_m.norm();
+        let most_m_s2 = 0.5 * limits.acceleration_m_s2;
+        let by_acceleration_s = (ACCELERATION_PEAK * distance_m / most_m_s2).sqrt();
         let by_speed_s = SPEED_PEAK * distance_m / limits.speed_m_s;
         let by_turn_s = SPEED_PEAK * self.turn_rad.norm() / limits.turn_rad_s;
         by_acceleration_s.max(by_speed_s).max(by_turn_s)
     }
 
+    /// The shortest time in which the motion is joined within the limits; the excursion is the stronger one \[s\].
+    fn joining_s(&self, limits: &ApproachLimits) -> f64 {
+        let speed_m_s = self.velocity_m_s.norm();
+        let by_acceleration_s = JOINING_PEAK * speed_m_s / (0.5 * limits.acceleration_m_s2);
+        by_acceleration_s.min(limits.excursion_m / (JOINING_WAY * speed_m_s))
+    }
+
+    /// Whether anything but the reference itself is followed at some time.
+    pub fn runs(&self) -> bool {
+        self.duration_ns.max(self.joining_ns) > 0
+    }
+
     /// Whether the reference itself is followed at `time_ns`.
     pub fn is_over(&self, time_ns: u64) -> bool {
-        time_ns >= self.begin_ns.saturating_add(self.duration_ns)
+        let lasts_ns = self.duration_ns.max(self.joining_ns);
+        time_ns >= self.begin_ns.saturating_add(lasts_ns)
     }
 
     /// What is followed at `time_ns` instead of the reference's `sample` of that time.
@@ -94,14 +123,17 @@ impl Approach {
         if self.is_over(time_ns) {
             return *sample;
         }
-        let duration_s = self.duration_ns as f64 * 1e-9;
-        let s = time_ns.saturating_sub(self.begin_ns) as f64 / self.duration_ns as f64;
-        let left = offset_left(s);
-        let offset_m = self.offset_m * left + self.velocity_m_s * (speed_left(s) * duration_s);
+        let part = |of_ns: u64| match time_ns.saturating_sub(self.begin_ns) {
+            passed_ns if passed_ns < of_ns => passed_ns as f64 / of_ns as f64,
+            _ => 1.0,
+        };
+        let left = offset_left(part(self.duration_ns));
+        let joining_s = self.joining_ns as f64 * 1e-9;
+        let joined_m = self.velocity_m_s * (speed_left(part(self.joining_ns)) * joining_s);
         let turn = UnitQuaternion::from_scaled_axis(self.turn_rad * left);
         ReferenceSample {
             state: sample.state,
-            position_m: sample.position_m + offset_m,
+            position_m: sample.position_m + self.offset_m * left + joined_m,
             orientation: match sample.orientation {
                 Orientation::Free => Orientation::Free,
                 Orientation::Axis(axis) => Orientation::Axis(turn * axis),
@@ -167,37 +199,54 @@ mod tests {
         [-most..most, -most..most, -most..most].prop_map(Vector3::from)
     }
 
+    const LIMITS: ApproachLimits = ApproachLimits {
+        speed_m_s: 0.1,
+        acceleration_m_s2: 0.5,
+        excursion_m: 0.02,
+        turn_rad_s: 0.5,
+    };
+
     proptest! {
         /// Beside a reference that goes on evenly, so that all acceleration is that of the approach.
         #[test]
         fn it_begins_with_the_tip_ends_with_the_reference_and_keeps_its_limits(
             offset_m in vector(0.5),
-            velocity_m_s in vector(0.3),
+            reference_m_s in vector(0.3),
             speed_m_s in 0.01..0.5_f64,
             acceleration_m_s2 in 0.1..5.0_f64,
         ) {
-            let limits = ApproachLimits { speed_m_s, acceleration_m_s2, turn_rad_s: 0.5 };
+            let limits = ApproachLimits { speed_m_s, acceleration_m_s2, ..LIMITS };
             let tip = pose(offset_m, Vector3::zeros());
             let zero = Vector3::zeros();
             let reference = sample(zero, Orientation::Free);
-            let approach = Approach::plan(&limits, 0, (&tip, &zero), (&reference, &-velocity_m_s), PERIOD_NS);
-            let at = |part: f64| {
-                let time_ns = (part * approach.duration_ns as f64).ceil() as u64;
-                // The offset alone.
-                approach.led(&sample(zero, Orientation::Free), time_ns).position_m
+            let approach = Approach::plan(&limits, 0, (&tip, &zero), (&reference, &reference_m_s), PERIOD_NS);
+            let lasts_ns = approach.duration_ns.max(approach.joining_ns);
+            let at = |step: u32| {
+                let time_ns = (f64::from(step) * 1e-3 * lasts_ns as f64).ceil() as u64;
+                approach.led(&sample(reference_m_s * (time_ns as f64 * 1e-9), Orientation::Free), time_ns).position_m
             };
-            prop_assert!((at(0.0) - offset_m).norm() < 1e-12);
-            prop_assert_eq!(at(1.0), zero);
-            let duration_s = approach.duration_ns as f64 * 1e-9;
-            let step_s = duration_s / 1000.0;
-            let begin_m_s = (at(0.001) - at(0.0)) / step_s;
-            prop_assert!((begin_m_s - velocity_m_s).norm() < 0.01 * (acceleration_m_s2 * duration_s));
+            let end_m = reference_m_s * (lasts_ns as f64 * 1e-9);
+            prop_assert!((at(0) - offset_m).norm() < 1e-12 && (at(1000) - end_m).norm() < 1e-12);
+            let step_s = lasts_ns as f64 * 1e-12;
+            let speed = reference_m_s.norm();
+            // At rest, as the tip is.
+            let soon_m = approach.led(&sample(reference_m_s * 1e-6, Orientation::Free), 1000).position_m;
+            prop_assert!((soon_m - offset_m).norm() < 1e-6 * (0.001 * speed + 1e-6));
+            let is_gentle = JOINING_PEAK * speed / (0.5 * acceleration_m_s2) * JOINING_WAY * speed <= limits.excursion_m;
             for k in 1..1000 {
-                let [before, here, after] = [k - 1, k, k + 1].map(|k| at(f64::from(k) * 1e-3));
+                let [before, here, after] = [k - 1, k, k + 1].map(at);
                 let acceleration = (after - 2.0 * here + before).norm() / (step_s * step_s);
-                prop_assert!(acceleration <= 1.001 * acceleration_m_s2 + 1e-3, "{} at {}", acceleration, k);
-                let speed = (after - before).norm() / (2.0 * step_s);
-                prop_assert!(speed <= 1.001 * (speed_m_s + velocity_m_s.norm()), "{} at {}", speed, k);
+                if is_gentle {
+                    prop_assert!(acceleration <= 1.01 * acceleration_m_s2 + 1e-3, "{} at {}", acceleration, k);
+                }
+                let moved = (after - before).norm() / (2.0 * step_s);
+                prop_assert!(moved <= 1.001 * speed_m_s + 1.52 * speed, "{} at {}", moved, k);
+                // Beside the way from tip to reference no farther than it may be.
+                let time_s = f64::from(k) * step_s;
+                let beside = here - reference_m_s * time_s;
+                let along = beside.dot(&offset_m) / offset_m.norm_squared().max(1e-12);
+                let nearest = offset_m * along.clamp(0.0, 1.0);
+                prop_assert!((beside - nearest).norm() <= 1.001 * limits.excursion_m, "{} at {}", beside, k);
             }
         }
 
@@ -206,7 +255,7 @@ mod tests {
             tip_turn_rad in vector(1.5),
             wanted_rad in vector(1.5),
         ) {
-            let limits = ApproachLimits { speed_m_s: 0.1, acceleration_m_s2: 0.5, turn_rad_s: 0.5 };
+            let limits = LIMITS;
             let tip = pose(Vector3::zeros(), tip_turn_rad);
             let wanted = UnitQuaternion::from_scaled_axis(wanted_rad);
             let zero = Vector3::zeros();
@@ -233,11 +282,7 @@ mod tests {
 
     #[test]
     fn a_reference_that_begins_where_the_tip_is_at_rest_is_followed_at_once() {
-        let limits = ApproachLimits {
-            speed_m_s: 0.1,
-            acceleration_m_s2: 0.5,
-            turn_rad_s: 0.5,
-        };
+        let limits = LIMITS;
         let zero = Vector3::zeros();
         for (offset_m, is_needed) in [(0.0, false), (1e-9, false), (1e-6, false), (1e-4, true)] {
             let tip = pose(Vector3::new(offset_m, 0.0, 0.9), zero);

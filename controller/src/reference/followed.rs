@@ -55,7 +55,7 @@ impl FollowedReference {
         self.approach = Approach::default();
     }
 
-    /// The approach of the cycle that was looked at last; of duration 0 where the reference itself is followed.
+    /// The approach of the cycle that was looked at last; it does not run where the reference itself is followed.
     pub fn approach(&self) -> &Approach {
         &self.approach
     }
@@ -75,7 +75,7 @@ impl FollowedReference {
             self.plan(&limits, window, now, tip);
         }
         let reference = window.ahead(now.cycle, steps);
-        if self.approach.duration_ns == 0 && *offset_m == Vector3::zeros() {
+        if !self.approach.runs() && *offset_m == Vector3::zeros() {
             return reference;
         }
         let samples = &mut self.samples[..reference.len()];

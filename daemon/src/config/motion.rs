@@ -9,7 +9,7 @@ pub const REST_MAX_S: f64 = 10.0;
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum ApproachKind {
-    /// As `Smooth`; the ideal simulated robot as `Direct`.
+    /// `Smooth`, and `Direct` for the ideal simulated robot.
     #[default]
     Auto,
     /// Along a smooth path within the limits of the approach.
@@ -36,15 +36,16 @@ cdcr_controller::parameters! {
         /// Home is reached when the robot is exactly straight, or when all components of the bend stay below this for
         /// 0.1 s, {range}. Choose more than the noise of your sensors.
         home_tolerance_rad: f64 = 0.01, in 1e-6..=1.0;
-        /// How a reference is reached that begins elsewhere than the tip is, or in motion, or replaces another one. "smooth": what the tip
-        /// is beside it decays along a smooth path within the limits below, while the reference goes on. "direct": as fast as the
-        /// other limits allow, as in the paper. "refuse": as "smooth", but not tracked from farther away than approach_distance_m.
-        /// "auto": "smooth", and "direct" for the ideal simulated robot.
+        /// How a reference is reached that begins elsewhere than the tip is, or in motion, or replaces another one. "smooth": the distance
+        /// between tip and reference decays within the limits below, while the reference goes on. "direct": as fast as the
+        /// other limits allow, as in the paper. "refuse": as "smooth", and a request to track is refused from farther away than
+        /// approach_distance_m. "auto": "smooth", and "direct" for the ideal simulated robot.
         approach: ApproachKind = ApproachKind::Auto;
-        /// Largest speed that an approach adds to that of the reference, {range}.
+        /// Largest speed with which the distance decays, {range}. To join a reference in motion the tip is for a moment up to
+        /// 1.5 times as fast as it.
         approach_speed_m_s: f64 = 0.1, in 1e-4..=100.0;
-        /// Largest acceleration that an approach adds to that of the reference, {range}. The tip turns towards an
-        /// orientation at home_rate_rad_s at most.
+        /// Largest acceleration that an approach adds to that of the reference, {range}. A motion that would take the tip
+        /// farther aside than 2 % of the robot's length is joined faster. The tip turns towards an orientation at home_rate_rad_s at most.
         approach_acceleration_m_s2: f64 = 0.5, in 1e-3..=1e4;
         /// With approach = "refuse": a reference that is farther from the tip than this when it shall be tracked is
         /// refused, {range}.
@@ -56,8 +57,8 @@ impl MotionConfig {
     /// Largest acceleration of a robot behind a driver whose configuration has none \[rad/s²\].
     pub const ACCELERATION_RAD_S2: f64 = 40.0;
 
-    /// Limits of the approach of a robot that `is_ideal` or not; `None`: there is none.
-    pub fn approach_limits(&self, is_ideal: bool) -> Option<ApproachLimits> {
+    /// Limits of the approach of a robot that `is_ideal` or not and is `reach_m` (m) long; `None`: there is none.
+    pub fn approach_limits(&self, is_ideal: bool, reach_m: f64) -> Option<ApproachLimits> {
         let is_direct = match self.approach {
             ApproachKind::Auto => is_ideal,
             ApproachKind::Direct => true,
@@ -66,6 +67,7 @@ impl MotionConfig {
         (!is_direct).then_some(ApproachLimits {
             speed_m_s: self.approach_speed_m_s,
             acceleration_m_s2: self.approach_acceleration_m_s2,
+            excursion_m: 0.02 * reach_m,
             turn_rad_s: self.home_rate_rad_s,
         })
     }

@@ -148,6 +148,7 @@ fn approach(approach: &Approach) -> wire::Approach {
     wire::Approach {
         begin_ns: approach.begin_ns,
         duration_ns: approach.duration_ns,
+        joining_ns: approach.joining_ns,
         offset_m: approach.offset_m.into(),
         velocity_m_s: approach.velocity_m_s.into(),
         turn_rad: approach.turn_rad.into(),

@@ -417,7 +417,10 @@ impl Cycle {
             self.state.take_control();
         } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
             self.control_begins = false;
-            self.state.take_control_moving();
+            // On the ramp the commanded position must not step back by what the motors lag.
+            if self.is_at_rest() {
+                self.state.take_control_moving();
+            }
         }
     }
 

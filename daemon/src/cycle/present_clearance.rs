@@ -13,8 +13,5 @@ pub(super) fn present_clearance_m(
         return led_m;
     }
     let body = robot.body(present);
-    let clearances_m = obstacles
-        .iter()
-        .map(|known| body.clearance_m(&known.obstacle));
-    clearances_m.fold(f64::INFINITY, f64::min)
+    body.least_clearance_m(obstacles.iter().map(|known| known.obstacle))
 }

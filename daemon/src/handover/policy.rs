@@ -61,7 +61,9 @@ impl Policy {
             actuator: config.actuator.model(),
             reference_lead_ns: ns(config.actuator.lead_ms()),
             estimator_time_constant_s: estimator_time_constant_s(config),
-            approach: config.motion.approach_limits(config.link.is_ideal()),
+            approach: config
+                .motion
+                .approach_limits(config.link.is_ideal(), reach_m(config)),
             approach_distance_m: config.motion.approach_distance_m(),
             command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),
@@ -120,6 +122,12 @@ impl Policy {
 /// By how much the motors are known to be behind their commands \[s\].
 fn lead_s(config: &Config) -> f64 {
     config.actuator.model().lead_s()
+}
+
+/// Length of the robot \[m\].
+fn reach_m(config: &Config) -> f64 {
+    let sections = config.robot.sections.iter();
+    sections.map(|section| section.length_m).sum()
 }
 
 /// The largest rate of any section \[rad/s\].

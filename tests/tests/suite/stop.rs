@@ -60,7 +60,7 @@ fn a_robot_behind_a_driver_stops_within_one_period_and_the_ramp() {
 fn configuration(link: &str) -> String {
     format!(
         "{PATIENT}[link]\nkind = \"{link}\"\nmeasurement_timeout_ms = 2000.0\n\
-         [motion]\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
+         [motion]\napproach = \"direct\"\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
     )
 }
 

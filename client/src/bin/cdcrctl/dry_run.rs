@@ -1,7 +1,8 @@
 //! What a reference would ask of the robot, computed before anything moves.
 //!
-//! The closed loop of the controller, with the daemon's robot where it is now, its obstacles, safe distance and acceleration, and the solver's
-//! default settings. The robot is the ideal one: what it cannot reach, no robot of this model can.
+//! The closed loop of the controller with the ideal robot of the daemon's model, from where it is now, with its tip offset, obstacles, safe
+//! distance and acceleration, and the default settings of the solver. First it goes to the first point, then along the points as they would be
+//! sent. A real robot has motors and a guard that looks ahead for longer: beside obstacles it may do less.
 
 use std::fmt;
 use std::io::Write;
@@ -9,31 +10,38 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::model::{obstacle_of, orientation_of, robot_of};
-use cdcr_client::{Connection, Trajectory, obstacles};
+use cdcr_client::{Connection, FeedOptions, Trajectory, obstacles};
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
-use cdcr_controller::reference::{ReferenceSample, ReferenceState};
+use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
+use cdcr_shared_types::codes;
+
+use crate::bar::Bar;
+use crate::interrupt::Interrupt;
 
 /// The way to the first point may take so long \[s\].
 const WAY_MAX_S: f64 = 30.0;
 /// A tip that comes no nearer than by this in [`PATIENT_CYCLES`] has arrived \[m\].
 const NEARER_M: f64 = 1e-6;
 const PATIENT_CYCLES: u32 = 100;
+/// A reference of more cycles is not tried.
+const CYCLES_MAX: u64 = 200_000;
 /// How long a record is waited for.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The largest values along a path.
+/// The largest values on the way to the first point, and along the path.
 #[derive(Debug, Clone, PartialEq)]
-struct Demands {
+pub(crate) struct Demands {
     /// From the tip now to the first point \[m\].
     distance_m: f64,
     cycles: u64,
     error_sum_m: f64,
     error_max_m: f64,
     error_end_m: f64,
-    /// Time \[s\], point \[m\] and error \[m\] of the first point that is missed by more than allowed.
-    first_missed: Option<(f64, [f64; 3], f64)>,
+    /// Time \[s\] and point \[m\] that the tip is farthest from.
+    farthest: (f64, [f64; 3]),
+    end_m: [f64; 3],
     rate_rad_s: f64,
     /// The largest part of its limit that a rate takes.
     rate_share: f64,
@@ -44,98 +52,98 @@ struct Demands {
     safe_distance_m: f64,
 }
 
-/// Computes `trajectory` with the daemon's robot, prints what it asks for, and fails where a point is missed by more than
-/// `allowed_m`.
-pub(crate) fn run(
+/// Computes `trajectory` with the daemon's robot, as it would be fed with `options`.
+pub(crate) fn compute(
     connection: &Connection,
     trajectory: &dyn Trajectory,
-    allowed_m: f64,
-) -> anyhow::Result<()> {
-    let demands = demands(connection, trajectory, allowed_m)?;
-    write!(std::io::stdout(), "{}: {demands}", trajectory.name())?;
-    demands.check()
-}
-
-/// Fails where `trajectory` cannot be reached: a point is missed by more than `allowed_m`.
-pub(crate) fn check(
-    connection: &Connection,
-    trajectory: &dyn Trajectory,
-    allowed_m: f64,
-) -> anyhow::Result<()> {
-    demands(connection, trajectory, allowed_m)?.check()
-}
-
-fn demands(
-    connection: &Connection,
-    trajectory: &dyn Trajectory,
-    allowed_m: f64,
+    options: &FeedOptions,
 ) -> anyhow::Result<Demands> {
     let record = connection.telemetry()?.next_within(TIMEOUT)?;
-    let record = &record.context("no telemetry within 1 s, so where the robot is is not known")?;
+    let record = record.context("no telemetry within 1 s: the pose of the robot is unknown")?;
     let robot = robot_of(&record.robot)?;
-    let width = robot.coordinate_count();
-    let here = Configuration::from_slice(&record.bend_rad[..width])
-        .context("the daemon does not know where the robot is")?;
+    let here = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
+        .context("the daemon does not know the pose of the robot")?;
     let settings = NmpcSettings {
         safe_distance_m: record.settings.safe_distance_m,
         orientation_weight: record.settings.orientation_weight,
         ..NmpcSettings::default()
     };
     let period_s = record.period_ns as f64 * 1e-9;
-    let known: Vec<Obstacle> = obstacles(record).iter().filter_map(obstacle_of).collect();
+    let cycles = (trajectory.duration_s() / period_s).ceil();
+    if cycles > CYCLES_MAX as f64 {
+        bail!(
+            "the motion takes {:.0} s, more than {:.0} s: choose a faster one",
+            trajectory.duration_s(),
+            CYCLES_MAX as f64 * period_s
+        );
+    }
+    let points = points(trajectory, options, robot.reach_m())?;
+    let offset_m = record.tip_offset_m.map(|m| -m).into();
+    let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
+    let known: Vec<Obstacle> = obstacles(&record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
-    let acceleration = record.acceleration_rad_s2;
-    let closed_loop = |start, obstacles: &[Obstacle], from_s: Option<f64>| {
-        let reference_at =
-            move |time_s: f64| sample(trajectory, from_s.map_or(0.0, |from_s| from_s + time_s));
-        ClosedLoop::new(&robot, period_s, settings, start, obstacles, reference_at)
-            .with_acceleration(acceleration)
-    };
 
-    let mut way = closed_loop(here, &known, None);
-    let distance_m = way.error_m();
-    let (mut best_m, mut since) = (f64::INFINITY, 0);
+    let first = |_: f64| at_s(0.0);
+    let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)
+        .with_acceleration(record.acceleration_rad_s2);
+    let mut demands = Demands::new(&robot, &settings, way.error_m());
+    let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
-        way.step(&mut nmpc);
+        demands.step(&mut way, &mut nmpc, period_s);
         since += 1;
-        if way.error_m() < best_m - NEARER_M {
-            (best_m, since) = (way.error_m(), 0);
+        if way.error_m() < nearest_m - NEARER_M {
+            (nearest_m, since) = (way.error_m(), 0);
         }
     }
 
-    let moved: Vec<_> = known.iter().map(|one| one.moved(way.time_s())).collect();
-    let mut path = closed_loop(*way.configuration(), &moved, Some(0.0));
-    let mut demands = Demands::new(&robot, &settings, distance_m);
-    let end = (trajectory.duration_s() / period_s).ceil() as u64;
-    for _ in 0..end {
-        let before = path.command().rates;
-        path.step(&mut nmpc);
-        let changes = path
-            .command()
-            .rates
-            .as_slice()
-            .iter()
-            .zip(before.as_slice());
-        demands.rates(&robot, path.command().rates.as_slice());
-        let fastest = changes.map(|(now, before)| (now - before).abs() / period_s);
-        demands.acceleration_rad_s2 = fastest.fold(demands.acceleration_rad_s2, f64::max);
-        let strokes = robot.cable_strokes(path.configuration());
-        demands.stroke_m = strokes
-            .iter()
-            .fold(demands.stroke_m, |most, s| most.max(s.abs()));
-        demands.clearance_m = demands.clearance_m.min(path.clearance_m());
+    // The reference begins so much later than now, wherever the robot is by then.
+    let lead_s = options.lead.as_secs_f64();
+    let moved: Vec<_> = known.iter().map(|one| one.moved(lead_s)).collect();
+    let there = *way.configuration();
+    let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)
+        .with_acceleration(record.acceleration_rad_s2);
+    let interrupt = Interrupt::catch()?;
+    let bar = Bar::new("dry run");
+    for cycle in 0..cycles as u64 {
+        if interrupt.is_raised() {
+            bail!("interrupted; nothing moved");
+        }
+        demands.step(&mut path, &mut nmpc, period_s);
         let time_s = path.time_s().min(trajectory.duration_s());
-        demands.error(time_s, trajectory, path.error_m(), allowed_m);
+        demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
+        bar.show_share(cycle as f64 / cycles);
     }
     Ok(demands)
 }
 
-fn sample(trajectory: &dyn Trajectory, time_s: f64) -> ReferenceSample {
-    ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: trajectory.position_m(time_s).into(),
-        orientation: orientation_of(trajectory.orientation(time_s)),
-    }
+/// The points as they would be sent, on a clock that begins with the trajectory.
+fn points(
+    trajectory: &dyn Trajectory,
+    options: &FeedOptions,
+    reach_m: f64,
+) -> anyhow::Result<reference::Trajectory> {
+    let duration_s = trajectory.duration_s();
+    let step_s = options.step.as_secs_f64();
+    let even =
+        (0..=(duration_s / step_s).ceil() as u64).map(|k| (k as f64 * step_s).min(duration_s));
+    let mut times_s = match trajectory.knots_s() {
+        Some(knots_s) => knots_s.to_vec(),
+        None => even.collect(),
+    };
+    times_s.dedup_by(|later, earlier| *later - *earlier < 1e-6);
+    let interpolation = match options.interpolation {
+        codes::Interpolation::Linear => Interpolation::Linear,
+        codes::Interpolation::Cubic => Interpolation::Cubic,
+    };
+    let point = |time_s: &f64| ReferencePoint {
+        time_ns: (time_s * 1e9) as u64,
+        position_m: trajectory.position_m(*time_s).into(),
+        orientation: orientation_of(trajectory.orientation(*time_s)),
+        interpolation,
+    };
+    let mut points = reference::Trajectory::with_capacity(times_s.len(), reach_m);
+    points.replace(times_s.iter().map(point))?;
+    Ok(points)
 }
 
 impl Demands {
@@ -146,7 +154,8 @@ impl Demands {
             error_sum_m: 0.0,
             error_max_m: 0.0,
             error_end_m: 0.0,
-            first_missed: None,
+            farthest: (0.0, [0.0; 3]),
+            end_m: [0.0; 3],
             rate_rad_s: 0.0,
             rate_share: 0.0,
             acceleration_rad_s2: 0.0,
@@ -157,34 +166,75 @@ impl Demands {
         }
     }
 
-    fn check(&self) -> anyhow::Result<()> {
-        if let Some((time_s, [x, y, z], error_m)) = self.first_missed {
-            bail!(
-                "not reachable: at {time_s:.2} s the tip stays {:.1} mm away from ({x:.4}, {y:.4}, {z:.4}) m; nothing moved",
-                1e3 * error_m
-            );
+    /// One period, and what it asks for.
+    fn step<R: Fn(f64) -> reference::ReferenceSample>(
+        &mut self,
+        closed: &mut ClosedLoop<R>,
+        nmpc: &mut Nmpc,
+        period_s: f64,
+    ) {
+        let before = closed.command().rates;
+        closed.step(nmpc);
+        let rates = closed.command().rates;
+        for (now, before) in rates.as_slice().iter().zip(before.as_slice()) {
+            let acceleration = (now - before).abs() / period_s;
+            self.acceleration_rad_s2 = self.acceleration_rad_s2.max(acceleration);
         }
-        Ok(())
-    }
-
-    fn rates(&mut self, robot: &Robot, rates: &[f64]) {
-        for (pair, section) in rates.chunks(2).zip(robot.sections()) {
+        let sections = closed.robot().sections();
+        for (pair, section) in rates.as_slice().chunks(2).zip(sections) {
             for rate in pair {
                 self.rate_rad_s = self.rate_rad_s.max(rate.abs());
                 self.rate_share = self.rate_share.max(rate.abs() / section.rate_max_rad_s);
             }
         }
+        let strokes_m = closed.robot().cable_strokes(closed.configuration());
+        let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
+        self.stroke_m = self.stroke_m.max(largest_m);
+        self.clearance_m = self.clearance_m.min(closed.clearance_m());
     }
 
-    fn error(&mut self, time_s: f64, trajectory: &dyn Trajectory, error_m: f64, allowed_m: f64) {
+    fn note_error(&mut self, time_s: f64, point_m: [f64; 3], error_m: f64) {
         self.cycles += 1;
         self.error_sum_m += error_m;
-        self.error_max_m = self.error_max_m.max(error_m);
-        self.error_end_m = error_m;
-        if error_m > allowed_m && self.first_missed.is_none() {
-            self.first_missed = Some((time_s, trajectory.position_m(time_s), error_m));
+        (self.error_end_m, self.end_m) = (error_m, point_m);
+        if error_m > self.error_max_m {
+            (self.error_max_m, self.farthest) = (error_m, (time_s, point_m));
         }
     }
+
+    /// Prints them.
+    pub(crate) fn print(&self, name: &str) -> anyhow::Result<()> {
+        write!(std::io::stdout(), "{name}: {self}")?;
+        Ok(())
+    }
+
+    /// Fails where a point is missed by more than `allowed_m`.
+    pub(crate) fn check(&self, allowed_m: f64) -> anyhow::Result<()> {
+        if self.error_max_m > allowed_m {
+            let (time_s, point_m) = self.farthest;
+            bail!(
+                "not reachable: at {time_s:.2} s {}; nothing moved",
+                away(self.error_max_m, point_m)
+            );
+        }
+        Ok(())
+    }
+
+    /// Fails where the end is missed by more than `allowed_m`.
+    pub(crate) fn check_end(&self, allowed_m: f64) -> anyhow::Result<()> {
+        if self.error_end_m > allowed_m {
+            bail!(
+                "not reachable: {}; nothing moved",
+                away(self.error_end_m, self.end_m)
+            );
+        }
+        Ok(())
+    }
+}
+
+fn away(error_m: f64, [x, y, z]: [f64; 3]) -> String {
+    let error_mm = 1e3 * error_m;
+    format!("the tip stays {error_mm:.1} mm away from ({x:.4}, {y:.4}, {z:.4}) m")
 }
 
 impl fmt::Display for Demands {
@@ -199,17 +249,17 @@ impl fmt::Display for Demands {
             self.stroke_max_m,
         ]
         .map(|m| 1e3 * m);
+        let share = 100.0 * self.rate_share;
         writeln!(f, "nothing moved; the ideal robot would need")?;
         writeln!(f, "  first point   {distance:.1} mm from the tip")?;
         writeln!(
             f,
-            "  tip error     mean {mean:.3}, max {max:.3}, final {end:.3} mm on the path"
+            "  tip error     mean {mean:.3}, max {max:.3}, final {end:.3} mm from there on"
         )?;
         writeln!(
             f,
-            "  rate          {:.3} rad/s, {:.0} % of its limit",
-            self.rate_rad_s,
-            100.0 * self.rate_share
+            "  rate          {:.3} rad/s, {share:.0} % of its limit",
+            self.rate_rad_s
         )?;
         writeln!(f, "  acceleration  {:.2} rad/s²", self.acceleration_rad_s2)?;
         writeln!(f, "  cable stroke  {stroke:.1} of {most:.1} mm")?;

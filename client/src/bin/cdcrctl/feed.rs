@@ -7,7 +7,7 @@ use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
     PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
 };
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::codes::{Mode, RequestKind};
 
 use crate::Done;
 use crate::args::{
@@ -19,6 +19,10 @@ use crate::dry_run;
 use crate::interrupt::Interrupt;
 use crate::tip_error::TipError;
 
+/// How long after now `goto` and `jog` begin.
+const GO_LEAD: Duration = Duration::from_millis(500);
+/// How long a status is waited for.
+const STATUS: Duration = Duration::from_secs(1);
 /// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
 const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
@@ -28,15 +32,14 @@ const FAR: f64 = 10.0;
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
     check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;
+    let feed = feed_options(arguments);
     if arguments.dry_run {
-        dry_run::run(
-            &connection,
-            &*trajectory,
-            arguments.max_error.unwrap_or(MISSED_M),
-        )?;
+        let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
+        demands.print(trajectory.name())?;
+        demands.check(arguments.max_error.unwrap_or(MISSED_M))?;
         return Ok(Done::Good);
     }
-    let (done, error) = follow(&connection, &*trajectory, feed_options(arguments))?;
+    let (done, error) = follow(&connection, &*trajectory, feed)?;
     if done == Done::Good {
         error.tell(arguments.max_error)?;
     }
@@ -50,25 +53,56 @@ pub(crate) fn go(
     end_m: impl Fn([f64; 3]) -> [f64; 3],
 ) -> anyhow::Result<Done> {
     let connection = target.connect()?;
-    let status = connection.status(Duration::from_secs(1))?;
-    let tip_m = status.tip_position_m;
-    let (speed, acceleration) = (arguments.speed, arguments.acceleration);
-    let way = Straight::new(tip_m, end_m(tip_m), speed, acceleration);
-    check_unit(&way, section_lengths_m(&status.robot).iter().sum())?;
-    if arguments.dry_run {
-        dry_run::run(&connection, &way, arguments.max_error)?;
-        return Ok(Done::Good);
+    let status = connection.status(STATUS)?;
+    let mode = Mode::try_from(status.mode);
+    if matches!(mode, Ok(Mode::Stopped | Mode::Faulted)) && !arguments.dry_run {
+        bail!(
+            "the daemon is {}: leave that with cdcrctl reset",
+            Mode::text_of(status.mode)
+        );
     }
-    dry_run::check(&connection, &way, arguments.max_error)?;
+    let start_m = status.tip_position_m;
+    let goal_m = end_m(start_m);
+    let way = Straight::new(start_m, goal_m, arguments.speed, arguments.acceleration);
+    check_unit(&way, section_lengths_m(&status.robot).iter().sum())?;
     let options = FeedOptions {
         track: true,
+        lead: GO_LEAD,
         ..FeedOptions::default()
     };
-    let (done, error) = follow(&connection, &way, options)?;
+    let demands = dry_run::compute(&connection, &way, &options)?;
+    if arguments.dry_run {
+        demands.print(way.name())?;
+        demands.check_end(arguments.max_error)?;
+        return Ok(Done::Good);
+    }
+    demands.check_end(arguments.max_error)?;
+    let tip_m = || anyhow::Ok(connection.status(STATUS)?.tip_position_m);
+    if distance_m(tip_m()?, start_m) > arguments.max_error {
+        bail!(
+            "the tip moved while the way was computed; nothing was sent: try again when it rests"
+        );
+    }
+    let (done, _) = follow(&connection, &way, options)?;
     if done == Done::Good {
-        error.tell_end(arguments.max_error)?;
+        tell_end(distance_m(tip_m()?, goal_m), arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// Says how near the tip is to the point, and fails where that is farther than `limit_m`.
+fn tell_end(left_m: f64, limit_m: f64) -> anyhow::Result<()> {
+    let [left, limit] = [left_m, limit_m].map(|m| 1e3 * m);
+    if left_m > limit_m {
+        bail!("the tip is {left:.3} mm from the point, more than --max-error, {limit:.3} mm");
+    }
+    writeln!(std::io::stdout(), "the tip is {left:.3} mm from the point")?;
+    Ok(())
+}
+
+fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+    let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
+    squares.sum::<f64>().sqrt()
 }
 
 /// Feeds a trajectory, and watches the tip.

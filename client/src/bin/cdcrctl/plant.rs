@@ -4,24 +4,36 @@ use std::io::Write;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
-use cdcr_client::PlantDriver;
-use cdcr_shared_types::codes::Interface;
+use anyhow::{Context, bail};
+use cdcr_client::{PlantDriver, events, remedy};
+use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome};
+use cdcr_shared_types::{InputEvent, Telemetry};
 
 use crate::Done;
 use crate::args::{PlantOptions, Target};
 use crate::interrupt::Interrupt;
 
-/// It measures so often.
+/// Cables are measured once in this time.
 const TURN: Duration = Duration::from_millis(1);
+
+/// It listens so long whether it is taken for the robot's driver.
+const LISTENS: Duration = Duration::from_secs(1);
 
 /// `cdcrctl plant`
 pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let status = connection.status(Duration::from_secs(1))?;
+    if status.mode != Mode::Starting.code() && !options.force {
+        bail!(
+            "the robot has or had a driver (the daemon is {}), and its motors would follow what is commanded to the simulated \
+             robot\nwhere there are no motors, or a simulated robot comes back: --force",
+            Mode::text_of(status.mode)
+        );
+    }
     let configured = Interface::try_from(status.interface).ok();
     let interface = options.interface.or(configured);
     let interface = interface.context("the daemon's interface is not known: give --interface")?;
+    let mut telemetry = connection.telemetry()?;
     let (preset, seed) = (options.preset, options.seed);
     let mut robot = PlantDriver::new(&connection, interface, None, preset.flaws(), seed)?;
     let interrupt = Interrupt::catch()?;
@@ -33,16 +45,18 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
         preset.name(),
         interface.text()
     )?;
-    let tip_every = options.tip.map(|rate| Duration::from_secs_f64(1.0 / rate));
-    let mut tip_due = Instant::now();
+    let tip_every = match options.tip {
+        Some(rate_hz) => Some(Duration::from_secs_f64(1.0 / rate_hz)),
+        None => preset.measures_tip().then_some(TURN),
+    };
+    let begun = Instant::now();
+    let mut tip_due = begun;
     while !interrupt.is_raised() {
         let update = robot.follow()?;
         if let Some(refusal) = update.refused {
             eprintln!("refused: {refusal} ({} so far)", robot.driver().refusals());
         }
-        if preset.measures_tip() {
-            robot.send_tip()?;
-        } else {
+        if !preset.measures_tip() {
             robot.send_cables()?;
         }
         if let Some(every) = tip_every
@@ -51,7 +65,37 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
             tip_due = (tip_due + every).max(Instant::now());
             robot.send_tip()?;
         }
+        if begun.elapsed() < LISTENS {
+            while let Some(record) = telemetry.try_next()? {
+                check(&record, connection.sender_id())?;
+            }
+        }
         thread::sleep(TURN);
     }
     Ok(Done::Good)
+}
+
+/// Fails where a record says that a measurement of `sender_id` was refused.
+fn check(record: &Telemetry, sender_id: u64) -> anyhow::Result<()> {
+    let ours = |event: &&InputEvent| {
+        event.kind == EventKind::Measurement.code() && event.sender_id == sender_id
+    };
+    for event in events(record).iter().filter(ours) {
+        match Outcome::try_from(event.outcome) {
+            Ok(Outcome::Accepted) => {}
+            Ok(Outcome::Unsupported) => bail!(
+                "the daemon simulates its robot itself; start it with link.kind = \"driver\", or leave plant out"
+            ),
+            Ok(outcome) => bail!(
+                "the daemon refuses this robot: {}\n{}",
+                outcome.text(),
+                remedy(outcome)
+            ),
+            Err(_) => bail!(
+                "the daemon refuses this robot with the unknown code {}",
+                event.outcome
+            ),
+        }
+    }
+    Ok(())
 }

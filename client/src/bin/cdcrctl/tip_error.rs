@@ -27,7 +27,7 @@ impl TipError {
         if !is_tracking || record.release_ns < self.start_ns {
             return;
         }
-        if record.approach.duration_ns > 0 {
+        if record.approach.duration_ns.max(record.approach.joining_ns) > 0 {
             self.approach_cycles += 1;
             self.approach_max_m = self.approach_max_m.max(record.position_error_m);
             self.period_ns = record.period_ns;
@@ -49,6 +49,12 @@ impl TipError {
                 1e3 * self.approach_max_m
             )?;
         }
+        if self.approach_cycles > 0 && self.cycles == 0 {
+            bail!(
+                "the reference ended before it was reached: bring the tip nearer first (cdcrctl goto), let the reference last longer, \
+                 or raise motion.approach_speed_m_s and motion.approach_acceleration_m_s2"
+            );
+        }
         if self.cycles > 0 {
             let mean_m = self.sum_m / self.cycles as f64;
             let [mean, max, last] = [mean_m, self.max_m, self.final_m].map(|m| 1e3 * m);
@@ -59,19 +65,6 @@ impl TipError {
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
-    }
-
-    /// Says how near the tip came to the end, and fails where that is farther than `limit_m`.
-    pub(crate) fn tell_end(&self, limit_m: f64) -> anyhow::Result<()> {
-        if self.cycles == 0 {
-            bail!("no cycle tracked the way: see cdcrctl status");
-        }
-        let [end, limit] = [self.final_m, limit_m].map(|m| 1e3 * m);
-        if self.final_m > limit_m {
-            bail!("the tip stays {end:.3} mm away, more than --max-error, {limit:.3} mm");
-        }
-        writeln!(std::io::stdout(), "the tip is {end:.3} mm from the point")?;
-        Ok(())
     }
 
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {

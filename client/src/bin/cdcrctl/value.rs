@@ -44,6 +44,14 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// How often a second the tip is measured.
+pub(crate) fn tip_rate_hz(text: &str) -> Result<f64, String> {
+    match number(text)? {
+        value if (0.01..=1000.0).contains(&value) => Ok(value),
+        value => Err(format!("{value} is not between 0.01 and 1000")),
+    }
+}
+
 /// A finite number that is not negative.
 pub(crate) fn not_negative(text: &str) -> Result<f64, String> {
     match number(text)? {

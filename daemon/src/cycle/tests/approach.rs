@@ -1,6 +1,6 @@
 //! A reference that begins elsewhere than the tip is, or in motion, is reached within the limits of the approach.
 
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::safety::{Refusal, Request};
 use nalgebra::Vector3;
 
@@ -10,13 +10,17 @@ use super::trial::{PERIOD_S, Trial};
 /// Of the defaults.
 const APPROACH_M_S: f64 = 0.1;
 const APPROACH_M_S2: f64 = 0.5;
-/// Encoders with 30 µm of noise move the estimate, and the tip with it.
-const NOISE_M_S: f64 = 0.02;
-const NOISE_M_S2: f64 = 8.0;
+/// Motors with a lag, an offset and a droop move the estimate a little.
+const ROUNDING: f64 = 1.05;
 
+/// The laboratory's robot, but for the noise of its encoders: commands follow that, and accelerations show it.
 fn trial(approach: &str) -> Trial {
     let more = format!("[motion]\napproach = \"{approach}\"\n");
-    let mut trial = Trial::with(Interface::Position, Preset::Laboratory.flaws(), &more);
+    let flaws = Flaws {
+        noise_m: 0.0,
+        ..Preset::Laboratory.flaws()
+    };
+    let mut trial = Trial::with(Interface::Position, flaws, &more);
     trial.turns(100);
     trial
 }
@@ -47,8 +51,9 @@ const ALONG_M_S: [f64; 3] = [0.0, 0.05, 0.0];
 const SPEED_M_S: f64 = 0.05;
 
 fn is_gentle((speed_m_s, acceleration_m_s2): (f64, f64)) -> bool {
-    speed_m_s <= SPEED_M_S + APPROACH_M_S + NOISE_M_S
-        && acceleration_m_s2 <= APPROACH_M_S2 + NOISE_M_S2
+    println!("{speed_m_s} m/s, {acceleration_m_s2} m/s²");
+    speed_m_s <= ROUNDING * (APPROACH_M_S + 1.52 * SPEED_M_S)
+        && acceleration_m_s2 <= ROUNDING * APPROACH_M_S2
 }
 
 #[test]
@@ -66,7 +71,7 @@ fn a_reference_that_moves_elsewhere_is_reached_gently() {
         let seen = fastest(&tips_m);
         assert_eq!(is_gentle(seen), approach == "smooth", "{seen:?}");
         let record = trial.turn();
-        assert_eq!(record.approach.duration_ns, 0, "it is over");
+        assert!(!record.approach.runs(), "it is over");
         let error_m = (record.tip.position_m - record.reference.position_m).norm();
         assert!(error_m < 0.002, "{error_m}");
     }

@@ -72,9 +72,16 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     );
     assert!(says(&daemon, "ref spiral --dry-run", 0).contains("clearance"));
     assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
-    // What is approached from far is followed well from then on.
-    let spiral = says(&daemon, "ref spiral --track --max-error 3mm", 0);
+    // The spiral begins 163 mm from the tip of the straight robot.
+    let spiral = says(&daemon, "ref spiral --track --lead 1s --max-error 100mm", 0);
     assert!(spiral.contains("approached in"), "{spiral}");
+}
+
+#[test]
+fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
+    let daemon = Daemon::start(PATIENT);
+    let said = says(&daemon, "plant", 1);
+    assert!(said.contains("link.kind"), "{said}");
 }
 
 #[test]

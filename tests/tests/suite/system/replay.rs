@@ -73,6 +73,7 @@ fn approach_of(record: &Telemetry) -> Approach {
     Approach {
         begin_ns: record.approach.begin_ns,
         duration_ns: record.approach.duration_ns,
+        joining_ns: record.approach.joining_ns,
         offset_m: record.approach.offset_m.into(),
         velocity_m_s: record.approach.velocity_m_s.into(),
         turn_rad: record.approach.turn_rad.into(),

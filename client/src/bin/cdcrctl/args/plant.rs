@@ -16,8 +16,11 @@ pub(crate) struct PlantOptions {
     #[arg(long, value_parser = interface())]
     pub(crate) interface: Option<Interface>,
     /// Measure the tip beside the cables, so often a second
-    #[arg(long, value_name = "HZ", value_parser = value::positive)]
+    #[arg(long, value_name = "HZ", value_parser = value::tip_rate_hz)]
     pub(crate) tip: Option<f64>,
+    /// Also where the robot has or had a driver: its motors would follow what is commanded to the simulated robot
+    #[arg(long)]
+    pub(crate) force: bool,
     /// Seed of its noise
     #[arg(long, default_value_t = 1)]
     pub(crate) seed: u64,
