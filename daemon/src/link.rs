@@ -60,6 +60,21 @@ impl RobotLink {
         })
     }
 
+    /// The newest measurement of the tip beside bends or cables. Called once in each cycle, after [`Self::measure`].
+    pub fn measure_tip(
+        &mut self,
+        release_ns: u64,
+        inputs: &CycleInputs,
+    ) -> Option<TimedMeasurement> {
+        match self {
+            Self::Misbehaving(robot) => robot.measures_both.then(|| TimedMeasurement {
+                measurement: Measurement::TipPosition(robot.plant.measure_tip()),
+                measured_ns: release_ns,
+            }),
+            Self::Ideal(_) | Self::Driver => inputs.tip,
+        }
+    }
+
     /// The rates that hold from the release at `release_ns` on, for a simulated robot.
     /// `commanded` is where the robot is commanded to be at that release.
     pub fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {
@@ -95,6 +110,8 @@ pub struct MisbehavingLink {
     model: Robot,
     interface: Interface,
     measures_tip: bool,
+    /// The tip beside the cables.
+    measures_both: bool,
     valid_ns: u64,
     rates: BendRates,
     /// Where position motors are sent (m).
@@ -113,12 +130,18 @@ impl MisbehavingLink {
         let Validated {
             config,
             robot,
+            truth,
             initial,
             ..
         } = validated;
         let (preset, seed) = (config.link.simulated, u64::from(config.link.simulated_seed));
+        let plant = MisbehavingRobot::new(robot, initial, preset.flaws(), seed)?;
         Ok(Self {
-            plant: MisbehavingRobot::new(robot, initial, preset.flaws(), seed)?,
+            plant: match truth {
+                Some(truth) => plant.with_truth(truth.clone()),
+                None => plant,
+            },
+            measures_both: config.link.simulated_tip && !preset.measures_tip(),
             model: robot.clone(),
             interface: config.link.interface,
             measures_tip: preset.measures_tip(),

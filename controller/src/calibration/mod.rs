@@ -9,7 +9,6 @@
 //!
 //! Invariant: nothing here knows a file, a unit other than SI, or a robot's mode.
 
-mod exciting_path;
 mod fit;
 mod geometry;
 mod held;
@@ -19,7 +18,6 @@ mod prediction;
 use nalgebra::Vector3;
 use thiserror::Error;
 
-pub use exciting_path::{ExcitingPath, PathError};
 use fit::{Estimated, Square, fit, information, residuals, scaled};
 pub use geometry::{Geometry, PARAMETERS_MAX, Parameter, ParameterGroup};
 use held::hold_what_is_weak;
@@ -55,7 +53,7 @@ pub enum CalibrationError {
     /// The robot did not move.
     #[error(
         "no section bends by more than {bend_rad:.4} rad in these rows: there is nothing to learn without motion; move every \
-         section (cdcrctl calibrate excite)"
+         section in every direction"
     )]
     NoMotion {
         /// The most that a section bends (rad).

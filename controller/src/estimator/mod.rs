@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
 use actuator::ActuatorModel;
-use tip_filter::TipFilter;
+use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
 
 /// What a driver measured.
@@ -23,7 +23,8 @@ pub enum Measurement {
     /// The length of every cable \[m\], section by section.
     CableLengths([f64; CABLES_MAX]),
     /// Position of the tip in the base frame \[m\]. It does not determine the configuration of two or
-    /// more sections: a filter weighs it against what was known and commanded. It expects 0.3 mm of noise.
+    /// more sections: a filter weighs it against what was known and commanded, and expects 0.3 mm of noise unless it is told otherwise
+    /// ([`Estimator::with_tip_noise`]).
     TipPosition(Vector3<f64>),
 }
 
@@ -57,7 +58,7 @@ impl Estimator {
             measured: configuration,
             time_constant_s: 0.0,
             uncorrected_s: None,
-            tip: TipFilter::new(),
+            tip: TipFilter::new(TIP_NOISE_M),
             tip_offset: TipOffset::new(),
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
@@ -79,12 +80,19 @@ impl Estimator {
         self
     }
 
+    /// The same with tips whose coordinates are measured with noise of this standard deviation \[m\], above 0.
+    #[must_use]
+    pub fn with_tip_noise(mut self, noise_m: f64) -> Self {
+        self.tip = TipFilter::new(noise_m);
+        self
+    }
+
     /// Begins anew at `configuration`, with motors at rest.
     pub fn begin(&mut self, configuration: Configuration) {
         self.estimate = configuration;
         self.measured = configuration;
         self.uncorrected_s = None;
-        self.tip = TipFilter::new();
+        self.tip.begin();
         self.tip_offset = TipOffset::new();
         self.motors.begin();
     }
@@ -133,11 +141,11 @@ impl Estimator {
         let way = self.motors.way_left(age_s);
         self.measured = match measurement {
             Measurement::Configuration(measured) => {
-                self.tip = TipFilter::known();
+                self.tip.know_all();
                 way.from(measured)
             }
             Measurement::CableLengths(lengths) => {
-                self.tip = TipFilter::known();
+                self.tip.know_all();
                 way.from(&robot.bend_from_cable_lengths(lengths))
             }
             Measurement::TipPosition(position_m) => {
@@ -295,6 +303,28 @@ mod tests {
             }
             assert!(farthest_m < 3e-3, "{sections} sections: {farthest_m} m");
         }
+    }
+
+    /// Of a sensor that is known to be better, the same measurement moves the estimate farther.
+    #[test]
+    fn a_tip_counts_by_its_noise() {
+        let robot = robot(1);
+        let truth = Configuration::from_slice(&[0.31, 0.3]).unwrap();
+        let begin = Configuration::from_slice(&[0.3, 0.3]).unwrap();
+        let left = |noise_m: f64| {
+            let mut estimator = Estimator::new(begin).with_tip_noise(noise_m);
+            let tip = Measurement::TipPosition(robot.tip_position(&truth));
+            let estimate = *estimator.correct(&robot, &tip, 0.0);
+            (truth.as_slice()[0] - estimate.as_slice()[0]) / 0.01
+        };
+        // Known to 0.01 rad before, and 0.15 m from the base a radian moves the tip by that.
+        assert!(
+            left(1e-5) < 1e-3 && left(1e-1) > 0.99,
+            "{} {}",
+            left(1e-5),
+            left(1e-1)
+        );
+        assert!((0.3..0.7).contains(&left(1.5e-3)), "{}", left(1.5e-3));
     }
 
     #[test]

@@ -2,8 +2,8 @@ use nalgebra::{Matrix3, Vector3};
 
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 
-/// How far a measured tip coordinate lies beside the true one: standard deviation \[m\].
-const TIP_NOISE_M: f64 = 3e-4;
+/// How far a measured tip coordinate lies beside the true one, where nothing else is known: standard deviation \[m\].
+pub(super) const TIP_NOISE_M: f64 = 3e-4;
 /// How far a bend strays from what was commanded: standard deviation after a second \[rad/√s\]. With the noise above and
 /// a measurement in 5 ms the filter averages over 0.14 s with one section of the paper's, over 0.02 s with three.
 const BEND_NOISE_RAD_SQRT_S: f64 = 1e-3;
@@ -24,24 +24,34 @@ const STEP_MIN_RAD: f64 = 1e-9;
 pub(super) struct TipFilter {
     /// Covariance of the bends \[rad²\], symmetric.
     covariance: Square,
+    /// Variance of a measured coordinate \[m²\].
+    noise_m2: f64,
 }
 
 impl TipFilter {
-    /// Nothing is known of the bends.
-    pub(super) fn new() -> Self {
-        Self::with_variance(UNKNOWN_RAD * UNKNOWN_RAD)
+    /// Nothing is known of the bends. A measured coordinate is off by `noise_m`, above 0: standard deviation.
+    pub(super) fn new(noise_m: f64) -> Self {
+        let mut filter = Self {
+            covariance: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
+            noise_m2: noise_m * noise_m,
+        };
+        filter.know(UNKNOWN_RAD * UNKNOWN_RAD);
+        filter
+    }
+
+    /// Nothing is known of the bends any more.
+    pub(super) fn begin(&mut self) {
+        self.know(UNKNOWN_RAD * UNKNOWN_RAD);
     }
 
     /// Every bend was measured.
-    pub(super) fn known() -> Self {
-        Self::with_variance(0.0)
+    pub(super) fn know_all(&mut self) {
+        self.know(0.0);
     }
 
-    fn with_variance(variance: f64) -> Self {
+    fn know(&mut self, variance: f64) {
         let row = |i| core::array::from_fn(|j| if i == j { variance } else { 0.0 });
-        Self {
-            covariance: core::array::from_fn(row),
-        }
+        self.covariance = core::array::from_fn(row);
     }
 
     /// `elapsed_s` have passed.
@@ -65,14 +75,15 @@ impl TipFilter {
         let root = self.root();
         let mut jacobian = Jacobian::default();
         let mut damping = 0.0;
-        let mut now = Fit::new([0.0; COORDINATES_MAX], robot, before, &root, position_m);
+        let fit = |units| Fit::new(units, robot, before, &root, position_m, self.noise_m2);
+        let mut now = fit([0.0; COORDINATES_MAX]);
         for _ in 0..STEPS {
             robot.tip_jacobian(&now.bends, &mut jacobian);
             let by_unit = by_unit(&jacobian, &root);
-            let Some(units) = now.improved(&by_unit, damping) else {
+            let Some(units) = now.improved(&by_unit, damping, self.noise_m2) else {
                 break;
             };
-            let next = Fit::new(units, robot, before, &root, position_m);
+            let next = fit(units);
             let is_converged = next.farthest_rad(&now) < STEP_MIN_RAD;
             if next.cost < now.cost {
                 damping *= 0.1;
@@ -114,7 +125,7 @@ impl TipFilter {
     /// What the measurement told is known from now on: P - P Jᵀ S⁻¹ J P with S = J P Jᵀ + R.
     fn learn(&mut self, jacobian: &Jacobian) {
         let cross = by_unit(jacobian, &self.covariance);
-        let mut innovation = Matrix3::identity() * (TIP_NOISE_M * TIP_NOISE_M);
+        let mut innovation = Matrix3::identity() * self.noise_m2;
         for (row, cross) in rows(jacobian).zip(&cross) {
             innovation += row * cross.transpose();
         }
@@ -152,14 +163,15 @@ impl Fit {
         before: &Configuration,
         root: &Square,
         position_m: &Vector3<f64>,
+        noise_m2: f64,
     ) -> Self {
         let mut bends = *before;
         for (bend, row) in bends.as_mut_slice().iter_mut().zip(root) {
             *bend += row.iter().zip(&units).map(|(a, b)| a * b).sum::<f64>();
         }
         let missing_m = position_m - robot.tip_position(&bends);
-        let cost = missing_m.norm_squared() / (TIP_NOISE_M * TIP_NOISE_M)
-            + units.iter().map(|unit| unit * unit).sum::<f64>();
+        let cost =
+            missing_m.norm_squared() / noise_m2 + units.iter().map(|unit| unit * unit).sum::<f64>();
         Self {
             units,
             bends,
@@ -174,13 +186,13 @@ impl Fit {
         &self,
         by_unit: &[Vector3<f64>; COORDINATES_MAX],
         damping: f64,
+        noise_m2: f64,
     ) -> Option<[f64; COORDINATES_MAX]> {
-        let variance = TIP_NOISE_M * TIP_NOISE_M;
         let damped = 1.0 + damping;
-        let mut gram = Matrix3::identity() * (damped * variance);
+        let mut gram = Matrix3::identity() * (damped * noise_m2);
         let mut seen = Vector3::zeros();
         let slope: [f64; COORDINATES_MAX] =
-            core::array::from_fn(|i| by_unit[i].dot(&self.missing_m) / variance - self.units[i]);
+            core::array::from_fn(|i| by_unit[i].dot(&self.missing_m) / noise_m2 - self.units[i]);
         for (column, slope) in by_unit.iter().zip(&slope) {
             gram += column * column.transpose();
             seen += column * *slope;

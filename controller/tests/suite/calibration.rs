@@ -3,14 +3,15 @@
 use std::collections::BTreeMap;
 
 use cdcr_controller::calibration::{
-    Calibration, CalibrationError, CalibrationRow, ExcitingPath, Parameter, ParameterGroup, Why,
-    calibrate,
+    Calibration, CalibrationError, CalibrationRow, Parameter, ParameterGroup, Why, calibrate,
 };
 use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::exciting_path::ExcitingPath;
 
 /// Between two rows (s).
 const ROW_S: f64 = 0.02;
@@ -69,7 +70,7 @@ impl Trial {
         let mut plant = MisbehavingRobot::new(&model, &straight, flaws, seed)
             .unwrap()
             .with_truth(Robot::new(&self.truth).unwrap());
-        let path = ExcitingPath::new(&model, 0.5, 0.3, duration_s).unwrap();
+        let path = ExcitingPath::new(&model, 0.5, 0.3, duration_s);
         for row in 0..(duration_s / ROW_S) as u32 {
             let goal = path.bends(f64::from(row) * ROW_S);
             plant.order(MotorOrder::Lengths(model.cable_lengths(&goal)));

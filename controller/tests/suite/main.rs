@@ -8,6 +8,7 @@
 mod calibration;
 mod clearance;
 mod examples;
+mod exciting_path;
 mod jacobian;
 mod kinematics_golden;
 mod last_word;

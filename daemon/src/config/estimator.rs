@@ -10,5 +10,8 @@ cdcr_controller::parameters! {
         /// counts for T / (T + this). At least four times the lag of the motors that [actuator] does not know, or the loop may oscillate. The
         /// ideal simulated robot is measured exactly, and believed at once.
         time_constant_ms: f64 = 100.0, in 0.0..=10_000.0;
+        /// Noise of a measured coordinate of the tip, {range}: standard deviation. What the estimate makes of a tip that alone is measured
+        /// depends on it; cdcrctl calibrate noise measures it.
+        tip_noise_m: f64 = 3e-4, in 1e-6..=0.1;
     }
 }

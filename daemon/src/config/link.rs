@@ -1,5 +1,5 @@
 use cdcr_controller::plant::Preset;
-use cdcr_controller::robot::{Configuration, Robot};
+use cdcr_controller::robot::{Configuration, Robot, RobotParameters, SectionParameters};
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins, ns};
@@ -55,6 +55,12 @@ cdcr_controller::parameters! {
         simulated: Preset = Preset::Ideal;
         /// Seed of its noise, {range}.
         simulated_seed: u32 = 1, in 0.0..=4_294_967_295.0;
+        /// Whether the position of its tip is measured beside its cables, with 0.3 mm of noise; not of the ideal robot, which is exactly its
+        /// model, and of "blind" anyway.
+        simulated_tip: bool = false;
+        /// What its sections are in truth, to try a configuration that is wrong: length in m, radius of the cables in m and angle of the
+        /// first in rad, three numbers for each section; empty: those of [robot], and what the preset makes of them. Not of the ideal robot.
+        simulated_geometry: Vec<[f64; 3]> = Vec::new();
         /// Which part of a command the robot follows: "velocity", the speeds, or "position", the
         /// positions. A driver reports which it follows, and is refused where that differs. The simulated robot can do both.
         interface: Interface = Interface::Velocity;
@@ -84,6 +90,45 @@ impl LinkConfig {
             0 => 3 * period_ns,
             valid_ns => valid_ns,
         }
+    }
+
+    /// The robot that the simulated one is in truth, where that is given.
+    pub(super) fn truth(
+        &self,
+        robot: &Robot,
+        origins: &Origins,
+    ) -> Result<Option<Robot>, ConfigError> {
+        let (given, key) = (&self.simulated_geometry, "link.simulated_geometry");
+        let is_refused = |message: &str| origins.error(&[key, "link.simulated"], message);
+        if self.is_ideal() && (!given.is_empty() || self.simulated_tip) {
+            return Err(origins.error(
+                &["link.simulated_tip", key, "link.simulated"],
+                "the ideal robot is exactly its model: simulated_geometry and simulated_tip need another link.simulated, \
+                 for example \"laboratory\"",
+            ));
+        }
+        if given.is_empty() {
+            return Ok(None);
+        }
+        if given.len() != robot.section_count() {
+            let (is, should) = (given.len(), robot.section_count());
+            let message = format!("{is} sections are given, but the robot has {should}");
+            return Err(is_refused(&message));
+        }
+        let sections = robot.sections().iter().zip(given);
+        let sections = sections.map(|(section, given)| SectionParameters {
+            length_m: given[0],
+            cable_radius_m: given[1],
+            cable_offset_rad: given[2],
+            ..*section
+        });
+        let truth = RobotParameters {
+            sections: sections.collect(),
+            cable_speed_max_m_s: robot.cable_speed_max_m_s(),
+            cable_stroke_max_m: robot.cable_stroke_max_m(),
+        };
+        let truth = Robot::new(&truth).map_err(|error| is_refused(&error.to_string()));
+        truth.map(Some)
     }
 
     /// Where the simulation of `robot`, or its estimate, begins.

@@ -100,6 +100,8 @@ pub struct Validated {
     pub config: Config,
     /// The robot.
     pub robot: Robot,
+    /// What the simulated robot is in truth, where that is given.
+    pub truth: Option<Robot>,
     /// Where its simulation, or the estimate, begins.
     pub initial: Configuration,
     /// Where daemon and clients meet.

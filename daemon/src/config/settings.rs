@@ -31,6 +31,7 @@ impl Settings {
         ranges::check(&config, &origins)?;
         rules::check(&config, &origins)?;
         let robot = config.robot.robot(&origins)?;
+        let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         config.realtime.mode = config.realtime.mode.of(config.link.kind);
         let location = config.transport.location(&origins)?;
@@ -38,6 +39,7 @@ impl Settings {
         Ok(Validated {
             config,
             robot,
+            truth,
             initial,
             location,
             group_id,

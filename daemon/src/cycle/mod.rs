@@ -165,7 +165,8 @@ impl Cycle {
         self.state.count_silence(measurement, inputs);
         self.state.move_on(&self.rates, elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
-        let tip_use = self.state.measure_tip(inputs.tip, release.release_ns);
+        let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
+        let tip_use = self.state.measure_tip(tip_measurement, release.release_ns);
         self.state.locate(elapsed_ns);
         let obstacles = self.place_obstacles(inputs, &release);
 
@@ -234,7 +235,7 @@ impl Cycle {
             policy: self.policy,
             measurement,
             measurement_use,
-            tip_measurement: inputs.tip,
+            tip_measurement,
             tip_use,
             tip_offset_m: self.state.tip_offset_m(),
             tip: self.state.tip(),

@@ -57,7 +57,8 @@ impl RobotState {
         let obeys_positions = policy.interface == Interface::Position;
         let estimator = Estimator::new(initial)
             .with_actuator(policy.actuator)
-            .with_time_constant(policy.estimator_time_constant_s);
+            .with_time_constant(policy.estimator_time_constant_s)
+            .with_tip_noise(policy.tip_noise_m);
         Self {
             robot,
             policy,

@@ -29,6 +29,8 @@ pub struct Policy {
     pub approach: Option<ApproachLimits>,
     /// A reference farther from the tip than this is not approached \[m\].
     pub approach_distance_m: f64,
+    /// Standard deviation of a measured coordinate of the tip \[m\].
+    pub tip_noise_m: f64,
     /// How long after its release a command is valid \[ns\].
     pub command_valid_ns: u64,
     /// Deadline after the release \[ns\].
@@ -65,6 +67,7 @@ impl Policy {
                 .motion
                 .approach_limits(config.link.is_ideal(), reach_m(config)),
             approach_distance_m: config.motion.approach_distance_m(),
+            tip_noise_m: config.estimator.tip_noise_m,
             command_valid_ns: config.link.command_valid_ns(ns(config.cycle.period_ms)),
             deadline_ns: config.cycle.deadline_ns(),
             late_start_ns: ns(config.cycle.late_start_ms),

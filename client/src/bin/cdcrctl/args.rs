@@ -1,3 +1,4 @@
+mod calibrate;
 pub(crate) mod complete;
 mod obstacle;
 mod plant;
@@ -15,6 +16,9 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use clap_complete::ArgValueCandidates;
 
 use crate::value;
+pub(crate) use calibrate::{
+    CalibrateAction, CalibrateOptions, GeometryOptions, NoiseOptions, RecordOptions,
+};
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
 pub(crate) use reference::{
@@ -182,6 +186,12 @@ pub(crate) enum Task {
         cdcrctl obstacle remove 1"
     )]
     Obstacle(ObstacleOptions),
+    /// Find lengths, cables, base and sensor of the robot, and the noise of its sensors
+    #[command(
+        after_help = "Example:\n  cdcrctl home --wait\n  cdcrctl calibrate noise\n  \
+        cdcrctl calibrate record -o moved.csv\n  cdcrctl calibrate geometry moved.csv"
+    )]
+    Calibrate(CalibrateOptions),
 }
 
 /// How to print.

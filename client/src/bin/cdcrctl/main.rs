@@ -6,6 +6,7 @@
 
 mod args;
 mod bar;
+mod calibrate;
 mod demo;
 mod dry_run;
 mod echo;
@@ -80,6 +81,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Settings(options) => settings::run(target, options),
         Task::Echo(options) => echo::run(target, options),
         Task::Obstacle(options) => obstacle::run(target, options),
+        Task::Calibrate(options) => calibrate::run(target, options),
     }
 }
 

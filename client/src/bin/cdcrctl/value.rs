@@ -81,6 +81,11 @@ pub(crate) fn curve_duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.01..=86_400.0)
 }
 
+/// How long noise is measured.
+pub(crate) fn noise_duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.5..=600.0)
+}
+
 /// How long to wait for a robot that is measured to rest, which takes a fifth of a second at least.
 pub(crate) fn wait_duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.3..=86_400.0)

@@ -17,6 +17,20 @@ fn rules_between_keys() {
     );
     let message = error_of("[link]\ninitial_bend_rad = [[0.1, 0.0], [9.0, 0.0], [0.0, 0.0]]\n");
     assert!(message.contains("section 2"), "{message}");
+    let message = error_of("[link]\nsimulated_tip = true\n");
+    assert!(
+        message.contains("line 2: link.simulated_tip: the ideal robot is exactly its model"),
+        "{message}"
+    );
+    let message = error_of("[link]\nsimulated = \"slow\"\nsimulated_geometry = [[0.3, 0.01, 0]]\n");
+    assert!(
+        message.contains("line 3: link.simulated_geometry") && message.contains("the robot has 3"),
+        "{message}"
+    );
+    let message = error_of(
+        "[link]\nsimulated = \"slow\"\nsimulated_geometry = [[0.3, 0.01, 0], [0.3, 0.4, 0], [0.3, 0.01, 0]]\n",
+    );
+    assert!(message.contains("section 2: cable_radius_m"), "{message}");
     let message = error_of("[transport]\nprefix = \"a b\"\n");
     assert!(message.contains("line 2: transport.prefix"), "{message}");
     let message = error_of("[realtime]\ncycle_priority = 60\n");

@@ -3,6 +3,7 @@
 mod access;
 mod bad_input;
 mod bare;
+mod calibration;
 mod commands;
 mod demo;
 mod driver;

@@ -1,6 +1,4 @@
-use thiserror::Error;
-
-use crate::robot::{BendRates, Configuration, Robot};
+use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
 
 /// Turns of each bend in a round, as parts of it: no two alike, so that every bend meets every other in many ways.
 const TURNS: [f64; 12] = [
@@ -13,26 +11,10 @@ const FADE: f64 = 0.1;
 /// Samples to look at for its largest rate and stroke.
 const SAMPLES: u32 = 4000;
 
-/// Why there is no path within the bounds.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
-pub enum PathError {
-    /// It would have to move too fast.
-    #[error(
-        "{duration_s} s are too short for one round within these bounds: it takes {least_s:.1} s; allow more time, more speed \
-         or smaller bends"
-    )]
-    TooShort {
-        /// The time that was asked for (s).
-        duration_s: f64,
-        /// The shortest (s).
-        least_s: f64,
-    },
-}
-
 /// A path that begins and ends at rest in the straight robot and shows between what a calibration has to see: every section bends in
 /// every direction, and no two alike.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ExcitingPath {
+pub(crate) struct ExcitingPath {
     amplitude_rad: Vec<f64>,
     rounds: f64,
     duration_s: f64,
@@ -40,15 +22,7 @@ pub struct ExcitingPath {
 
 impl ExcitingPath {
     /// A path of `duration_s` (s) that uses these shares (0 to 1) of the bends and strokes, and of the speeds, that the robot allows.
-    ///
-    /// # Errors
-    /// When the time is too short.
-    pub fn new(
-        robot: &Robot,
-        bend_share: f64,
-        speed_share: f64,
-        duration_s: f64,
-    ) -> Result<Self, PathError> {
+    pub(crate) fn new(robot: &Robot, bend_share: f64, speed_share: f64, duration_s: f64) -> Self {
         let amplitudes = robot
             .sections()
             .iter()
@@ -66,26 +40,16 @@ impl ExcitingPath {
         let too_much = (longest_m / (bend_share * robot.cable_stroke_max_m())).max(1.0);
         path.amplitude_rad.iter_mut().for_each(|a| *a /= too_much);
         let least_s = (duration_s * path.rate_share(robot) / speed_share).max(ROUND_MIN_S);
-        if duration_s < least_s {
-            return Err(PathError::TooShort {
-                duration_s,
-                least_s,
-            });
-        }
+        assert!(duration_s >= least_s, "it takes {least_s} s");
         path.rounds = duration_s / ROUND_MIN_S;
         while path.rounds > 1.0 && path.rate_share(robot) > speed_share {
             path.rounds = (0.95 * path.rounds).max(1.0);
         }
-        Ok(path)
-    }
-
-    /// How long it takes (s).
-    pub fn duration_s(&self) -> f64 {
-        self.duration_s
+        path
     }
 
     /// How the robot is bent at `time_s`, 0 to the duration.
-    pub fn bends(&self, time_s: f64) -> Configuration {
+    pub(crate) fn bends(&self, time_s: f64) -> Configuration {
         let part = (time_s / self.duration_s).clamp(0.0, 1.0);
         let edge = (part.min(1.0 - part) / FADE).min(1.0);
         // Smooth in position, speed and acceleration.
@@ -120,49 +84,32 @@ impl ExcitingPath {
     }
 }
 
-#[cfg(test)]
-#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-mod tests {
-    use super::*;
-    use crate::robot::RobotParameters;
-
-    #[test]
-    fn it_stays_within_its_bounds_and_begins_and_ends_at_rest() {
-        for sections in 1..=6 {
-            let mut parameters = RobotParameters::paper(sections);
-            parameters.cable_stroke_max_m = 0.03;
-            let robot = Robot::new(&parameters).unwrap();
-            for (bend_share, speed_share, duration_s) in [(0.5, 0.25, 60.0), (1.0, 1.0, 20.0)] {
-                let path = ExcitingPath::new(&robot, bend_share, speed_share, duration_s).unwrap();
-                assert!(path.rate_share(&robot) <= speed_share);
-                let at = |time_s: f64| path.bends(time_s);
-                for (end_s, inside_s) in [(0.0, 1e-3), (duration_s, duration_s - 1e-3)] {
-                    let (end, inside) = (at(end_s), at(inside_s));
-                    for (end, inside) in end.as_slice().iter().zip(inside.as_slice()) {
-                        assert!(end.abs() < 1e-12 && (end - inside).abs() < 1e-6);
-                    }
-                }
-                for sample in 0..1000 {
-                    let bends = at(duration_s * f64::from(sample) / 999.0);
-                    for j in 0..sections {
-                        let limit_rad = bend_share * robot.sections()[j].bend_max_rad;
-                        assert!(bends.bend_rad(j) <= limit_rad + 1e-12);
-                    }
-                    let strokes_m = robot.cable_strokes(&bends);
-                    let most_m = bend_share * robot.cable_stroke_max_m() + 1e-12;
-                    assert!(strokes_m.iter().all(|stroke_m| stroke_m.abs() <= most_m));
+#[test]
+fn it_stays_within_its_bounds_and_begins_and_ends_at_rest() {
+    for sections in 1..=6 {
+        let mut parameters = RobotParameters::paper(sections);
+        parameters.cable_stroke_max_m = 0.03;
+        let robot = Robot::new(&parameters).unwrap();
+        for (bend_share, speed_share, duration_s) in [(0.5, 0.25, 60.0), (1.0, 1.0, 20.0)] {
+            let path = ExcitingPath::new(&robot, bend_share, speed_share, duration_s);
+            assert!(path.rate_share(&robot) <= speed_share);
+            let at = |time_s: f64| path.bends(time_s);
+            for (end_s, inside_s) in [(0.0, 1e-3), (duration_s, duration_s - 1e-3)] {
+                let (end, inside) = (at(end_s), at(inside_s));
+                for (end, inside) in end.as_slice().iter().zip(inside.as_slice()) {
+                    assert!(end.abs() < 1e-12 && (end - inside).abs() < 1e-6);
                 }
             }
+            for sample in 0..1000 {
+                let bends = at(duration_s * f64::from(sample) / 999.0);
+                for j in 0..sections {
+                    let limit_rad = bend_share * robot.sections()[j].bend_max_rad;
+                    assert!(bends.bend_rad(j) <= limit_rad + 1e-12);
+                }
+                let strokes_m = robot.cable_strokes(&bends);
+                let most_m = bend_share * robot.cable_stroke_max_m() + 1e-12;
+                assert!(strokes_m.iter().all(|stroke_m| stroke_m.abs() <= most_m));
+            }
         }
-    }
-
-    #[test]
-    fn too_little_time_is_refused_with_the_time_that_is_enough() {
-        let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-        let Err(PathError::TooShort { least_s, .. }) = ExcitingPath::new(&robot, 0.5, 0.1, 10.0)
-        else {
-            panic!("10 s are too short");
-        };
-        assert!(least_s > 10.0 && ExcitingPath::new(&robot, 0.5, 0.1, 1.001 * least_s).is_ok());
     }
 }

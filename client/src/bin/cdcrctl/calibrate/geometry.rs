@@ -1,0 +1,113 @@
+use std::fs;
+use std::io::Write;
+use std::path::Path;
+use std::time::Duration;
+
+use anyhow::Context;
+use cdcr_client::model::robot_of;
+use cdcr_controller::calibration::{Calibration, ParameterGroup, calibrate};
+use cdcr_controller::robot::{RobotParameters, SectionParameters};
+use toml_edit::{DocumentMut, Item, Value};
+
+use super::recording::Recording;
+use super::report;
+use crate::Done;
+use crate::args::{Format, GeometryOptions, Target};
+
+/// `cdcrctl calibrate geometry`
+pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<Done> {
+    let name = options.file.display();
+    let text = fs::read_to_string(&options.file).with_context(|| format!("cannot read {name}"))?;
+    let robot = match &options.config {
+        Some(path) => configured(path)?,
+        None => of_daemon(target)?,
+    };
+    let recording = Recording::parse(&options.file, &text, 3 * robot.sections.len())?;
+    let hold: Vec<ParameterGroup> = options.hold.iter().map(|hold| hold.0).collect();
+    let found: Calibration =
+        calibrate(&robot, &recording.rows, &hold).with_context(|| name.to_string())?;
+    let mut out = std::io::stdout().lock();
+    match options.format {
+        Format::Json => writeln!(out, "{:#}", report::json(&robot, &recording, &found))?,
+        Format::Text => write!(
+            out,
+            "{}",
+            report::text(&options.file, &robot, &recording, &found)?
+        )?,
+    }
+    Ok(Done::Good)
+}
+
+/// The robot of a daemon.
+fn of_daemon(target: &Target) -> anyhow::Result<RobotParameters> {
+    let status = target.connect()?.status(Duration::from_secs(1))?;
+    let robot = robot_of(&status.robot)?;
+    Ok(RobotParameters {
+        sections: robot.sections().to_vec(),
+        cable_speed_max_m_s: robot.cable_speed_max_m_s(),
+        cable_stroke_max_m: robot.cable_stroke_max_m(),
+    })
+}
+
+/// The robot of a configuration file; a file without sections has those of the default.
+fn configured(path: &Path) -> anyhow::Result<RobotParameters> {
+    let name = path.display();
+    let text = fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let document: DocumentMut = text.parse().with_context(|| name.to_string())?;
+    let mut robot = RobotParameters::paper(3);
+    let sections = document
+        .get("robot")
+        .and_then(|robot| robot.get("sections"));
+    if let Some(sections) = sections {
+        let tables = sections
+            .as_array_of_tables()
+            .with_context(|| format!("{name}: robot.sections is no list of tables"))?;
+        let sections = tables.iter().enumerate().map(|(index, table)| {
+            let number = |key: &str| {
+                let value = table.get(key).and_then(Item::as_value).and_then(float);
+                value.with_context(|| {
+                    format!("{name}: robot.sections[{index}].{key} is missing, or no number")
+                })
+            };
+            Ok(SectionParameters {
+                length_m: number("length_m")?,
+                cable_radius_m: number("cable_radius_m")?,
+                cable_offset_rad: number("cable_offset_rad")?,
+                bend_max_rad: number("bend_max_rad")?,
+                rate_max_rad_s: number("rate_max_rad_s")?,
+                body_radius_m: number("body_radius_m")?,
+            })
+        });
+        robot.sections = sections.collect::<anyhow::Result<_>>()?;
+    }
+    Ok(robot)
+}
+
+fn float(value: &Value) -> Option<f64> {
+    let whole = value.as_integer().map(|whole| whole as f64);
+    value.as_float().or(whole)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_robot_of_a_file_is_read_and_what_lacks_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("robot.toml");
+        let default = include_str!("../../../../../configs/default.toml");
+        fs::write(&path, default).expect("written");
+        assert_eq!(
+            configured(&path).expect("good").sections,
+            RobotParameters::paper(3).sections
+        );
+        fs::write(
+            &path,
+            default.replace("length_m = 0.3\n", "length_m = \"a\"\n"),
+        )
+        .expect("written");
+        let error = configured(&path).expect_err("no number").to_string();
+        assert!(error.contains("robot.sections[0].length_m"), "{error}");
+    }
+}

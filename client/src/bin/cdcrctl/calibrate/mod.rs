@@ -1,0 +1,20 @@
+//! Records what a robot measures, and finds which robot it is.
+
+mod geometry;
+mod noise;
+mod record;
+mod recording;
+mod report;
+mod resting;
+
+use crate::Done;
+use crate::args::{CalibrateAction, CalibrateOptions, Target};
+
+/// `cdcrctl calibrate …`
+pub(crate) fn run(target: &Target, options: &CalibrateOptions) -> anyhow::Result<Done> {
+    match &options.action {
+        CalibrateAction::Record(options) => record::run(target, options),
+        CalibrateAction::Geometry(options) => geometry::run(target, options),
+        CalibrateAction::Noise(options) => noise::run(target, options),
+    }
+}

@@ -1,0 +1,268 @@
+use std::fmt::Write as _;
+use std::io::Write;
+use std::time::Duration;
+
+use anyhow::ensure;
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{MeasurementKind, Mode};
+use serde_json::{Value, json};
+
+use super::resting::{Sensors, next, rests};
+use crate::Done;
+use crate::args::{Format, NoiseOptions, Target};
+use crate::bar::Bar;
+use crate::interrupt::Interrupt;
+
+/// Measurements that a standard deviation needs.
+const LEAST: usize = 20;
+/// Of noise so many times as large a bend is taken for no motion in a million.
+const SAFE: f64 = 5.0;
+
+/// One sensor's numbers, each with its values, and when they were measured.
+#[derive(Default)]
+struct Sensor {
+    values: Vec<Vec<f64>>,
+    newest_ns: u64,
+    first_ns: u64,
+    ages_ns: Vec<u64>,
+}
+
+/// What is known of a sensor.
+struct SensorNoise {
+    /// Standard deviation of each number.
+    deviation_m: Vec<f64>,
+    /// Smallest step between two values of it.
+    step_m: Vec<f64>,
+    rate_hz: f64,
+    age_ms: f64,
+}
+
+/// `cdcrctl calibrate noise`
+pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    let mut telemetry = connection.telemetry()?;
+    let first = rests(&mut telemetry)?;
+    let sensors = Sensors::of(&first);
+    ensure!(
+        sensors.cables || sensors.tip,
+        "measured are {}: there is no noise to tell",
+        sensors.text()
+    );
+    let interrupt = Interrupt::catch()?;
+    let bar = Bar::new("noise");
+    let (mut cables, mut tip) = (Sensor::default(), Sensor::default());
+    let duration_ns = options.duration.as_nanos() as u64;
+    loop {
+        let record = next(&mut telemetry)?;
+        ensure!(
+            record.mode == Mode::Holding.code() && record.command.bend_rate_rad_s == [0.0; _],
+            "the robot was moved meanwhile: the daemon is {}",
+            Mode::text_of(record.mode)
+        );
+        if interrupt.is_raised() {
+            return Ok(Done::Interrupted);
+        }
+        take(&record, &mut cables, &mut tip);
+        let passed_ns = record.release_ns.saturating_sub(first.release_ns);
+        bar.show_share(passed_ns as f64 / duration_ns as f64);
+        if passed_ns >= duration_ns {
+            break;
+        }
+    }
+    drop(bar);
+    let [cables, tip] = [cables, tip].map(Sensor::noise);
+    ensure!(
+        cables.is_some() || tip.is_some(),
+        "too few measurements in {:?}: at least {LEAST} are needed; give --duration",
+        options.duration
+    );
+    let status = connection.status(Duration::from_secs(1))?;
+    let radii_m = status.robot.section.map(|section| section.cable_radius_m);
+    let mut out = std::io::stdout().lock();
+    match options.format {
+        Format::Text => write!(out, "{}", text(cables.as_ref(), tip.as_ref(), &radii_m)?)?,
+        Format::Json => writeln!(
+            out,
+            "{:#}",
+            json!({
+                "cables": cables.as_ref().map(SensorNoise::json),
+                "tip": tip.as_ref().map(SensorNoise::json),
+                "toml": fragment(cables.as_ref(), tip.as_ref(), &radii_m)?,
+            })
+        )?,
+    }
+    Ok(Done::Good)
+}
+
+fn take(record: &Telemetry, cables: &mut Sensor, tip: &mut Sensor) {
+    let measured = &record.measurement;
+    let release_ns = record.release_ns;
+    let used = 3 * record.command.sections as usize;
+    if measured.kind == MeasurementKind::CableLengths.code() {
+        cables.take(
+            release_ns,
+            measured.measured_ns,
+            &measured.cable_length_m[..used],
+        );
+    }
+    if measured.kind == MeasurementKind::TipPose.code() {
+        tip.take(release_ns, measured.measured_ns, &measured.tip_position_m);
+    } else {
+        tip.take(release_ns, record.tip_measured_ns, &record.tip_measured_m);
+    }
+}
+
+impl Sensor {
+    /// Takes a measurement, if it is another than the last.
+    fn take(&mut self, release_ns: u64, measured_ns: u64, numbers: &[f64]) {
+        if measured_ns <= self.newest_ns {
+            return;
+        }
+        if self.values.is_empty() {
+            self.first_ns = measured_ns;
+            self.values = vec![Vec::new(); numbers.len()];
+        }
+        self.newest_ns = measured_ns;
+        self.ages_ns.push(release_ns.saturating_sub(measured_ns));
+        for (values, number) in self.values.iter_mut().zip(numbers) {
+            values.push(*number);
+        }
+    }
+
+    fn noise(self) -> Option<SensorNoise> {
+        let count = self.ages_ns.len();
+        (count >= LEAST).then(|| SensorNoise {
+            deviation_m: self.values.iter().map(|values| deviation(values)).collect(),
+            step_m: self.values.into_iter().map(smallest_step).collect(),
+            rate_hz: (count - 1) as f64 * 1e9 / (self.newest_ns - self.first_ns) as f64,
+            age_ms: self.ages_ns.iter().sum::<u64>() as f64 / count as f64 * 1e-6,
+        })
+    }
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (squares / (count - 1.0)).sqrt()
+}
+
+/// The smallest step between two of the values; 0: they are all the same.
+fn smallest_step(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    let steps = values.windows(2).map(|pair| pair[1] - pair[0]);
+    // Rounding is no step.
+    let smallest = steps
+        .filter(|step| *step > 1e-12)
+        .fold(f64::INFINITY, f64::min);
+    if smallest.is_finite() { smallest } else { 0.0 }
+}
+
+impl SensorNoise {
+    fn largest_m(&self) -> f64 {
+        self.deviation_m.iter().copied().fold(0.0, f64::max)
+    }
+
+    fn json(&self) -> Value {
+        json!({
+            "deviation_m": self.deviation_m,
+            "step_m": self.step_m,
+            "rate_hz": self.rate_hz,
+            "age_ms": self.age_ms,
+        })
+    }
+}
+
+fn text(
+    cables: Option<&SensorNoise>,
+    tip: Option<&SensorNoise>,
+    radii_m: &[f64],
+) -> Result<String, std::fmt::Error> {
+    let mut out = String::new();
+    let head = ["deviation [mm]", "step [mm]", "rate [Hz]", "age [ms]"];
+    writeln!(
+        out,
+        "{:<12}{:>16}{:>14}{:>12}{:>12}",
+        "", head[0], head[1], head[2], head[3]
+    )?;
+    for (sensor, name) in [(cables, "cable"), (tip, "tip axis")] {
+        let Some(SensorNoise {
+            deviation_m,
+            step_m,
+            rate_hz,
+            age_ms,
+        }) = sensor
+        else {
+            continue;
+        };
+        for (i, (deviation_m, step_m)) in deviation_m.iter().zip(step_m).enumerate() {
+            let [deviation, step] = [deviation_m, step_m].map(|m| 1e3 * m);
+            let name = format!("{name} {}", i + 1);
+            writeln!(
+                out,
+                "{name:<12}{deviation:>16.4}{step:>14.6}{rate_hz:>12.1}{age_ms:>12.2}"
+            )?;
+        }
+    }
+    write!(out, "\n{}", fragment(cables, tip, radii_m)?)?;
+    Ok(out)
+}
+
+/// The keys of the configuration that depend on it.
+fn fragment(
+    cables: Option<&SensorNoise>,
+    tip: Option<&SensorNoise>,
+    radii_m: &[f64],
+) -> Result<String, std::fmt::Error> {
+    let mut out = String::new();
+    if let Some(tip) = tip {
+        writeln!(out, "[estimator]")?;
+        writeln!(out, "tip_noise_m = {:.7}", tip.largest_m().max(1e-6))?;
+    }
+    if let Some(cables) = cables {
+        let sections = cables.deviation_m.chunks(3).zip(radii_m);
+        let bends_rad = sections.map(|(section, radius_m)| {
+            // Three cables at 120 degrees: two thirds of their variance are in each component of the bend.
+            let squares: f64 = section.iter().map(|m| m * m).sum();
+            (squares / 3.0 / 1.5).sqrt() / radius_m
+        });
+        let largest_rad = bends_rad.fold(0.0, f64::max);
+        writeln!(
+            out,
+            "# A bend is measured with {largest_rad:.6} rad of noise: motion.home_tolerance_rad belongs above {:.6}.",
+            SAFE * largest_rad
+        )?;
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Counts of 0.1 mm around a length, every second release, 2 ms old.
+    #[test]
+    fn deviation_step_rate_and_age_are_found() {
+        let (mut cables, mut tip) = (Sensor::default(), Sensor::default());
+        for cycle in 0..401_u64 {
+            let mut record = Telemetry::default();
+            record.command.sections = 1;
+            record.release_ns = 1_000_000_000 + 5_000_000 * cycle;
+            record.measurement.kind = MeasurementKind::CableLengths.code();
+            record.measurement.measured_ns =
+                record.release_ns - 5_000_000 * (cycle % 2) - 2_000_000;
+            let count = [-1.0, 0.0, 1.0, 0.0][(cycle / 2 % 4) as usize];
+            record.measurement.cable_length_m[1] = 0.3 + 1e-4 * count;
+            take(&record, &mut cables, &mut tip);
+        }
+        let noise = cables.noise().expect("enough");
+        assert!((noise.deviation_m[1] - 1e-4 * 0.5_f64.sqrt()).abs() < 1e-6);
+        assert!((noise.step_m[1] - 1e-4).abs() < 1e-12);
+        assert!(noise.step_m[0] == 0.0 && noise.deviation_m[0] == 0.0);
+        assert!((noise.rate_hz - 100.0).abs() < 1e-9 && (noise.age_ms - 2.0).abs() < 1e-9);
+        assert!(tip.noise().is_none());
+        let text = fragment(Some(&noise), None, &[0.0125]).expect("text");
+        // √(0.5e-8 / 3 / 1.5) / 0.0125.
+        assert!(text.contains("measured with 0.002680 rad"), "{text}");
+    }
+}

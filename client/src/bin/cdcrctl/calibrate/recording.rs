@@ -1,0 +1,210 @@
+use std::io::Read;
+use std::path::Path;
+
+use anyhow::{Context, bail, ensure};
+use cdcr_controller::calibration::CalibrationRow;
+use cdcr_controller::robot::CABLES_MAX;
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+
+const POSITION: [&str; 3] = ["x_m", "y_m", "z_m"];
+const QUATERNION: [&str; 4] = ["qx", "qy", "qz", "qw"];
+/// No length, position or time is larger: what is, is in another unit.
+const MAGNITUDE_MAX: f64 = 4e9;
+/// How far from 1 the length of a quaternion may be: written with three decimals it still passes.
+const UNIT_TOLERANCE: f64 = 2e-3;
+
+/// The header of a recording of a robot with so many cables.
+pub(super) fn header(cables: usize) -> Vec<String> {
+    let cables = (1..=cables).map(|cable| format!("cable_{cable}_m"));
+    let tip = POSITION.iter().map(ToString::to_string);
+    ["t_s".to_owned()]
+        .into_iter()
+        .chain(cables)
+        .chain(tip)
+        .collect()
+}
+
+/// A file of measured cables and tips.
+#[derive(Debug)]
+pub(super) struct Recording {
+    pub(super) rows: Vec<CalibrationRow>,
+    /// From the first row to the last \[s\].
+    pub(super) duration_s: f64,
+}
+
+impl Recording {
+    /// Reads and checks a file of a robot with so many cables; `text` is all of it.
+    pub(super) fn parse(path: &Path, text: &str, cables: usize) -> anyhow::Result<Self> {
+        let name = path.display();
+        let mut reader = csv::ReaderBuilder::new()
+            .trim(csv::Trim::All)
+            .comment(Some(b'#'))
+            // The reader takes a comment that the file ends with for a row.
+            .from_reader(text.as_bytes().chain(&b"\n"[..]));
+        let names: Vec<String> = reader
+            .headers()
+            .with_context(|| name.to_string())?
+            .iter()
+            .map(|name| name.trim_start_matches('\u{feff}').to_owned())
+            .collect();
+        let columns = Columns::find(&names, cables).with_context(|| format!("{name}:1"))?;
+        let (mut rows, mut times_s) = (Vec::new(), Vec::<f64>::new());
+        for record in reader.records() {
+            let record = record.with_context(|| name.to_string())?;
+            let line = record.position().map_or(0, csv::Position::line);
+            let (time_s, row) = columns
+                .row(&record)
+                .with_context(|| format!("{name}:{line}"))?;
+            let before_s = times_s.last().copied().unwrap_or(f64::NEG_INFINITY);
+            ensure!(
+                time_s > before_s,
+                "{name}:{line}: t_s = {time_s} does not come after {before_s} of the row before"
+            );
+            times_s.push(time_s);
+            rows.push(row);
+        }
+        let ends_s = times_s.first().zip(times_s.last());
+        Ok(Self {
+            rows,
+            duration_s: ends_s.map_or(0.0, |(first_s, last_s)| last_s - first_s),
+        })
+    }
+}
+
+/// Where in a row each value stands.
+struct Columns {
+    names: Vec<String>,
+    time: usize,
+    cables: Vec<usize>,
+    position: [usize; 3],
+    quaternion: Option<[usize; 4]>,
+}
+
+impl Columns {
+    fn find(names: &[String], cables: usize) -> anyhow::Result<Self> {
+        let place = |column: &str| names.iter().position(|name| name == column);
+        let find = |column: &str| {
+            place(column).with_context(|| {
+                format!(
+                    "column {column} is missing; the header is {}[,{}]",
+                    header(cables).join(","),
+                    QUATERNION.join(",")
+                )
+            })
+        };
+        let is_cable = |name: &&String| name.starts_with("cable_");
+        let found = names.iter().filter(is_cable).count();
+        if found > 0 && found != cables {
+            bail!(
+                "{found} columns of cables, but the configured robot has {} sections with three cables each, {cables} in all",
+                cables / 3
+            );
+        }
+        let has_quaternion = QUATERNION.iter().any(|column| place(column).is_some());
+        let four = || -> anyhow::Result<_> {
+            let [x, y, z, w] = QUATERNION.map(&find);
+            Ok([x?, y?, z?, w?])
+        };
+        let [x, y, z] = POSITION.map(&find);
+        Ok(Self {
+            names: names.to_vec(),
+            time: find("t_s")?,
+            cables: (1..=cables)
+                .map(|cable| find(&format!("cable_{cable}_m")))
+                .collect::<Result<_, _>>()?,
+            position: [x?, y?, z?],
+            quaternion: has_quaternion.then(four).transpose()?,
+        })
+    }
+
+    /// Its time \[s\] and what was measured.
+    fn row(&self, record: &csv::StringRecord) -> anyhow::Result<(f64, CalibrationRow)> {
+        let number = |place: usize| {
+            let text = record.get(place).unwrap_or("");
+            match text.parse::<f64>() {
+                Ok(value) if value.abs() <= MAGNITUDE_MAX => Ok(value),
+                _ => bail!(
+                    "{} is {text:?}; it must be a finite number",
+                    self.names[place]
+                ),
+            }
+        };
+        let mut cable_length_m = [0.0; CABLES_MAX];
+        for (length_m, place) in cable_length_m.iter_mut().zip(&self.cables) {
+            *length_m = number(*place)?;
+        }
+        let [x, y, z] = self.position.map(number);
+        let turned = self.quaternion.map(|places| -> anyhow::Result<_> {
+            let [x, y, z, w] = places.map(number);
+            let quaternion = Quaternion::new(w?, x?, y?, z?);
+            let norm = quaternion.norm();
+            ensure!(
+                (norm - 1.0).abs() <= UNIT_TOLERANCE,
+                "the quaternion has length {norm:.4}; it must be 1"
+            );
+            Ok(UnitQuaternion::from_quaternion(quaternion))
+        });
+        let row = CalibrationRow {
+            cable_length_m,
+            tip_position_m: Vector3::new(x?, y?, z?),
+            tip_rotation: turned.transpose()?,
+        };
+        Ok((number(self.time)?, row))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn parse(text: &str) -> anyhow::Result<Recording> {
+        Recording::parse(Path::new("a.csv"), text, 3)
+    }
+
+    #[test]
+    fn rows_are_read_in_any_order_of_columns() {
+        let text = "x_m,y_m,z_m,t_s,cable_1_m,cable_2_m,cable_3_m,qx,qy,qz,qw\n\
+            # by hand\n0.1,0.2,0.3,1.5,0.31,0.32,0.33,0,0,0,1\n1,2,3,2,0.4,0.5,0.6,0,0,1,0\n";
+        let recording = parse(text).expect("good");
+        assert_eq!(recording.duration_s, 0.5);
+        let row = &recording.rows[0];
+        assert_eq!(row.cable_length_m[..4], [0.31, 0.32, 0.33, 0.0]);
+        assert_eq!(row.tip_position_m, Vector3::new(0.1, 0.2, 0.3));
+        assert_eq!(row.tip_rotation, Some(UnitQuaternion::identity()));
+    }
+
+    #[test]
+    fn what_is_wrong_is_told_with_line_and_column() {
+        const HEADER: &str = "t_s,cable_1_m,cable_2_m,cable_3_m,x_m,y_m,z_m";
+        for (text, told) in [
+            (
+                format!("{HEADER}\n0,1,1,1,0,0,0\n1,1,nan,1,0,0,0\n"),
+                "a.csv:3: cable_2_m is \"nan\"",
+            ),
+            (
+                format!("{HEADER}\n0,1,1,1,0,0\n"),
+                "found record with 6 fields",
+            ),
+            (
+                format!("{HEADER}\n1,1,1,1,0,0,0\n1,1,1,1,0,0,0\n"),
+                "a.csv:3: t_s = 1 does not come after 1",
+            ),
+            (format!("{HEADER},qx\n"), "column qy is missing"),
+            (
+                format!("{HEADER},qx,qy,qz,qw\n0,1,1,1,0,0,0,0,0,0,2\n"),
+                "length 2.0000",
+            ),
+            (
+                "t_s,cable_1_m,x_m,y_m,z_m\n".to_owned(),
+                "1 columns of cables, but the configured robot has 1 sections",
+            ),
+            (
+                "t_s,x_m,y_m,z_m\n".to_owned(),
+                "column cable_1_m is missing; the header is t_s,cable_1_m",
+            ),
+        ] {
+            let error = format!("{:#}", parse(&text).expect_err("it is wrong"));
+            assert!(error.contains(told), "{error}");
+        }
+    }
+}

@@ -1,0 +1,243 @@
+//! What a calibration found, as text, JSON and configuration.
+
+use std::fmt::{Error, Write};
+use std::path::Path;
+
+use cdcr_controller::calibration::{Calibration, Estimate, TipError};
+use cdcr_controller::robot::{RobotParameters, SectionParameters};
+use serde_json::{Value, json};
+
+use super::recording::Recording;
+
+/// From here on the residuals are errors of the model, and no noise.
+const CORRELATED: f64 = 2.0;
+
+/// For people, with the configuration at the end.
+pub(super) fn text(
+    path: &Path,
+    robot: &RobotParameters,
+    recording: &Recording,
+    found: &Calibration,
+) -> Result<String, Error> {
+    let mut out = String::new();
+    let rows = recording.rows.len();
+    let is_turned = recording.rows.iter().all(|row| row.tip_rotation.is_some());
+    writeln!(
+        out,
+        "{}: {rows} rows in {:.1} s, {} sections, tip {}\n",
+        path.display(),
+        recording.duration_s,
+        robot.sections.len(),
+        if is_turned {
+            "position and rotation"
+        } else {
+            "position"
+        },
+    )?;
+    let head = ["", "configured", "found", "95 % within"];
+    writeln!(
+        out,
+        "{:<36}{:>14}{:>14}{:>14}",
+        head[0], head[1], head[2], head[3]
+    )?;
+    found
+        .estimates
+        .iter()
+        .try_for_each(|estimate| parameter(&mut out, estimate))?;
+    for (section, zeros) in found.cable_zeros.iter().enumerate() {
+        for (cable, (zero_m, within_m)) in zeros.iter().enumerate() {
+            let name = format!("zero of cable {} [mm]", 3 * section + cable + 1);
+            let (zero, within) = (1e3 * zero_m, 1e3 * within_m);
+            writeln!(out, "{name:<36}{:>14}{zero:>14.4}{within:>14.4}", "")?;
+        }
+    }
+    writeln!(
+        out,
+        "\n{:<26}{:>8}{:>10}{:>10}{:>10}{:>10}{:>10}",
+        "tip error [mm]", "rows", "rms", "x", "y", "z", "max"
+    )?;
+    let names = [
+        "configured",
+        "configured, held out",
+        "found",
+        "found, held out",
+    ];
+    let errors = found.before.iter().chain(&found.after);
+    for (name, error) in names.iter().zip(errors) {
+        let TipError {
+            rows,
+            rms_m,
+            axis_rms_m,
+            max_m,
+            ..
+        } = error;
+        let [rms, x, y, z, max] =
+            [*rms_m, axis_rms_m[0], axis_rms_m[1], axis_rms_m[2], *max_m].map(|m| 1e3 * m);
+        writeln!(
+            out,
+            "{:<26}{rows:>8}{rms:>10.3}{x:>10.3}{y:>10.3}{z:>10.3}{max:>10.3}",
+            format!("  {name}")
+        )?;
+    }
+    judgement(&mut out, found)?;
+    write!(out, "\n{}", fragment(robot, found)?)?;
+    Ok(out)
+}
+
+fn parameter(out: &mut String, estimate: &Estimate) -> Result<(), Error> {
+    let Estimate {
+        parameter,
+        old,
+        value,
+        within,
+    } = *estimate;
+    let (unit, scale) = if parameter.is_angle() {
+        ("deg", 1_f64.to_degrees())
+    } else {
+        ("mm", 1e3)
+    };
+    let [old, value, within] = [old, value, within].map(|number| scale * number);
+    let name = format!("{parameter} [{unit}]");
+    writeln!(out, "{name:<36}{old:>14.4}{value:>14.4}{within:>14.4}")
+}
+
+/// What to think of it.
+fn judgement(out: &mut String, found: &Calibration) -> Result<(), Error> {
+    let noise = &found.noise;
+    writeln!(
+        out,
+        "\nnoise: {:.4} mm of a cable, {:.3} mm of a coordinate of the tip; rows left out as outliers: {}",
+        1e3 * noise.cable_m,
+        1e3 * noise.tip_m,
+        found.outliers
+    )?;
+    let rms: Vec<_> = found
+        .cable_rms_m
+        .iter()
+        .map(|m| format!("{:.3}", 1e3 * m))
+        .collect();
+    writeln!(
+        out,
+        "three cables of a section agree on its backbone to {} mm rms, base first",
+        rms.join(", ")
+    )?;
+    let estimated = found.estimates.len() + 2 * found.cable_zeros.len();
+    writeln!(
+        out,
+        "\nexcitation: {estimated} numbers are estimated; held as configured:"
+    )?;
+    if found.held.is_empty() {
+        writeln!(out, "  none")?;
+    }
+    for held in &found.held {
+        writeln!(out, "  {} ({})", held.parameter, held.why)?;
+    }
+    if found.correlation > CORRELATED {
+        writeln!(
+            out,
+            "\nThe residuals of rows that follow each other are alike: something moves the robot that the model does not know (play, a load, \
+             friction). The bounds are {:.1} times as long for that, and still only those of this model.",
+            found.correlation
+        )?;
+    }
+    Ok(())
+}
+
+/// The sections for a configuration, with the old values as comments.
+fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Error> {
+    let mut out = String::from("# Instead of all [[robot.sections]] of the configuration:\n");
+    let sections = robot.sections.iter().zip(&found.geometry.robot.sections);
+    for (j, (old, new)) in sections.enumerate() {
+        let SectionParameters {
+            bend_max_rad,
+            rate_max_rad_s,
+            body_radius_m,
+            ..
+        } = new;
+        writeln!(out, "[[robot.sections]]")?;
+        for (key, old, new) in [
+            ("length_m", old.length_m, new.length_m),
+            ("cable_radius_m", old.cable_radius_m, new.cable_radius_m),
+            (
+                "cable_offset_rad",
+                old.cable_offset_rad,
+                new.cable_offset_rad,
+            ),
+        ] {
+            writeln!(out, "{key} = {new:.7} # was {old}")?;
+        }
+        writeln!(out, "bend_max_rad = {bend_max_rad:?}")?;
+        writeln!(out, "rate_max_rad_s = {rate_max_rad_s:?}")?;
+        writeln!(out, "body_radius_m = {body_radius_m:?}")?;
+        let zeros = found.cable_zeros[j].map(|(zero_m, _)| format!("{zero_m:.6}"));
+        writeln!(
+            out,
+            "# For the driver, to subtract from measured lengths and add to commanded ones [m]: {}",
+            zeros.join(", ")
+        )?;
+    }
+    let pose = |pose: &nalgebra::Isometry3<f64>| {
+        let [x, y, z] = pose.translation.vector.into();
+        let [qx, qy, qz, qw] = pose.rotation.coords.into();
+        format!(
+            "at {x:.6}, {y:.6}, {z:.6} m, turned by {qx:.6}, {qy:.6}, {qz:.6}, {qw:.6} (x, y, z, w)"
+        )
+    };
+    writeln!(
+        out,
+        "# For the driver: the base in the frame of the tip sensor is {}",
+        pose(&found.geometry.base)
+    )?;
+    writeln!(
+        out,
+        "# For the driver: what the sensor sees, in the frame of the tip, is {}",
+        pose(&found.geometry.sensor)
+    )?;
+    Ok(out)
+}
+
+/// For programs.
+pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calibration) -> Value {
+    let error = |error: &TipError| {
+        json!({
+            "rows": error.rows,
+            "rms_m": error.rms_m,
+            "axis_rms_m": error.axis_rms_m,
+            "max_m": error.max_m,
+            "rms_rad": error.rms_rad,
+        })
+    };
+    let estimate = |estimate: &Estimate| {
+        json!({
+            "parameter": estimate.parameter.to_string(),
+            "unit": if estimate.parameter.is_angle() { "rad" } else { "m" },
+            "configured": estimate.old,
+            "found": estimate.value,
+            "within_95": estimate.within,
+        })
+    };
+    let zeros = found.cable_zeros.iter().flatten();
+    let held = found.held.iter().map(
+        |held| json!({ "parameter": held.parameter.to_string(), "why": held.why.to_string() }),
+    );
+    json!({
+        "rows": recording.rows.len(),
+        "duration_s": recording.duration_s,
+        "estimates": found.estimates.iter().map(estimate).collect::<Vec<_>>(),
+        "cable_zeros": zeros
+            .map(|(zero_m, within_m)| json!({ "found_m": zero_m, "within_95_m": within_m }))
+            .collect::<Vec<_>>(),
+        "held": held.collect::<Vec<_>>(),
+        "tip_error": {
+            "configured": error(&found.before[0]),
+            "configured_held_out": error(&found.before[1]),
+            "found": error(&found.after[0]),
+            "found_held_out": error(&found.after[1]),
+        },
+        "cable_rms_m": found.cable_rms_m,
+        "noise": { "cable_m": found.noise.cable_m, "tip_m": found.noise.tip_m },
+        "outliers": found.outliers,
+        "correlation": found.correlation,
+        "toml": fragment(robot, found).unwrap_or_default(),
+    })
+}

@@ -1,0 +1,91 @@
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use cdcr_client::TelemetryStream;
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::{MeasurementKind, Mode};
+
+use crate::standstill::Standstill;
+
+/// A robot that rests is seen to rest within this.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// After this long without a record the daemon counts as silent.
+const QUIET: Duration = Duration::from_secs(1);
+
+/// The next record of the daemon.
+pub(super) fn next(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry> {
+    let record = telemetry.next_within(QUIET)?;
+    record.context("the daemon has sent no telemetry for 1 s; see cdcrctl status")
+}
+
+/// A record of a robot that is held and measured to rest; refuses one that moves.
+pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry> {
+    let begun = Instant::now();
+    let mut standstill = Standstill::default();
+    loop {
+        let record = next(telemetry)?;
+        let is_held = record.mode == Mode::Holding.code();
+        if !is_held || record.command.bend_rate_rad_s != [0.0; _] {
+            bail!(
+                "the robot is not held at rest, the daemon is {}; cdcrctl hold --wait, or home --wait, first",
+                Mode::text_of(record.mode)
+            );
+        }
+        standstill.note(&record);
+        if standstill.is_at_rest() {
+            return Ok(record);
+        }
+        if begun.elapsed() > PATIENCE {
+            bail!("the robot is held, but not measured to rest; see cdcrctl status");
+        }
+    }
+}
+
+/// What is measured of a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Sensors {
+    pub(super) cables: bool,
+    pub(super) tip: bool,
+}
+
+impl Sensors {
+    pub(super) fn of(record: &Telemetry) -> Self {
+        let kind = record.measurement.kind;
+        Self {
+            cables: kind == MeasurementKind::CableLengths.code(),
+            tip: kind == MeasurementKind::TipPose.code() || record.tip_measured_ns > 0,
+        }
+    }
+
+    /// In words.
+    pub(super) fn text(self) -> &'static str {
+        match (self.cables, self.tip) {
+            (true, true) => "cable lengths and the position of the tip",
+            (true, false) => "cable lengths, and no tip",
+            (false, true) => "the position of the tip, and no cable lengths",
+            (false, false) => "neither cable lengths nor a tip",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_measured_is_told_from_a_record() {
+        let mut record = Telemetry::default();
+        for (kind, tip_measured_ns, cables, tip) in [
+            (MeasurementKind::None, 0, false, false),
+            (MeasurementKind::Configuration, 0, false, false),
+            (MeasurementKind::CableLengths, 0, true, false),
+            (MeasurementKind::CableLengths, 5, true, true),
+            (MeasurementKind::Configuration, 5, false, true),
+            (MeasurementKind::TipPose, 0, false, true),
+        ] {
+            record.measurement.kind = kind.code();
+            record.tip_measured_ns = tip_measured_ns;
+            assert_eq!(Sensors::of(&record), Sensors { cables, tip });
+        }
+    }
+}
