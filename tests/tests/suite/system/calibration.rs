@@ -17,13 +17,25 @@ fn blocks(language: &str) -> Vec<&'static str> {
         .collect()
 }
 
-/// The commands of the page, in order.
-fn commands() -> Vec<Vec<&'static str>> {
+/// The commands of the page, in order; `shorter` by this factor, and then only those before the paste.
+fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     let lines = blocks("console").into_iter().flat_map(str::lines);
     let lines = lines.filter_map(|line| line.strip_prefix("$ "));
-    lines
-        .map(|line| line.split_whitespace().collect())
-        .collect()
+    let commands = lines.map(|line| line.split_whitespace().map(str::to_owned).collect());
+    let Some(factor) = shorter else {
+        return commands.collect();
+    };
+    let mut commands: Vec<Vec<String>> = commands.collect();
+    let is_geometry = |command: &Vec<String>| command.iter().any(|word| word == "geometry");
+    let end = commands.iter().position(is_geometry).unwrap();
+    commands.truncate(end + 1);
+    for word in commands.iter_mut().flatten() {
+        let seconds = word.strip_suffix('s').and_then(|s| s.parse::<u32>().ok());
+        if let Some(seconds) = seconds {
+            *word = format!("{}ms", 1000 * seconds / factor);
+        }
+    }
+    commands
 }
 
 fn run(place: &Place, folder: &Path, arguments: &[&str]) -> String {
@@ -73,7 +85,13 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
     let mut recorder = None;
     let mut configuration = blocks("toml")[0].to_owned();
     let (mut daemon, mut said, mut errors_mm) = (None::<Daemon>, String::new(), Vec::new());
-    for command in commands() {
+    // Three minutes; the half of it, three times as fast, without.
+    let is_whole = std::env::var_os("CDCR_CALIBRATION_WHOLE").is_some();
+    if !is_whole {
+        configuration += "\n[motion]\napproach_speed_m_s = 0.5\napproach_acceleration_m_s2 = 2.0\n";
+    }
+    for command in commands((!is_whole).then_some(3)) {
+        let command: Vec<&str> = command.iter().map(String::as_str).collect();
         match command[..] {
             ["cdcrd", "run", ..] => {
                 if let Some(mut before) = daemon.take() {
@@ -109,10 +127,11 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
         }
     }
     // Before and after the paste: with the configuration as it was then, and with what was found.
-    let [before, after] = errors_mm[..] else {
-        panic!("{errors_mm:?}");
-    };
-    println!("held out, configured and found: {before:?} and {after:?} mm");
-    assert!(before.0 > 20.0 && before.1 < 2.0, "{errors_mm:?}");
-    assert!(after.0 < 0.2 * before.0, "{errors_mm:?}");
+    println!("held out, configured and found: {errors_mm:?} mm");
+    let before = errors_mm[0];
+    assert!(before.0 > 15.0 && before.1 < 2.0, "{errors_mm:?}");
+    assert_eq!(errors_mm.len(), if is_whole { 2 } else { 1 });
+    if let Some(after) = errors_mm.get(1) {
+        assert!(after.0 < 0.2 * before.0, "{errors_mm:?}");
+    }
 }
