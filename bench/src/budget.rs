@@ -367,4 +367,9 @@ mod tests {
         );
         assert_eq!(dataset.metrics[1].rounds, [3.0, 1.0, 2.0]);
     }
+
+    #[test]
+    fn the_cases_are_as_many_as_the_expectation_counts() {
+        assert_eq!(cases().expect("cases").len(), CASES);
+    }
 }

@@ -202,6 +202,7 @@ fn git(arguments: &[&str]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use system::fake;
 
     #[test]
     fn a_machine_that_tells_nothing_is_described_all_the_same() {
@@ -223,8 +224,7 @@ mod tests {
 
     #[test]
     fn a_machine_that_tells_is_understood() {
-        let folder = tempfile::tempdir().expect("a folder");
-        for (name, text) in [
+        let folder = fake(&[
             (
                 "proc/meminfo",
                 "MemTotal:        8000000 kB\nMemFree: 1 kB\n",
@@ -253,11 +253,7 @@ mod tests {
             ("sys/devices/system/cpu/cpu2/cache/index0/size", "32K\n"),
             ("sys/class/dmi/id/sys_vendor", "Cloud\n"),
             ("sys/class/dmi/id/product_name", "large\n"),
-        ] {
-            let file = folder.path().join(name);
-            std::fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
-            std::fs::write(file, text).expect("written");
-        }
+        ]);
         let mut cores = Cores::find().expect("cores");
         cores.realtime = 2;
         let found = Environment::of(&System::below(folder.path()), &cores, true);

@@ -172,3 +172,37 @@ fn isolation(command_line: &str) -> Vec<String> {
         .map(ToOwned::to_owned)
         .collect()
 }
+
+/// A root folder with these files of the kernel.
+#[cfg(test)]
+pub(super) fn fake(files: &[(&str, &str)]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, text) in files {
+        let file = folder.path().join(name);
+        fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
+        fs::write(file, text).expect("written");
+    }
+    folder
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_real_machine_with_a_real_time_kernel_has_no_hypervisor() {
+        let folder = fake(&[
+            ("proc/cpuinfo", "flags : fpu avx\n"),
+            ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
+        ]);
+        let system = System::below(folder.path());
+        assert_eq!(system.is_virtual(), Some(false));
+        assert_eq!(system.hypervisor(), None);
+        let kernel = system.kernel();
+        assert_eq!(kernel["preemption"], "PREEMPT_RT");
+        assert_eq!(kernel["rt_runtime_us"], -1);
+        assert_eq!(kernel["isolation"], json!([]));
+    }
+}

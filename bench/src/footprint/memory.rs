@@ -135,4 +135,15 @@ mod tests {
         assert_eq!((found.files, found.bytes), (2, 15));
         assert_eq!(Files::below(&folder.path().join("none")), Files::default());
     }
+
+    #[test]
+    fn values_are_read_as_proc_says() {
+        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\nRssAnon:\t 0 kB\n";
+        assert_eq!(bytes_in(status, "VmRSS"), Some(10_240));
+        assert_eq!(bytes_in(status, "RssAnon"), Some(0));
+        assert_eq!(bytes_in(status, "Vm"), None);
+        let stat = "7 (a ) b) S 1 2 3 4 5 6 70 8 90 10";
+        assert_eq!(faults_in(stat), Some((70, 90)));
+        assert_eq!(faults_in("7 (a"), None);
+    }
 }

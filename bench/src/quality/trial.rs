@@ -185,4 +185,14 @@ mod tests {
         assert!(metrics.min_clearance_mm.unwrap() < 0.0, "{metrics:?}");
         assert!(metrics.below_safe_ms.unwrap() > 100.0, "{metrics:?}");
     }
+
+    #[test]
+    fn without_a_clock_a_run_repeats_itself() {
+        let variant = Variant::swarm(Course::Line, Solver::Kpso, (6, 10));
+        let scene = Course::Line.scene().unwrap().at_most(30);
+        let [a, b, other] = [1, 1, 2].map(|seed| drive(&variant, &scene, seed).unwrap());
+        assert_eq!(a.mean_error_mm.to_bits(), b.mean_error_mm.to_bits());
+        assert_eq!(a.mean_cost.to_bits(), b.mean_cost.to_bits());
+        assert_ne!(a.mean_cost.to_bits(), other.mean_cost.to_bits());
+    }
 }

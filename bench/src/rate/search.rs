@@ -30,3 +30,36 @@ pub(super) fn shortest(
     }
     Ok(None)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_border_is_found_from_everywhere_and_no_period_is_tried_twice() {
+        for holding in 0..=7_usize {
+            for first in 0..9 {
+                let mut tried = Vec::new();
+                let found = shortest(7, first, |index| {
+                    tried.push(index);
+                    Ok(index < holding)
+                });
+                assert_eq!(found.unwrap(), holding.checked_sub(1), "from {first}");
+                let all = tried.len();
+                assert!(
+                    all == 2 || first + 1 != holding || holding == 7,
+                    "a good guess"
+                );
+                tried.sort_unstable();
+                tried.dedup();
+                assert_eq!(all, tried.len());
+            }
+        }
+    }
+
+    #[test]
+    fn an_error_ends_the_search() {
+        assert!(shortest(7, 3, |_| anyhow::bail!("no")).is_err());
+        assert_eq!(shortest(0, 3, |_| Ok(true)).unwrap(), None);
+    }
+}

@@ -268,4 +268,23 @@ mod tests {
         let slow = anyhow::anyhow!("{DOES_NOT_FOLLOW} within 10 s");
         assert!(did_not_follow(&slow));
     }
+
+    #[test]
+    fn a_trial_is_as_long_as_both_limits_ask() {
+        let length = Length {
+            least_s: 2.0,
+            least_periods: 4000,
+        };
+        assert!((length.measured_s(5.0) - 20.0).abs() < 1e-9);
+        assert!((length.measured_s(0.1) - 2.0).abs() < 1e-9);
+        assert!(length.whole_s(0.1) > 2.0);
+    }
+
+    #[test]
+    fn quantiles_of_errors_are_in_millimetres() {
+        let errors_m: Vec<f64> = (0..=100).map(|index| f64::from(index) * 1e-3).collect();
+        assert!((quantile_mm(&errors_m, 0.5) - 50.0).abs() < 1e-9);
+        assert!((quantile_mm(&errors_m, 0.99) - 99.0).abs() < 1e-9);
+        assert!(quantile_mm(&[], 0.5).is_nan());
+    }
 }

@@ -67,6 +67,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "report.json",
         "report.txt",
         "solver-growth.csv",
+        "solver-guard.csv",
         "solver-sections.svg",
         "solver.csv",
     ];

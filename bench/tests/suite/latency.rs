@@ -10,6 +10,7 @@ use cdcr_bench::latency::baseline::PEER;
 use cdcr_bench::latency::{LatencyOptions, Leg};
 use cdcr_bench::progress::Progress;
 use cdcr_testbed::subject::place::Place;
+use serde_json::Value;
 
 /// How long a process may take: machines stall.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -63,6 +64,21 @@ fn every_way_is_measured_in_every_round() {
     assert!(json["unmeasured"]["spoilt_stops"].is_u64());
     assert!(json["unmeasured"]["without_command"].is_u64());
     assert_eq!(report.plots.len(), 1);
+}
+
+#[test]
+fn the_program_takes_another_period() {
+    let output = program()
+        .args(["latency", "--rounds", "1", "--samples", "5"])
+        .args(["--period", "10ms", "--format", "json"])
+        .output()
+        .unwrap();
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
+    let json: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(json["setting"]["period_us"], 10_000.0);
+    assert_eq!(json["legs"].as_array().map(Vec::len), Some(Leg::ALL.len()));
+    assert_eq!(json["targets"][0]["limit_us"], 10_100.0);
 }
 
 /// A peer at `place` whose parent is, so it is told, the process `parent`.

@@ -1,5 +1,6 @@
 //! What `cdcr-bench paper` hands over, from runs of a few cycles.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use cdcr_bench::benchmark::Benchmark;
@@ -90,6 +91,19 @@ fn every_solver_has_a_row_of_each_simulation_with_its_fields_and_no_others() {
             row["name"] != "circle"
         );
     }
+}
+
+#[test]
+fn every_experiment_has_numbers_of_its_own_for_every_seed() {
+    let effort = Effort {
+        seeds: 2,
+        cycles_max: 2,
+    };
+    let report = effort.run(&mut Progress::silent()).expect("all run");
+    let metrics = report.metrics;
+    let names: HashSet<&str> = metrics.iter().map(|metric| &*metric.name).collect();
+    assert_eq!(names.len(), 2 * Experiment::all().len());
+    assert!(metrics.iter().all(|metric| metric.rounds.len() >= 2));
 }
 
 #[test]
