@@ -13,7 +13,7 @@ use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 
 use crate::scene::Scene;
 
-/// The ideal robot before a scene, and the last word on its commands, around whatever solves. The solver sees the exact
+/// The ideal robot before a scene, and the safety checks of its commands, around whatever solves. The solver sees the exact
 /// curve at each step of its horizon; the command is what a daemon would send.
 pub struct ClosedLoop<'a> {
     scene: &'a Scene,

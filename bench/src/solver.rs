@@ -1,5 +1,5 @@
 //! How long a solve takes, and how that grows with sections, steps, particles, iterations and obstacles,
-//! on every path of this processor; and how long the last word takes among many obstacles.
+//! on every path of this processor; and how long the safety checks take among many obstacles.
 //!
 //! All paths give the same bits, so in each cycle every path solves the same problem, one after the
 //! other, and the speed-up is a ratio of times that were measured side by side.
@@ -46,7 +46,7 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// Time of one size, about \[s\].
 const SIZE_S: f64 = 1.0;
-/// Time of all measurements of the last word in a round, about \[s\].
+/// Time of all measurements of the safety checks in a round, about \[s\].
 const GUARD_S: f64 = 3.0;
 
 const EXPLANATION: &str = "\
@@ -54,8 +54,8 @@ const EXPLANATION: &str = "\
 time. Every path of the processor gives the same bits; in each cycle all paths solve the same problem, one \
 after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
 median of the rounds, and a round goes through all sizes. First solves are not counted.</p>\
-<p>The last word, limits and clearance guard, is measured at random moments of six sections with 64 obstacles in reach, \
-where it takes longest; of five runs at each moment the fastest counts.</p>\n";
+<p>The safety checks, limits and clearance guard, are measured at random moments of six sections with 64 obstacles in reach, \
+where they take longest; of five runs at each moment the fastest counts.</p>\n";
 
 const COLUMNS: [Column; 11] = [
     word("solver", "solver"),

@@ -44,7 +44,7 @@ const COMPARISON: [Column; 8] = [
     word("robot", "name"),
     fixed("full", "full", 3),
     fixed("no actuator model", "no actuator model", 3),
-    fixed("no estimator", "no estimator", 3),
+    fixed("no estimator, no actuator model", "no estimator", 3),
     fixed("no tip", "no tip", 3),
     fixed("open loop", "open loop", 3),
     fixed("wanted", "target_mm", 2),

@@ -1,4 +1,4 @@
-//! How long the last word takes where it is hard: six sections among 64 obstacles, all of them in reach.
+//! How long the safety checks take where they are hard: six sections among 64 obstacles, all of them in reach.
 
 use std::time::Instant;
 
@@ -51,7 +51,7 @@ pub const COLUMNS: [Column; 6] = [
     fixed("changed %", "changed_percent", 1),
 ];
 
-/// One line: the last word in one kind of crowd.
+/// One line: the safety checks in one kind of crowd.
 #[derive(Debug, Clone, Serialize)]
 pub struct Guarded {
     pub crowd: Crowd,
@@ -88,7 +88,7 @@ pub fn add(dataset: &mut Dataset, rounds: &[Vec<Guarded>]) -> Result<()> {
         dataset.lower(format!("{name}/p99"), "µs", each(|row| row.p99_us));
     }
     let sheet = Sheet::new(&rows)?.key("guard").file("guard");
-    let title = "Time of the last word: six sections, 64 obstacles in reach";
+    let title = "Time of the safety checks: six sections, 64 obstacles in reach";
     dataset.sheets.push(sheet.table(title, &COLUMNS));
     Ok(())
 }

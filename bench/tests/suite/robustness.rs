@@ -1,5 +1,6 @@
 //! What `cdcr-bench robustness` hands over, from one seed.
 
+use std::path::Path;
 use std::process::Command;
 
 use serde_json::Value;
@@ -39,4 +40,46 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     }
     let ball = rows.iter().find(|row| row["name"] == "laboratory, ball");
     assert!(ball.expect("a ball")["min_clearance_mm"].as_f64() > Some(5.0));
+    is_what_was_committed(&document);
+}
+
+/// The committed result is that of today's code: the first seed of each robot with noise, and each robot that lags.
+fn is_what_was_committed(document: &Value) {
+    let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/robustness.json");
+    let committed = std::fs::read_to_string(place).expect("the result");
+    let committed: Value = serde_json::from_str(&committed).expect("one object");
+    let list = |document: &Value, key: &str| document[key].as_array().expect(key).clone();
+    let same = |found: &Value, expected: &Value, what: &Value| {
+        let [found, expected] = [found, expected].map(|mm| mm.as_f64().expect("a number"));
+        let how = "see the command in bench/README.md";
+        assert!(
+            (found / expected - 1.0).abs() < 1e-6,
+            "{what}: {found}, committed {expected}; {how}"
+        );
+    };
+    let metrics = list(document, "metrics");
+    for old in list(&committed, "metrics") {
+        let new = metrics.iter().find(|new| new["name"] == old["name"]);
+        same(
+            &new.expect("its metric")["rounds"][0],
+            &old["rounds"][0],
+            &old["name"],
+        );
+    }
+    let lags = |row: &Value| {
+        // What oscillates goes by the last bits.
+        let is_steady = row["controller"] != "no estimator";
+        is_steady
+            && row["name"]
+                .as_str()
+                .is_some_and(|name| name.starts_with("lag"))
+    };
+    let [new, old] = [document, &committed].map(|document| list(document, "scenarios"));
+    assert_eq!(new.len(), old.len());
+    for (new, old) in new.iter().zip(&old).filter(|(_, old)| lags(old)) {
+        for key in ["name", "controller", "interface"] {
+            assert_eq!(new[key], old[key]);
+        }
+        same(&new["mean_error_mm"], &old["mean_error_mm"], old);
+    }
 }
