@@ -364,12 +364,13 @@ mod tests {
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
+        type Change = fn(&mut Vec<Kept>);
         let changed = |change: fn(&mut Vec<Kept>)| {
             let mut records = stop();
             change(&mut records);
             judge(&records, 5_300_000)
         };
-        let missing: [(fn(&mut Vec<Kept>), &str); 5] = [
+        let missing: [(Change, &str); 5] = [
             (|records| _ = records.remove(4), "a record is missing"),
             (
                 |records| records[10].received_ns = None,
