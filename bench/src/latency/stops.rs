@@ -313,6 +313,8 @@ fn largest(rates_rad_s: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
+    type Change = fn(&mut Vec<Kept>);
+
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
     fn stop() -> Vec<Kept> {
         let speeds = [
@@ -369,7 +371,7 @@ mod tests {
             change(&mut records);
             judge(&records, 5_300_000)
         };
-        let missing: [(fn(&mut Vec<Kept>), &str); 5] = [
+        let missing: [(Change, &str); 5] = [
             (|records| _ = records.remove(4), "a record is missing"),
             (
                 |records| records[10].received_ns = None,

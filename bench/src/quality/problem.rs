@@ -86,7 +86,7 @@ impl Way {
 }
 
 fn shape(numbers: &mut Numbers) -> Configuration {
-    let bend_rad = |_| {
+    let bend_rad = |()| {
         [
             numbers.between(0.0, BEND_MAX_RAD),
             numbers.between(0.0, TAU),

@@ -186,7 +186,7 @@ impl Moment {
             deceleration_rad_s2: DECELERATION_RAD_S2,
             comes_to_rest: false,
         };
-        let timed = |_| {
+        let timed = |()| {
             let begin = Instant::now();
             let command = safe_command(&situation, &self.desired);
             (begin.elapsed(), command)
