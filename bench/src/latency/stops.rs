@@ -313,6 +313,8 @@ fn largest(rates_rad_s: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
+    type Change = fn(&mut Vec<Kept>);
+
     /// A robot that tracks at 0.95 rad/s and slows down by 0.1 rad/s in each cycle of 5 ms.
     fn stop() -> Vec<Kept> {
         let speeds = [
