@@ -366,7 +366,6 @@ mod tests {
 
     #[test]
     fn what_is_not_whole_is_not_judged() {
-        type Change = fn(&mut Vec<Kept>);
         let changed = |change: fn(&mut Vec<Kept>)| {
             let mut records = stop();
             change(&mut records);
