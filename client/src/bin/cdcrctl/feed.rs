@@ -63,8 +63,10 @@ pub(crate) fn go(
     }
     let start_m = status.tip_position_m;
     let goal_m = end_m(start_m);
-    let way = Straight::new(start_m, goal_m, arguments.speed, arguments.acceleration);
-    check_unit(&way, section_lengths_m(&status.robot).iter().sum())?;
+    let reach_m = section_lengths_m(&status.robot).iter().sum();
+    let begin_m = within(start_m, reach_m);
+    let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
+    check_unit(&way, reach_m)?;
     let options = FeedOptions {
         track: true,
         lead: GO_LEAD,
@@ -98,6 +100,12 @@ fn tell_end(left_m: f64, limit_m: f64) -> anyhow::Result<()> {
     }
     writeln!(std::io::stdout(), "the tip is {left:.3} mm from the point")?;
     Ok(())
+}
+
+/// The nearest point that the daemon takes: the tip of a robot that is longer than its model may be farther away.
+fn within(point_m: [f64; 3], reach_m: f64) -> [f64; 3] {
+    let factor = (0.999 * reach_m / distance_m(point_m, [0.0; 3])).min(1.0);
+    point_m.map(|m| factor * m)
 }
 
 fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {

@@ -25,8 +25,8 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     let status = connection.status(Duration::from_secs(1))?;
     if status.mode != Mode::Starting.code() && !options.force {
         bail!(
-            "the robot has or had a driver (the daemon is {}), and its motors would follow what is commanded to the simulated \
-             robot\nwhere there are no motors, or a simulated robot comes back: --force",
+            "the robot is measured already, by a driver or by a daemon that simulates it (the daemon is {}): motors would follow \
+             what is commanded to the simulated robot\nwhere there are no motors, or a simulated robot comes back: --force",
             Mode::text_of(status.mode)
         );
     }
