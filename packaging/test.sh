@@ -84,8 +84,10 @@ for file in /etc/cdcr/cdcr.toml /etc/security/limits.d/cdcr.conf /usr/lib/system
   expect 644 root:root "$file"
 done
 dpkg-query --show --showformat='${Conffiles}\n' cdcr | grep -q /etc/cdcr/cdcr.toml || fail "the configuration is no conffile"
+# Read whole first: grep -q ends at its first match, and dpkg, which writes on, would then fail the pipe.
+files=$(dpkg --listfiles cdcr)
 # An image without documentation leaves these out (dpkg's path-exclude).
-if dpkg --listfiles cdcr | grep -q '^/usr/share/man/man8/cdcrd.8.gz$'; then
+if grep -qx '/usr/share/man/man8/cdcrd.8.gz' <<<"$files"; then
   if [ -e /usr/share/man/man8/cdcrd.8.gz ]; then
     if command -v man >/dev/null; then man -w cdcrd cdcrctl cdcrctl-ref-spiral cdcr-bench; else skip "man is not installed"; fi
   else
@@ -95,7 +97,7 @@ else
   fail "the package has no manual page for cdcrd"
 fi
 for name in copyright THIRD-PARTY service.md examples/default.toml; do
-  dpkg --listfiles cdcr | grep -q "^/usr/share/doc/cdcr/$name\$" || fail "the package has no $name"
+  grep -qx "/usr/share/doc/cdcr/$name" <<<"$files" || fail "the package has no $name"
 done
 
 step "nothing was started or enabled"
@@ -155,7 +157,7 @@ as_service cdcrctl status || { cat "$scratch/log"; fail "no status"; }
 [ -n "$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr)" ] || fail "no shared memory of the user cdcr"
 # The folder is the barrier (docs/decisions/0013): the files in it are open to whoever gets past it.
 [ "$(stat -c %a /run/cdcr)" = 700 ] || fail "/run/cdcr is open to others: $(stat -c %a /run/cdcr)"
-file=$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr | head -n 1)
+file=$(find /run/cdcr -maxdepth 1 -name '*.data' -user cdcr -print -quit)
 if setpriv --reuid=65534 --regid=65534 --clear-groups cat "$file" >/dev/null 2>&1; then fail "another user reads $file"; fi
 others=$(find /dev/shm -user cdcr)
 [ -z "$others" ] || fail "in /dev/shm: $others"
