@@ -107,9 +107,7 @@
 #![forbid(unsafe_code)]
 
 pub mod calibration;
-pub mod closed_loop;
 pub mod estimator;
-pub mod nmpc;
 pub mod optimizer;
 pub mod parameters;
 pub mod plant;
@@ -118,3 +116,16 @@ pub mod robot;
 pub mod safety;
 #[doc(hidden)]
 pub mod wide;
+
+// The compiler puts all that is public into the program of the unit tests, called or not, and would compile the solver once more.
+// `tests/suite` tests it in the library.
+macro_rules! public_unless_unit_tests {
+    ($($module:ident)*) => {$(
+        #[cfg(not(test))]
+        pub mod $module;
+        #[cfg(test)]
+        #[allow(dead_code, unused_imports, unreachable_pub, reason = "not public here")]
+        mod $module;
+    )*};
+}
+public_unless_unit_tests!(closed_loop nmpc);

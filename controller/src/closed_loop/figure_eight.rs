@@ -163,16 +163,3 @@ impl FigureEightRun {
 fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_approach_ends_where_the_figure_eight_begins() {
-        let eight = FigureEight::new().unwrap();
-        let begin_m = FigureEight::reference(0.0).position_m;
-        let away_m = (eight.robot.tip_position(&eight.start) - begin_m).norm();
-        assert!(away_m < 1e-6, "{away_m} m");
-    }
-}

@@ -60,6 +60,11 @@ impl<'a> TrackingProblem<'a> {
             .any(|sample| sample.state != ReferenceState::None)
     }
 
+    /// Whether neither obstacle nor limit is in reach.
+    pub(super) fn is_free(&self) -> bool {
+        !self.limits.matter() && !self.obstacles.matter()
+    }
+
     fn width(&self) -> usize {
         self.motion.width()
     }
@@ -329,9 +334,10 @@ impl Problem for TrackingProblem<'_> {
         z: impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
     ) -> Option<Evaluation<W>> {
-        let free = !self.limits.matter() && !self.obstacles.matter();
         match self.motion.coordinates() {
-            Coordinates::BendVector if free => self.evaluate_in::<W, VECTORS, true>(&z, budget),
+            Coordinates::BendVector if self.is_free() => {
+                self.evaluate_in::<W, VECTORS, true>(&z, budget)
+            }
             Coordinates::BendVector => self.evaluate_in::<W, VECTORS, false>(&z, budget),
             Coordinates::BendAngles => self.evaluate_in::<W, ANGLES, false>(&z, budget),
         }
@@ -363,6 +369,32 @@ impl Problem for TrackingProblem<'_> {
         }
         self.push_regularisation_rows(z, model);
         true
+    }
+}
+
+/// The problem in the coordinates that P stands for, with penalties unless it is `FREE`: what a swarm searches. A swarm
+/// and all that it evaluates become one function for each set of instructions. The compiler works three times as long on
+/// one function with all three cases as on a function for each.
+pub(super) struct SearchedProblem<'a, const P: usize, const FREE: bool>(
+    pub &'a TrackingProblem<'a>,
+);
+
+impl<const P: usize, const FREE: bool> Problem for SearchedProblem<'_, P, FREE> {
+    fn dimension(&self) -> usize {
+        self.0.dimension()
+    }
+
+    #[inline(always)]
+    fn evaluate<const W: usize>(
+        &self,
+        z: impl Fn(usize) -> Wide<W>,
+        budget: &mut Budget<'_>,
+    ) -> Option<Evaluation<W>> {
+        self.0.evaluate_in::<W, P, FREE>(&z, budget)
+    }
+
+    fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
+        self.0.linearise(z, model, budget)
     }
 }
 

@@ -1,9 +1,10 @@
 //! The order in which knowledge, swarm and Gauss-Newton work on one problem.
 
 use super::knowledge::Knowledge;
-use super::problem::TrackingProblem;
+use super::motion::{ANGLES, VECTORS};
+use super::problem::{SearchedProblem, TrackingProblem};
 use super::settings::STEP_TOLERANCE_RAD_S;
-use super::{HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
+use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
     self, Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso,
     Problem, Simd,
@@ -114,8 +115,28 @@ impl Solver {
                 self.leave_singular_shape(task, budget);
             }
         }
+        let problem = task.problem;
+        match problem.motion.coordinates() {
+            Coordinates::BendVector if problem.is_free() => {
+                self.search_around(&SearchedProblem::<VECTORS, true>(problem), task, budget)
+            }
+            Coordinates::BendVector => {
+                self.search_around(&SearchedProblem::<VECTORS, false>(problem), task, budget)
+            }
+            Coordinates::BendAngles => {
+                self.search_around(&SearchedProblem::<ANGLES, false>(problem), task, budget)
+            }
+        }
+    }
+
+    fn search_around(
+        &mut self,
+        problem: &impl Problem,
+        task: &Task,
+        budget: &mut Budget<'_>,
+    ) -> u32 {
         let swarm_task = optimizer::Task {
-            problem: task.problem,
+            problem,
             bounds: task.bounds,
             settings: task.settings.kpso(),
             knowledge: self.knowledge.candidates(),

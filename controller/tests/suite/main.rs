@@ -18,3 +18,11 @@ mod robustness;
 mod scenes;
 mod subnormal;
 mod tip_sensor;
+
+/// How often something is repeated: a part of it, so that whoever changes a line need not wait, and the whole with `CDCR_WHOLE`.
+fn repetitions(part: u32, whole: u32) -> u32 {
+    match std::env::var_os("CDCR_WHOLE") {
+        Some(_) => whole,
+        None => part,
+    }
+}

@@ -13,7 +13,10 @@ const PERIOD_S: f64 = 0.005;
 /// Noises that each robot is run with: `CDCR_ROBUSTNESS_SEEDS`.
 fn seeds() -> u64 {
     let set = std::env::var("CDCR_ROBUSTNESS_SEEDS");
-    set.map_or(1, |seeds| seeds.parse().unwrap())
+    set.map_or_else(
+        |_| crate::repetitions(1, 3).into(),
+        |seeds| seeds.parse().unwrap(),
+    )
 }
 
 /// The error of the tip in truth, the first second apart.
@@ -78,6 +81,14 @@ fn actuator(delay_s: f64, time_constant_s: f64) -> Actuator {
 fn the_ideal_robot_is_on_its_reference() {
     let figures = worst("ideal", driven(Flaws::default()));
     assert!(figures.max_mm < 1e-9);
+}
+
+#[test]
+fn the_ideal_robot_begins_where_the_figure_eight_does() {
+    let run = FigureEight::new()
+        .unwrap()
+        .run(driven(Flaws::default()), &[]);
+    assert!(run.unwrap().errors_mm()[0] < 0.5);
 }
 
 #[test]

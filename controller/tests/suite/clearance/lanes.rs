@@ -36,7 +36,7 @@ fn bits<const W: usize>(wide: Wide<W>) -> [u64; W] {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
 
     #[test]
     fn bodies_side_by_side_are_those_of_one_lane_to_the_bit_and_of_the_scalar_body(

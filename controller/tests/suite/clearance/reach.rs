@@ -23,7 +23,7 @@ fn section_below(
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(400))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
 
     #[test]
     fn what_is_out_of_reach_is_further_than_the_travel(
