@@ -79,13 +79,16 @@ pub struct SetIsFull;
 /// Obstacles by their ids, at most [`OBSTACLES_MAX`].
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ObstacleSet {
+    /// The first `count` are obstacles: a cycle reads no more of this memory than it needs.
     slots: [Option<KnownObstacle>; OBSTACLES_MAX],
+    count: usize,
 }
 
 impl Default for ObstacleSet {
     fn default() -> Self {
         Self {
             slots: [None; OBSTACLES_MAX],
+            count: 0,
         }
     }
 }
@@ -96,10 +99,10 @@ impl ObstacleSet {
     /// # Errors
     /// [`SetIsFull`]; the set is as before.
     pub fn upsert(&mut self, obstacle: KnownObstacle) -> Result<(), SetIsFull> {
-        let same = |slot: &Option<KnownObstacle>| slot.is_some_and(|known| known.id == obstacle.id);
-        let at = self.slots.iter().position(same);
-        let at = at.or_else(|| self.slots.iter().position(Option::is_none));
-        self.slots[at.ok_or(SetIsFull)?] = Some(obstacle);
+        let same = self.iter().position(|known| known.id == obstacle.id);
+        let at = same.unwrap_or(self.count);
+        *self.slots.get_mut(at).ok_or(SetIsFull)? = Some(obstacle);
+        self.count = self.count.max(at + 1);
         Ok(())
     }
 
@@ -115,37 +118,48 @@ impl ObstacleSet {
 
     /// Replaces each obstacle by what `change` makes of it.
     pub fn change(&mut self, change: impl Fn(&KnownObstacle) -> KnownObstacle) {
-        for known in self.slots.iter_mut().flatten() {
+        for known in self.slots[..self.count].iter_mut().flatten() {
             *known = change(known);
         }
     }
 
     /// Keeps those that `keep` says.
     pub fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
-        for slot in &mut self.slots {
-            *slot = slot.filter(&keep);
-        }
+        *self = self.iter().copied().filter(keep).collect();
     }
 
     /// The set at `time_ns`: each obstacle where it is then, without those that [`KnownObstacle::at`]
     /// leaves out.
     #[must_use]
     pub fn at(&self, time_ns: u64) -> Self {
-        Self {
-            slots: self
-                .slots
-                .map(|slot| slot.and_then(|known| known.at(time_ns))),
-        }
+        self.iter_at(time_ns).collect()
+    }
+
+    /// The obstacles of [`Self::at`].
+    pub fn iter_at(&self, time_ns: u64) -> impl Iterator<Item = KnownObstacle> {
+        self.iter().filter_map(move |known| known.at(time_ns))
     }
 
     /// The obstacles, always in the same order.
     pub fn iter(&self) -> impl Iterator<Item = &KnownObstacle> {
-        self.slots.iter().flatten()
+        self.slots[..self.count].iter().flatten()
     }
 
     /// How many there are.
     pub fn count(&self) -> usize {
-        self.iter().count()
+        self.count
+    }
+}
+
+/// The first [`OBSTACLES_MAX`] of them, whose ids differ.
+impl FromIterator<KnownObstacle> for ObstacleSet {
+    fn from_iter<I: IntoIterator<Item = KnownObstacle>>(known: I) -> Self {
+        let mut set = Self::default();
+        for (slot, known) in set.slots.iter_mut().zip(known) {
+            *slot = Some(known);
+            set.count += 1;
+        }
+        set
     }
 }
 

@@ -28,7 +28,6 @@ use crate::handover::{
     REQUESTS_WAITING, Settings, TimedMeasurement,
 };
 use crate::link::RobotLink;
-use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
 use present_clearance::present_clearance_m;
@@ -168,7 +167,7 @@ impl Cycle {
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
         let tip_use = self.state.measure_tip(tip_measurement, release.release_ns);
         self.state.locate(elapsed_ns);
-        let obstacles = self.place_obstacles(inputs, &release);
+        self.place_obstacles(inputs, &release);
 
         let reference = inputs.window.get(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
@@ -202,7 +201,8 @@ impl Cycle {
         self.clearance_m = if self.policy.reference_lead_ns == 0 {
             safe.clearance_m
         } else {
-            present_clearance_m(&self.robot, &present, &obstacles, safe.clearance_m)
+            let obstacles = inputs.obstacles.iter_at(release.release_ns);
+            present_clearance_m(&self.robot, &present, obstacles, safe.clearance_m)
         };
         self.rates = safe.rates;
         self.link
@@ -246,7 +246,7 @@ impl Cycle {
             previous_rates,
             reference,
             approach: *self.followed.approach(),
-            obstacles,
+            obstacles: inputs.obstacles.at(release.release_ns),
             settings: self.settings(),
             report,
             plan_length: 0,
@@ -316,14 +316,13 @@ impl Cycle {
     }
 
     /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
-    fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) -> ObstacleSet {
-        let placed = inputs.obstacles.at(release.release_ns);
+    fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) {
+        let placed = inputs.obstacles.iter_at(release.release_ns);
         self.obstacles.clear();
         // The robot is where its commands lead it as much later as its motors are behind them.
         let lead_s = self.policy.reference_lead_ns as f64 * 1e-9;
-        let shapes = placed.iter().map(|known| known.obstacle.moved(lead_s));
+        let shapes = placed.map(|known| known.obstacle.moved(lead_s));
         self.obstacles.extend(shapes.take(OBSTACLES_MAX));
-        placed
     }
 
     fn observe(
