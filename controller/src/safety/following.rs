@@ -1,6 +1,6 @@
 //! Whether the robot goes where it is commanded to.
 
-use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot, SECTIONS_MAX};
+use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot, SECTIONS_MAX};
 
 /// Commanded configurations that are remembered over the lag.
 const PAST_MAX: usize = 32;
@@ -46,20 +46,16 @@ pub struct FollowingWatch {
     rules: FollowingRules,
     obeys_positions: bool,
     commanded: Configuration,
-    past: [Past; PAST_MAX],
+    /// Where each component was commanded to be \[rad\], and until when \[s\]. By component: a robot with few sections
+    /// reads little of it.
+    past_rad: [[f64; PAST_MAX]; COORDINATES_MAX],
+    until_s: [f64; PAST_MAX],
     newest: usize,
     /// Since control began \[s\].
     now_s: f64,
     /// Since the last measurement \[s\].
     unmeasured_s: f64,
     error: FollowingError,
-}
-
-/// Where the robot was commanded to be, and until when \[s\].
-#[derive(Debug, Clone, Copy)]
-struct Past {
-    commanded: Configuration,
-    until_s: f64,
 }
 
 impl FollowingWatch {
@@ -69,10 +65,10 @@ impl FollowingWatch {
             rules,
             obeys_positions,
             commanded: at,
-            past: [Past {
-                commanded: at,
-                until_s: 0.0,
-            }; PAST_MAX],
+            past_rad: core::array::from_fn(|i| {
+                [at.as_slice().get(i).copied().unwrap_or(0.0); PAST_MAX]
+            }),
+            until_s: [0.0; PAST_MAX],
             newest: 0,
             now_s: 0.0,
             unmeasured_s: 0.0,
@@ -88,10 +84,10 @@ impl FollowingWatch {
     /// The same while the robot is still on its way to `at`: what was commanded within the lag is moved along.
     pub fn begin_moving(&mut self, at: Configuration) {
         let from = core::mem::replace(&mut self.commanded, at);
-        for past in &mut self.past {
-            let ends = at.as_slice().iter().zip(from.as_slice());
-            for (past, (to, from)) in past.commanded.as_mut_slice().iter_mut().zip(ends) {
-                *past += to - from;
+        let ends = at.as_slice().iter().zip(from.as_slice());
+        for (past_rad, (to, from)) in self.past_rad.iter_mut().zip(ends) {
+            for past_rad in past_rad {
+                *past_rad += to - from;
             }
         }
         self.error = FollowingError::default();
@@ -104,13 +100,13 @@ impl FollowingWatch {
 
     /// The robot was commanded to move at `rates` for `moving_s` of the last `elapsed_s`.
     pub fn commanded(&mut self, rates: &BendRates, moving_s: f64, elapsed_s: f64) {
-        let stored_s = self.now_s - self.past[self.newest].until_s;
+        let stored_s = self.now_s - self.until_s[self.newest];
         if (stored_s + elapsed_s) * (PAST_MAX - 1) as f64 >= self.rules.lag_s {
             self.newest = (self.newest + 1) % PAST_MAX;
-            self.past[self.newest] = Past {
-                commanded: self.commanded,
-                until_s: self.now_s,
-            };
+            self.until_s[self.newest] = self.now_s;
+            for (past_rad, commanded) in self.past_rad.iter_mut().zip(self.commanded.as_slice()) {
+                past_rad[self.newest] = *commanded;
+            }
         }
         self.commanded = self.commanded.advanced(rates, moving_s);
         self.unmeasured_s += elapsed_s;
@@ -152,11 +148,13 @@ impl FollowingWatch {
     fn commanded_range(&self) -> (Configuration, Configuration) {
         let since_s = self.now_s - self.rules.lag_s;
         let (mut least, mut most) = (self.commanded, self.commanded);
-        for past in self.past.iter().filter(|past| past.until_s >= since_s) {
-            let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
-            for ((least, most), &past) in range.zip(past.commanded.as_slice()) {
-                *least = least.min(past);
-                *most = most.max(past);
+        let range = least.as_mut_slice().iter_mut().zip(most.as_mut_slice());
+        for ((least, most), past_rad) in range.zip(&self.past_rad) {
+            for (past_rad, until_s) in past_rad.iter().zip(&self.until_s) {
+                if *until_s >= since_s {
+                    *least = least.min(*past_rad);
+                    *most = most.max(*past_rad);
+                }
             }
         }
         (least, most)
