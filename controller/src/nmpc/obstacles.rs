@@ -143,6 +143,7 @@ impl Obstacles {
         }
         let body = robot.body_wide(|i| bend_rad[i]);
         let (zero, enough_m) = (Wide::splat(0.0), settings.safe_distance_m);
+        evaluation.cost = evaluation.cost + body.poison();
         for near in &self.near {
             let sections = near.sections[at.step];
             if sections == 0 {
@@ -157,7 +158,9 @@ impl Obstacles {
                 if sections & 1 << j == 0 {
                     continue;
                 }
-                let clearance_m = body.clearance_below(&obstacle, enough_m, 1 << j);
+                let Some(clearance_m) = body.section_clearance_below(j, &obstacle, enough_m) else {
+                    continue;
+                };
                 let depth_m = Wide::splat(enough_m) - clearance_m;
                 let inside = zero.less(depth_m);
                 let step = Wide::splat(settings.obstacle_step_penalty).select(zero, inside);
@@ -188,6 +191,7 @@ impl Obstacles {
         let body = robot.body(shape);
         let scale = CONSTRAINT_SCALE * settings.position_weight.sqrt();
         let kept_m = settings.safe_distance_m + MARGIN_M;
+        let motion = robot.body_motion(shape);
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
         for near in &self.near {
             let sections = near.sections[at.step];
@@ -200,7 +204,7 @@ impl Obstacles {
             let obstacle = near.obstacle.moved(at.time_s);
             for j in (0..SECTIONS_MAX).filter(|j| sections & 1 << j != 0) {
                 let nearest = body.nearest_of(j, &obstacle);
-                robot.body_point_jacobian(shape, nearest.section, nearest.s, &mut jacobian);
+                motion.point_jacobian(nearest.section, nearest.s, &mut jacobian);
                 let mut derivatives = [0.0; COORDINATES_MAX];
                 for (derivative, velocity) in derivatives.iter_mut().zip(&jacobian) {
                     let along = nearest.direction.iter().zip(velocity);

@@ -27,6 +27,9 @@ const SECTION_NS: u32 = 15;
 const LIMITS_NS: u32 = 20;
 /// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
 const ROW_NS: u32 = 1;
+/// What the slack of a limit is less than that of a clearance, both being shares within ±1: so of too many constraints,
+/// clearances are left out first.
+const LIMITS_FIRST: f64 = 2.0;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -225,10 +228,11 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// A constraint on the bends at the end of a step, unless no step in the box can break it.
+    /// A constraint on the bends at the end of a step, unless no step in the box can break it. Its slack is the share of all
+    /// steps in the box that it takes to break it, less `first`.
     fn push_constraint(
         &self,
-        h: f64,
+        (h, first): (f64, f64),
         mut derivatives: [f64; COORDINATES_MAX],
         bends: &Bent,
         block_periods: &[f64],
@@ -245,7 +249,7 @@ impl<'a> TrackingProblem<'a> {
             .sum();
         let most = per_s * self.motion.period_s() * block_periods.iter().sum::<f64>();
         if h <= most
-            && let Some(into) = model.push_constraint(h)
+            && let Some(into) = model.push_constraint(h, (h / most).clamp(-1.0, 1.0) - first)
         {
             self.spread(&derivatives, block_periods, into);
         }
@@ -275,7 +279,8 @@ impl<'a> TrackingProblem<'a> {
                     at.block_periods
                 };
                 if is_left {
-                    self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
+                    let h = (row.h, LIMITS_FIRST);
+                    self.push_constraint(h, row.derivatives, at.bends, periods, model);
                 }
             });
         is_left
@@ -292,7 +297,7 @@ impl<'a> TrackingProblem<'a> {
         let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
             let periods = at.block_periods;
-            self.push_constraint(row.h, row.derivatives, at.bends, periods, model);
+            self.push_constraint((row.h, 0.0), row.derivatives, at.bends, periods, model);
         };
         self.obstacles
             .rows(self.robot, self.settings, instant, shape, budget, push)

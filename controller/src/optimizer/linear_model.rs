@@ -15,6 +15,8 @@ pub struct LinearModel {
     cost_rows: usize,
     constraints: Vec<f64>,
     constraint_jacobian: Vec<f64>,
+    /// How far each is from being broken, in the measure of its problem.
+    slack: Vec<f64>,
     met: Vec<bool>,
     constraints_max: usize,
 }
@@ -28,6 +30,7 @@ impl LinearModel {
             cost_rows: 0,
             constraints: Vec::with_capacity(constraints),
             constraint_jacobian: Vec::with_capacity(constraints * columns),
+            slack: Vec::with_capacity(constraints),
             met: Vec::with_capacity(constraints),
             constraints_max: constraints,
         }
@@ -38,6 +41,7 @@ impl LinearModel {
         self.jacobian.clear();
         self.constraints.clear();
         self.constraint_jacobian.clear();
+        self.slack.clear();
         self.met.clear();
         self.columns = columns;
         self.cost_rows = 0;
@@ -53,16 +57,26 @@ impl LinearModel {
     }
 
     /// Adds a constraint h + A Δ ≥ 0 with all derivatives zero, and returns them for the caller to fill
-    /// in. None when there is no room for more: steps then see the first ones only.
-    pub fn push_constraint(&mut self, h: f64) -> Option<&mut [f64]> {
-        if self.constraints.len() == self.constraints_max {
-            return None;
-        }
-        let start = self.constraint_jacobian.len();
-        self.constraints.push(h);
-        self.met.push(false);
-        self.constraint_jacobian.resize(start + self.columns, 0.0);
-        Some(&mut self.constraint_jacobian[start..])
+    /// in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
+    pub fn push_constraint(&mut self, h: f64, slack: f64) -> Option<&mut [f64]> {
+        let count = self.constraints.len();
+        let index = if count < self.constraints_max {
+            self.constraints.push(h);
+            self.slack.push(slack);
+            self.met.push(false);
+            self.constraint_jacobian
+                .resize((count + 1) * self.columns, 0.0);
+            count
+        } else {
+            let slackest = (0..count).max_by(|&a, &b| self.slack[a].total_cmp(&self.slack[b]))?;
+            if slack >= self.slack[slackest] {
+                return None;
+            }
+            (self.constraints[slackest], self.slack[slackest]) = (h, slack);
+            self.constraint_jacobian[slackest * self.columns..][..self.columns].fill(0.0);
+            slackest
+        };
+        Some(&mut self.constraint_jacobian[index * self.columns..][..self.columns])
     }
 
     /// Residuals of the cost: the first of all.
@@ -97,7 +111,7 @@ impl LinearModel {
 
     /// Makes residuals of the constraints that `step` breaks. None when it breaks none that were not met
     /// before, or the budget was spent.
-    pub(super) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
+    pub(crate) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
         let before = self.rows();
         for (index, h) in self.constraints.iter().enumerate() {
             if !budget.spend(self.columns as u32) {
@@ -148,4 +162,27 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
     let [s0, s1, s2, s3, s4, s5, s6, s7] = sums;
     ((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7)) + rest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_too_many_constraints_a_step_sees_those_with_the_least_slack() {
+        let mut model = LinearModel::with_capacity(0, 3, 1);
+        model.clear(1);
+        for slack in [5.0, 1.0, 4.0, 9.0, 2.0, 3.0] {
+            let Some(derivatives) = model.push_constraint(slack, slack) else {
+                continue;
+            };
+            assert_eq!(derivatives, [0.0]);
+            derivatives[0] = -1.0;
+        }
+        let met = model.meet_constraints(&[100.0], &mut Budget::unlimited());
+        assert_eq!(met, Some(()));
+        let mut seen: Vec<f64> = (0..model.rows()).map(|row| model.residual(row)).collect();
+        seen.sort_by(f64::total_cmp);
+        assert_eq!(seen, [1.0, 2.0, 3.0]);
+    }
 }

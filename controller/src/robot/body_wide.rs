@@ -88,42 +88,57 @@ impl<const W: usize> BodyWide<W> {
     /// [`Body::clearance_m`]: super::Body::clearance_m
     #[inline(always)]
     pub fn clearance_below(&self, obstacle: &Obstacle, enough_m: f64, sections: u8) -> Wide<W> {
-        /// What a squared distance may be off by rounding, relatively.
-        const ROUNDING: f64 = 1.0 + 1e-14;
-        let (axis, zero) = (obstacle.shape().axis(), Wide::splat(0.0));
-        let margin_m = ROUNDING_M + axis.rounding_m();
-        let enough = Wide::splat(enough_m);
-        let mut least_m = enough + self.poison;
+        let mut least_m = Wide::splat(enough_m) + self.poison;
         for j in 0..SECTIONS_MAX {
-            let Some(section) = &self.sections[j] else {
-                break;
-            };
-            if sections & (1 << j) == 0 {
-                continue;
+            if sections & (1 << j) != 0
+                && let Some(clearance_m) = self.section_clearance_below(j, obstacle, enough_m)
+            {
+                least_m = least_m.min_or_nan(clearance_m);
             }
-            let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
-            let kept_m = radii_m + enough_m + margin_m;
-            let reach_m = (section.radius_m + kept_m).max(zero);
-            let mut far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
-            if all(far) {
-                continue;
-            }
-            if axis.is_point() {
-                // Nearer than the ball, by the distance from the chord.
-                let reach_m = (section.bulge_m + kept_m).max(zero);
-                let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
-                far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
-                if all(far) {
-                    continue;
-                }
-            }
-            let (_, distance_m) = section.tube().nearest(&axis);
-            let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
-            // Far lanes have enough, by whatever rounding: as if they were alone.
-            let nearer = least_m.min_or_nan(clearance_m);
-            least_m = least_m.select(nearer, far);
         }
         least_m
+    }
+
+    /// The same for one section, counted from 0; `None` where it is `enough_m` in all lanes, or there is no such section. What a
+    /// lane with a NaN or an infinity gives, only [`Self::poison`] tells.
+    #[inline(always)]
+    pub(crate) fn section_clearance_below(
+        &self,
+        j: usize,
+        obstacle: &Obstacle,
+        enough_m: f64,
+    ) -> Option<Wide<W>> {
+        /// What a squared distance may be off by rounding, relatively.
+        const ROUNDING: f64 = 1.0 + 1e-14;
+        let section = self.sections[j].as_ref()?;
+        let (axis, zero) = (obstacle.axis(), Wide::splat(0.0));
+        let radii_m = section.parameters.body_radius_m + obstacle.radius_m();
+        let kept_m = radii_m + enough_m + ROUNDING_M + axis.rounding_m();
+        let reach_m = (section.radius_m + kept_m).max(zero);
+        let mut far = (reach_m * reach_m * ROUNDING).less(axis.square_m2(&section.centre_m));
+        if all(far) {
+            return None;
+        }
+        if axis.is_point() {
+            // Nearer than the ball, by the distance from the chord.
+            let reach_m = (section.bulge_m + kept_m).max(zero);
+            let square_m2 = section.chord_square_m2(&WideVector::splat(&axis.start_m));
+            far = either(far, (reach_m * reach_m * ROUNDING).less(square_m2));
+            if all(far) {
+                return None;
+            }
+        }
+        let enough = Wide::splat(enough_m);
+        let (_, distance_m) = section.tube().nearest(axis);
+        let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
+        // Far lanes have enough, by whatever rounding: as if they were alone.
+        Some(enough.select(enough.min_or_nan(clearance_m), far))
+    }
+
+    /// Zero where all bends are finite, NaN in the other lanes.
+    #[inline(always)]
+    pub(crate) fn poison(&self) -> Wide<W> {
+        self.poison
     }
 }
 

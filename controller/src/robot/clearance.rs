@@ -4,8 +4,8 @@
 //! round. Distances are exact, not sampled: 10 points per section would overestimate them by up to 14.7 mm.
 //!
 //! A solver makes one [`Body`] per state and asks it about many obstacles; [`Robot::reaches`] first drops those that are too
-//! far away to matter. The gradient of a clearance is `direction · J`, with J from [`Robot::body_point_jacobian`] at the
-//! nearest point: that this point slides along the body is of second order. Where two points are equally near, it is the
+//! far away to matter. The gradient of a clearance is `direction · J`, with J from [`Robot::body_motion`] at the nearest point:
+//! that this point slides along the body is of second order. Where two points are equally near, it is the
 //! gradient of one of the two.
 
 use nalgebra::Vector3;
@@ -14,7 +14,7 @@ use super::chord::Chord;
 use super::lanes::Frame;
 use super::obstacle::{Axis, Obstacle};
 use super::tube::{Foot, Tube};
-use super::{Arc, COORDINATES_MAX, Configuration, Pose, Robot, SECTIONS_MAX};
+use super::{Configuration, Pose, Robot, SECTIONS_MAX};
 use crate::wide::Wide;
 
 /// Below this distance (m) between backbone and axis of an obstacle, their difference has no direction.
@@ -71,7 +71,7 @@ impl Body {
 
     /// The same for one section of this robot, from 0.
     pub fn nearest_of(&self, section: usize, obstacle: &Obstacle) -> Nearest {
-        let closest = self.closest_of(section, obstacle, &obstacle.shape().axis());
+        let closest = self.closest_of(section, obstacle, obstacle.axis());
         self.place(&closest, obstacle)
     }
 
@@ -88,7 +88,7 @@ impl Body {
             direction: if distance_m > COINCIDENT_M {
                 apart / distance_m
             } else {
-                away(tube, &foot, &obstacle.shape().axis().span_m)
+                away(tube, &foot, &obstacle.axis().span_m)
             },
         }
     }
@@ -118,11 +118,11 @@ impl Body {
     /// clearance is above `travel_m`; where it says yes, it need not be below. Ask with the safe distance plus all that body
     /// and obstacle can move over the horizon. A NaN gives yes.
     pub fn reaches(&self, obstacle: &Obstacle, travel_m: f64) -> bool {
-        let axis = obstacle.shape().axis();
+        let axis = obstacle.axis();
         let radius_m = obstacle.radius_m();
         self.tubes()
             .iter()
-            .any(|tube| !is_beyond(clearance_min_m(tube, &axis, radius_m), &axis, travel_m))
+            .any(|tube| !is_beyond(clearance_min_m(tube, axis, radius_m), axis, travel_m))
     }
 
     /// Which sections may be within `travel_m[j]` (m) of the obstacle: bit j is clear only if the clearance of section j is
@@ -151,11 +151,11 @@ impl Body {
         travel_m: &[f64; SECTIONS_MAX],
         enough_m: f64,
     ) -> [f64; SECTIONS_MAX] {
-        let axis = obstacle.shape().axis();
+        let axis = obstacle.axis();
         let mut clearances_m = [f64::INFINITY; SECTIONS_MAX];
         for (j, tube) in self.tubes().iter().enumerate() {
-            let least_m = clearance_min_m(tube, &axis, obstacle.radius_m());
-            if is_beyond(least_m, &axis, travel_m[j]) {
+            let least_m = clearance_min_m(tube, axis, obstacle.radius_m());
+            if is_beyond(least_m, axis, travel_m[j]) {
                 continue;
             }
             if !axis.is_point() {
@@ -168,8 +168,8 @@ impl Body {
                     continue;
                 }
             }
-            let clearance_m = self.closest_of(j, obstacle, &axis).clearance_m;
-            if !is_beyond(clearance_m, &axis, travel_m[j]) {
+            let clearance_m = self.closest_of(j, obstacle, axis).clearance_m;
+            if !is_beyond(clearance_m, axis, travel_m[j]) {
                 clearances_m[j] = clearance_m;
             }
         }
@@ -178,15 +178,15 @@ impl Body {
 
     /// The clearance of one section of this robot, from 0 (m).
     pub fn clearance_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
-        let axis = obstacle.shape().axis();
-        self.closest_of(section, obstacle, &axis).clearance_m
+        let axis = obstacle.axis();
+        self.closest_of(section, obstacle, axis).clearance_m
     }
 
     /// What the clearance of one section of this robot is at least (m), by its chord: for about a fifth of the time that the
     /// exact one from a capsule takes. Minus infinity where the chord tells nothing, and for a NaN in the bends.
     pub fn clearance_min_of(&self, section: usize, obstacle: &Obstacle) -> f64 {
-        let axis = obstacle.shape().axis();
-        let distance_m = self.chords[section].distance_min_m(&axis);
+        let axis = obstacle.axis();
+        let distance_m = self.chords[section].distance_min_m(axis);
         let radii_m = self.tubes[section].radius_m + obstacle.radius_m();
         distance_m - radii_m - (ROUNDING_M + axis.rounding_m())
     }
@@ -198,21 +198,21 @@ impl Body {
     /// The section and the point of the obstacle's axis between which clearance is least.
     fn closest(&self, obstacle: &Obstacle) -> Closest {
         // First the section that promises most, so that most of the others need no search.
-        let axis = obstacle.shape().axis();
+        let axis = obstacle.axis();
         let mut bounds_m = [f64::INFINITY; SECTIONS_MAX];
         let mut first = 0;
         for (section, tube) in self.tubes().iter().enumerate() {
-            bounds_m[section] = clearance_min_m(tube, &axis, obstacle.radius_m());
+            bounds_m[section] = clearance_min_m(tube, axis, obstacle.radius_m());
             if bounds_m[section] < bounds_m[first] {
                 first = section;
             }
         }
-        let mut best = self.closest_of(first, obstacle, &axis);
+        let mut best = self.closest_of(first, obstacle, axis);
         for section in 0..self.section_count {
             if section == first || bounds_m[section] >= best.clearance_m {
                 continue;
             }
-            let other = self.closest_of(section, obstacle, &axis);
+            let other = self.closest_of(section, obstacle, axis);
             // A NaN replaces what was found, and stays.
             if other.clearance_m < best.clearance_m || other.clearance_m.is_nan() {
                 best = other;
@@ -368,8 +368,9 @@ impl Robot {
             let turn = to_frames[j].rotation - from_frames[j].rotation;
             let ([u, v], [to_u, to_v]) = (from.section(j), to.section(j));
             let turn = turn.norm() * core::f64::consts::FRAC_1_SQRT_2;
-            let change_rad = (to_u - u).hypot(to_v - v);
-            let bend_rad = u.hypot(v).max(to_u.hypot(to_v));
+            let [change_rad, bend_rad, to_bend_rad] =
+                [[to_u - u, to_v - v], [u, v], [to_u, to_v]].map(|[u, v]| (u * u + v * v).sqrt());
+            let bend_rad = bend_rad.max(to_bend_rad);
             let end_m = to_frames[j + 1].position_m - from_frames[j + 1].position_m;
             let (start_m, end_m) = (start_m.norm(), end_m.norm());
             let by_start_m = start_m + (turn + 0.5 * change_rad) * section.length_m;
@@ -377,50 +378,5 @@ impl Robot {
             displacement_m[j] = by_start_m.min(start_m.max(end_m) + bent * section.length_m);
         }
         displacement_m
-    }
-
-    /// How a point of the backbone moves with the bends: fills `jacobian` with its velocity (m/rad, base frame) for a unit rate
-    /// of each coordinate (u1, v1, …), 2n columns and zeros after them, and returns the point (m), that of
-    /// [`Self::body_point`].
-    ///
-    /// `s` is held within [0, 1]; a section beyond the last gives the tip. The arc up to s is
-    /// an arc with bend s b and length s l, hence ∂p(s)/∂b = s ∂p/∂b of that arc (§1 of docs/model.md). Sections after the
-    /// point do not move it.
-    pub fn body_point_jacobian(
-        &self,
-        configuration: &Configuration,
-        section: usize,
-        s: f64,
-        jacobian: &mut [[f64; 3]; COORDINATES_MAX],
-    ) -> Vector3<f64> {
-        let last = self.section_count() - 1;
-        let (section, s) = if section > last {
-            (last, 1.0)
-        } else {
-            (section, s.clamp(0.0, 1.0))
-        };
-        let bends = self.sections()[..=section]
-            .iter()
-            .zip(configuration.pairs());
-        let mut own = [[(Vector3::zeros(), Vector3::zeros()); 2]; SECTIONS_MAX];
-        let mut ends = [Vector3::zeros(); SECTIONS_MAX];
-        let mut pose = Pose::identity();
-        for (j, (parameters, &[u, v])) in bends.enumerate() {
-            let share = if j == section { s } else { 1.0 };
-            let arc = Arc::new(share * parameters.length_m, [share * u, share * v]);
-            let (p, w) = (arc.position_derivatives_m_rad(), arc.rotation_derivatives());
-            own[j] = [0, 1].map(|i| {
-                let velocity = pose.rotation * (p[i] * share);
-                (velocity, pose.rotation * (w[i] * share))
-            });
-            pose = pose.then(&arc);
-            ends[j] = pose.position_m;
-        }
-        let (columns, _) = jacobian.as_chunks_mut::<2>();
-        for ((columns, own), end) in columns.iter_mut().zip(&own).zip(&ends) {
-            let lever = pose.position_m - end;
-            *columns = own.map(|(velocity, spin)| (velocity + spin.cross(&lever)).into());
-        }
-        pose.position_m
     }
 }

@@ -18,7 +18,8 @@
 //! | `obstacle` | what must the body keep away from, and where is it later |
 //! | `tube` | how far is one section from a point, from a segment |
 //! | `chord` | how far is one section from a segment at least, for less work |
-//! | `clearance` | how far is the body from an obstacle, where, and how does that place move |
+//! | `clearance` | how far is the body from an obstacle, and where |
+//! | `body_motion` | how does a point of the body move when a bend changes |
 //! | `wide` | where are the tips of many configurations, side by side |
 //! | `lanes` | vectors and frames of many configurations, side by side |
 //! | `body_wide` | how far are many bodies from an obstacle, side by side |
@@ -29,6 +30,7 @@
 //! Invariant: nothing here knows a reference, a cost, a time or another process. Once a [`Robot`] exists, nothing here
 //! allocates, fails or panics on finite input, except where an index is documented to.
 
+mod body_motion;
 mod body_wide;
 mod cables;
 mod chord;
@@ -44,6 +46,7 @@ mod section;
 mod tube;
 mod wide;
 
+pub use body_motion::BodyMotion;
 #[doc(hidden)]
 pub use body_wide::BodyWide;
 pub use clearance::{Body, Nearest};

@@ -55,9 +55,7 @@ impl Shape {
         }
     }
 
-    /// What distances to it need.
-    #[inline(always)]
-    pub(super) fn axis(&self) -> Axis {
+    fn axis(&self) -> Axis {
         match *self {
             Self::Sphere { centre_m } => Axis {
                 start_m: centre_m,
@@ -84,7 +82,7 @@ impl Shape {
 const POINT_M2: f64 = 1e-300;
 
 /// A point or a segment, prepared for distances from W points side by side.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Axis {
     pub(super) start_m: Vector3<f64>,
     pub(super) span_m: Vector3<f64>,
@@ -132,10 +130,11 @@ impl Axis {
     }
 }
 
-/// A checked obstacle: shape, radius around it, and the velocity of the whole. 88 bytes, no heap.
+/// A checked obstacle: shape, radius around it, and the velocity of the whole. 152 bytes, no heap.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Obstacle {
     shape: Shape,
+    axis: Axis,
     radius_m: f64,
     velocity_m_s: Vector3<f64>,
 }
@@ -183,6 +182,7 @@ impl Obstacle {
         }
         Ok(Self {
             shape,
+            axis: shape.axis(),
             radius_m,
             velocity_m_s,
         })
@@ -191,6 +191,12 @@ impl Obstacle {
     /// Its axis (m, base frame).
     pub fn shape(&self) -> &Shape {
         &self.shape
+    }
+
+    /// What distances to it need.
+    #[inline(always)]
+    pub(super) fn axis(&self) -> &Axis {
+        &self.axis
     }
 
     /// Its radius around the axis (m), in [`OBSTACLE_RADIUS_M`].
@@ -206,8 +212,13 @@ impl Obstacle {
     /// The obstacle `dt_s` (s, finite) later, at constant velocity without turning; earlier if negative.
     #[must_use]
     pub fn moved(&self, dt_s: f64) -> Self {
+        let by_m = self.velocity_m_s * dt_s;
         Self {
-            shape: self.shape.translated(self.velocity_m_s * dt_s),
+            shape: self.shape.translated(by_m),
+            axis: Axis {
+                start_m: self.axis.start_m + by_m,
+                ..self.axis
+            },
             ..*self
         }
     }

@@ -177,12 +177,13 @@ impl<const W: usize> Tube<W> {
             length_m: axis.length_m,
         };
         let middle = line.nearest_to_axis();
+        let [from_start, from_end] = line.descend_from_both_ends(middle);
         let candidates = [
             one,
             axis.share(&self.start_m),
             axis.share(&self.end_m),
-            line.descend(zero, middle),
-            line.descend(one, middle),
+            from_start,
+            from_end,
         ];
         let mut t = zero;
         let mut square_m2 = self.square_m2(&WideVector::splat(&axis.start_m));
@@ -349,6 +350,25 @@ impl<const W: usize> Line<W> {
         let (big_x, big_z) = (one - kappa * x, kappa * z);
         let t = (big_x * x_slope - big_z * z_slope) / (kappa * in_plane_square);
         one.select(t.clamp(0.0, 1.0), constant)
+    }
+
+    /// [`Self::descend`] from start and end: of a single section side by side, which has the same bits and no search waits for
+    /// the other.
+    #[inline(always)]
+    fn descend_from_both_ends(&self, middle: Wide<W>) -> [Wide<W>; 2] {
+        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
+        if W > 1 {
+            return [self.descend(zero, middle), self.descend(one, middle)];
+        }
+        let twice = |vector: &WideVector<W>| WideVector(vector.0.map(|x| Wide::<2>::splat(x.0[0])));
+        let line = Line::<2> {
+            curvature_1_m: Wide::splat(self.curvature_1_m.0[0]),
+            start: twice(&self.start),
+            span: twice(&self.span),
+            length_m: self.length_m,
+        };
+        let Wide(found) = line.descend(Wide([0.0, 1.0]), Wide::splat(middle.0[0]));
+        found.map(Wide::splat)
     }
 
     /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis, if there is one;

@@ -4,8 +4,9 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::*;
+use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
-use crate::robot::{BendRates, RobotParameters};
+use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
 
 const PERIOD_S: f64 = 0.05;
 /// Moves a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near 1e-11.
@@ -75,9 +76,20 @@ fn cases() -> impl Strategy<Value = Case> {
         })
 }
 
-/// Lets `run` see the problem of a case.
+/// Lets `run` see the problem of a case, for the paper's robot.
 fn with_problem<T>(case: &Case, run: impl FnOnce(&TrackingProblem) -> T) -> T {
-    let robot = Robot::new(&RobotParameters::paper(case.at.section_count())).expect("the paper's");
+    let parameters = RobotParameters::paper(case.at.section_count());
+    with_problem_among(&[], &parameters, case, run)
+}
+
+/// The same for any robot among these obstacles.
+fn with_problem_among<T>(
+    around: &[Obstacle],
+    parameters: &RobotParameters,
+    case: &Case,
+    run: impl FnOnce(&TrackingProblem) -> T,
+) -> T {
+    let robot = Robot::new(parameters).expect("a robot");
     let horizon = Horizon::new(&case.settings);
     let motion = Motion::new(
         &robot,
@@ -90,13 +102,17 @@ fn with_problem<T>(case: &Case, run: impl FnOnce(&TrackingProblem) -> T) -> T {
     );
     let mut bounds = Bounds::with_capacity(case.plan.len());
     motion.set_bounds(&robot, &mut bounds);
-    let limits = Limits::new(&robot, &motion, 1.0, &motion.fastest_rad_s(&bounds));
-    let obstacles = Obstacles::with_capacity();
+    let fastest_rad_s = motion.fastest_rad_s(&bounds);
+    let limits = Limits::new(&robot, &motion, 1.0, &fastest_rad_s);
+    let mut obstacles = Obstacles::with_capacity();
+    let safe_m = case.settings.safe_distance_m;
+    let budget = &mut Budget::unlimited();
+    obstacles.gather(&robot, &motion, around, safe_m, &fastest_rad_s, budget);
     let input = SolveInput {
         configuration: &case.at,
         previous_rates: &case.held,
         reference: &[case.goal],
-        obstacles: &[],
+        obstacles: around,
         elapsed_periods: 1,
         seed: 1,
     };
@@ -113,7 +129,7 @@ fn with_problem<T>(case: &Case, run: impl FnOnce(&TrackingProblem) -> T) -> T {
 
 fn linearised(problem: &TrackingProblem, plan: &[f64]) -> LinearModel {
     let rows = 12 * HORIZON_STEPS_MAX + 2 * plan.len();
-    let mut model = LinearModel::with_capacity(rows, OBSTACLES_MAX, plan.len());
+    let mut model = LinearModel::with_capacity(rows, CONSTRAINTS_MAX, plan.len());
     model.clear(plan.len());
     assert!(problem.linearise(plan, &mut model, &mut Budget::unlimited()));
     model
@@ -146,4 +162,53 @@ proptest! {
             Ok(())
         })?;
     }
+}
+
+/// Six sections among as many obstacles as there may be: each of them can meet each section at each step.
+#[test]
+fn obstacles_leave_room_for_every_limit() {
+    let at = [0.4, 0.3].repeat(6);
+    let plan = [2.0, -2.0].repeat(15);
+    let settings = NmpcSettings {
+        horizon_steps: 5,
+        ..NmpcSettings::default()
+    };
+    let case = Case {
+        settings,
+        at: Configuration::from_slice(&at).expect("six sections"),
+        held: BendRates::zero(6),
+        goal: ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: Vector3::new(0.1, 0.2, 1.0),
+            orientation: Orientation::Free,
+        },
+        plan: [plan.as_slice(), &plan].concat(),
+    };
+    let mut parameters = RobotParameters::paper(6);
+    let robot = Robot::new(&parameters).expect("the paper's");
+    let strokes_m = robot.cable_strokes(&case.at);
+    parameters.cable_stroke_max_m = strokes_m.iter().fold(0.0, |most, m| m.abs().max(most));
+    let around: Vec<Obstacle> = (0..OBSTACLES_MAX)
+        .map(|i| {
+            let body_m = robot.body_point(&case.at, i % 6, 0.5);
+            let centre_m = body_m + Vector3::new(0.05, 0.001 * i as f64, 0.0);
+            Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).expect("a ball")
+        })
+        .collect();
+    // What a step breaks.
+    let met = |around: &[Obstacle]| -> Vec<f64> {
+        with_problem_among(around, &parameters, &case, |problem| {
+            let mut model = linearised(problem, &case.plan);
+            let cost_rows = model.rows();
+            model.meet_constraints(&case.plan, &mut Budget::unlimited());
+            (cost_rows..model.rows())
+                .map(|row| model.residual(row))
+                .collect()
+        })
+    };
+    let (limits, all) = (met(&[]), met(&around));
+    assert!(limits.len() > 20, "{}", limits.len());
+    let left_out = limits.iter().filter(|limit| !all.contains(limit)).count();
+    assert_eq!(left_out, 0, "of {} limits", limits.len());
+    assert!(all.len() > limits.len(), "obstacles are met, too");
 }

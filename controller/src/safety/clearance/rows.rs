@@ -17,7 +17,7 @@ struct Short<'a> {
     /// What is left, at least \[m\].
     spare_m: f64,
     place: &'a Place,
-    watched: &'a Watched,
+    watched: &'a Watched<'a>,
     index: usize,
     section: usize,
 }
@@ -76,8 +76,9 @@ impl<'a> Least<'a> {
         let Some(watched) = near.watched_at(index) else {
             return;
         };
-        let clearance_m = near.clearance_m(place, watched, section);
-        let spare_m = clearance_m - watched.floor_most_m(section, place.time_s);
+        let floor_m = watched.floor_most_m(section, place.time_s);
+        let clearance_m = near.clearance_m(place, watched, section, floor_m);
+        let spare_m = clearance_m - floor_m;
         if spare_m < 0.0 || is_found {
             self.insert(Short {
                 spare_m,
@@ -120,9 +121,8 @@ impl Short<'_> {
         };
         let nearest = stance.body.nearest_of(self.section, &obstacle);
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
-        guard
-            .robot
-            .body_point_jacobian(&stance.at, self.section, nearest.s, &mut columns);
+        let motion = stance.motion(guard.robot);
+        motion.point_jacobian(self.section, nearest.s, &mut columns);
         let d = &nearest.direction;
         let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
         let least_m = if is_first {

@@ -44,7 +44,7 @@ pub(super) fn check(
     }
     let turn_rad_s = core::array::from_fn(|j| {
         let [u, v] = rates.section(j);
-        u.hypot(v)
+        (u * u + v * v).sqrt()
     });
     let way = Way {
         near,

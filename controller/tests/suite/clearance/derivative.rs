@@ -16,7 +16,7 @@ proptest! {
     ) {
         const STEP_RAD: f64 = 1e-3;
         let mut jacobian = [[f64::NAN; 3]; COORDINATES_MAX];
-        let point_m = robot.body_point_jacobian(&shape, section, s, &mut jacobian);
+        let point_m = robot.body_motion(&shape).point_jacobian(section, s, &mut jacobian);
         prop_assert!((point_m - robot.body_point(&shape, section, s)).norm() < 1e-15);
         for (i, column) in jacobian.iter().enumerate() {
             let at = |steps: f64| {
@@ -49,7 +49,7 @@ proptest! {
             return Ok(());
         }
         let mut jacobian = [[0.0; 3]; COORDINATES_MAX];
-        robot.body_point_jacobian(&shape, nearest.section, nearest.s, &mut jacobian);
+        robot.body_motion(&shape).point_jacobian(nearest.section, nearest.s, &mut jacobian);
         for i in 0..robot.coordinate_count() {
             let at = |steps: f64| {
                 let mut moved = shape;
