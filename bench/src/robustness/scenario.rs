@@ -92,7 +92,7 @@ impl Scenario {
             f.tip_noise_m = 3e-4;
         });
         let play = with(|f| {
-            f.backlash_m = 5e-4;
+            f.actuator.play_m = 5e-4;
             f.tip_noise_m = 3e-4;
         });
         let tip = |every| Sensor::CablesAndTip { every };
@@ -108,6 +108,15 @@ impl Scenario {
             Self::new("play of 0.5 mm", play)
                 .sensor(tip(1))
                 .target_mm(0.3),
+            Self {
+                actuator: Actuator {
+                    play_m: 4e-4,
+                    ..Actuator::IDEAL
+                },
+                ..Self::new("play of 0.5 mm, known as 0.4", play)
+                    .sensor(tip(1))
+                    .target_mm(0.3)
+            },
             noisy_tip("tip alone, 0.1 mm", 1e-4).target_mm(0.1),
             noisy_tip("tip alone, 0.5 mm", 5e-4).target_mm(0.25),
             of_preset("laboratory", Preset::Laboratory),
@@ -167,5 +176,6 @@ fn motors(delay_s: f64, time_constant_s: f64) -> Actuator {
     Actuator {
         delay_s,
         time_constant_s,
+        ..Actuator::IDEAL
     }
 }

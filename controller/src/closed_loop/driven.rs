@@ -63,7 +63,7 @@ impl DrivenRobot {
     ) -> Result<Self, RobotError> {
         let plant = MisbehavingRobot::new(model, start, driven.flaws, driven.seed)?;
         let estimator = Estimator::new(*start)
-            .with_actuator(driven.actuator)
+            .with_actuator(model, driven.actuator)
             .with_time_constant(driven.time_constant_s);
         let mut robot = Self {
             driven,
@@ -75,13 +75,18 @@ impl DrivenRobot {
         };
         robot.measure();
         // Control begins where the robot is measured.
-        robot.commanded = *robot.configuration();
+        robot.commanded = *robot.estimator.motors();
         Ok(robot)
     }
 
     /// Where the commands up to now lead it, as far as that is known.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
+    }
+
+    /// The rates of the motors with which the robot moves at `desired`.
+    pub(super) fn motor_rates(&self, desired: &BendRates, period_s: f64) -> BendRates {
+        self.estimator.motor_rates(&self.model, desired, period_s)
     }
 
     /// Where its motors are sent, if they obey positions.

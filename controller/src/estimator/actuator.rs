@@ -1,13 +1,16 @@
-use crate::robot::{BendRates, COORDINATES_MAX, Configuration};
+use super::Slack;
+use crate::robot::{BendRates, COORDINATES_MAX, Configuration, Robot};
 
-/// How the motors follow a command: after a pure delay, as a first-order system. The same for motors that obey positions,
-/// `q̇ = (q_c(t − delay) − q) / time_constant`, and for those that obey speeds, whose speed does so (docs/model.md §8).
+/// How the motors follow a command, after a pure delay and as a first-order system, and the cables the motors. The same for motors that obey positions,
+/// `q̇ = (q_c(t − delay) − q) / time_constant`, and for those that obey speeds, whose speed does so (docs/model.md §6).
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Actuator {
     /// From the release of a command until the motors begin to follow it \[s\], 0 to 0.3.
     pub delay_s: f64,
     /// Time constant \[s\], 0 to 0.3.
     pub time_constant_s: f64,
+    /// Play between each motor and its cable \[m\], 0 to 0.01: so far a motor that turns round goes before its cable comes along.
+    pub play_m: f64,
 }
 
 impl Actuator {
@@ -15,6 +18,7 @@ impl Actuator {
     pub const IDEAL: Self = Self {
         delay_s: 0.0,
         time_constant_s: 0.0,
+        play_m: 0.0,
     };
 
     /// By how much a robot that moves evenly is behind its commands \[s\].
@@ -30,6 +34,17 @@ pub(super) struct ActuatorModel {
     /// The last moves, newest at `newest`.
     moves: Box<[Move]>,
     newest: usize,
+    play: Option<PlayModel>,
+}
+
+/// Cables that have play.
+#[derive(Debug, Clone)]
+struct PlayModel {
+    robot: Robot,
+    /// Of motors without delay.
+    motors: Slack,
+    /// Of motors that have come to where the commands lead them.
+    led: Slack,
 }
 
 /// Rates that were commanded for a time.
@@ -39,6 +54,8 @@ struct Move {
     duration_s: f64,
     /// How far motors without delay are behind at its end \[rad\].
     behind_rad: [f64; COORDINATES_MAX],
+    /// How far the bends of the cables are beside those of motors without delay, at its end \[rad\].
+    slack_rad: [f64; COORDINATES_MAX],
 }
 
 impl Move {
@@ -47,6 +64,7 @@ impl Move {
             rates: BendRates::zero(section_count),
             duration_s: 0.0,
             behind_rad: [0.0; COORDINATES_MAX],
+            slack_rad: [0.0; COORDINATES_MAX],
         }
     }
 }
@@ -61,23 +79,74 @@ impl ActuatorModel {
             actuator,
             moves: vec![Move::rest(section_count); MOVES_MAX].into_boxed_slice(),
             newest: 0,
+            play: None,
         }
+    }
+
+    /// The same with the play of the actuator between the motors and the cables of this robot.
+    pub(super) fn with_play(mut self, robot: &Robot) -> Self {
+        let middle = Slack::middle(self.actuator.play_m);
+        self.play = (self.actuator.play_m > 0.0).then(|| PlayModel {
+            robot: robot.clone(),
+            motors: middle,
+            led: middle,
+        });
+        self
+    }
+
+    /// How far each cable is beside its motor where the commands lead it; none: there is no play.
+    pub(super) fn slack(&self) -> Option<&Slack> {
+        self.play.as_ref().map(|play| &play.led)
+    }
+
+    /// Where the cables are that belong to motors at `at`, where the commands lead them.
+    pub(super) fn cables_led(&self, at: &Configuration) -> Configuration {
+        let mut cables = *at;
+        if let Some(play) = &self.play {
+            add(
+                cables.as_mut_slice(),
+                play.led.bends(&play.robot).as_slice(),
+                1.0,
+            );
+        }
+        cables
     }
 
     /// The motors are at rest at their command. Allocates nothing.
     pub(super) fn begin(&mut self) {
         let section_count = self.moves[self.newest].rates.section_count();
         self.moves.fill(Move::rest(section_count));
+        if let Some(play) = &mut self.play {
+            let middle = Slack::middle(self.actuator.play_m);
+            (play.motors, play.led) = (middle, middle);
+        }
     }
 
     /// `rates` were commanded for `duration_s`.
     pub(super) fn command(&mut self, rates: &BendRates, duration_s: f64) {
-        let behind_rad = self.behind_after(rates, &self.moves[self.newest], duration_s);
+        let before = &self.moves[self.newest];
+        let behind_rad = self.behind_after(rates, before, duration_s);
+        let mut slack_rad = [0.0; COORDINATES_MAX];
+        if let Some(play) = &mut self.play {
+            let rest = Configuration::straight(rates.section_count());
+            let commanded = rest.advanced(rates, duration_s);
+            play.led = play.led.moved(&play.robot, &commanded);
+            let mut moved = commanded;
+            add(moved.as_mut_slice(), &before.behind_rad, 1.0);
+            add(moved.as_mut_slice(), &behind_rad, -1.0);
+            play.motors = play.motors.moved(&play.robot, &moved);
+            add(
+                &mut slack_rad,
+                play.motors.bends(&play.robot).as_slice(),
+                1.0,
+            );
+        }
         self.newest = (self.newest + 1) % MOVES_MAX;
         self.moves[self.newest] = Move {
             rates: *rates,
             duration_s,
             behind_rad,
+            slack_rad,
         };
     }
 
@@ -86,6 +155,7 @@ impl ActuatorModel {
     pub(super) fn way_left(&self, age_s: f64) -> WayLeft {
         let mut left_s = age_s + self.actuator.delay_s;
         let mut way_rad = [0.0; COORDINATES_MAX];
+        let mut slack_rad = [0.0; COORDINATES_MAX];
         for back in 0..MOVES_MAX {
             let past = self.back(back);
             let part_s = past.duration_s.min(left_s);
@@ -100,12 +170,22 @@ impl ActuatorModel {
                 };
                 add(&mut way_rad, past.rates.as_slice(), part_s);
                 add(&mut way_rad, &behind_rad, 1.0);
+                if self.play.is_some() {
+                    let began = self.back((back + 1).min(MOVES_MAX - 1));
+                    let left = if past.duration_s > 0.0 {
+                        part_s / past.duration_s
+                    } else {
+                        0.0
+                    };
+                    add(&mut slack_rad, &past.slack_rad, 1.0 - left);
+                    add(&mut slack_rad, &began.slack_rad, left);
+                }
                 break;
             }
             add(&mut way_rad, past.rates.as_slice(), part_s);
             left_s -= part_s;
         }
-        WayLeft(way_rad)
+        WayLeft { way_rad, slack_rad }
     }
 
     fn back(&self, back: usize) -> &Move {
@@ -134,26 +214,40 @@ impl ActuatorModel {
     }
 }
 
-/// A way in bend vectors \[rad\].
+/// A way of the motors in bend vectors.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct WayLeft([f64; COORDINATES_MAX]);
+pub(super) struct WayLeft {
+    way_rad: [f64; COORDINATES_MAX],
+    /// How far the bends of the cables are beside those of the motors at its beginning \[rad\].
+    slack_rad: [f64; COORDINATES_MAX],
+}
 
 impl WayLeft {
     /// Where it leads from `at`.
     pub(super) fn from(&self, at: &Configuration) -> Configuration {
-        self.added(at, 1.0)
+        added(at, &self.way_rad, 1.0)
     }
 
     /// Where it began, if it leads to `at`.
     pub(super) fn back_from(&self, at: &Configuration) -> Configuration {
-        self.added(at, -1.0)
+        added(at, &self.way_rad, -1.0)
     }
 
-    fn added(&self, at: &Configuration, sign: f64) -> Configuration {
-        let mut moved = *at;
-        add(moved.as_mut_slice(), &self.0, sign);
-        moved
+    /// Where the cables are at its beginning, if the motors are at `begin`.
+    pub(super) fn cables(&self, begin: &Configuration) -> Configuration {
+        added(begin, &self.slack_rad, 1.0)
     }
+
+    /// Where the motors are at its beginning, if the cables are at `begin`.
+    pub(super) fn motors(&self, begin: &Configuration) -> Configuration {
+        added(begin, &self.slack_rad, -1.0)
+    }
+}
+
+fn added(at: &Configuration, what: &[f64], factor: f64) -> Configuration {
+    let mut moved = *at;
+    add(moved.as_mut_slice(), what, factor);
+    moved
 }
 
 /// Adds `factor` times `what`, as far as both go.
@@ -172,6 +266,7 @@ mod tests {
         Actuator {
             delay_s,
             time_constant_s,
+            ..Actuator::IDEAL
         }
     }
 
@@ -184,10 +279,7 @@ mod tests {
     fn the_way_left_is_that_of_the_differential_equation() {
         const STEP_S: f64 = 1e-5;
         for (delay_s, time_constant_s) in [(0.0, 0.0), (0.012, 0.0), (0.0, 0.03), (0.0125, 0.02)] {
-            let actuator = Actuator {
-                delay_s,
-                time_constant_s,
-            };
+            let actuator = actuator(delay_s, time_constant_s);
             let mut model = ActuatorModel::new(actuator, 1);
             let rate = |time_s: f64| {
                 if time_s < 0.0 {

@@ -4,6 +4,7 @@
 //! goes out.
 
 mod actuator;
+mod slack;
 mod tip_filter;
 mod tip_offset;
 
@@ -12,6 +13,7 @@ use nalgebra::Vector3;
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
 use actuator::ActuatorModel;
+pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
 
@@ -36,7 +38,10 @@ pub enum Measurement {
 /// meanwhile says [`Self::present`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
+    /// Where the commands lead the motors.
     estimate: Configuration,
+    /// Where that takes the cables, and the robot with them.
+    led: Configuration,
     /// What the measurements alone say, moved on as commanded; where they are believed at once, it is the estimate.
     measured: Configuration,
     /// Time constant with which the disturbance follows what is measured \[s\]; 0: at once.
@@ -55,19 +60,20 @@ impl Estimator {
     pub fn new(configuration: Configuration) -> Self {
         Self {
             estimate: configuration,
+            led: configuration,
             measured: configuration,
             time_constant_s: 0.0,
             uncorrected_s: None,
             tip: TipFilter::new(TIP_NOISE_M),
-            tip_offset: TipOffset::new(),
+            tip_offset: TipOffset::new(TIP_NOISE_M),
             motors: ActuatorModel::new(Actuator::IDEAL, configuration.section_count()),
         }
     }
 
     /// The same with motors that follow their commands like this.
     #[must_use]
-    pub fn with_actuator(mut self, actuator: Actuator) -> Self {
-        self.motors = ActuatorModel::new(actuator, self.estimate.section_count());
+    pub fn with_actuator(mut self, robot: &Robot, actuator: Actuator) -> Self {
+        self.motors = ActuatorModel::new(actuator, self.estimate.section_count()).with_play(robot);
         self
     }
 
@@ -84,6 +90,7 @@ impl Estimator {
     #[must_use]
     pub fn with_tip_noise(mut self, noise_m: f64) -> Self {
         self.tip = TipFilter::new(noise_m);
+        self.tip_offset = TipOffset::new(noise_m);
         self
     }
 
@@ -93,25 +100,46 @@ impl Estimator {
         self.measured = configuration;
         self.uncorrected_s = None;
         self.tip.begin();
-        self.tip_offset = TipOffset::new();
+        self.tip_offset.begin();
         self.motors.begin();
+        self.led = configuration;
     }
 
     /// Begins anew where the measurements alone say that the commands lead, with motors that are still on their way there.
     pub fn begin_moving(&mut self) {
         self.estimate = self.measured;
+        self.led = self.motors.cables_led(&self.estimate);
         self.uncorrected_s = None;
-        self.tip_offset = TipOffset::new();
+        self.tip_offset.begin();
     }
 
     /// Where the commands up to now lead the robot.
     pub fn configuration(&self) -> &Configuration {
+        &self.led
+    }
+
+    /// Where the commands up to now lead the motors: the robot is beside that by the play of its cables.
+    pub fn motors(&self) -> &Configuration {
         &self.estimate
+    }
+
+    /// How far each cable is beside its motor; none: they have no play.
+    pub fn slack(&self) -> Option<&Slack> {
+        self.motors.slack()
+    }
+
+    /// The rates of the motors with which the robot moves at `desired` for `period_s` (s): [`Slack::motor_rates`].
+    pub fn motor_rates(&self, robot: &Robot, desired: &BendRates, period_s: f64) -> BendRates {
+        match self.slack() {
+            Some(slack) => slack.motor_rates(robot, desired, period_s),
+            None => *desired,
+        }
     }
 
     /// Where the robot is: behind that by what its motors are behind their commands.
     pub fn present(&self) -> Configuration {
-        self.motors.way_left(0.0).back_from(&self.estimate)
+        let way = self.motors.way_left(0.0);
+        way.cables(&way.back_from(&self.estimate))
     }
 
     /// How far the tip is measured beside where the bends place it (m), as [`Self::correct_tip`] has learnt: what the model is off by there.
@@ -127,7 +155,8 @@ impl Estimator {
         self.tip.predict(elapsed_s);
         self.tip_offset.predict(elapsed_s);
         self.motors.command(rates, elapsed_s);
-        &self.estimate
+        self.led = self.motors.cables_led(&self.estimate);
+        &self.led
     }
 
     /// Takes a measurement that was made `age_s` before the instant of the last prediction. What the motors did
@@ -149,8 +178,8 @@ impl Estimator {
                 way.from(&robot.bend_from_cable_lengths(lengths))
             }
             Measurement::TipPosition(position_m) => {
-                let then = way.back_from(&self.measured);
-                way.from(&self.tip.correct(robot, &then, position_m))
+                let then = way.cables(&way.back_from(&self.measured));
+                way.from(&way.motors(&self.tip.correct(robot, &then, position_m)))
             }
         };
         self.estimate = match self.uncorrected_s.replace(0.0) {
@@ -160,14 +189,16 @@ impl Estimator {
             }
             _ => self.measured,
         };
-        &self.estimate
+        self.led = self.motors.cables_led(&self.estimate);
+        &self.led
     }
 
     /// Takes the position of a tip (m) whose bends are measured, too: they stay, and how far the tip is beside where they place it
     /// is learnt ([`Self::tip_offset_m`]). False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
     /// last one: a sensor that stands still while the robot moves says nothing.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
-        let then = self.motors.way_left(age_s).back_from(&self.estimate);
+        let way = self.motors.way_left(age_s);
+        let then = way.cables(&way.back_from(&self.estimate));
         let placed_m = robot.tip_position(&then);
         self.tip_offset.correct(position_m, &placed_m)
     }

@@ -5,15 +5,14 @@ use crate::estimator::Actuator;
 /// In what a robot differs from the one that the controller computes with. The default is none of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Flaws {
-    /// How the motors follow: position motors come to rest at their goal like this, velocity motors reach their speed.
+    /// How the motors follow: position motors come to rest at their goal like this, velocity motors reach their speed. Encoders are on the
+    /// motors, before the play.
     pub actuator: Actuator,
     /// No motor runs faster (m/s).
     pub motor_speed_max_m_s: f64,
     /// The motor of the second cable of each section stands so far beside where it was sent, as under a load (m). A
     /// speed has none.
     pub droop_m: f64,
-    /// A motor turns so far before its cable comes along, when it turns round (m). Encoders are on the motors.
-    pub backlash_m: f64,
     /// The encoder of the first cable of each section counts from so far beside its zero (m).
     pub offset_m: f64,
     /// A measured cable length is off by at most this, evenly spread (m).
@@ -38,7 +37,6 @@ impl Default for Flaws {
             actuator: Actuator::IDEAL,
             motor_speed_max_m_s: f64::INFINITY,
             droop_m: 0.0,
-            backlash_m: 0.0,
             offset_m: 0.0,
             noise_m: 0.0,
             tick_m: 0.0,
@@ -96,8 +94,8 @@ impl Preset {
     pub fn flaws(self) -> Flaws {
         let laboratory = Flaws {
             actuator: Actuator {
-                delay_s: 0.0,
                 time_constant_s: 0.02,
+                ..Actuator::IDEAL
             },
             offset_m: 1e-4,
             droop_m: 1e-4,
@@ -112,10 +110,10 @@ impl Preset {
                 actuator: Actuator {
                     delay_s: 0.01,
                     time_constant_s: 0.04,
+                    play_m: 3e-4,
                 },
                 offset_m: 3e-4,
                 droop_m: 3e-4,
-                backlash_m: 3e-4,
                 length_error: 0.03,
                 cable_radius_error: -0.02,
                 cable_angle_error_rad: 0.02,
@@ -126,6 +124,7 @@ impl Preset {
                 actuator: Actuator {
                     delay_s: 0.03,
                     time_constant_s: 0.1,
+                    play_m: 0.0,
                 },
                 ..laboratory
             },

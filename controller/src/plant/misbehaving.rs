@@ -179,7 +179,7 @@ impl MisbehavingRobot {
     }
 
     fn keep_ends(&mut self) {
-        let mut bends = bends(&self.model, &self.motor_m);
+        let mut bends = self.model.bend_from_cable_strokes(&self.motor_m);
         let mut is_beyond = false;
         let (pairs, _) = bends.as_mut_slice().as_chunks_mut::<2>();
         for ([u, v], section) in pairs.iter_mut().zip(self.model.sections()) {
@@ -196,7 +196,7 @@ impl MisbehavingRobot {
 
     /// A motor takes its cable along when the play is over.
     fn pull_cables(&mut self) {
-        let play_m = 0.5 * self.flaws.backlash_m;
+        let play_m = 0.5 * self.flaws.actuator.play_m;
         for (cable_m, motor_m) in self.cable_m.iter_mut().zip(&self.motor_m) {
             *cable_m = cable_m.clamp(motor_m - play_m, motor_m + play_m);
         }
@@ -236,7 +236,7 @@ impl MisbehavingRobot {
 
     /// How it is bent in truth (rad).
     pub fn configuration(&self) -> Configuration {
-        let mut bends = bends(&self.truth, &self.cable_m);
+        let mut bends = self.truth.bend_from_cable_strokes(&self.cable_m);
         let (pairs, _) = bends.as_mut_slice().as_chunks_mut::<2>();
         for pair in pairs {
             let grown = 1.0 + pair[0].hypot(pair[1]);
@@ -256,15 +256,6 @@ impl MisbehavingRobot {
     pub fn truth(&self) -> &Robot {
         &self.truth
     }
-}
-
-/// The bends of a robot whose cables have these strokes (m).
-fn bends(robot: &Robot, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
-    let mut lengths_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
-    for (length_m, stroke_m) in lengths_m.iter_mut().zip(strokes_m) {
-        *length_m += stroke_m;
-    }
-    robot.bend_from_cable_lengths(&lengths_m)
 }
 
 #[cfg(test)]
@@ -303,6 +294,7 @@ mod tests {
             actuator: Actuator {
                 delay_s,
                 time_constant_s,
+                play_m: 0.0,
             },
             ..Flaws::default()
         }
@@ -384,7 +376,10 @@ mod tests {
     #[test]
     fn a_cable_comes_along_when_the_play_is_over() {
         let mut robot = robot(Flaws {
-            backlash_m: 1e-3,
+            actuator: Actuator {
+                play_m: 1e-3,
+                ..Actuator::IDEAL
+            },
             ..Flaws::default()
         });
         let straight = model().cable_strokes(&bent([0.5, -0.2, 0.1, 0.0]));

@@ -72,6 +72,16 @@ impl Robot {
         configuration
     }
 
+    /// The shape whose cables are longer by these strokes (m) than those of the straight robot, as [`Self::cable_strokes`] has them; likewise
+    /// without an error common to the three of a section. Linear in the strokes.
+    pub fn bend_from_cable_strokes(&self, strokes_m: &[f64; CABLES_MAX]) -> Configuration {
+        let mut lengths_m = self.cable_lengths(&Configuration::straight(self.section_count()));
+        for (length_m, stroke_m) in lengths_m.iter_mut().zip(strokes_m) {
+            *length_m += stroke_m;
+        }
+        self.bend_from_cable_lengths(&lengths_m)
+    }
+
     /// `s_j · (cos β_ij, sin β_ij)` for each cable: the linear part that lengths and speeds share.
     fn cable_shortening(&self, bends: &[[f64; 2]]) -> [f64; CABLES_MAX] {
         self.cable_shortening_wide(|i| Wide([bends[i / 2][i % 2]]))

@@ -2,7 +2,7 @@ use cdcr_controller::estimator::Actuator;
 use serde::{Deserialize, Serialize};
 
 cdcr_controller::parameters! {
-    /// How the robot's motors follow their commands.
+    /// How the robot's motors follow their commands, and the cables the motors.
     #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
     #[cfg_attr(test, derive(schemars::JsonSchema))]
     #[serde(default, deny_unknown_fields)]
@@ -11,6 +11,9 @@ cdcr_controller::parameters! {
         delay_ms: f64 = 0.0, in 0.0..=300.0;
         /// Time constant of their lag, of first order, {range}.
         time_constant_ms: f64 = 0.0, in 0.0..=300.0;
+        /// Play between each motor and its cable, {range}: so far a motor that turns round goes before its cable comes along. Motors then
+        /// run through it at once, as fast as the limits allow. Choose a little less than you measure rather than more.
+        play_m: f64 = 0.0, in 0.0..=0.01;
     }
 }
 
@@ -25,6 +28,7 @@ impl ActuatorConfig {
         Actuator {
             delay_s: self.delay_ms * 1e-3,
             time_constant_s: self.time_constant_ms * 1e-3,
+            play_m: self.play_m,
         }
     }
 }

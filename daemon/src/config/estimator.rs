@@ -11,7 +11,8 @@ cdcr_controller::parameters! {
         /// ideal simulated robot is measured exactly, and believed at once.
         time_constant_ms: f64 = 100.0, in 0.0..=10_000.0;
         /// Noise of a measured coordinate of the tip, {range}: standard deviation. What the estimate makes of a tip that alone is measured
-        /// depends on it; cdcrctl calibrate noise measures it.
+        /// depends on it. Beside bends or cables, a quarter of it is what the tip may be beside without being corrected. cdcrctl calibrate
+        /// noise measures it.
         tip_noise_m: f64 = 3e-4, in 1e-6..=0.1;
     }
 }

@@ -1,4 +1,4 @@
-use cdcr_controller::estimator::{Estimator, Measurement};
+use cdcr_controller::estimator::{Estimator, Measurement, Slack};
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
 use nalgebra::Vector3;
@@ -56,7 +56,7 @@ impl RobotState {
     ) -> Self {
         let obeys_positions = policy.interface == Interface::Position;
         let estimator = Estimator::new(initial)
-            .with_actuator(policy.actuator)
+            .with_actuator(&robot, policy.actuator)
             .with_time_constant(policy.estimator_time_constant_s)
             .with_tip_noise(policy.tip_noise_m);
         Self {
@@ -83,6 +83,17 @@ impl RobotState {
     /// Where the commands up to now lead the robot, as far as that is known.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
+    }
+
+    /// How far its cables are beside their motors where the commands lead them.
+    pub(super) fn slack(&self) -> Slack {
+        self.estimator.slack().copied().unwrap_or_default()
+    }
+
+    /// The rates of the motors with which it moves at `desired` for a period.
+    pub(super) fn motor_rates(&self, desired: &BendRates) -> BendRates {
+        let period_s = self.period_ns as f64 * 1e-9;
+        self.estimator.motor_rates(&self.robot, desired, period_s)
     }
 
     /// Where it is now: behind that where its motors are behind their commands.
@@ -228,7 +239,7 @@ impl RobotState {
     /// Control begins where the robot is: at the start, and when a latched mode is left, in which it may have been moved
     /// by hand.
     pub(super) fn take_control(&mut self) {
-        let here = self.measured.unwrap_or(*self.configuration());
+        let here = self.measured.unwrap_or(*self.estimator.motors());
         self.following.begin(here);
         self.estimator.begin(here);
         self.begin_at(here);
@@ -237,7 +248,7 @@ impl RobotState {
     /// The same while the motors are still on their way: control begins where that leads them from where they were measured.
     pub(super) fn take_control_moving(&mut self) {
         self.estimator.begin_moving();
-        let end = *self.configuration();
+        let end = *self.estimator.motors();
         self.following.begin_moving(end);
         self.begin_at(end);
     }

@@ -81,8 +81,8 @@ fn tracking_with_lagging_motors_does_not_oscillate() {
     for (interface, lag_s) in [(Interface::Position, 0.03), (Interface::Velocity, 0.025)] {
         let flaws = Flaws {
             actuator: Actuator {
-                delay_s: 0.0,
                 time_constant_s: lag_s,
+                ..Actuator::IDEAL
             },
             noise_m: 0.0,
             ..Preset::Laboratory.flaws()
@@ -103,6 +103,7 @@ fn motors_that_are_known_are_led_and_believed() {
             actuator: Actuator {
                 delay_s: 0.015,
                 time_constant_s: 0.03,
+                play_m: 0.0,
             },
             ..Flaws::default()
         };

@@ -19,6 +19,7 @@ fn lagging(interface: Interface, known: &str) -> Trial {
         actuator: Actuator {
             delay_s: 0.05,
             time_constant_s: 0.1,
+            play_m: 0.0,
         },
         // Bits of noise, or the measurement of a robot that stands would be frozen.
         noise_m: 1e-9,

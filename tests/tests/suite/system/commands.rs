@@ -232,8 +232,8 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
     bends[0] = 1.2;
     let flaws = Flaws {
         actuator: Actuator {
-            delay_s: 0.0,
             time_constant_s: LAG_S,
+            ..Actuator::IDEAL
         },
         offset_m: 0.0,
         ..Preset::Laboratory.flaws()
