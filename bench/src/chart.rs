@@ -9,6 +9,9 @@ use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::RGBColor;
+use serde_json::Value;
+
+use crate::dataset::number;
 
 // A palette that colour-blind people can tell apart (Okabe and Ito).
 pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
@@ -50,6 +53,20 @@ impl Curve {
     /// A line; an empty label keeps it out of the legend.
     pub(crate) fn line(label: impl Into<String>, points: Vec<Point>, colour: RGBColor) -> Self {
         Self::pieces(label, vec![points], colour)
+    }
+
+    /// One number of each row over another one; rows that lack one of them are left out.
+    pub(crate) fn of_rows<'a>(
+        label: &str,
+        rows: impl IntoIterator<Item = &'a Value>,
+        x: &str,
+        y: &str,
+        colour: RGBColor,
+    ) -> Self {
+        let points = rows
+            .into_iter()
+            .filter_map(|row| Some((number(row, x)?, number(row, y)?)));
+        Self::line(label, points.collect(), colour)
     }
 
     pub(crate) fn pieces(
@@ -216,15 +233,11 @@ where
             if panel.is_log_across() {
                 power(*x)
             } else {
-                number(*x)
+                tick(*x)
             }
         })
         .y_label_formatter(&|y| {
-            if panel.is_log() {
-                power(*y)
-            } else {
-                number(*y)
-            }
+            if panel.is_log() { power(*y) } else { tick(*y) }
         })
         .bold_line_style(PALE.stroke_width(2))
         .light_line_style(TRANSPARENT)
@@ -241,14 +254,14 @@ where
 
 /// A tick of a linear axis. Steps between ticks are above 1e-6; adding zero takes the sign from a negative
 /// zero.
-fn number(value: f64) -> String {
+fn tick(value: f64) -> String {
     format!("{}", (value * 1e6).round() / 1e6 + 0.0)
 }
 
 /// A tick of a logarithmic axis: plain where that is short, else with a power of ten.
 fn power(value: f64) -> String {
     if (9e-3..2e4).contains(&value) {
-        return number(value);
+        return tick(value);
     }
     let text = format!("{value:.2e}");
     let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));

@@ -5,9 +5,10 @@ use std::path::Path;
 
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
+use cdcr_bench::environment::RunOptions;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
 use cdcr_bench::progress::Progress;
-use cdcr_bench::report::{Start, dataset_bundle};
+use cdcr_bench::report::Start;
 use cdcr_bench::simulation::{Effort, Simulation, run};
 use cdcr_controller::nmpc::Coordinates;
 use serde_json::Value;
@@ -110,12 +111,12 @@ fn every_experiment_has_numbers_of_its_own_for_every_seed() {
 fn the_folder_holds_figures_a_page_and_tables() {
     let place = tempfile::tempdir().expect("a folder");
     let folder = place.path().join("new").join("paper");
-    let start = Start::now().expect("a machine");
-    let bundle = dataset_bundle(&start, &report()).expect("all formats");
+    let start = Start::now(RunOptions::default()).expect("a machine");
+    let bundle = start.bundle_of(&report()).expect("all formats");
     bundle.write(&folder).expect("written");
     let mut figures = 0;
-    let is_picture = |name: &&str| Path::new(name).extension().is_some_and(|end| end == "svg");
-    for name in bundle.names().filter(is_picture) {
+    let is_picture = |name: &&String| Path::new(name).extension().is_some_and(|end| end == "svg");
+    for name in bundle.0.keys().filter(is_picture) {
         let text = std::fs::read_to_string(folder.join(name)).expect("a text");
         let picture = roxmltree::Document::parse(&text).expect("XML");
         let mut texts = picture.descendants().filter_map(|node| node.text());
