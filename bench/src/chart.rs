@@ -106,6 +106,8 @@ pub(crate) enum Scale {
     LogLog {
         floor: f64,
     },
+    /// A logarithmic x axis; all x are above zero.
+    LogAcross,
     /// Both linear, a unit as long across as up.
     Equal,
 }
@@ -124,7 +126,7 @@ impl Panel {
     }
 
     fn is_log_across(&self) -> bool {
-        matches!(self.scale, Scale::LogLog { .. })
+        matches!(self.scale, Scale::LogLog { .. } | Scale::LogAcross)
     }
 }
 
@@ -173,6 +175,7 @@ fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
     match panel.scale {
         Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
         Scale::LogLog { floor } => plot(&chart, panel, across.log_scale(), up.log_scale(), floor),
+        Scale::LogAcross => plot(&chart, panel, across.log_scale(), up, f64::NEG_INFINITY),
         Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
     }
 }
@@ -280,6 +283,7 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
             decades(if left > 0.0 { left } else { 0.1 * right }, right),
             decades(low.max(floor), high.max(floor)),
         ),
+        Scale::LogAcross => (decades(left.max(1e-9), right.max(1e-9)), widened(low, high)),
         Scale::Equal => {
             let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
             let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
@@ -329,7 +333,7 @@ mod tests {
     #[test]
     fn a_panel_without_points_can_be_drawn() {
         let (log, log_log) = (Scale::Log { floor: 1e-3 }, Scale::LogLog { floor: 1e-3 });
-        for scale in [Scale::Linear, log, log_log, Scale::Equal] {
+        for scale in [Scale::Linear, log, log_log, Scale::LogAcross, Scale::Equal] {
             let panel = Panel {
                 title: "nothing".into(),
                 x: "x",
