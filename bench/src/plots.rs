@@ -182,7 +182,7 @@ impl<'a> Drawn<'a> {
         let axes = ["|x error|", "|y error|", "|z error|"]
             .into_iter()
             .enumerate();
-        let mean_mm = self.run.row.paper.mean_error_mm;
+        let mean_mm = self.run.experiment.task.paper().mean_error_mm;
         let mean = mean_mm.map(|mm| self.level(format!("paper's mean {mm:e} mm"), mm, DARK));
         timed(
             self.title.clone(),
@@ -197,7 +197,7 @@ impl<'a> Drawn<'a> {
         let styles = [(SKY, 9), (PURPLE, 3), (ORANGE, 3), (BLUE, 3)];
         let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
             let points = over_time(&outcome.first, Sample::error_mm);
-            Curve::line(outcome.row.solver.name(), points, colour).width(width)
+            Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
         };
         let curves = self.all.iter().zip(styles).map(curve);
         timed(self.title.clone(), "error [mm]", ERRORS, curves.collect())
@@ -282,15 +282,15 @@ impl<'a> Drawn<'a> {
     fn times(&self) -> Panel {
         let curve = |outcome: &&Outcome| {
             let points = over_time(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
-            let colour = match outcome.row.solver {
+            let colour = match outcome.experiment.solver {
                 Solver::Kpso => SKY,
                 Solver::KpsoVerbatim => PURPLE,
                 Solver::GaussNewton => ORANGE,
                 Solver::KpsoRefined => BLUE,
             };
-            Curve::line(outcome.row.solver.name(), points, colour).width(2)
+            Curve::line(outcome.experiment.solver.name(), points, colour).width(2)
         };
-        let mean_ms = self.run.row.paper.mean_solve_ms;
+        let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
         let mean = self.level(format!("paper's mean {mean_ms} ms"), 1e3 * mean_ms, DARK);
         let curves = self.all.iter().map(curve).chain([mean]);
         let scale = Scale::Log { floor: 0.1 };
@@ -381,7 +381,7 @@ fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
     let (mut above, mut side) = (Vec::new(), Vec::new());
     for (task, colour) in tasks.iter().zip(COLOURS) {
         let (run, samples) = (task.run, task.samples());
-        let label = format!("n = {}", run.row.sections);
+        let label = format!("n = {}", run.scene.robot.section_count());
         side.push(Curve::line("", View::SIDE.reference(samples), GREY).width(10));
         side.push(Curve::line(label, View::SIDE.path(samples), colour));
         if let Some(last) = samples.last() {
