@@ -6,17 +6,17 @@
 
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Result, ensure};
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::robot::BendRates;
 use hdrhistogram::Histogram;
-use serde::Serialize;
+use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
 use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, percent, plain, word};
+use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, joined, percent, plain, together, word};
 use crate::experiment::{Solver, Task};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -79,20 +79,24 @@ impl Benchmark for BudgetOptions {
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         let cases = cases()?;
-        let mut rounds = Vec::new();
+        let with_budgets = cases
+            .iter()
+            .flat_map(|case| BUDGETS_US.map(|us| (case, us)));
+        let mut all: Vec<_> = with_budgets
+            .map(|(case, us)| (case, us, Vec::new()))
+            .collect();
         for round in 1..=self.rounds {
-            let mut rows = Vec::new();
-            for case in &cases {
-                for budget_us in BUDGETS_US {
-                    interrupt::check()?;
-                    progress.begin(&format!("round {round} of {}", self.rounds));
-                    rows.push(case.measure(budget_us, self.solves)?);
-                    progress.advance(of_budget_s(budget_us, self.solves));
-                }
+            for (case, budget_us, rounds) in &mut all {
+                interrupt::check()?;
+                progress.begin(&format!("round {round} of {}", self.rounds));
+                rounds.push(case.measure(*budget_us, self.solves)?);
+                progress.advance(of_budget_s(*budget_us, self.solves));
             }
-            rounds.push(rows);
         }
-        dataset(&rounds)
+        let all = all
+            .into_iter()
+            .map(|(case, us, rounds)| (case.name, us, rounds));
+        dataset(&all.collect::<Vec<_>>(), self.rounds)
     }
 }
 
@@ -101,12 +105,8 @@ fn of_budget_s(budget_us: u64, solves: u64) -> f64 {
     solves as f64 * (2e-6 * budget_us as f64 + AROUND_S)
 }
 
-/// Of the rows of each round, in the same order.
-fn dataset(rounds: &[Vec<BudgetRow>]) -> Result<Dataset> {
-    let count = rounds
-        .first()
-        .context("at least one round is needed")?
-        .len();
+/// Of each case with each budget \[µs\], and its rounds.
+fn dataset(all: &[(&str, u64, Vec<Value>)], rounds: u32) -> Result<Dataset> {
     let mut dataset = Dataset {
         name: "budget",
         heading: "How exactly a solve keeps its budget, offline",
@@ -114,91 +114,48 @@ fn dataset(rounds: &[Vec<BudgetRow>]) -> Result<Dataset> {
         ..Dataset::default()
     };
     let mut rows = Vec::new();
-    for index in 0..count {
-        let all: Vec<&BudgetRow> = rounds.iter().map(|rows| &rows[index]).collect();
-        let row = together(&all)?;
-        let each = |value: fn(&BudgetRow) -> f64| all.iter().map(move |row| value(row));
-        let path = format!("budget/{}/{}us", row.case, row.budget_us);
-        dataset.lower(
-            format!("{path}/over_p50"),
-            "µs",
-            each(|row| row.over_us.p50),
-        );
-        dataset.lower(
-            format!("{path}/over_p99"),
-            "µs",
-            each(|row| row.over_us.p99),
-        );
-        rows.push(row);
+    for (case, budget_us, rounds) in all {
+        let path = format!("budget/{case}/{budget_us}us");
+        let numbers = [
+            ("over_p50", "µs", "over_us_p50"),
+            ("over_p99", "µs", "over_us_p99"),
+        ];
+        dataset.compare(&path, rounds, &numbers);
+        rows.push(joined([
+            json!({ "case": case, "budget_us": budget_us }),
+            together(rounds),
+        ])?);
     }
-    dataset.fact("rounds", rounds.len());
+    dataset.fact("rounds", rounds);
     dataset.plots.push(Plot {
         name: "budget-overrun",
         caption: "How much later than its budget a solve ends, beside a loop that only waits.",
         svg: sheet(&panels(&rows), 2, 520)?,
     });
+    let title = "How much later than its budget a solve ends, beside a loop without work";
     dataset
         .sheets
-        .push(Sheet::new(&rows)?.key("cases").file("budget").table(
-            "How much later than its budget a solve ends, beside a loop without work",
-            &COLUMNS,
-        ));
+        .push(Sheet::of(title, &COLUMNS, rows).key("cases").file("budget"));
     Ok(dataset)
 }
 
-/// What one case with one budget came to in all rounds.
-fn together(rounds: &[&BudgetRow]) -> Result<BudgetRow> {
-    let shares: f64 = rounds.iter().map(|row| row.ended_by_budget_share).sum();
-    let times = |value: fn(&BudgetRow) -> Quantiles| {
-        let rounds: Vec<Quantiles> = rounds.iter().map(|row| value(row)).collect();
-        Quantiles::over_rounds(&rounds).context("no round")
-    };
-    Ok(BudgetRow {
-        solves: rounds.iter().map(|row| row.solves).sum(),
-        ended_by_budget_share: shares / rounds.len() as f64,
-        over_us: times(|row| row.over_us)?,
-        bare_over_us: times(|row| row.bare_over_us)?,
-        worse_than_warm_start: rounds.iter().map(|row| row.worse_than_warm_start).sum(),
-        ..rounds[0].clone()
-    })
-}
-
-fn panels(rows: &[BudgetRow]) -> Vec<Panel> {
-    let of_case = rows.chunk_by(|one, other| one.case == other.case);
-    let panel = |rows: &[BudgetRow]| {
-        let curve = |label: &str, colour, value: fn(&BudgetRow) -> f64| {
-            let points = rows.iter().map(|row| (row.budget_us as f64, value(row)));
-            Curve::line(label, points.collect(), colour)
-        };
+fn panels(rows: &[Value]) -> Vec<Panel> {
+    let panel = |rows: &[Value]| {
+        let curve = |label, key, colour| Curve::of_rows(label, rows, "budget_us", key, colour);
         Panel {
-            title: format!("Case {}", rows[0].case),
+            title: format!("Case {}", rows[0]["case"].as_str().unwrap_or_default()),
             x: "budget [µs]",
             y: "later than the budget [µs]",
             scale: Scale::Log { floor: 0.01 },
             curves: vec![
-                curve("solve, p99", BLUE, |row| row.over_us.p99),
-                curve("solve, p50", GREEN, |row| row.over_us.p50),
-                curve("without work, p99", GREY, |row| row.bare_over_us.p99),
+                curve("solve, p99", "over_us_p99", BLUE),
+                curve("solve, p50", "over_us_p50", GREEN),
+                curve("without work, p99", "bare_over_us_p99", GREY),
             ],
         }
     };
+    let of_case = rows.chunk_by(|one, other| one["case"] == other["case"]);
     of_case.map(panel).collect()
-}
-
-/// One line: one case with one budget.
-#[derive(Debug, Clone, Serialize)]
-struct BudgetRow {
-    pub case: &'static str,
-    pub budget_us: u64,
-    pub solves: u64,
-    /// Share of the solves that the budget ended; the others had nothing left to do.
-    pub ended_by_budget_share: f64,
-    /// How much later than the budget a solve ended \[µs\].
-    pub over_us: Quantiles,
-    /// How much later the loop without work ended \[µs\].
-    pub bare_over_us: Quantiles,
-    /// Solves whose plan costs more than the warm start.
-    pub worse_than_warm_start: u64,
 }
 
 /// A robot on its way along a curve, and what solves there.
@@ -244,7 +201,7 @@ impl Case {
 
     /// Solves along the way with this budget. Every solve has another seed and starts from zero rates, so
     /// that work is left; the way begins anew at its end.
-    fn measure(&self, budget_us: u64, solves: u64) -> Result<BudgetRow> {
+    fn measure(&self, budget_us: u64, solves: u64) -> Result<Value> {
         let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
         let mut closed = ClosedLoop::new(&self.scene, self.settings);
         for solve in 0..solves {
@@ -264,15 +221,16 @@ impl Case {
             worse == 0,
             "{name}, {budget_us} µs: {worse} of {solves} plans cost more than the warm start"
         );
-        Ok(BudgetRow {
-            case: name,
-            budget_us,
-            solves,
-            ended_by_budget_share: runner.ended_by_budget as f64 / solves as f64,
-            over_us: Quantiles::of(&runner.over_ns).context("no solve")?,
-            bare_over_us: Quantiles::of(&runner.bare_over_ns).context("no solve")?,
-            worse_than_warm_start: worse,
-        })
+        Ok(json!({
+            "solves": solves,
+            // Share of the solves that the budget ended; the others had nothing left to do.
+            "ended_by_budget_share": runner.ended_by_budget as f64 / solves as f64,
+            // How much later than the budget a solve ended, and the loop without work.
+            "over_us": Quantiles::of(&runner.over_ns),
+            "bare_over_us": Quantiles::of(&runner.bare_over_ns),
+            // Solves whose plan costs more than the warm start.
+            "worse_than_warm_start": worse,
+        }))
     }
 }
 
@@ -336,36 +294,13 @@ mod tests {
 
     #[test]
     fn rounds_are_put_together() {
-        let row = |p99: f64, max: f64, share: f64| {
-            let over = Quantiles {
-                min: 0.0,
-                p50: 1.0,
-                p99,
-                p999: max,
-                max,
-            };
-            vec![BudgetRow {
-                case: "default",
-                budget_us: 10,
-                solves: 5,
-                ended_by_budget_share: share,
-                over_us: over,
-                bare_over_us: over,
-                worse_than_warm_start: 0,
-            }]
-        };
-        let rounds = [row(3.0, 9.0, 1.0), row(1.0, 90.0, 0.5), row(2.0, 5.0, 0.0)];
-        let dataset = dataset(&rounds).expect("rounds");
-        let all = &dataset.json()["cases"][0];
-        assert_eq!(
-            (&all["solves"], &all["ended_by_budget_share"]),
-            (&15.into(), &0.5.into())
-        );
-        assert_eq!(
-            (&all["over_us"]["p99"], &all["over_us"]["max"]),
-            (&2.0.into(), &90.0.into())
-        );
-        assert_eq!(dataset.metrics[1].rounds, [3.0, 1.0, 2.0]);
+        let round =
+            |(p99, max): (f64, f64)| json!({ "solves": 5, "over_us": { "p99": p99, "max": max } });
+        let rounds = [(3.0, 9.0), (1.0, 90.0), (2.0, 5.0)].map(round);
+        let dataset = dataset(&[("default", 10, rounds.into())], 3).expect("rounds");
+        let expected = json!({ "case": "default", "budget_us": 10, "solves": 15, "over_us": { "p99": 2.0, "max": 90.0 } });
+        assert_eq!(dataset.json()["cases"][0], expected);
+        assert_eq!(dataset.metrics[0].rounds, [3.0, 1.0, 2.0]);
     }
 
     #[test]

@@ -9,6 +9,9 @@ use plotters::coord::Shift;
 use plotters::coord::ranged1d::{AsRangedCoord, ValueFormatter};
 use plotters::prelude::*;
 use plotters::style::RGBColor;
+use serde_json::Value;
+
+use crate::dataset::number;
 
 // A palette that colour-blind people can tell apart (Okabe and Ito).
 pub(crate) const BLUE: RGBColor = RGBColor(0, 114, 178);
@@ -52,6 +55,20 @@ impl Curve {
         Self::pieces(label, vec![points], colour)
     }
 
+    /// One number of each row over another one; rows that lack one of them are left out.
+    pub(crate) fn of_rows<'a>(
+        label: &str,
+        rows: impl IntoIterator<Item = &'a Value>,
+        x: &str,
+        y: &str,
+        colour: RGBColor,
+    ) -> Self {
+        let points = rows
+            .into_iter()
+            .filter_map(|row| Some((number(row, x)?, number(row, y)?)));
+        Self::line(label, points.collect(), colour)
+    }
+
     pub(crate) fn pieces(
         label: impl Into<String>,
         pieces: Vec<Vec<Point>>,
@@ -89,6 +106,8 @@ pub(crate) enum Scale {
     LogLog {
         floor: f64,
     },
+    /// A logarithmic x axis; all x are above zero.
+    LogAcross,
     /// Both linear, a unit as long across as up.
     Equal,
 }
@@ -107,7 +126,7 @@ impl Panel {
     }
 
     fn is_log_across(&self) -> bool {
-        matches!(self.scale, Scale::LogLog { .. })
+        matches!(self.scale, Scale::LogLog { .. } | Scale::LogAcross)
     }
 }
 
@@ -156,6 +175,7 @@ fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
     match panel.scale {
         Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
         Scale::LogLog { floor } => plot(&chart, panel, across.log_scale(), up.log_scale(), floor),
+        Scale::LogAcross => plot(&chart, panel, across.log_scale(), up, f64::NEG_INFINITY),
         Scale::Linear | Scale::Equal => plot(&chart, panel, across, up, f64::NEG_INFINITY),
     }
 }
@@ -216,15 +236,11 @@ where
             if panel.is_log_across() {
                 power(*x)
             } else {
-                number(*x)
+                tick(*x)
             }
         })
         .y_label_formatter(&|y| {
-            if panel.is_log() {
-                power(*y)
-            } else {
-                number(*y)
-            }
+            if panel.is_log() { power(*y) } else { tick(*y) }
         })
         .bold_line_style(PALE.stroke_width(2))
         .light_line_style(TRANSPARENT)
@@ -241,14 +257,14 @@ where
 
 /// A tick of a linear axis. Steps between ticks are above 1e-6; adding zero takes the sign from a negative
 /// zero.
-fn number(value: f64) -> String {
+fn tick(value: f64) -> String {
     format!("{}", (value * 1e6).round() / 1e6 + 0.0)
 }
 
 /// A tick of a logarithmic axis: plain where that is short, else with a power of ten.
 fn power(value: f64) -> String {
     if (9e-3..2e4).contains(&value) {
-        return number(value);
+        return tick(value);
     }
     let text = format!("{value:.2e}");
     let (digits, power) = text.split_once('e').unwrap_or((&text, "0"));
@@ -267,6 +283,7 @@ fn ranges(panel: &Panel, (width, height): (u32, u32)) -> (Range<f64>, Range<f64>
             decades(if left > 0.0 { left } else { 0.1 * right }, right),
             decades(low.max(floor), high.max(floor)),
         ),
+        Scale::LogAcross => (decades(left.max(1e-9), right.max(1e-9)), widened(low, high)),
         Scale::Equal => {
             let plot_width = f64::from(width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
             let plot_height = f64::from(height - LABEL_BOTTOM - MARGIN);
@@ -316,7 +333,7 @@ mod tests {
     #[test]
     fn a_panel_without_points_can_be_drawn() {
         let (log, log_log) = (Scale::Log { floor: 1e-3 }, Scale::LogLog { floor: 1e-3 });
-        for scale in [Scale::Linear, log, log_log, Scale::Equal] {
+        for scale in [Scale::Linear, log, log_log, Scale::LogAcross, Scale::Equal] {
             let panel = Panel {
                 title: "nothing".into(),
                 x: "x",

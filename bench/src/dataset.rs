@@ -11,7 +11,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use crate::metric::{Better, Metric};
+use crate::metric::{Better, Metric, median};
 
 /// Cells with more letters than this may be broken into several lines.
 const SENTENCE: usize = 32;
@@ -24,6 +24,8 @@ pub struct Dataset {
     pub heading: &'static str,
     /// What was done and how to read it: paragraphs of HTML.
     pub explanation: &'static str,
+    /// What must not be overlooked, in a sentence.
+    pub note: String,
     /// Keys of the JSON beside those of the sheets.
     pub facts: Map<String, Value>,
     /// The most important first.
@@ -52,10 +54,24 @@ pub struct Recording {
 }
 
 impl Dataset {
-    /// Adds a number of which less is better.
+    /// Adds a number of which less is better; nothing where no round measured it.
     pub fn lower(&mut self, name: String, unit: &str, rounds: impl IntoIterator<Item = f64>) {
+        self.add_metric(Metric::new(name, unit, Better::Lower, rounds));
+    }
+
+    pub fn add_metric(&mut self, metric: Metric) {
         self.metrics
-            .push(Metric::new(name, unit, Better::Lower, rounds));
+            .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
+    }
+
+    /// Adds numbers of the same rounds, less of which is better: each a name, a unit, and the key of a row. A share
+    /// in % is told so.
+    pub fn compare(&mut self, path: &str, rounds: &[Value], numbers: &[(&str, &str, &str)]) {
+        for (name, unit, key) in numbers {
+            let factor = if *unit == "%" { 100.0 } else { 1.0 };
+            let values = each(rounds, key).map(|value| factor * value);
+            self.lower(format!("{path}/{name}"), unit, values);
+        }
     }
 
     pub fn fact(&mut self, key: &str, value: impl Into<Value>) {
@@ -77,13 +93,17 @@ impl Dataset {
     }
 
     pub fn text(&self) -> String {
-        let tables: Vec<String> = self.tables().map(Sheet::text).collect();
-        tables.join("\n")
+        self.joined(Sheet::text)
     }
 
     pub fn markdown(&self) -> String {
-        let tables: Vec<String> = self.tables().map(Sheet::markdown).collect();
-        tables.join("\n")
+        self.joined(Sheet::markdown)
+    }
+
+    fn joined(&self, form: fn(&Sheet) -> String) -> String {
+        let note = Some(format!("{}\n", self.note)).filter(|_| !self.note.is_empty());
+        let texts: Vec<String> = self.tables().map(form).chain(note).collect();
+        texts.join("\n")
     }
 
     /// Each sheet that has a file, with its name.
@@ -264,7 +284,42 @@ impl Sheet {
     }
 }
 
-/// The fields of several objects in one.
+/// The number under a key, as CSV joins it; none where it is missing.
+pub fn number(row: &Value, key: &str) -> Option<f64> {
+    flat(row).get(key)?.as_f64()
+}
+
+/// One number of each round that measured it.
+pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> {
+    rounds.iter().filter_map(move |row| number(row, key))
+}
+
+/// Rounds as one row: counts are summed up, of other numbers it is the median, but the least of `min…` and the largest of
+/// `max…`. Texts and lists are left out.
+pub fn together(rounds: &[Value]) -> Value {
+    let objects: Vec<_> = rounds.iter().filter_map(Value::as_object).collect();
+    let keys: BTreeSet<&String> = objects.iter().flat_map(|row| row.keys()).collect();
+    let of_key = |key: &String| {
+        let values = objects.iter().filter_map(|row| row.get(key)).cloned();
+        let values: Vec<Value> = values.filter(|value| !value.is_null()).collect();
+        let numbers = || values.iter().filter_map(Value::as_f64);
+        let value = match values.first() {
+            Some(Value::Object(_)) => together(&values),
+            Some(Value::Number(number)) if number.is_u64() => {
+                values.iter().filter_map(Value::as_u64).sum::<u64>().into()
+            }
+            Some(Value::Number(_)) if key.starts_with("min") => numbers().reduce(f64::min).into(),
+            Some(Value::Number(_)) if key.starts_with("max") => numbers().reduce(f64::max).into(),
+            Some(Value::Number(_)) => median(numbers()).into(),
+            Some(_) => return None,
+            None => Value::Null,
+        };
+        Some((key.clone(), value))
+    };
+    Value::Object(keys.into_iter().filter_map(of_key).collect())
+}
+
+/// The fields of several objects in one; later ones win.
 pub fn joined<const N: usize>(objects: [impl Serialize; N]) -> Result<Value> {
     let mut all = Map::new();
     for object in objects {
@@ -438,6 +493,24 @@ mod tests {
         let rows: &Vec<Value> = rows.as_array().expect("a list");
         let csv = Sheet::new(rows).expect("rows").csv().expect("written");
         assert_eq!(csv, "a,b_x,b_y,c_x\n,1,,\n,,,\n");
+    }
+
+    #[test]
+    fn rounds_become_one_row() {
+        let rounds = [(1.0, 3, 9.0), (4.0, 4, 2.0), (2.0, 5, 5.0)].map(|(time, count, most)| {
+            json!({ "us": { "p50": time, "max": most, "min": most }, "count": count, "word": "a", "none": null })
+        });
+        let expected =
+            json!({ "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "none": null });
+        assert_eq!(together(&rounds), expected);
+        let mut dataset = Dataset::default();
+        dataset.compare(
+            "a",
+            &rounds,
+            &[("p50", "µs", "us_p50"), ("gone", "", "gone")],
+        );
+        assert_eq!(dataset.metrics.len(), 1);
+        assert_eq!(dataset.metrics[0].rounds, [1.0, 4.0, 2.0]);
     }
 
     #[test]

@@ -87,7 +87,6 @@ impl Task {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct PaperMetrics {
-    #[serde(skip_serializing_if = "Option::is_none")]
     pub mean_error_mm: Option<f64>,
     pub mean_solve_ms: f64,
 }

@@ -1,6 +1,7 @@
 //! The paper's simulations as a result.
 
 use anyhow::Result;
+use serde_json::Value;
 
 use crate::benchmark::Benchmark;
 use crate::dataset::{Column, Dataset, Sheet, fixed, plain, power, word};
@@ -8,7 +9,7 @@ use crate::experiment::{Experiment, Task};
 use crate::interrupt;
 use crate::plots::plots;
 use crate::progress::Progress;
-use crate::simulation::{self, Effort, Outcome, Simulation, work};
+use crate::simulation::{self, Effort, Outcome, work};
 
 const EXPLANATION: &str = "\
 <p>The three simulations of <em>Nonlinear Model Predictive Control for Trajectory Tracking of a Class of Continuum \
@@ -107,63 +108,50 @@ impl Benchmark for Effort {
 }
 
 fn dataset(outcomes: &[Outcome]) -> Result<Dataset> {
-    let all: Vec<&Simulation> = outcomes.iter().map(|outcome| &outcome.row).collect();
+    let all: Vec<Value> = outcomes.iter().map(|outcome| outcome.row.clone()).collect();
     let table = |name: &str, title: &str, columns: &[Column]| {
-        let rows: Vec<_> = all.iter().filter(|row| row.name == name).collect();
-        Ok(Sheet::new(&rows)?.table(title, columns))
+        let rows = all.iter().filter(|row| row["name"] == name);
+        Sheet::of(title, columns, rows.cloned().collect())
     };
-    let sheets = [
-        table("spiral", "Simulation 1: spiral (Eq. 8)", &SPIRAL),
-        table(
-            "line",
-            "Simulation 2: line with a vertical tip (Eq. 9), 3 sections",
-            &LINE,
-        ),
-        table(
-            "circle",
-            "Simulation 3: circle around an obstacle, 1 section",
-            &CIRCLE,
-        ),
-        Ok(Sheet::new(&all)?
-            .key("simulations")
-            .file("paper")
-            .order(&SPIRAL)),
-    ];
+    let line = "Simulation 2: line with a vertical tip (Eq. 9), 3 sections";
+    let circle = "Simulation 3: circle around an obstacle, 1 section";
     let mut dataset = Dataset {
         name: "paper",
         heading: "The paper's simulations, offline",
         explanation: EXPLANATION,
         plots: plots(outcomes)?,
-        sheets: sheets.into_iter().collect::<Result<_>>()?,
+        sheets: vec![
+            table("spiral", "Simulation 1: spiral (Eq. 8)", &SPIRAL),
+            table("line", line, &LINE),
+            table("circle", circle, &CIRCLE),
+            Sheet::of("", &SPIRAL, all.clone())
+                .key("simulations")
+                .file("paper"),
+        ],
         ..Dataset::default()
     };
     // The seeds stand for rounds: what depends on the swarm's luck is its spread.
+    let numbers = [
+        ("mean_error", "mm", "mean_error_mm"),
+        ("solve_p50", "µs", "solve_p50_us"),
+    ];
     for outcome in outcomes {
-        let path = path(outcome)?;
-        let errors_mm = outcome.runs.iter().map(|run| run.mean_error_mm);
-        let times_us = outcome.runs.iter().map(|run| run.solve_p50_us);
-        dataset.lower(format!("{path}/mean_error"), "mm", errors_mm);
-        dataset.lower(format!("{path}/solve_p50"), "µs", times_us);
+        dataset.compare(&path(outcome), &outcome.runs, &numbers);
     }
     Ok(dataset)
 }
 
-fn path(outcome: &Outcome) -> Result<String> {
-    let Experiment {
-        task,
-        solver,
-        coordinates,
-    } = outcome.experiment;
+fn path(outcome: &Outcome) -> String {
+    let Experiment { task, solver, .. } = outcome.experiment;
     let size = match task {
         Task::Spiral { sections } => format!("{sections}"),
         Task::Line { rate_limit_rad_s } => format!("{rate_limit_rad_s}rad_s"),
         Task::Circle { safe_distance_m } => format!("{:.0}mm", 1e3 * safe_distance_m),
     };
-    let coordinates = serde_json::to_value(coordinates)?;
-    let coordinates = coordinates.as_str().unwrap_or_default();
-    Ok(format!(
+    let coordinates = outcome.row["coordinates"].as_str().unwrap_or_default();
+    format!(
         "paper/{}-{size}/{coordinates}/{}",
         task.name(),
         solver.name()
-    ))
+    )
 }

@@ -4,25 +4,20 @@
 //! other; the next round begins with another of them. So what the machine does of itself meets all of them
 //! alike, and the spread of the rounds says how far a difference can be believed.
 
-mod case;
 mod observer;
-mod ratio;
 mod report;
 mod segment;
 mod tally;
 
-use std::collections::btree_map::Entry;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use anyhow::{Result, ensure};
 use clap::ValueEnum;
+use serde_json::json;
 
-pub use case::{Case, Cases, Key, Round};
-pub use observer::{Observed, Observer};
-pub use ratio::{Ratio, misses_p_value, ratios};
-pub use segment::{Runner, Segment, Subject};
-pub use tally::{Counts, Tally};
+pub use report::misses_p_value;
+pub use segment::Subject;
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
@@ -33,6 +28,8 @@ use crate::progress::Progress;
 use crate::subject::cyclictest::Cyclictest;
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
+use report::{Cases, Key};
+use segment::Runner;
 
 /// What is not counted at the beginning of a stretch: memory is mapped, caches fill.
 pub const WARM_UP: Duration = Duration::from_secs(1);
@@ -86,6 +83,27 @@ pub enum Setups {
 impl DeadlineOptions {
     pub fn segment(&self) -> Duration {
         self.duration / self.rounds.max(1)
+    }
+
+    /// What a round measures, in this order: another subject comes first in each round.
+    fn stretches(&self, runner: &Runner<'_>, is_realtime: bool, round: u32) -> Vec<Key> {
+        let mut keys = Vec::new();
+        for setup in Setup::ALL {
+            if setup == Setup::Realtime && !is_realtime {
+                continue;
+            }
+            let mut subjects = runner.subjects(setup);
+            let count = subjects.len();
+            subjects.rotate_left((round - 1) as usize % count);
+            for load in self.loads(setup) {
+                keys.extend(subjects.iter().map(|subject| Key {
+                    setup,
+                    load,
+                    subject: *subject,
+                }));
+            }
+        }
+        keys
     }
 
     /// The loads of a set-up; none when it is not measured.
@@ -159,75 +177,37 @@ impl Benchmark for DeadlineOptions {
         let cores = Cores::find()?;
         cores.stay_off();
         let runner = Runner::new(self, cores)?;
-        let mut run = Run {
-            begin: Instant::now(),
-            is_realtime: self.setup != Setups::Ordinary && runner.may_be_realtime(),
-            runner,
-            progress,
-            cases: Cases::new(),
-            failures: Vec::new(),
-        };
-        for round in 0..self.rounds {
-            for key in run.stretches(self, round) {
-                run.stretch(key, round, self.rounds)?;
+        let is_realtime = self.setup != Setups::Ordinary && runner.may_be_realtime();
+        let begin = Instant::now();
+        let (mut cases, mut failures) = (Cases::new(), Vec::new());
+        for round in 1..=self.rounds {
+            for key in self.stretches(&runner, is_realtime, round) {
+                let names = [key.load.name(), key.setup.name(), key.subject.name()].join(", ");
+                let what = format!("round {round} of {}, load {names}", self.rounds);
+                progress.begin(&what);
+                let start = Instant::now();
+                // One that fails is measured once more: a machine may stall for longer than a process can bear, and half
+                // an hour of measurements is not to be lost by that. It is told.
+                let measure = || runner.run(key.subject, key.load, key.setup);
+                let (tally, done) = measure().or_else(|failure| {
+                    interrupt::check()?;
+                    failures.push(format!("{what}: {failure:#}"));
+                    measure()
+                })?;
+                let start_s = (start - begin).as_secs_f64();
+                let case = cases.entry(key).or_default();
+                case.push(
+                    key,
+                    json!({ "round": round, "start_s": start_s, "load_did": done }),
+                    tally,
+                )?;
+                progress.advance(start.elapsed().as_secs_f64());
             }
         }
-        report::dataset(run, self)
-    }
-}
-
-struct Run<'a> {
-    begin: Instant,
-    runner: Runner<'a>,
-    is_realtime: bool,
-    progress: &'a mut Progress,
-    cases: Cases,
-    failures: Vec<String>,
-}
-
-impl Run<'_> {
-    /// What a round measures, in this order: another subject comes first in each round.
-    fn stretches(&self, options: &DeadlineOptions, round: u32) -> Vec<Key> {
-        let mut keys = Vec::new();
-        for setup in Setup::ALL {
-            if setup == Setup::Realtime && !self.is_realtime {
-                continue;
-            }
-            let mut subjects = self.runner.subjects(setup);
-            let count = subjects.len();
-            subjects.rotate_left(round as usize % count);
-            for load in options.loads(setup) {
-                let key = |subject: &Subject| Key {
-                    setup,
-                    load,
-                    subject: *subject,
-                };
-                keys.extend(subjects.iter().map(key));
-            }
-        }
-        keys
-    }
-
-    /// Measures one stretch. One that fails is measured once more: a machine may stall for longer than a process
-    /// can bear, and half an hour of measurements is not to be lost by that. It is told.
-    fn stretch(&mut self, key: Key, round: u32, rounds: u32) -> Result<()> {
-        let names = [key.load.name(), key.setup.name(), key.subject.name()].join(", ");
-        let what = format!("round {} of {rounds}, load {names}", round + 1);
-        self.progress.begin(&what);
-        let start = Instant::now();
-        let measure = || self.runner.run(key.subject, key.load, key.setup);
-        let segment = measure().or_else(|failure| {
-            interrupt::check()?;
-            self.failures.push(format!("{what}: {failure:#}"));
-            measure()
-        })?;
-        let start_s = (start - self.begin).as_secs_f64();
-        let case = match self.cases.entry(key) {
-            Entry::Vacant(free) => free.insert(Case::new(key)?),
-            Entry::Occupied(known) => known.into_mut(),
-        };
-        case.push(Round { start_s, segment })?;
-        self.progress.advance(start.elapsed().as_secs_f64());
-        Ok(())
+        let mut dataset = report::dataset(&cases, self)?;
+        dataset.fact("period_ms", runner.period().as_secs_f64() * 1e3);
+        dataset.fact("realtime_granted", is_realtime);
+        dataset.fact("measured_again", failures);
+        Ok(dataset)
     }
 }

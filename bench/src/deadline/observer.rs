@@ -5,12 +5,10 @@
 //! what is measured is the daemon and not how the load shares a core with its client.
 
 use std::collections::HashMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::{Context, Result, anyhow, ensure};
+use anyhow::{Result, ensure};
 use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::codes::{LateCause, Mode, timing};
 use cdcr_shared_types::{Incident, Location, Telemetry};
@@ -28,74 +26,43 @@ const INCIDENTS_WAIT: Duration = Duration::from_millis(300);
 /// How long a daemon may be silent before the observation is given up \[ns\].
 const SILENCE_NS: u64 = 2_000_000_000;
 
-#[derive(Debug)]
-pub struct Observed {
-    pub tally: Tally,
-    /// Share of the cycles in which the robot followed its reference.
-    pub tracking_share: f64,
-    pub budget_hits: u64,
-}
-
-/// An observation that runs in a thread of its own.
-#[derive(Debug)]
-pub struct Observer {
+/// When an observation begins to count, and that it ends.
+pub(super) struct Signals {
     /// From when on cycles count \[ns\]; `u64::MAX`: not yet.
-    begin_ns: Arc<AtomicU64>,
-    ending: Arc<AtomicBool>,
-    thread: Option<JoinHandle<Result<Observed>>>,
+    begin_ns: AtomicU64,
+    ending: AtomicBool,
 }
 
-impl Observer {
-    /// Watches the daemon at `location` from `core`; with `realtime` before all ordinary tasks.
-    pub fn start(location: &Location, core: usize, realtime: bool) -> Result<Self> {
-        let begin_ns = Arc::new(AtomicU64::new(u64::MAX));
-        let ending = Arc::new(AtomicBool::new(false));
-        let thread = std::thread::Builder::new()
-            .name("observe".to_owned())
-            .spawn({
-                let (location, begin_ns, ending) =
-                    (location.clone(), Arc::clone(&begin_ns), Arc::clone(&ending));
-                move || {
-                    if realtime {
-                        set_fifo(WATCHER_PRIORITY);
-                    }
-                    pin(core);
-                    Watch::open(&location)?.run(&begin_ns, &ending)
-                }
-            })?;
-        Ok(Self {
-            begin_ns,
-            ending,
-            thread: Some(thread),
-        })
+impl Signals {
+    pub(super) fn new() -> Self {
+        Self {
+            begin_ns: AtomicU64::new(u64::MAX),
+            ending: AtomicBool::new(false),
+        }
     }
 
-    pub fn begin(&self) {
+    pub(super) fn begin(&self) {
         self.begin_ns.store(monotonic_ns(), Ordering::Relaxed);
     }
 
-    /// Whether it ended by itself, which is a failure.
-    pub fn has_ended(&self) -> bool {
-        self.thread.as_ref().is_none_or(JoinHandle::is_finished)
-    }
-
-    pub fn finish(mut self) -> Result<Observed> {
+    pub(super) fn end(&self) {
         self.ending.store(true, Ordering::Relaxed);
-        let thread = self.thread.take().context("it was finished before")?;
-        let result = thread.join();
-        result
-            .map_err(|_| anyhow!("the observer panicked"))?
-            .context("the observer")
     }
 }
 
-impl Drop for Observer {
-    fn drop(&mut self) {
-        self.ending.store(true, Ordering::Relaxed);
-        if let Some(thread) = self.thread.take() {
-            let _ = thread.join();
-        }
+/// Watches the daemon at `location` from `core` until that is ended; with `realtime` before all ordinary tasks. To be
+/// called on a thread of its own.
+pub(super) fn observe(
+    location: &Location,
+    core: usize,
+    realtime: bool,
+    signals: &Signals,
+) -> Result<Tally> {
+    if realtime {
+        set_fifo(WATCHER_PRIORITY);
     }
+    pin(core);
+    Watch::open(location)?.run(signals)
 }
 
 /// The ports of the observer, and what came through them.
@@ -114,7 +81,6 @@ struct Watch {
     _connection: Connection,
 }
 
-#[derive(Debug, Clone, Copy)]
 struct Record {
     number: u64,
     cycle: Cycle,
@@ -162,12 +128,12 @@ impl Watch {
         })
     }
 
-    fn run(mut self, begin_ns: &AtomicU64, ending: &AtomicBool) -> Result<Observed> {
+    fn run(mut self, signals: &Signals) -> Result<Tally> {
         let early_ns = EARLY_NS.min(self.period_ns / 4);
         let mut lost_before = None;
-        while !ending.load(Ordering::Relaxed) {
+        while !signals.ending.load(Ordering::Relaxed) {
             interrupt::check()?;
-            let begin_ns = begin_ns.load(Ordering::Relaxed);
+            let begin_ns = signals.begin_ns.load(Ordering::Relaxed);
             let wanted = (monotonic_ns() + early_ns - self.origin_ns) / self.period_ns + 1;
             let release_ns = self.origin_ns + wanted * self.period_ns;
             sleep_until(release_ns - early_ns);
@@ -183,9 +149,11 @@ impl Watch {
                 silent_ns / 1_000_000_000
             );
         }
-        self.judge_again()?;
+        // The last incidents may still be on their way.
+        std::thread::sleep(INCIDENTS_WAIT);
+        self.take_incidents()?;
         let lost = self.telemetry.lost() - lost_before.unwrap_or_default();
-        self.observed(lost)
+        self.tally(lost)
     }
 
     /// Polls until the command of cycle `wanted`, or a later one, is there, or it is time for the next.
@@ -229,37 +197,29 @@ impl Watch {
         Ok(())
     }
 
-    /// The last incidents may still be on their way.
-    fn judge_again(&mut self) -> Result<()> {
-        std::thread::sleep(INCIDENTS_WAIT);
-        self.take_incidents()?;
-        for record in &mut self.records {
-            if let Some(cause) = self.causes.get(&record.number) {
-                record.cycle.cause = *cause;
-            }
-        }
-        Ok(())
-    }
-
-    fn observed(&self, lost: u64) -> Result<Observed> {
-        let cycles: Vec<Cycle> = self.records.iter().map(|record| record.cycle).collect();
+    fn tally(&self, lost_records: u64) -> Result<Tally> {
+        let cycle = |record: &Record| Cycle {
+            cause: *self
+                .causes
+                .get(&record.number)
+                .unwrap_or(&record.cycle.cause),
+            ..record.cycle
+        };
+        let cycles: Vec<Cycle> = self.records.iter().map(cycle).collect();
         let mut tally = Tally::of(&cycles, true)?;
-        tally.counts.lost_records = lost;
         for record in &self.records {
-            match self.arrivals.get(&record.number) {
-                Some(arrival_ns) => {
-                    let command_ns = arrival_ns.saturating_sub(record.cycle.due_ns);
-                    tally.times[COMMAND].saturating_record(command_ns);
-                }
-                None => tally.counts.lost_commands += 1,
+            if let Some(arrival_ns) = self.arrivals.get(&record.number) {
+                let command_ns = arrival_ns.saturating_sub(record.cycle.due_ns);
+                tally.times[COMMAND].saturating_record(command_ns);
             }
         }
         let count = |is: fn(&Record) -> bool| self.records.iter().filter(|r| is(r)).count() as u64;
-        let tracking = count(|record| record.tracking);
-        Ok(Observed {
-            tracking_share: tracking as f64 / self.records.len().max(1) as f64,
-            budget_hits: count(|record| record.budget_spent),
-            tally,
-        })
+        let cycles = self.records.len() as u64;
+        let counts = &mut tally.counts;
+        counts.lost_records = Some(lost_records);
+        counts.lost_commands = Some(cycles - tally.times[COMMAND].len());
+        counts.budget_hits = Some(count(|record| record.budget_spent));
+        counts.tracking_share = Some(count(|record| record.tracking) as f64 / cycles.max(1) as f64);
+        Ok(tally)
     }
 }

@@ -1,23 +1,29 @@
 //! What `deadline` found, as rows, plots and single numbers.
 
+use std::collections::BTreeMap;
+
 use anyhow::Result;
 use hdrhistogram::Histogram;
-use serde_json::{Value, json, to_value};
+use serde_json::{Map, Value, json};
+use statrs::distribution::{Binomial, DiscreteCDF};
 
-use super::case::{Case, Cases, Key};
-use super::ratio::{per_million, ratios};
 use super::segment::Subject;
-use super::tally::{COMMAND, RESPONSE, TIME_NAMES, WAKE};
-use super::{Counts, DeadlineOptions, Run, Setup};
+use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, times_json};
+use super::{DeadlineOptions, Setup};
 use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet};
 use crate::dataset::{
-    Column, Dataset, Plot, Recording, Sheet, fixed, joined, percent, plain, signed, word,
+    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
+    together, word,
 };
 use crate::load::Load;
+use crate::metric::{median, range};
 use crate::quantiles::Quantiles;
 
 /// The wake-ups of a plot begin here \[µs\].
 const SHORTEST_US: f64 = 0.1;
+
+/// Two counts of misses differ when chance alone would make such a difference less often than this.
+const SIGNIFICANCE: f64 = 0.05;
 
 const EXPLANATION: &str = "<p>Each round runs, under each load, a bare loop (the daemon's own thread with nothing to do), the daemon \
          while its robot tracks a spiral, and cyclictest where it is installed, one after the other. All times \
@@ -77,115 +83,255 @@ const TIMES: [Column; 9] = [
     fixed("max", "max", 1),
 ];
 
-pub(super) fn dataset(run: Run<'_>, options: &DeadlineOptions) -> Result<Dataset> {
-    let cases = run.cases;
-    let ratios = ratios(&cases);
-    let ratio_rows: Vec<&Value> = ratios.iter().map(|ratio| &ratio.row).collect();
-    let title = format!(
-        "The daemon over the bare loop: medians of {} rounds, and their range",
-        options.rounds
-    );
-    let rows: Vec<Value> = cases.values().map(Case::row).collect::<Result<_>>()?;
-    let each: Vec<Vec<Value>> = cases
-        .values()
-        .map(Case::round_rows)
-        .collect::<Result<_>>()?;
-    let times: Vec<Vec<Value>> = cases.values().map(time_rows).collect::<Result<_>>()?;
+/// What is measured in a stretch.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Key {
+    pub(super) setup: Setup,
+    pub(super) load: Load,
+    pub(super) subject: Subject,
+}
+
+impl Key {
+    fn path(self, separator: &str) -> String {
+        [self.load.name(), self.setup.name(), self.subject.name()].join(separator)
+    }
+
+    fn json(self) -> Value {
+        let realtime = self.setup == Setup::Realtime;
+        json!({ "load": self.load, "set_up": self.setup, "subject": self.subject, "realtime": realtime })
+    }
+}
+
+/// All rounds of one subject under one load: a row of each, and the latencies of all and of each.
+#[derive(Debug, Default)]
+pub(super) struct Case {
+    rounds: Vec<Value>,
+    times: Option<Times>,
+    of_rounds: Vec<(f64, Times)>,
+}
+
+pub(super) type Cases = BTreeMap<Key, Case>;
+
+impl Case {
+    /// Adds a round of which this is known beside what was measured.
+    pub(super) fn push(&mut self, key: Key, of_round: Value, tally: Tally) -> Result<()> {
+        let start_s = number(&of_round, "start_s").unwrap_or(0.0);
+        let (counts, times) = (json!(tally.counts), times_json(&tally.times));
+        self.rounds
+            .push(joined([key.json(), of_round, counts, times])?);
+        let all = self.times.get_or_insert(Tally::new()?.times);
+        for (all, times) in all.iter_mut().zip(&tally.times) {
+            all.add(times)?;
+        }
+        self.of_rounds.push((start_s, tally.times));
+        Ok(())
+    }
+
+    fn sum(&self, key: &str) -> Option<f64> {
+        each(&self.rounds, key).reduce(|sum, value| sum + value)
+    }
+
+    /// Misses of the deadline, and releases that were due: cycles that ran, and those that were skipped.
+    fn misses(&self) -> (u64, u64) {
+        let count = |key| self.sum(key).unwrap_or(0.0) as u64;
+        (
+            count("deadline_misses"),
+            count("cycles") + count("skipped_periods"),
+        )
+    }
+
+    /// All rounds together, their medians, and the rounds themselves.
+    fn row(&self, key: Key) -> Result<Value> {
+        let mut all = together(&self.rounds);
+        let of_rounds =
+            TIME_NAMES.map(|name| (format!("{name}_us"), all[format!("{name}_us")].clone()));
+        for of_a_round in ["round", "start_s", "load_did"] {
+            all.as_object_mut().and_then(|all| all.remove(of_a_round));
+        }
+        let own = json!({
+            "steal_ms": self.sum("steal_ms"),
+            "run_delay_ms": self.sum("run_delay_ms"),
+            "tracking_share": each(&self.rounds, "tracking_share").reduce(f64::min),
+            "median_of_rounds": Map::from_iter(of_rounds),
+            "rounds": self.rounds,
+        });
+        joined([
+            all,
+            key.json(),
+            json!(self.times.as_ref().map(times_json)),
+            own,
+        ])
+    }
+
+    fn time_rows(&self, key: Key) -> Result<Vec<Value>> {
+        const TO: [&str; 4] = [
+            "start (wake-up)",
+            "hand-over, from the start (compute)",
+            "hand-over (response)",
+            "the client (command)",
+        ];
+        let measured = TO.into_iter().zip(self.times.iter().flatten());
+        let measured = measured.filter_map(|(to, times)| Some((to, Quantiles::of(times)?)));
+        let row = |(to, times)| joined([key.json(), json!({ "to": to }), json!(times)]);
+        measured.map(row).collect()
+    }
+}
+
+/// Misses in a million cycles that were due.
+fn per_million((misses, due): (u64, u64)) -> f64 {
+    1e6 * misses as f64 / due.max(1) as f64
+}
+
+/// The probability that chance alone gives the daemon at least its part of the misses of both, each given as misses and
+/// due cycles: the conditional test of two Poisson rates (Przyborowski and Wilenski, Biometrika 31, 1940). 1 when the
+/// daemon missed nothing.
+pub fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
+    let (misses, due) = (ours.0 + theirs.0, ours.1 + theirs.1);
+    if ours.0 == 0 || due == 0 {
+        return 1.0;
+    }
+    let share = ours.1 as f64 / due as f64;
+    // At least so many is more than one less.
+    Binomial::new(share, misses).map_or(1.0, |all| all.sf(ours.0 - 1))
+}
+
+/// One number of each round of `above` over that of the same round of `below`; rounds in which one of them lacks it are
+/// left out. A clock that was read at once counts as a hundredth of a microsecond, so that nothing is divided by nothing.
+fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
+    let pairs = above.rounds.iter().zip(&below.rounds);
+    let ratio =
+        |(above, below)| Some(number(above, key)?.max(0.01) / number(below, key)?.max(0.01));
+    pairs.filter_map(ratio).collect()
+}
+
+/// One load: the daemon over the bare loop, round by round.
+fn ratio(
+    dataset: &mut Dataset,
+    key: Key,
+    daemon: &Case,
+    bare: &Case,
+    unloaded: Option<&Case>,
+) -> Value {
+    let beyond = |row: &Value| Some(number(row, "command_us_p50")? - number(row, "wake_us_p50")?);
+    let [wake_p50, wake_p99] = ["wake_us_p50", "wake_us_p99"].map(|key| over(daemon, bare, key));
+    let command: Vec<f64> = daemon.rounds.iter().filter_map(beyond).collect();
+    let response = unloaded.map_or_else(Vec::new, |unloaded| {
+        over(daemon, unloaded, "response_us_p99")
+    });
+    let middle = |rounds: &Vec<f64>| median(rounds.iter().copied());
+    let ends = |rounds: &Vec<f64>| range(rounds.iter().copied());
+    let (ours, theirs) = (daemon.misses(), bare.misses());
+    let p_value = misses_p_value(ours, theirs);
+    let row = json!({
+        "load": key.load,
+        "set_up": key.setup,
+        "realtime": key.setup == Setup::Realtime,
+        // Wake-up of the daemon over that of the bare loop: median of the rounds, and their range.
+        "wake_p50": middle(&wake_p50),
+        "wake_p99": middle(&wake_p99),
+        "wake_p50_range": ends(&wake_p50),
+        "wake_p99_range": ends(&wake_p99),
+        // Per million cycles that were due; negative: the daemon missed less often.
+        "misses_beyond_bare": per_million(ours) - per_million(theirs),
+        "misses_p_value": p_value,
+        "misses_more": p_value < SIGNIFICANCE,
+        "own_misses": daemon.sum("own_misses").map(|count| count as u64),
+        "command_beyond_wake_p50_us": middle(&command),
+        "response_p99_to_unloaded": middle(&response),
+    });
+    let path = format!("deadline/{}/{}", key.load.name(), key.setup.name());
+    for (what, unit, rounds) in [
+        ("wake_p50_to_bare", "", wake_p50),
+        ("wake_p99_to_bare", "", wake_p99),
+        ("command_beyond_wake_p50", "µs", command),
+        ("response_p99_to_unloaded", "", response),
+    ] {
+        dataset.lower(format!("{path}/{what}"), unit, rounds);
+    }
+    row
+}
+
+pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions) -> Result<Dataset> {
     let mut dataset = Dataset {
         name: "deadline",
         heading: "Deadline misses and latencies, beside a bare loop",
         explanation: EXPLANATION,
-        sheets: vec![
-            Sheet::new(&ratio_rows)?.key("ratios").table(title, &RATIOS),
-            Sheet::new(&rows)?.key("cases").table(
-                "Cycles that were late, and why (causes of late starts, misses and skipped periods)",
-                &COUNTS,
-            ),
-            Sheet::new(&times.concat())?.table("Latencies of all rounds together, µs", &TIMES),
-            Sheet::new(&each.concat())?.file("deadline").order(&COUNTS),
-        ],
-        plots: plots(&cases)?,
+        plots: plots(cases)?,
         ..Dataset::default()
     };
-    dataset.fact("period_ms", run.runner.period().as_secs_f64() * 1e3);
-    dataset.fact("realtime_granted", run.is_realtime);
-    dataset.fact("measured_again", run.failures);
-    dataset.fact("rounds", options.rounds);
-    dataset.fact("segment_s", options.segment().as_secs_f64());
-    for (name, unit, rounds) in ratios.into_iter().flat_map(|ratio| ratio.metrics) {
-        dataset.lower(name, unit, rounds);
-    }
-    for case in cases.values() {
-        case_metrics(&mut dataset, case);
-    }
-    dataset.metrics.retain(|metric| !metric.rounds.is_empty());
-    dataset.recordings = recordings(cases, options);
-    Ok(dataset)
-}
-
-fn time_rows(case: &Case) -> Result<Vec<Value>> {
-    const TO: [&str; 4] = [
-        "start (wake-up)",
-        "hand-over, from the start (compute)",
-        "hand-over (response)",
-        "the client (command)",
-    ];
-    let (key, times) = (case.key, case.total.quantiles());
-    let measured = TO.into_iter().zip(times);
-    let measured = measured.filter_map(|(to, quantiles)| Some((to, quantiles?)));
-    let row = |(to, quantiles): (&str, Quantiles)| {
-        let of = json!({ "load": key.load, "set_up": key.setup, "subject": key.subject, "to": to });
-        joined([of, to_value(quantiles)?])
+    let of = |key: Key, load, subject| {
+        cases.get(&Key {
+            load,
+            subject,
+            ..key
+        })
     };
-    measured.map(row).collect()
-}
-
-fn case_metrics(dataset: &mut Dataset, case: &Case) {
-    let name = |what: &str| format!("deadline/{}/{what}", path(&case.key).join("/"));
-    if case.key.subject == Subject::Daemon {
-        let counts = |count: fn(&Counts) -> f64| {
-            let rounds = case.rounds.iter();
-            rounds.map(move |round| count(&round.segment.tally.counts))
-        };
-        dataset.lower(name("own_misses"), "", counts(|c| c.own_misses as f64));
-        dataset.lower(name("misses"), "per million", counts(per_million));
+    let mut ratios = Vec::new();
+    // A ratio for each load that was measured with both the bare loop and the daemon.
+    for (key, daemon) in cases
+        .iter()
+        .filter(|(key, _)| key.subject == Subject::Daemon)
+    {
+        if let Some(bare) = of(*key, key.load, Subject::Bare) {
+            let unloaded = of(*key, Load::None, Subject::Daemon);
+            ratios.push(ratio(&mut dataset, *key, daemon, bare, unloaded));
+        }
     }
-    for time in [WAKE, RESPONSE, COMMAND] {
-        for (quantile, value) in [
-            ("p50", (|q| q.p50) as fn(Quantiles) -> f64),
-            ("p99", |q| q.p99),
-        ] {
-            let rounds = case.each(|t| Some(value(t[time]?)));
+    let (mut rows, mut times, mut rounds) = (Vec::new(), Vec::new(), Vec::new());
+    for (key, case) in cases {
+        rows.push(case.row(*key)?);
+        times.extend(case.time_rows(*key)?);
+        rounds.extend_from_slice(&case.rounds);
+        let path = format!("deadline/{}", key.path("/"));
+        if key.subject == Subject::Daemon {
+            let misses = |row: &Value| {
+                let count = |key| row[key].as_u64().unwrap_or(0);
+                per_million((
+                    count("deadline_misses"),
+                    count("cycles") + count("skipped_periods"),
+                ))
+            };
+            dataset.compare(&path, &case.rounds, &[("own_misses", "", "own_misses")]);
             dataset.lower(
-                name(&format!("{}_{quantile}", TIME_NAMES[time])),
-                "µs",
-                rounds,
+                format!("{path}/misses"),
+                "per million",
+                case.rounds.iter().map(misses),
             );
         }
-    }
-}
-
-fn recordings(cases: Cases, options: &DeadlineOptions) -> Vec<Recording> {
-    let mut all = Vec::new();
-    for case in cases.into_values() {
-        let path = path(&case.key).join(".");
-        for round in case.rounds {
-            let times = round.segment.tally.times;
-            let named = TIME_NAMES.iter().zip(&times);
-            let measured = named.filter(|(_, histogram_ns)| !histogram_ns.is_empty());
-            all.extend(measured.map(|(name, histogram_ns)| Recording {
-                tag: format!("{path}.{name}"),
-                start_s: round.start_s,
-                duration_s: options.segment().as_secs_f64(),
-                histogram_ns: histogram_ns.clone(),
-            }));
+        let numbers = ["wake", "response", "command"].map(|time| [(time, "p50"), (time, "p99")]);
+        for (time, quantile) in numbers.into_iter().flatten() {
+            let values = each(&case.rounds, &format!("{time}_us_{quantile}")).collect::<Vec<_>>();
+            dataset.lower(format!("{path}/{time}_{quantile}"), "µs", values);
+        }
+        for (start_s, times) in &case.of_rounds {
+            let measured = TIME_NAMES
+                .iter()
+                .zip(times)
+                .filter(|(_, times)| !times.is_empty());
+            dataset
+                .recordings
+                .extend(measured.map(|(name, times)| Recording {
+                    tag: format!("{}.{name}", key.path(".")),
+                    start_s: *start_s,
+                    duration_s: options.segment().as_secs_f64(),
+                    histogram_ns: times.clone(),
+                }));
         }
     }
-    all
-}
-
-fn path(key: &Key) -> [&'static str; 3] {
-    [key.load.name(), key.setup.name(), key.subject.name()]
+    dataset.fact("rounds", options.rounds);
+    dataset.fact("segment_s", options.segment().as_secs_f64());
+    let count = options.rounds;
+    let of_ratios =
+        format!("The daemon over the bare loop: medians of {count} rounds, and their range");
+    let of_cases =
+        "Cycles that were late, and why (causes of late starts, misses and skipped periods)";
+    dataset.sheets = vec![
+        Sheet::of(&of_ratios, &RATIOS, ratios).key("ratios"),
+        Sheet::of(of_cases, &COUNTS, rows).key("cases"),
+        Sheet::of("Latencies of all rounds together, µs", &TIMES, times),
+        Sheet::of("", &COUNTS, rounds).file("deadline"),
+    ];
+    Ok(dataset)
 }
 
 fn plots(cases: &Cases) -> Result<Vec<Plot>> {
@@ -224,7 +370,7 @@ fn panels(cases: &Cases, setup: Setup) -> Vec<Panel> {
                 load,
                 subject,
             };
-            let times = &cases.get(&key)?.total.times;
+            let times = cases.get(&key)?.times.as_ref()?;
             let times = if colour == GREY {
                 &times[COMMAND]
             } else {
@@ -275,5 +421,26 @@ mod tests {
         }
         let shares: Vec<f64> = survival(&times).iter().map(|point| point.1).collect();
         assert_eq!(shares, [1.0, 0.75, 0.25]);
+    }
+
+    #[test]
+    fn as_many_misses_as_the_bare_loop_are_no_difference() {
+        for (ours, theirs, expected) in [
+            ((0, 1000), (9, 1000), 1.0),
+            // One of one: half of the time.
+            ((1, 1000), (0, 1000), 0.5),
+            // Five of five: (1/2)^5.
+            ((5, 1000), (0, 1000), 1.0 / 32.0),
+            // At least 3 of 4: (4 + 1) / 16.
+            ((3, 1000), (1, 1000), 5.0 / 16.0),
+            // Twice the cycles may have twice the misses: at least 1 of 1 with 2/3.
+            ((1, 2000), (0, 1000), 2.0 / 3.0),
+        ] {
+            assert!(
+                (misses_p_value(ours, theirs) - expected).abs() < 1e-9,
+                "{ours:?}"
+            );
+        }
+        assert!((per_million((1, 2000)) - 500.0).abs() < 1e-9);
     }
 }

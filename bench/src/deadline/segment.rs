@@ -1,10 +1,12 @@
 //! One stretch of one subject under one load: started, warmed up, measured, ended.
 
+use std::thread;
 use std::time::Duration;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, anyhow};
+use cdcr_shared_types::Location;
 
-use super::observer::{Observed, Observer};
+use super::observer::{Signals, observe};
 use super::tally::Tally;
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::interrupt;
@@ -29,17 +31,7 @@ named! {
 }
 
 #[derive(Debug)]
-pub struct Segment {
-    pub tally: Tally,
-    /// What the load did meanwhile, its warm-up included.
-    pub load: Done,
-    /// Share of the daemon's cycles in which the robot followed its reference.
-    pub tracking_share: Option<f64>,
-    pub budget_hits: u64,
-}
-
-#[derive(Debug)]
-pub struct Runner<'a> {
+pub(super) struct Runner<'a> {
     options: &'a DeadlineOptions,
     cores: Cores,
     cyclictest: Option<Cyclictest>,
@@ -50,7 +42,7 @@ pub struct Runner<'a> {
 
 impl<'a> Runner<'a> {
     /// On these cores. A daemon is started once, to see that the configuration is good and to learn its period.
-    pub fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
+    pub(super) fn new(options: &'a DeadlineOptions, cores: Cores) -> Result<Self> {
         let launch = launch(options);
         let daemon = Daemon::start(&launch, &cores)?;
         let connection = daemon.connect()?;
@@ -83,14 +75,14 @@ impl<'a> Runner<'a> {
     }
 
     /// Whether the system grants all that real time needs.
-    pub fn may_be_realtime(&self) -> bool {
+    pub(super) fn may_be_realtime(&self) -> bool {
         may_be_realtime() && {
             let required = Daemon::start(&self.launch(Setup::Realtime), &self.cores);
             required.and_then(Daemon::stop).is_ok()
         }
     }
 
-    pub fn subjects(&self, setup: Setup) -> Vec<Subject> {
+    pub(super) fn subjects(&self, setup: Setup) -> Vec<Subject> {
         let mut subjects = vec![Subject::Bare, Subject::Daemon];
         if setup == Setup::Realtime && self.cyclictest.is_some() {
             subjects.push(Subject::Cyclictest);
@@ -98,60 +90,65 @@ impl<'a> Runner<'a> {
         subjects
     }
 
-    pub fn period(&self) -> Duration {
+    pub(super) fn period(&self) -> Duration {
         self.period
     }
 
-    pub fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<Segment> {
+    /// What the subject came to, and what the load did meanwhile, its warm-up included.
+    pub(super) fn run(&self, subject: Subject, load: Load, setup: Setup) -> Result<(Tally, Done)> {
         match subject {
             Subject::Daemon => self.daemon(load, setup),
-            Subject::Bare => self.beside_decoy(load, |runner| runner.bare(setup)),
-            Subject::Cyclictest => self.beside_decoy(load, Self::cyclictest),
+            Subject::Bare => self.beside_decoy(load, || self.bare(setup)),
+            Subject::Cyclictest => self.beside_decoy(load, || self.cyclictest()),
         }
     }
 
-    fn daemon(&self, load: Load, setup: Setup) -> Result<Segment> {
-        let realtime = setup == Setup::Realtime;
+    fn daemon(&self, load: Load, setup: Setup) -> Result<(Tally, Done)> {
         let daemon = Daemon::start(&self.launch(setup), &self.cores)?;
-        let core = self.cores.client();
-        let tracking = Tracking::start(daemon.location(), core)?;
-        let observer = Observer::start(daemon.location(), core, realtime)?;
-        let running = Running::start(load, &self.cores, Some(daemon.location()))?;
-        interrupt::sleep(WARM_UP)?;
-        observer.begin();
-        let steal = Steal::begin(&self.cores, setup);
-        self.wait(&observer, &running)?;
-        let steal = steal.end_ms();
-        let observed = observer.finish();
-        let done = running.stop();
+        let (location, core) = (daemon.location(), self.cores.client());
+        let tracking = Tracking::start(location, core)?;
+        let (signals, realtime) = (Signals::new(), setup == Setup::Realtime);
+        let (tally, measured) = thread::scope(|scope| {
+            let observer = scope.spawn(|| observe(location, core, realtime, &signals));
+            let measured = self.measure(load, setup, location, &signals, || observer.is_finished());
+            signals.end();
+            let observed = observer
+                .join()
+                .map_err(|_| anyhow!("the observer panicked"));
+            (observed.flatten().context("the observer"), measured)
+        });
         tracking.stop().with_context(|| daemon.stderr_tail())?;
-        let Observed {
-            mut tally,
-            tracking_share,
-            budget_hits,
-        } = observed.with_context(|| daemon.stderr_tail())?;
+        let mut tally = tally.with_context(|| daemon.stderr_tail())?;
+        let (steal_ms, done) = measured?;
         daemon.stop()?;
-        tally.counts.steal_ms = steal;
-        Ok(Segment {
-            tally,
-            load: done?,
-            tracking_share: Some(tracking_share),
-            budget_hits,
-        })
+        tally.counts.steal_ms = steal_ms;
+        Ok((tally, done))
     }
 
-    fn wait(&self, observer: &Observer, load: &Running) -> Result<()> {
+    /// Lets the load work beside a daemon that is observed. What was stolen \[ms\], and what the load did.
+    fn measure(
+        &self,
+        load: Load,
+        setup: Setup,
+        location: &Location,
+        signals: &Signals,
+        has_ended: impl Fn() -> bool,
+    ) -> Result<(f64, Done)> {
+        let running = Running::start(load, &self.cores, Some(location))?;
+        interrupt::sleep(WARM_UP)?;
+        signals.begin();
+        let steal = Steal::begin(&self.cores, setup);
         let mut left = self.options.segment();
-        // What ended by itself is asked for its reason when it is ended.
-        while !left.is_zero() && !observer.has_ended() {
-            if let Some(failure) = load.failure() {
+        // An observer that ended by itself is asked for its reason when it is ended.
+        while !left.is_zero() && !has_ended() {
+            if let Some(failure) = running.failure() {
                 return Err(failure);
             }
             let step = left.min(Duration::from_millis(500));
             interrupt::sleep(step)?;
             left -= step;
         }
-        Ok(())
+        Ok((steal.end_ms(), running.stop()?))
     }
 
     /// Measures something that is no daemon. A load that needs one gets a decoy: without real time, beside
@@ -159,28 +156,15 @@ impl<'a> Runner<'a> {
     fn beside_decoy(
         &self,
         load: Load,
-        measure: impl FnOnce(&Self) -> Result<(Tally, f64)>,
-    ) -> Result<Segment> {
-        let decoy = if load.needs_daemon() {
-            Some(self.decoy()?)
-        } else {
-            None
-        };
+        measure: impl FnOnce() -> Result<Tally>,
+    ) -> Result<(Tally, Done)> {
+        let decoy = load.needs_daemon().then(|| self.decoy()).transpose()?;
         let target = decoy.as_ref().map(Daemon::location);
         let running = Running::start(load, &self.cores, target)?;
-        let measured = measure(self);
+        let measured = measure();
         let done = running.stop();
-        if let Some(decoy) = decoy {
-            decoy.stop()?;
-        }
-        let (mut tally, steal_ms) = measured?;
-        tally.counts.steal_ms = steal_ms;
-        Ok(Segment {
-            tally,
-            load: done?,
-            tracking_share: None,
-            budget_hits: 0,
-        })
+        decoy.map_or(Ok(()), Daemon::stop)?;
+        Ok((measured?, done?))
     }
 
     /// A daemon that keeps off the core that is measured.
@@ -190,7 +174,7 @@ impl<'a> Runner<'a> {
         Daemon::start(&launch, &cores)
     }
 
-    fn bare(&self, setup: Setup) -> Result<(Tally, f64)> {
+    fn bare(&self, setup: Setup) -> Result<Tally> {
         let duration = WARM_UP + self.options.segment();
         let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
         interrupt::sleep(WARM_UP)?;
@@ -200,10 +184,12 @@ impl<'a> Runner<'a> {
         let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
         let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
         let warm = cycles.partition_point(|cycle| cycle.due_ns < begin_ns);
-        Ok((Tally::of(&cycles[warm..], false)?, steal_ms))
+        let mut tally = Tally::of(&cycles[warm..], false)?;
+        tally.counts.steal_ms = steal_ms;
+        Ok(tally)
     }
 
-    fn cyclictest(&self) -> Result<(Tally, f64)> {
+    fn cyclictest(&self) -> Result<Tally> {
         let cyclictest = self.cyclictest.as_ref().context("cyclictest is gone")?;
         let cycles = |time: Duration| (time.as_nanos() / self.period.as_nanos().max(1)) as u64;
         let (warm, counted) = (cycles(WARM_UP), cycles(self.options.segment()));
@@ -213,8 +199,9 @@ impl<'a> Runner<'a> {
         let steal = Steal::begin(&self.cores, Setup::Realtime);
         let latencies = running.wait()?.without_first(warm)?;
         let steal_ms = steal.end_ms();
-        let tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
-        Ok((tally, steal_ms))
+        let mut tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
+        tally.counts.steal_ms = steal_ms;
+        Ok(tally)
     }
 }
 

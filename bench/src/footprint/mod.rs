@@ -5,35 +5,91 @@
 //! a client, then while it tracks. All counts are the kernel's: time on a core from `/proc/PID/task/TID/schedstat`, memory
 //! from `/proc/PID/status`.
 
-mod memory;
-mod quantity;
-mod report;
 mod round;
 mod start;
 
 use std::time::Duration;
 
 use anyhow::{Result, ensure};
-
-pub use memory::{Files, Memory};
-pub use round::{Round, ThreadUse};
-pub use start::Start;
+use serde_json::{Value, json};
 
 use crate::benchmark::Benchmark;
-use crate::dataset::Dataset;
+use crate::chart::{BLUE, Curve, GREY, Panel, Scale, sheet};
+use crate::dataset::{Column, Dataset, Plot, Sheet, each, fixed, number, shorted, together, word};
+use crate::metric::{Better, Metric, median, range};
 use crate::progress::Progress;
-use crate::subject::daemon::Launch;
+use crate::subject::daemon::{Launch, program};
 use crate::system::cores::Cores;
 use crate::system::thread::may_be_realtime;
+use round::MB;
 
 /// Share of the time of tracking that is measured without a client, too.
 const IDLE_SHARE: f64 = 0.4;
 /// What start, begin of tracking, warm-up and end take, about \[s\].
 const AROUND_S: f64 = 2.3;
-
 /// Shorter than this the kernel's counts say little.
 const LEAST: Duration = Duration::from_millis(100);
 const MOST: Duration = Duration::from_secs(3600);
+
+/// Unit of what is or is not: 1 is yes, 0 no.
+const YES_NO: &str = "yes/no";
+
+const EXPLANATION: &str = "<p>Each round starts two daemons with their defaults (200 Hz, three sections): for the first one a client \
+         looks from the beginning (times of the start), the second one is measured without any client, then while it \
+         tracks a spiral. The share of a core is the time that the kernel counted the thread on a core, by the time \
+         that passed; the real-time core is the sum of cdcr-cycle and cdcr-exchange.</p>\
+         <p>Resident memory is VmRSS, with all shared memory that the daemon has mapped. \"At the start\" is READY=1, before \
+         any client; what the first client adds is the memory of its own ports and has no target. Locked memory is \
+         counted by address range and is larger. Whether memory is locked (1: in that round) is what the daemon says.</p>";
+
+/// All that is measured: what, its key with the unit at its end, the unit, and what it may be at most; the figures with
+/// a target first.
+#[rustfmt::skip]
+const QUANTITIES: [(&str, &str, &str, Option<f64>); 22] = [
+    ("real-time core, tracking", "core_tracking_percent", "%", Some(3.0)),
+    ("resident memory", "resident_mb", "MB", Some(64.0)),
+    ("resident memory added while tracking", "growth_kb", "kB", Some(0.0)),
+    ("page faults while tracking", "page_faults", "", Some(0.0)),
+    ("resident at the start", "resident_start_mb", "MB", None),
+    ("resident memory added without a client", "growth_idle_kb", "kB", None),
+    ("resident memory added by the first client", "growth_by_client_kb", "kB", None),
+    ("memory locked", "locked", YES_NO, None),
+    ("real-time core, idle", "core_idle_percent", "%", None),
+    ("all threads, tracking", "all_tracking_percent", "%", None),
+    ("all threads, idle", "all_idle_percent", "%", None),
+    ("most that ever was resident", "peak_mb", "MB", None),
+    ("resident: heap and stacks", "own_mb", "MB", None),
+    ("resident: shared memory", "shared_mb", "MB", None),
+    ("resident: program and libraries", "file_mb", "MB", None),
+    ("locked, by address range", "locked_mb", "MB", None),
+    ("files in shared memory", "memory_files", "", None),
+    ("shared memory in use", "memory_stored_mb", "MB", None),
+    ("files below the root folder", "root_files", "", None),
+    ("start to first release", "first_release_ms", "ms", None),
+    ("start to first good cycle (READY=1)", "ready_ms", "ms", None),
+    ("start to first record at a client", "first_record_ms", "ms", None),
+];
+
+const COLUMNS: [Column; 7] = [
+    word("what", "what"),
+    word("unit", "unit"),
+    shorted("median", "median"),
+    shorted("least", "least"),
+    shorted("most", "most"),
+    shorted("target ≤", "target"),
+    word("reached", "reached"),
+];
+
+const THREAD_COLUMNS: [Column; 4] = [
+    word("thread", "name"),
+    fixed("idle %", "idle_percent", 3),
+    fixed("tracking %", "tracking_percent", 3),
+    fixed(
+        "µs for each cycle of 5 ms, tracking",
+        "tracking_us_per_cycle",
+        1,
+    ),
+];
 
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct FootprintOptions {
@@ -49,12 +105,8 @@ pub struct FootprintOptions {
 }
 
 impl FootprintOptions {
-    fn idle(&self) -> Duration {
-        self.duration.mul_f64(IDLE_SHARE)
-    }
-
     fn round_s(&self) -> f64 {
-        self.duration.as_secs_f64() + self.idle().as_secs_f64() + AROUND_S
+        self.duration.as_secs_f64() * (1.0 + IDLE_SHARE) + AROUND_S
     }
 }
 
@@ -73,10 +125,8 @@ impl Benchmark for FootprintOptions {
     }
 
     fn resolved(self) -> Result<Self> {
-        ensure!(
-            (LEAST..=MOST).contains(&self.duration),
-            "--duration must be 100ms to 1h"
-        );
+        let is_sound = (LEAST..=MOST).contains(&self.duration);
+        ensure!(is_sound, "--duration must be 100ms to 1h");
         Ok(if self.quick {
             Self::of_report(true)
         } else {
@@ -93,13 +143,189 @@ impl Benchmark for FootprintOptions {
         cores.stay_off();
         let realtime = may_be_realtime();
         let launch = Launch::patient(None).placed(&cores, realtime);
+        let idle = self.duration.mul_f64(IDLE_SHARE);
         let mut rounds = Vec::new();
         for round in 1..=self.rounds {
             progress.begin(&format!("daemon {round} of {}", self.rounds));
-            let (idle, tracking) = (self.idle(), self.duration);
-            rounds.push(Round::run(&launch, &cores, idle, tracking)?);
+            rounds.push(round::round(&launch, &cores, idle, self.duration)?);
             progress.advance(self.round_s());
         }
-        report::dataset(&rounds, realtime)
+        dataset(rounds, realtime)
+    }
+}
+
+fn dataset(rounds: Vec<Value>, realtime: bool) -> Result<Dataset> {
+    let how = if realtime {
+        ""
+    } else {
+        ", without SCHED_FIFO and locked memory (not granted)"
+    };
+    let count = rounds.len();
+    let title =
+        format!("What a daemon takes at 200 Hz, three sections: medians of {count} daemons{how}");
+    let (threads, programs) = (threads(&rounds), programs());
+    let mut dataset = Dataset {
+        name: "footprint",
+        heading: "What a daemon takes",
+        explanation: EXPLANATION,
+        plots: vec![Plot {
+            name: "footprint",
+            caption: "Share of one core that each thread of the daemon uses at 200 Hz, tracking (blue) and idle \
+                      (grey).",
+            svg: sheet(&[bars(&threads)], 1, 60 * threads.len() as u32 + 260)?,
+        }],
+        ..Dataset::default()
+    };
+    dataset.fact("realtime", realtime);
+    for (_, key, unit, _) in QUANTITIES {
+        let better = if unit == YES_NO {
+            Better::Higher
+        } else {
+            Better::Lower
+        };
+        let values = each(&rounds, key);
+        dataset.add_metric(Metric::new(
+            format!("footprint/{key}"),
+            unit,
+            better,
+            values,
+        ));
+    }
+    for name in threads.iter().filter_map(|thread| thread["name"].as_str()) {
+        let key = format!("threads_{name}_tracking_percent");
+        dataset.lower(
+            format!("footprint/thread/{name}/tracking"),
+            "%",
+            each(&rounds, &key),
+        );
+    }
+    for program in &programs {
+        let name = program["name"].as_str().unwrap_or_default();
+        dataset.lower(
+            format!("footprint/program/{name}"),
+            "MB",
+            number(program, "mb"),
+        );
+    }
+    let of_threads = format!("Share of a core that each thread uses{how}");
+    let of_programs = "Programs, as they were built, with line tables for backtraces";
+    dataset.sheets = vec![
+        Sheet::of(&title, &COLUMNS, figures(&rounds))
+            .key("figures")
+            .file("footprint"),
+        Sheet::of(&of_threads, &THREAD_COLUMNS, threads)
+            .key("threads")
+            .file("footprint-threads"),
+        Sheet::of(
+            of_programs,
+            &[word("program", "name"), shorted("MB", "mb")],
+            programs,
+        )
+        .key("programs")
+        .file("footprint-programs"),
+        Sheet::of("", &[], rounds).key("rounds"),
+    ];
+    Ok(dataset)
+}
+
+/// Every quantity over the rounds that measured it.
+fn figures(rounds: &[Value]) -> Vec<Value> {
+    let row = |(what, key, unit, target): (&str, &str, &str, Option<f64>)| {
+        let (middle, (least, most)) = (median(each(rounds, key))?, range(each(rounds, key))?);
+        Some(json!({
+            "what": what,
+            "key": key,
+            "unit": unit,
+            "median": middle,
+            "least": least,
+            "most": most,
+            "target": target,
+            "reached": target.map(|target| middle <= target),
+        }))
+    };
+    QUANTITIES.into_iter().filter_map(row).collect()
+}
+
+/// Medians over the rounds, the busiest thread first.
+fn threads(rounds: &[Value]) -> Vec<Value> {
+    let all = together(rounds);
+    let mut threads: Vec<(f64, Value)> = Vec::new();
+    for (name, shares) in all["threads"].as_object().into_iter().flatten() {
+        let percent = number(shares, "tracking_percent").unwrap_or(0.0);
+        let row = json!({
+            "name": name,
+            "idle_percent": shares["idle_percent"],
+            "tracking_percent": percent,
+            "tracking_us_per_cycle": 50.0 * percent,
+        });
+        threads.push((percent, row));
+    }
+    threads.sort_by(|one, other| other.0.total_cmp(&one.0));
+    threads.into_iter().map(|(_, row)| row).collect()
+}
+
+/// Names and sizes of our programs, with their debug information, as they were built.
+fn programs() -> Vec<Value> {
+    let row = |name| {
+        let bytes = std::fs::metadata(program(name).ok()?).ok()?.len();
+        Some(json!({ "name": name, "bytes": bytes, "mb": bytes as f64 / MB }))
+    };
+    ["cdcrd", "cdcrctl", "cdcr-bench"]
+        .into_iter()
+        .filter_map(row)
+        .collect()
+}
+
+/// One pair of bars for each thread, the busiest on top.
+fn bars(threads: &[Value]) -> Panel {
+    let mut curves = Vec::new();
+    for (row, line) in threads.iter().zip((1..=threads.len()).rev()) {
+        let [tracking, idle] =
+            ["tracking_percent", "idle_percent"].map(|key| number(row, key).unwrap_or(0.0));
+        let name = row["name"].as_str().unwrap_or_default();
+        let label = format!("{line}: {name} {tracking:.3} %, idle {idle:.3} %");
+        for (y, percent, label, colour) in [
+            (0.15, tracking, label, BLUE),
+            (-0.15, idle, String::new(), GREY),
+        ] {
+            let y = line as f64 + y;
+            curves
+                .push(Curve::line(label, vec![(0.0, y), (percent.max(0.0), y)], colour).width(12));
+        }
+    }
+    Panel {
+        title: "Share of a core".to_owned(),
+        x: "[%]",
+        y: "thread",
+        scale: Scale::Linear,
+        curves,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_median_of_the_rounds_is_what_a_target_is_for() {
+        let rounds = [(1.5, 4.096), (9.5, 4.096), (2.5, 4.096)].map(|(core, growth)| {
+            let threads = json!({ "a": { "tracking_percent": core, "idle_percent": 0.1 }, "b": { "tracking_percent": 2.0 } });
+            json!({ "core_tracking_percent": core, "growth_kb": growth, "page_faults": 0.0, "peak_mb": 1.0, "threads": threads })
+        });
+        let rows = figures(&rounds);
+        let says = |key: &str, numbers: [f64; 3], reached: Value| {
+            let row = rows.iter().find(|row| row["key"] == key).unwrap();
+            let found = ["median", "least", "most"].map(|name| row[name].as_f64().unwrap());
+            assert_eq!((found, &row["reached"]), (numbers, &reached), "{key}");
+        };
+        says("core_tracking_percent", [2.5, 1.5, 9.5], json!(true));
+        // 4096 bytes came while tracking: that is not none.
+        says("growth_kb", [4.096; 3], json!(false));
+        says("page_faults", [0.0; 3], json!(true));
+        says("peak_mb", [1.0; 3], json!(null));
+        assert_eq!(rows.len(), 4, "what was not measured has no row");
+        let threads = threads(&rounds);
+        assert_eq!(threads[0]["name"], "a");
+        assert_eq!(threads[0]["tracking_us_per_cycle"], 125.0);
     }
 }

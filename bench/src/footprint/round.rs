@@ -1,165 +1,214 @@
 //! One daemon from its start to its end: what it takes, idle and tracking.
 
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use cdcr_shared_types::codes::realtime;
-use serde::Serialize;
+use serde_json::{Value, json};
 
-use super::memory::{Files, Memory};
-use super::start::{Start, without_client};
+use super::start;
+use crate::dataset::joined;
 use crate::interrupt;
 use crate::subject::daemon::{Daemon, Launch};
 use crate::subject::tracking::Tracking;
 use crate::system::cores::Cores;
 use crate::system::counts::{core_share, threads};
 
+pub(super) const MB: f64 = 1e6;
 /// Between a change and what is measured after it.
 const SETTLE: Duration = Duration::from_millis(500);
 /// How long the daemon may take to send its status.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(2);
+/// Those of the real-time core.
 const CORE_THREADS: [&str; 2] = ["cdcr-cycle", "cdcr-exchange"];
 
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Round {
-    /// How long the start of one like it took, which a client looked for meanwhile.
-    pub start: Start,
-    /// Its threads; none where the kernel does not count what they use.
-    pub threads: Vec<ThreadUse>,
-    /// Whether its memory was locked, as it says itself.
-    pub memory_locked: bool,
-    /// When it said `READY=1`; no client had connected yet.
-    pub after_start: Memory,
-    pub before_client: Memory,
-    pub before_tracking: Memory,
-    pub after_tracking: Memory,
-    /// Its files in shared memory, those of the tracking client among them.
-    pub shared_memory: Files,
-    /// Its files below the root folder, those of the tracking client among them.
-    pub root: Files,
-}
-
-/// Share of one core that a thread used.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ThreadUse {
-    pub name: String,
-    /// While the robot held its position, without any client \[%\].
-    pub idle_percent: f64,
-    pub tracking_percent: f64,
-}
-
-impl Round {
-    /// Starts one daemon for the times of its start, and one that no client disturbs to measure it for so long, idle
-    /// and tracking.
-    pub fn run(launch: &Launch, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Self> {
-        let start = Start::measure(launch, cores)?;
-        let daemon = without_client(launch, cores)?;
-        let measured = measure(&daemon, cores, idle, tracking, start);
-        daemon.stop().and(measured)
-    }
-
-    /// What the real-time core spent while tracking \[%\]; not a number where the kernel does not count it.
-    pub fn core_tracking_percent(&self) -> f64 {
-        self.core(|thread| thread.tracking_percent)
-    }
-
-    pub fn core_idle_percent(&self) -> f64 {
-        self.core(|thread| thread.idle_percent)
-    }
-
-    fn core(&self, percent: fn(&ThreadUse) -> f64) -> f64 {
-        self.sum(|thread| {
-            let counts = CORE_THREADS.contains(&thread.name.as_str());
-            if counts { percent(thread) } else { 0.0 }
-        })
-    }
-
-    /// Of all threads; not a number where the kernel does not count what they use.
-    pub fn sum(&self, percent: impl Fn(&ThreadUse) -> f64) -> f64 {
-        if self.threads.is_empty() {
-            return f64::NAN;
-        }
-        self.threads.iter().map(percent).sum()
-    }
-
-    /// Resident memory that came after the start, without any client \[bytes\].
-    pub fn growth_idle_bytes(&self) -> f64 {
-        self.before_client.resident_bytes as f64 - self.after_start.resident_bytes as f64
-    }
-
-    /// Resident memory that came while the robot tracked \[bytes\].
-    pub fn growth_bytes(&self) -> f64 {
-        self.after_tracking.resident_bytes as f64 - self.before_tracking.resident_bytes as f64
-    }
-
-    /// Resident memory that came when a client connected and the robot began to follow \[bytes\].
-    pub fn growth_by_client_bytes(&self) -> f64 {
-        self.before_tracking.resident_bytes as f64 - self.before_client.resident_bytes as f64
-    }
-
-    /// Page faults of all threads while the robot tracked.
-    pub fn faults(&self) -> u64 {
-        self.after_tracking
-            .faults()
-            .saturating_sub(self.before_tracking.faults())
-    }
-}
-
-fn measure(
-    daemon: &Daemon,
+/// Starts one daemon for the times of its start, and one that no client disturbs to measure it for so long, idle and
+/// tracking. What was measured, under the keys of the quantities.
+pub(super) fn round(
+    launch: &Launch,
     cores: &Cores,
     idle: Duration,
     tracking: Duration,
-    start: Start,
-) -> Result<Round> {
+) -> Result<Value> {
+    let times = start::times(launch, cores)?;
+    let daemon = start::without_client(launch, cores)?;
+    let measured = measure(&daemon, cores, idle, tracking);
+    joined([times, daemon.stop().and(measured)?])
+}
+
+fn measure(daemon: &Daemon, cores: &Cores, idle: Duration, tracking: Duration) -> Result<Value> {
     let after_start = Memory::of(daemon.id())?;
     interrupt::sleep(SETTLE)?;
-    let idle_percent = watch(daemon, idle)?;
+    let idle = watch(daemon, idle)?;
     let before_client = Memory::of(daemon.id())?;
 
     let client = Tracking::start(daemon.location(), cores.client())?;
     interrupt::sleep(SETTLE)?;
     let before_tracking = Memory::of(daemon.id())?;
-    let tracking_percent = watch(daemon, tracking)?;
+    let tracking = watch(daemon, tracking)?;
     let after_tracking = Memory::of(daemon.id())?;
-    let shared_memory = Files::of(&daemon.place().memory_files());
-    let root = Files::below(daemon.location().root());
+    // Those of the tracking client are among them.
+    let (memory_files, stored_bytes) = files(&daemon.place().memory_files());
+    let (root_files, _) = files(&[daemon.location().root().to_owned()]);
     let status = daemon.connect()?.status(STATUS_TIMEOUT)?;
     client.stop()?;
 
-    let threads = tracking_percent.into_iter().map(|(name, percent)| {
-        let idle = idle_percent.iter().find(|(idle, _)| *idle == name);
-        ThreadUse {
-            idle_percent: idle.map_or(0.0, |(_, percent)| *percent),
-            tracking_percent: percent,
-            name,
-        }
-    });
-    Ok(Round {
-        start,
-        threads: threads.collect(),
-        // Switched off, it is not asked for either.
-        memory_locked: status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0,
-        after_start,
-        before_client,
-        before_tracking,
-        after_tracking,
-        shared_memory,
-        root,
-    })
+    let growth_kb =
+        |from: &Memory, to: &Memory| 1e-3 * (to.resident_bytes as f64 - from.resident_bytes as f64);
+    // Not a number where the kernel does not count what threads use.
+    let sum = |shares: &BTreeMap<String, f64>, names: &[&str]| {
+        let of_name =
+            |(name, _): &(&String, &f64)| names.is_empty() || names.contains(&name.as_str());
+        let all = shares.iter().filter(of_name).map(|(_, percent)| percent);
+        all.copied().reduce(|sum, percent| sum + percent)
+    };
+    let thread = |(name, percent): (&String, &f64)| {
+        let idle_percent = idle.get(name).unwrap_or(&0.0);
+        (
+            name.clone(),
+            json!({ "idle_percent": idle_percent, "tracking_percent": percent }),
+        )
+    };
+    // Switched off, it is not asked for either.
+    let is_locked = status.realtime_missing & (realtime::LOCKED | realtime::OFF) == 0;
+    let mb = |bytes: u64| bytes as f64 / MB;
+    Ok(json!({
+        "core_tracking_percent": sum(&tracking, &CORE_THREADS),
+        "resident_mb": mb(after_tracking.resident_bytes),
+        "growth_kb": growth_kb(&before_tracking, &after_tracking),
+        "page_faults": (after_tracking.page_faults - before_tracking.page_faults) as f64,
+        "resident_start_mb": mb(after_start.resident_bytes),
+        "growth_idle_kb": growth_kb(&after_start, &before_client),
+        "growth_by_client_kb": growth_kb(&before_client, &before_tracking),
+        "locked": f64::from(is_locked),
+        "core_idle_percent": sum(&idle, &CORE_THREADS),
+        "all_tracking_percent": sum(&tracking, &[]),
+        "all_idle_percent": sum(&idle, &[]),
+        "peak_mb": mb(after_tracking.peak_bytes),
+        "own_mb": mb(after_tracking.own_bytes),
+        "shared_mb": mb(after_tracking.shared_bytes),
+        "file_mb": mb(after_tracking.file_bytes),
+        "locked_mb": mb(after_tracking.locked_bytes),
+        "memory_files": memory_files as f64,
+        "memory_stored_mb": mb(stored_bytes),
+        "root_files": root_files as f64,
+        "threads": tracking.iter().map(thread).collect::<BTreeMap<_, _>>(),
+    }))
 }
 
 /// Share of a core that each thread uses in the time to come \[%\]. Threads of one name are added up.
-fn watch(daemon: &Daemon, length: Duration) -> Result<Vec<(String, f64)>> {
+fn watch(daemon: &Daemon, length: Duration) -> Result<BTreeMap<String, f64>> {
     let (before, begin) = (threads(daemon.id()), Instant::now());
     interrupt::sleep(length)?;
     let (after, passed) = (threads(daemon.id()), begin.elapsed());
-    let mut names: Vec<String> = after.iter().map(|thread| thread.name.clone()).collect();
-    names.sort();
-    names.dedup();
-    let with_percent = |name: String| {
-        let percent = 100.0 * core_share(&before, &after, &name, passed);
-        (name, percent)
+    let percent = |name: &str| 100.0 * core_share(&before, &after, name, passed);
+    let all = after
+        .iter()
+        .map(|thread| (thread.name.clone(), percent(&thread.name)));
+    Ok(all.collect())
+}
+
+/// Memory of a process at one moment, as the kernel counts it.
+struct Memory {
+    resident_bytes: u64,
+    peak_bytes: u64,
+    /// Locked, counted by address range: more than what is resident.
+    locked_bytes: u64,
+    /// Of the resident: heap and stacks, pages of files, shared memory.
+    own_bytes: u64,
+    file_bytes: u64,
+    shared_bytes: u64,
+    /// Since its start.
+    page_faults: u64,
+}
+
+impl Memory {
+    fn of(process: u32) -> Result<Self> {
+        let read = |name: &str| {
+            let file = format!("/proc/{process}/{name}");
+            fs::read_to_string(&file).with_context(|| format!("cannot read {file}"))
+        };
+        let (stat, status) = (read("stat")?, read("status")?);
+        let bytes = |key: &str| {
+            bytes_in(&status, key).with_context(|| format!("/proc/PID/status has no {key}"))
+        };
+        Ok(Self {
+            resident_bytes: bytes("VmRSS")?,
+            peak_bytes: bytes("VmHWM")?,
+            locked_bytes: bytes("VmLck")?,
+            own_bytes: bytes("RssAnon")?,
+            file_bytes: bytes("RssFile")?,
+            shared_bytes: bytes("RssShmem")?,
+            page_faults: faults_in(&stat).context("/proc/PID/stat has no faults")?,
+        })
+    }
+}
+
+/// A value of `/proc/PID/status`, which the kernel gives in units of 1024 bytes (proc(5)).
+fn bytes_in(status: &str, key: &str) -> Option<u64> {
+    let mut lines = status.lines();
+    let value = lines.find_map(|line| line.strip_prefix(key)?.strip_prefix(':'))?;
+    let kilobytes: u64 = value.split_ascii_whitespace().next()?.parse().ok()?;
+    Some(kilobytes * 1024)
+}
+
+/// The 10th and 12th number of `/proc/PID/stat`, minor and major. The 2nd is a name in brackets that may hold anything.
+fn faults_in(stat: &str) -> Option<u64> {
+    let behind_name = &stat[stat.rfind(')')? + 1..];
+    let mut numbers = behind_name.split_ascii_whitespace().skip(7).step_by(2);
+    let mut next = || numbers.next()?.parse::<u64>().ok();
+    Some(next()? + next()?)
+}
+
+/// How many files these are, folders searched, and what is really there of them \[bytes\]: pages that nobody touched
+/// take nothing.
+fn files(paths: &[PathBuf]) -> (u64, u64) {
+    use std::os::unix::fs::MetadataExt;
+    let within = |path: &Path| {
+        fs::read_dir(path)
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.path())
     };
-    Ok(names.into_iter().map(with_percent).collect())
+    let of = |path: &PathBuf| match fs::symlink_metadata(path) {
+        Ok(metadata) if metadata.is_dir() => files(&within(path).collect::<Vec<_>>()),
+        Ok(metadata) => (1, metadata.blocks() * 512),
+        Err(_) => (0, 0),
+    };
+    let all = paths.iter().map(of);
+    all.fold((0, 0), |(files, bytes), (more, their)| {
+        (files + more, bytes + their)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_is_read_as_proc_says() {
+        let ours = Memory::of(std::process::id()).unwrap();
+        let parts = ours.own_bytes + ours.file_bytes + ours.shared_bytes;
+        assert!(ours.resident_bytes > 0 && ours.resident_bytes == parts);
+        assert!(ours.peak_bytes > 0 && ours.page_faults > 0);
+        let status = "Name:\ta\nVmHWM:\t   20 kB\nVmRSS:\t   10 kB\nRssAnon:\t 0 kB\n";
+        assert_eq!(bytes_in(status, "VmRSS"), Some(10_240));
+        assert_eq!(bytes_in(status, "Vm"), None);
+        assert_eq!(faults_in("7 (a ) b) S 1 2 3 4 5 6 70 8 90 10"), Some(160));
+        assert_eq!(faults_in("7 (a"), None);
+    }
+
+    #[test]
+    fn files_below_a_folder_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::create_dir(folder.path().join("inner")).unwrap();
+        fs::write(folder.path().join("a"), [1; 10]).unwrap();
+        fs::write(folder.path().join("inner/b"), [1; 5]).unwrap();
+        let gone = folder.path().join("none");
+        assert_eq!(files(&[folder.path().to_owned(), gone]).0, 2);
+    }
 }

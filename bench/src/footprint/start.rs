@@ -2,14 +2,11 @@
 
 use std::cell::Cell;
 use std::os::unix::net::UnixDatagram;
-use std::path::Path;
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, anyhow, bail};
-use cdcr_client::{Connection, monotonic_ns};
-use serde::Serialize;
-use tempfile::TempDir;
+use anyhow::{Context, Result, ensure};
+use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
+use serde_json::{Value, json};
 
 use crate::interrupt;
 use crate::subject::daemon::{Daemon, Launch};
@@ -20,132 +17,107 @@ const TIMEOUT: Duration = Duration::from_secs(10);
 /// How often a client looks whether there is a daemon.
 const LOOK_EVERY: Duration = Duration::from_millis(1);
 
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Start {
-    /// To the first release of its grid \[ms\].
-    pub first_release_ms: f64,
-    /// To what it tells a service manager after its first good cycle (`READY=1`) \[ms\].
-    pub ready_ms: f64,
-    /// To the first record in the hands of a client that looks for the daemon each millisecond \[ms\].
-    pub first_record_ms: f64,
-}
-
-impl Start {
-    /// Starts a daemon that a client looks for from the beginning, measures how long that takes, and ends it.
-    pub(super) fn measure(launch: &Launch, cores: &Cores) -> Result<Self> {
-        let (daemon, manager, begin_ns) = spawn(launch, cores)?;
-        let found = first_record(&daemon).and_then(|found| Ok((found, manager.ready_ns()?)));
-        let (found, ready_ns) = found.map_err(|error| with_stderr_tail(error, &daemon))?;
-        daemon.stop()?;
-        let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
-        Ok(Self {
-            first_release_ms: since_ms(found.release_ns),
-            ready_ms: since_ms(ready_ns),
-            first_record_ms: since_ms(found.record_ns),
-        })
-    }
+/// Starts a daemon that a client looks for from the beginning, measures how long that takes from the start of the
+/// process, and ends it.
+pub(super) fn times(launch: &Launch, cores: &Cores) -> Result<Value> {
+    let mut client = Client::default();
+    let (daemon, begin_ns, ready_ns) = start(launch, cores, |daemon| client.looks(daemon))?;
+    let Client {
+        connection,
+        telemetry,
+        record_ns,
+    } = client;
+    let status = connection.context("the client is gone")?.status(TIMEOUT)?;
+    drop(telemetry);
+    daemon.stop()?;
+    let since_ms = |time_ns: u64| time_ns.saturating_sub(begin_ns) as f64 * 1e-6;
+    Ok(json!({
+        // To the first release of its grid.
+        "first_release_ms": since_ms(status.origin_ns + status.period_ns),
+        // To what it tells a service manager after its first good cycle (`READY=1`).
+        "ready_ms": since_ms(ready_ns),
+        // To the first record in the hands of a client that looks for the daemon each millisecond.
+        "first_record_ms": since_ms(record_ns),
+    }))
 }
 
 /// Starts a daemon and waits for its `READY=1`: no client has connected yet.
 pub(super) fn without_client(launch: &Launch, cores: &Cores) -> Result<Daemon> {
-    let (daemon, manager, _) = spawn(launch, cores)?;
-    match manager.ready_ns() {
-        Ok(_) => Ok(daemon),
-        Err(error) => Err(with_stderr_tail(error, &daemon)),
+    Ok(start(launch, cores, |_| Ok(true))?.0)
+}
+
+/// A client that waits for the first record of a daemon.
+#[derive(Default)]
+struct Client {
+    connection: Option<Connection>,
+    telemetry: Option<TelemetryStream>,
+    record_ns: u64,
+}
+
+impl Client {
+    /// Whether it has seen a record.
+    fn looks(&mut self, daemon: &Daemon) -> Result<bool> {
+        if self.record_ns > 0 {
+            return Ok(true);
+        }
+        if self.connection.is_none() {
+            self.connection = Connection::open(daemon.location(), ROBOT).ok();
+        }
+        if let (Some(connection), None) = (&self.connection, &self.telemetry) {
+            self.telemetry = Some(connection.telemetry()?);
+        }
+        if let Some(telemetry) = &mut self.telemetry
+            && telemetry.try_next()?.is_some()
+        {
+            self.record_ns = monotonic_ns();
+        }
+        Ok(self.record_ns > 0)
     }
 }
 
-/// A daemon under a service manager, and when its start began \[ns\].
-fn spawn(launch: &Launch, cores: &Cores) -> Result<(Daemon, Manager, u64)> {
+/// A daemon under a service manager, that has said `READY=1` and done for a client what that waits for; when its start
+/// began, and when it was ready \[ns\].
+fn start(
+    launch: &Launch,
+    cores: &Cores,
+    mut has_served: impl FnMut(&Daemon) -> Result<bool>,
+) -> Result<(Daemon, u64, u64)> {
     let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
     let folder = folder.context("a folder for temporary files")?;
     let path = folder.path().join("notify");
-    let manager = Manager::listen(&path, folder)?;
+    let manager = UnixDatagram::bind(&path).context("a socket for READY=1")?;
+    // Waiting for the message is the pause between two looks of the client.
+    manager.set_read_timeout(Some(LOOK_EVERY))?;
     let begin_ns = Cell::new(0);
     let daemon = Daemon::start_with(launch, cores, |command| {
         command.env("NOTIFY_SOCKET", path);
         begin_ns.set(monotonic_ns());
     })?;
-    Ok((daemon, manager, begin_ns.get()))
-}
-
-fn with_stderr_tail(error: anyhow::Error, daemon: &Daemon) -> anyhow::Error {
-    let words = daemon.stderr_tail();
-    error.context(format!("the daemon does not start{words}"))
-}
-
-struct Found {
-    /// When the first cycle of the daemon was released \[ns\].
-    release_ns: u64,
-    record_ns: u64,
-}
-
-/// Looks for the daemon until it is there.
-fn first_record(daemon: &Daemon) -> Result<Found> {
     let deadline = Instant::now() + TIMEOUT;
-    let connection = loop {
+    let (mut ready_ns, mut is_served, mut message) = (0, false, [0; 4096]);
+    while ready_ns == 0 || !is_served {
         interrupt::check()?;
-        match Connection::open(daemon.location(), ROBOT) {
-            Ok(connection) => break connection,
-            Err(error) if Instant::now() >= deadline => return Err(error.into()),
-            Err(_) => std::thread::sleep(LOOK_EVERY),
+        let missing = if ready_ns == 0 { "READY=1" } else { "a record" };
+        ensure!(
+            Instant::now() < deadline,
+            "the daemon does not start: no {missing} within {TIMEOUT:?}{}",
+            daemon.stderr_tail()
+        );
+        if let Ok(length) = manager.recv(&mut message)
+            && ready_ns == 0
+            && says_ready(&message[..length])
+        {
+            ready_ns = monotonic_ns();
         }
-    };
-    let record = connection.telemetry()?.next_within(TIMEOUT)?;
-    record.context("it sends no record")?;
-    let record_ns = monotonic_ns();
-    let status = connection.status(TIMEOUT)?;
-    Ok(Found {
-        release_ns: status.origin_ns + status.period_ns,
-        record_ns,
-    })
-}
-
-/// A service manager that waits for a `READY=1`.
-struct Manager {
-    _folder: TempDir,
-    thread: JoinHandle<Result<u64>>,
-}
-
-impl Manager {
-    fn listen(path: &Path, folder: TempDir) -> Result<Self> {
-        let socket = UnixDatagram::bind(path)
-            .with_context(|| format!("cannot listen at {}", path.display()))?;
-        socket.set_read_timeout(Some(Duration::from_millis(100)))?;
-        let thread = std::thread::spawn(move || hear(&socket));
-        Ok(Self {
-            _folder: folder,
-            thread,
-        })
+        is_served = has_served(&daemon)?;
     }
-
-    fn ready_ns(self) -> Result<u64> {
-        let heard = self.thread.join();
-        heard.map_err(|_| anyhow!("the service manager panicked"))?
-    }
-}
-
-fn hear(socket: &UnixDatagram) -> Result<u64> {
-    let deadline = Instant::now() + TIMEOUT;
-    let mut message = [0; 4096];
-    while Instant::now() < deadline {
-        interrupt::check()?;
-        // Nothing came: a look at the clock, and again.
-        let Ok(length) = socket.recv(&mut message) else {
-            continue;
-        };
-        if says_ready(&message[..length]) {
-            return Ok(monotonic_ns());
-        }
-    }
-    bail!("it did not say READY=1 within {} s", TIMEOUT.as_secs())
+    Ok((daemon, begin_ns.get(), ready_ns))
 }
 
 /// Whether one of the lines is `READY=1` (`sd_notify(3)`).
 fn says_ready(message: &[u8]) -> bool {
-    message
-        .split(|byte| *byte == b'\n')
-        .any(|line| line == b"READY=1")
+    let mut lines = message.split(|byte| *byte == b'\n');
+    lines.any(|line| line == b"READY=1")
 }
 
 #[cfg(test)]

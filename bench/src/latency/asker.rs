@@ -3,7 +3,7 @@
 
 use anyhow::{Context, Result, ensure};
 use cdcr_client::monotonic_ns;
-use cdcr_shared_types::codes::RequestKind;
+use cdcr_shared_types::codes::{Outcome, RequestKind};
 use cdcr_shared_types::{Header, Location, Request, Response, Service, ipc};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
@@ -33,9 +33,19 @@ struct Asked {
 pub(super) struct Answer {
     pub(super) kind: RequestKind,
     pub(super) sequence: u64,
-    pub(super) sent_ns: u64,
     pub(super) received_ns: u64,
-    pub(super) response: Response,
+    pub(super) outcome: u32,
+}
+
+impl Answer {
+    pub(super) fn accepted(&self) -> Result<()> {
+        let (kind, outcome) = (self.kind, Outcome::text_of(self.outcome));
+        ensure!(
+            self.outcome == Outcome::Accepted.code(),
+            "cannot {kind}: {outcome}"
+        );
+        Ok(())
+    }
 }
 
 impl Asker {
@@ -63,17 +73,13 @@ impl Asker {
         })
     }
 
-    pub(super) fn sender_id(&self) -> u64 {
-        self.sender_id
-    }
-
     /// When the request was sent that has no answer yet.
     pub(super) fn waits_since_ns(&self) -> Option<u64> {
         self.waiting.as_ref().map(|asked| asked.sent_ns)
     }
 
-    /// Sends a request; one at a time.
-    pub(super) fn ask(&mut self, kind: RequestKind) -> Result<()> {
+    /// Sends a request; one at a time. Its sequence and stamp.
+    pub(super) fn ask(&mut self, kind: RequestKind) -> Result<(u64, u64)> {
         ensure!(
             self.waiting.is_none(),
             "a request was sent before the one before was answered"
@@ -96,7 +102,7 @@ impl Asker {
             sequence: self.sequence,
             sent_ns,
         });
-        Ok(())
+        Ok((self.sequence, sent_ns))
     }
 
     pub(super) fn look(&mut self) -> Result<Option<Answer>> {
@@ -120,9 +126,8 @@ impl Asker {
         Ok(Some(Answer {
             kind: asked.kind,
             sequence: asked.sequence,
-            sent_ns: asked.sent_ns,
             received_ns,
-            response,
+            outcome: response.outcome,
         }))
     }
 }

@@ -85,10 +85,10 @@ pub(super) struct Seen<'a> {
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize, derive_more::AddAssign)]
-pub struct Looks {
-    pub all: u64,
+pub(super) struct Looks {
+    all: u64,
     /// The command was there before its first look.
-    pub late: u64,
+    late: u64,
 }
 
 pub(super) struct Hands {

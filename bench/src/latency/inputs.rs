@@ -1,26 +1,46 @@
-//! Something is sent → the first command that uses it is in the client's hands.
+//! Something is sent → the first command that uses it, or the answer to it, is in the client's hands.
+//!
+//! The exchange answers a renewal of the lease in the gather that takes it; the cycle decides a request
+//! about the mode, and the exchange answers it after the command of that cycle has left. The daemon's last look,
+//! between the gather and the release, takes requests, too: then `grid` is 0 for a request to track, and
+//! `machinery` is the whole; a renewal of the lease has waited until that look.
 
 use std::collections::VecDeque;
 
 use anyhow::{Result, ensure};
 use cdcr_client::{Driver, ObstacleSender, ReferenceFeed, events, monotonic_ns};
 use cdcr_shared_types::codes::{
-    EventKind, MeasurementKind, MeasurementState, Mode, Outcome, Reason,
+    EventKind, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
 };
-use cdcr_shared_types::{Command, InputEvent, Measurement, Obstacle, Telemetry};
+use cdcr_shared_types::{Command, Measurement, Obstacle, Telemetry};
 
+use super::asker::Asker;
 use super::hands::{Errand, Grid, Hands, Seen};
 use super::leg::{Leg, Way};
-use super::phase::Phases;
 use super::round::{Passage, Round};
 use super::scene;
 
 /// So many of each kind are sent before one counts: ports map memory, caches fill.
 pub(super) const WARM_UP: usize = 10;
-/// Releases until a daemon must know the robot of its driver.
-const AWAKE_TURNS: u64 = 2000;
 /// What was sent so long ago and has shown no effect never will \[ns\].
 const FORGOTTEN_NS: u64 = 1_000_000_000;
+/// Fractional part of the golden ratio: its multiples fill the circle more evenly than those of any other
+/// number, however many of them are taken.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
+/// Moments that are spread evenly over the period.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(super) struct Phases {
+    taken: u32,
+}
+
+impl Phases {
+    /// The next one, as a part of `period_ns`.
+    pub(super) fn next_ns(&mut self, period_ns: u64) -> u64 {
+        self.taken += 1;
+        ((f64::from(self.taken) * GOLDEN).fract() * period_ns as f64) as u64
+    }
+}
 
 pub(super) enum Source {
     /// A reference chunk that replaces the one before.
@@ -37,33 +57,8 @@ pub(super) enum Source {
         driver: Box<Driver>,
         sections: u32,
     },
-}
-
-#[derive(Debug, Clone, Copy)]
-struct Sent {
-    sequence: u64,
-    stamp_ns: u64,
-    counts: bool,
-}
-
-/// One source, and what became of what it sent.
-struct Line {
-    source: Source,
-    sent: VecDeque<Sent>,
-    count: usize,
-    recorded: usize,
-}
-
-/// Sends from each source in turn, each second period, at phases spread over the period.
-pub(super) struct Inputs {
-    lines: Vec<Line>,
-    gap: u64,
-    grid: Grid,
-    sender_id: u64,
-    samples: usize,
-    phases: Phases,
-    turn: usize,
-    due_ns: u64,
+    /// A request that changes nothing while the robot follows: to renew the lease, or to track.
+    Request(RequestKind),
 }
 
 impl Source {
@@ -72,11 +67,18 @@ impl Source {
             Self::Reference { .. } => Way::REFERENCE,
             Self::Obstacle { .. } => Way::OBSTACLE,
             Self::Measurement { .. } => Way::MEASUREMENT,
+            Self::Request(RequestKind::Track) => Way::TRACK,
+            Self::Request(_) => Way::LEASE,
         }
     }
 
     /// Sends the message number `index`. Its sequence and stamp.
-    fn send(&self, index: u32, newest: Option<&Command>) -> Result<(u64, u64)> {
+    pub(super) fn send(
+        &self,
+        index: u32,
+        newest: Option<&Command>,
+        asker: Option<&mut Asker>,
+    ) -> Result<(u64, u64)> {
         let header = match self {
             Self::Reference { feed, length_m } => {
                 scene::send(feed, scene::on_circle(index, *length_m))?
@@ -99,91 +101,139 @@ impl Source {
                 })?;
                 return Ok((header.sequence, measured_ns));
             }
+            Self::Request(kind) => {
+                ensure!(asker.is_some(), "nobody asks");
+                return asker.map_or(Ok((0, 0)), |asker| asker.ask(*kind));
+            }
         };
         Ok((header.sequence, header.sent_ns))
     }
 
-    fn event_kind(&self) -> Option<EventKind> {
+    /// The event that a record tells of it, and its detail.
+    fn event(&self) -> Option<(EventKind, Option<RequestKind>)> {
         match self {
-            Self::Reference { .. } => Some(EventKind::Reference),
-            Self::Obstacle { .. } => Some(EventKind::Obstacles),
+            Self::Reference { .. } => Some((EventKind::Reference, None)),
+            Self::Obstacle { .. } => Some((EventKind::Obstacles, None)),
             Self::Measurement { .. } => None,
+            Self::Request(kind) => Some((EventKind::Request, Some(*kind))),
         }
     }
 }
 
-impl Line {
-    fn new(source: Source) -> Self {
-        Self {
-            source,
-            sent: VecDeque::new(),
-            count: 0,
-            recorded: 0,
-        }
-    }
+#[derive(Debug, Clone, Copy)]
+struct Sent {
+    sequence: u64,
+    stamp_ns: u64,
+    counts: bool,
+    /// When it was answered.
+    received_ns: Option<u64>,
+}
 
-    fn send(&mut self, newest: Option<&Command>) -> Result<()> {
-        let (sequence, stamp_ns) = self.source.send(self.count as u32, newest)?;
+/// One source, and what became of what it sent.
+struct Line {
+    source: Source,
+    sent: VecDeque<Sent>,
+    count: usize,
+    recorded: usize,
+}
+
+impl Line {
+    fn send(&mut self, newest: Option<&Command>, asker: Option<&mut Asker>) -> Result<()> {
+        let (sequence, stamp_ns) = self.source.send(self.count as u32, newest, asker)?;
         self.count += 1;
         self.sent.push_back(Sent {
             sequence,
             stamp_ns,
             counts: self.count > WARM_UP,
+            received_ns: None,
         });
-        let is_forgotten = |sent: &Sent| sent.stamp_ns + FORGOTTEN_NS < stamp_ns;
-        while self.sent.front().is_some_and(is_forgotten) {
-            self.sent.pop_front();
-        }
+        self.sent
+            .retain(|sent| sent.stamp_ns + FORGOTTEN_NS >= stamp_ns);
         Ok(())
+    }
+
+    fn remove(&mut self, is_it: impl Fn(&Sent) -> bool) -> Option<Sent> {
+        let at = self.sent.iter().position(is_it)?;
+        self.sent.remove(at)
     }
 
     /// What the record says of the messages of this line, with the gather that took each.
     fn taken(&mut self, sender_id: u64, record: &Telemetry) -> Result<Vec<(Sent, u64)>> {
-        let Some(kind) = self.source.event_kind() else {
-            return Ok(self.measured(record).into_iter().collect());
+        let Some((kind, request)) = self.source.event() else {
+            // The measurement that the record's cycle used for the first time.
+            let is_used = record.measurement_state == MeasurementState::Used.code();
+            let measured_ns = record.measurement.measured_ns;
+            let sent = self.remove(|sent| is_used && sent.stamp_ns == measured_ns);
+            return Ok(sent
+                .map(|sent| (sent, record.gather_ns))
+                .into_iter()
+                .collect());
         };
-        let is_ours =
-            |event: &&InputEvent| event.kind == kind.code() && event.sender_id == sender_id;
         let mut taken = Vec::new();
-        for event in events(record).iter().filter(is_ours) {
+        for event in events(record) {
+            let is_ours = event.kind == kind.code()
+                && event.sender_id == sender_id
+                && request.is_none_or(|request| event.detail == request.code());
+            let Some(sent) = self.remove(|sent| is_ours && sent.sequence == event.sequence) else {
+                continue;
+            };
             ensure!(
                 event.outcome == Outcome::Accepted.code(),
                 "the daemon refused what the bench sent ({}): {}",
                 kind.text(),
                 Outcome::text_of(event.outcome)
             );
-            let at = self
-                .sent
-                .iter()
-                .position(|sent| sent.sequence == event.sequence);
-            let sent = at.and_then(|at| self.sent.remove(at));
-            taken.extend(sent.map(|sent| (sent, event.judged_ns)));
+            let is_of_cycle = request == Some(RequestKind::Track);
+            let gather_ns = if is_of_cycle {
+                record.gather_ns
+            } else {
+                event.judged_ns
+            };
+            taken.push((sent, gather_ns));
         }
         Ok(taken)
     }
-
-    /// The measurement that the record's cycle used for the first time.
-    fn measured(&mut self, record: &Telemetry) -> Option<(Sent, u64)> {
-        if record.measurement_state != MeasurementState::Used.code() {
-            return None;
-        }
-        let measured_ns = record.measurement.measured_ns;
-        let at = self
-            .sent
-            .iter()
-            .position(|sent| sent.stamp_ns == measured_ns)?;
-        self.sent.remove(at).map(|sent| (sent, record.gather_ns))
-    }
 }
 
-impl Inputs {
+/// Sends from each source in turn, at phases spread over the period.
+pub(super) struct Inputs<'a> {
+    lines: Vec<Line>,
+    /// Of requests, one at a time.
+    asker: Option<&'a mut Asker>,
+    /// Periods from one message to the next.
+    gap: u64,
+    grid: Grid,
+    sender_id: u64,
+    samples: usize,
+    phases: Phases,
+    turn: usize,
+    due_ns: u64,
+}
+
+impl<'a> Inputs<'a> {
     /// `samples` of each source that count.
-    pub(super) fn new(hands: &Hands, sources: Vec<Source>, samples: usize) -> Self {
-        let grid = hands.grid;
+    pub(super) fn new(
+        hands: &Hands,
+        sources: Vec<Source>,
+        asker: Option<&'a mut Asker>,
+        samples: usize,
+    ) -> Self {
+        let line = |source| Line {
+            source,
+            sent: VecDeque::new(),
+            count: 0,
+            recorded: 0,
+        };
         let mut inputs = Self {
-            gap: 2 / sources.len().clamp(1, 2) as u64,
-            lines: sources.into_iter().map(Line::new).collect(),
-            grid,
+            // Of every source a message each second period.
+            gap: if asker.is_some() || sources.len() == 1 {
+                2
+            } else {
+                1
+            },
+            lines: sources.into_iter().map(line).collect(),
+            asker,
+            grid: hands.grid,
             sender_id: hands.connection.sender_id(),
             samples,
             phases: Phases::default(),
@@ -195,34 +245,63 @@ impl Inputs {
     }
 
     fn plan(&mut self) {
-        let now_ns = monotonic_ns();
         let planned = self.grid.cycle_at(self.due_ns) + self.gap;
-        let cycle = planned.max(self.grid.cycle_at(now_ns) + 1);
+        let cycle = planned.max(self.grid.cycle_at(monotonic_ns()) + 1);
         self.due_ns = self.grid.release_ns(cycle) + self.phases.next_ns(self.grid.period_ns);
+    }
+
+    fn waits_since_ns(&self) -> Option<u64> {
+        self.asker.as_ref()?.waits_since_ns()
     }
 }
 
-impl Errand for Inputs {
+impl Errand for Inputs<'_> {
+    fn awake_before_ns(&self, grid: &Grid) -> u64 {
+        // An answer may come as soon as the inputs are gathered.
+        grid.early_ns() + self.asker.as_ref().map_or(0, |_| grid.lead_ns)
+    }
+
     fn due_ns(&self) -> u64 {
-        self.due_ns
+        // A daemon that was late answers first.
+        self.waits_since_ns().map_or(self.due_ns, |_| u64::MAX)
     }
 
     fn act(&mut self, newest: Option<&Command>) -> Result<()> {
         let line = self.turn % self.lines.len();
-        self.lines[line].send(newest)?;
+        self.lines[line].send(newest, self.asker.as_deref_mut())?;
         self.turn += 1;
         self.plan();
         Ok(())
     }
 
-    fn look(&mut self, _release_ns: u64) -> Result<bool> {
+    fn look(&mut self, release_ns: u64) -> Result<bool> {
+        let Some(answer) = self
+            .asker
+            .as_mut()
+            .map(|asker| asker.look())
+            .transpose()?
+            .flatten()
+        else {
+            // The gather may come late, and take what was sent until shortly before the release.
+            return Ok(self
+                .waits_since_ns()
+                .is_none_or(|sent_ns| sent_ns >= release_ns));
+        };
+        answer.accepted()?;
+        let mut all = self.lines.iter_mut().flat_map(|line| &mut line.sent);
+        if let Some(sent) = all.find(|sent| sent.sequence == answer.sequence) {
+            sent.received_ns = Some(answer.received_ns);
+        }
         Ok(true)
     }
 
     fn seen(&mut self, cycle: &Seen<'_>, round: &mut Round) -> Result<()> {
         let record = cycle.record;
         let follows = record.mode == Mode::Tracking.code();
+        let mut is_simulated = true;
         for line in &mut self.lines {
+            let is_asked = matches!(line.source, Source::Request(_));
+            is_simulated &= line.source.event().is_some() && !is_asked && line.count > WARM_UP;
             let taken = line.taken(self.sender_id, record)?;
             for (sent, gather_ns) in taken.into_iter().filter(|(sent, _)| sent.counts) {
                 ensure!(
@@ -230,9 +309,14 @@ impl Errand for Inputs {
                     "the robot no longer follows its reference: {}",
                     Reason::text_of(record.reason)
                 );
+                let received_ns = if is_asked {
+                    sent.received_ns
+                } else {
+                    cycle.received_ns
+                };
                 // A command that never came, because the client was away too long, is no latency.
-                let Some(received_ns) = cycle.received_ns else {
-                    round.unmeasured.without_command += 1;
+                let Some(received_ns) = received_ns else {
+                    round.unmeasured.without_command += u64::from(!is_asked);
                     continue;
                 };
                 line.recorded += 1;
@@ -244,21 +328,15 @@ impl Errand for Inputs {
                 round.record_way(line.source.way(), &passage);
             }
         }
-        let counts = self.lines.iter().all(|line| line.count > WARM_UP);
-        if counts
-            && follows
-            && self
-                .lines
-                .iter()
-                .any(|line| line.source.event_kind().is_some())
-        {
+        if is_simulated && follows {
             record_command(cycle, round);
         }
         Ok(())
     }
 
     fn is_done(&self) -> bool {
-        self.lines.iter().all(|line| line.recorded >= self.samples)
+        let mut lines = self.lines.iter();
+        lines.all(|line| line.recorded >= self.samples) && self.waits_since_ns().is_none()
     }
 
     fn turns(&self) -> u64 {
@@ -281,54 +359,21 @@ fn record_command(cycle: &Seen<'_>, round: &mut Round) {
     }
 }
 
-/// Measures until the daemon knows the robot and holds it.
-pub(super) struct Awakening {
-    source: Source,
-    due_ns: u64,
-    period_ns: u64,
-    is_awake: bool,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl Awakening {
-    pub(super) fn new(source: Source, grid: &Grid) -> Self {
-        Self {
-            source,
-            due_ns: 0,
-            period_ns: grid.period_ns,
-            is_awake: false,
+    #[test]
+    fn every_tenth_of_the_period_gets_its_share() {
+        let mut phases = Phases::default();
+        let mut tenths = [0; 10];
+        for _ in 0..200 {
+            tenths[phases.next_ns(10) as usize] += 1;
         }
-    }
-
-    pub(super) fn into_source(self) -> Source {
-        self.source
-    }
-}
-
-impl Errand for Awakening {
-    fn due_ns(&self) -> u64 {
-        self.due_ns
-    }
-
-    fn act(&mut self, newest: Option<&Command>) -> Result<()> {
-        self.source.send(0, newest)?;
-        self.due_ns = monotonic_ns() + self.period_ns;
-        Ok(())
-    }
-
-    fn look(&mut self, _release_ns: u64) -> Result<bool> {
-        Ok(true)
-    }
-
-    fn seen(&mut self, cycle: &Seen<'_>, _round: &mut Round) -> Result<()> {
-        self.is_awake |= cycle.record.mode == Mode::Holding.code();
-        Ok(())
-    }
-
-    fn is_done(&self) -> bool {
-        self.is_awake
-    }
-
-    fn turns(&self) -> u64 {
-        AWAKE_TURNS
+        let shares = 18..=22;
+        assert!(
+            tenths.iter().all(|count| shares.contains(count)),
+            "{tenths:?}"
+        );
     }
 }

@@ -23,10 +23,7 @@ mod asker;
 mod hands;
 mod inputs;
 mod leg;
-mod phase;
-mod plots;
 mod report;
-mod requests;
 mod round;
 mod scene;
 mod stops;
@@ -38,7 +35,8 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use cdcr_client::monotonic_ns;
 use cdcr_shared_types::Location;
-use cdcr_shared_types::codes::{Interface, realtime};
+use cdcr_shared_types::codes::{Interface, RequestKind, realtime};
+use serde_json::{Value, json};
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
@@ -49,11 +47,9 @@ use crate::system::cores::Cores;
 use crate::system::thread::{WATCHER_PRIORITY, may_be_realtime, pin, set_fifo};
 use asker::Asker;
 use hands::Hands;
-pub use hands::Looks;
-use inputs::{Awakening, Inputs, Source};
+use hands::Looks;
+use inputs::{Inputs, Source};
 pub use leg::Leg;
-pub use report::Setting;
-use requests::Requests;
 pub use round::{Round, Sampled, Unmeasured};
 use stops::Stops;
 
@@ -162,26 +158,22 @@ impl Benchmark for LatencyOptions {
             may_be_realtime: may_be_realtime(),
         };
         let began_ns = monotonic_ns();
-        let mut rounds = Vec::new();
-        let mut setting = bench.setting();
+        let (mut rounds, mut daemon) = (Vec::new(), OfDaemon::default());
         for number in 1..=self.rounds {
             let mut round = Round::new(began_ns)?;
             for (part, seconds) in Part::ALL.into_iter().zip(seconds(self)) {
-                progress.begin(&format!(
-                    "round {number} of {}, {}",
-                    self.rounds,
-                    part.name()
-                ));
+                let (all, part_name) = (self.rounds, part.name());
+                progress.begin(&format!("round {number} of {all}, {part_name}"));
                 match part {
                     Part::Bare => baseline::measure(&bench.cores, self.bare(), &mut round)?,
-                    Part::Simulated => bench.simulated(&mut round, &mut setting)?,
-                    Part::Driven => bench.driven(&mut round, &mut setting)?,
+                    Part::Simulated => bench.simulated(&mut round, &mut daemon)?,
+                    Part::Driven => bench.driven(&mut round, &mut daemon)?,
                 }
                 progress.advance(seconds);
             }
             rounds.push(round);
         }
-        report::dataset(&setting, &rounds)
+        report::dataset(&bench.title(&daemon), bench.setting(&daemon), &rounds)
     }
 }
 
@@ -216,7 +208,7 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn simulated(&self, round: &mut Round, setting: &mut Setting) -> Result<()> {
+    fn simulated(&self, round: &mut Round, daemon: &mut OfDaemon) -> Result<()> {
         let samples = self.options.samples();
         self.with_daemon("simulated", |location| {
             let mut hands = Hands::open(location)?;
@@ -229,23 +221,24 @@ impl Bench<'_> {
                 sender: hands.connection.obstacle_sender()?,
                 length_m,
             };
-            let mut inputs = Inputs::new(&hands, vec![reference, obstacle], samples);
+            let mut inputs = Inputs::new(&hands, vec![reference, obstacle], None, samples);
             hands.run(&mut inputs, round)?;
             drop(inputs);
 
-            let asker = Asker::open(location, hands.connection.sender_id())?;
-            let mut requests = Requests::new(&hands, asker, samples);
+            let mut asker = Asker::open(location, hands.connection.sender_id())?;
+            let requests = [RequestKind::AcquireLease, RequestKind::Track].map(Source::Request);
+            let mut requests = Inputs::new(&hands, requests.into(), Some(&mut asker), samples);
             hands.run(&mut requests, round)?;
 
-            let (feed, asker) = (hands.connection.reference_feed()?, requests.into_asker());
-            let mut stops = Stops::new(&hands, feed, asker, self.options.stops())?;
+            let feed = hands.connection.reference_feed()?;
+            let mut stops = Stops::new(&hands, feed, &mut asker, self.options.stops())?;
             hands.run(&mut stops, round)?;
-            setting.add(&hands);
+            daemon.add(&hands);
             Ok(())
         })
     }
 
-    fn driven(&self, round: &mut Round, setting: &mut Setting) -> Result<()> {
+    fn driven(&self, round: &mut Round, daemon: &mut OfDaemon) -> Result<()> {
         let samples = self.options.samples();
         self.with_daemon("driver", |location| {
             let mut hands = Hands::open(location)?;
@@ -253,12 +246,11 @@ impl Bench<'_> {
                 driver: Box::new(hands.connection.driver(Interface::Velocity)?),
                 sections: hands.status.robot.sections,
             };
-            let mut awakening = Awakening::new(measurement, &hands.grid);
-            hands.run(&mut awakening, round)?;
+            scene::awaken(&hands, &measurement)?;
             let _feed = scene::follow(&hands)?;
-            let mut inputs = Inputs::new(&hands, vec![awakening.into_source()], samples);
+            let mut inputs = Inputs::new(&hands, vec![measurement], None, samples);
             hands.run(&mut inputs, round)?;
-            setting.add(&hands);
+            daemon.add(&hands);
             Ok(())
         })
     }
@@ -289,29 +281,51 @@ impl Bench<'_> {
         daemon.stop()
     }
 
-    fn setting(&self) -> Setting {
-        Setting {
-            rounds: self.options.rounds as usize,
-            samples: self.options.samples(),
-            stops: self.options.stops(),
-            period_us: 0.0,
-            gather_lead_us: 0.0,
-            realtime: true,
-            client_realtime: self.may_be_realtime,
-            realtime_core: self.cores.realtime,
-            client_core: self.cores.client(),
-            looks: Looks::default(),
-        }
+    fn title(&self, daemon: &OfDaemon) -> String {
+        let threads = match (daemon.refused, self.may_be_realtime) {
+            (false, true) => "SCHED_FIFO",
+            (false, false) => "SCHED_FIFO for the daemon alone",
+            (true, _) => "no real-time threads: not granted",
+        };
+        let (period_ms, lead_us) = (daemon.period_us * 1e-3, daemon.gather_lead_us);
+        format!(
+            "Latencies of messages, period {period_ms:.1} ms, gather {lead_us:.0} µs before the release, {threads}"
+        )
+    }
+
+    fn setting(&self, daemon: &OfDaemon) -> Value {
+        json!({
+            "rounds": self.options.rounds,
+            "samples": self.options.samples(),
+            "stops": self.options.stops(),
+            "period_us": daemon.period_us,
+            "gather_lead_us": daemon.gather_lead_us,
+            "realtime": !daemon.refused,
+            "client_realtime": self.may_be_realtime,
+            "realtime_core": self.cores.realtime,
+            "client_core": self.cores.client(),
+            "looks": daemon.looks,
+        })
     }
 }
 
-impl Setting {
-    /// What a daemon told of itself, and how its client did.
+/// What the daemons told of themselves, and how their client did.
+#[derive(Default)]
+struct OfDaemon {
+    period_us: f64,
+    /// How long before a release the daemon gathers, as its records show \[µs\].
+    gather_lead_us: f64,
+    /// Whether one of them lacked real time.
+    refused: bool,
+    looks: Looks,
+}
+
+impl OfDaemon {
     fn add(&mut self, hands: &Hands) {
         let (grid, missing) = (&hands.grid, hands.status.realtime_missing);
         self.period_us = grid.period_ns as f64 * 1e-3;
         self.gather_lead_us = self.gather_lead_us.max(grid.lead_ns as f64 * 1e-3);
-        self.realtime &= missing & (realtime::FIFO | realtime::OFF) == 0;
+        self.refused |= missing & (realtime::FIFO | realtime::OFF) != 0;
         self.looks += hands.looks;
     }
 }

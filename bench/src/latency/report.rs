@@ -2,15 +2,16 @@
 
 use anyhow::Result;
 use hdrhistogram::Histogram;
-use serde::Serialize;
-use serde_json::{Value, json, to_value};
+use serde_json::{Value, json};
 
-use super::hands::Looks;
 use super::leg::Leg;
-use super::plots;
-use super::round::{Round, Unmeasured};
-use crate::chart::sheet;
-use crate::dataset::{Column, Dataset, Plot, Recording, Sheet, fixed, plain, word};
+use super::round::{Round, Sampled, Unmeasured};
+use crate::chart::{
+    BLUE, Curve, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, sheet,
+};
+use crate::dataset::{
+    Column, Dataset, Plot, Recording, Sheet, each, fixed, number, plain, together, word,
+};
 use crate::metric::{median, range};
 use crate::quantiles::{Quantiles, quantile_us};
 
@@ -19,6 +20,8 @@ const STOP_MARGIN_US: f64 = 100.0;
 /// Values without which a 99th percentile is no more than the largest of them.
 const VALUES_OF_P99: u64 = 100;
 const VALUES_OF_P999: u64 = 1000;
+/// Points of a curve at most.
+const POINTS: i32 = 200;
 
 const EXPLANATION: &str = "<p>A client on another core sends references, obstacles, measurements, requests and stops at times that \
          are spread evenly over the period, and has every command in its hands as soon as it is there.</p>\
@@ -32,6 +35,9 @@ const RATIOS: [(Leg, Leg); 3] = [
     (Leg::CommandHandover, Leg::BareOneWay),
     (Leg::LeaseMachinery, Leg::BareRequest),
 ];
+
+/// The legs that a stop's bound is asked of.
+const BOUND: [Leg; 2] = [Leg::StopZeroHandover, Leg::StopZeroCommand];
 
 const COLUMNS: [Column; 9] = [
     word("way", "leg"),
@@ -72,193 +78,136 @@ const UNMEASURED_COLUMNS: [Column; 4] = [
     ),
 ];
 
-#[derive(Debug, Clone, Serialize)]
-pub struct Setting {
-    pub rounds: usize,
-    pub samples: usize,
-    pub stops: usize,
-    pub period_us: f64,
-    /// How long before a release the daemon gathers, as its records show \[µs\].
-    pub gather_lead_us: f64,
-    pub realtime: bool,
-    pub client_realtime: bool,
-    pub realtime_core: usize,
-    pub client_core: usize,
-    pub looks: Looks,
-}
-
-#[derive(Debug, Clone, Serialize)]
-struct LegRow {
-    leg: Leg,
-    from: &'static str,
-    to: &'static str,
-    samples: u64,
-    latency_us: Quantiles,
-    rounds_us: Quantiles,
-    #[serde(skip)]
-    fewest: u64,
-}
-
-pub(super) fn dataset(setting: &Setting, rounds: &[Round]) -> Result<Dataset> {
-    let rows = Leg::ALL.iter().filter_map(|leg| row(*leg, rounds));
-    let rows: Vec<LegRow> = rows.collect();
-    let ratios = RATIOS.into_iter().filter_map(|pair| ratio(pair, rounds));
-    let ratios: Vec<Value> = ratios.collect();
-    let limit_us = setting.period_us + STOP_MARGIN_US;
-    let stops = rows.iter().filter(|row| is_bound(row.leg));
-    let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
-    let mut unmeasured = Unmeasured::default();
-    for round in rounds {
-        unmeasured += round.unmeasured;
-    }
-    let shown: Vec<Value> = rows.iter().map(shown).collect::<Result<_>>()?;
-    let counts = json!({ "looks": setting.looks, "unmeasured": unmeasured });
+/// Of all rounds, under this title, with how they were measured.
+pub(super) fn dataset(title: &str, setting: Value, rounds: &[Round]) -> Result<Dataset> {
+    let limit_us = number(&setting, "period_us").unwrap_or(f64::NAN) + STOP_MARGIN_US;
     let mut dataset = Dataset {
         name: "latency",
         heading: "Latency: how long messages take",
         explanation: EXPLANATION,
-        sheets: vec![
-            Sheet::new(&shown)?.table(setting.title(), &COLUMNS),
-            Sheet::new(&ratios)?.key("ratios").table(
-                "Beside iceoryx2 alone: ratio of the medians",
-                &RATIO_COLUMNS,
-            ),
-            Sheet::new(&targets)?
-                .key("targets")
-                .table("Stops beside their bound", &TARGET_COLUMNS),
-            Sheet::new(&[counts])?.table("What was not measured", &UNMEASURED_COLUMNS),
-            Sheet::new(&rows)?
-                .key("legs")
-                .file("latency")
-                .table("From which stamp to which", &DEFINITIONS),
-            Sheet::new(&round_rows(rounds))?
-                .key("rounds")
-                .file("latency-rounds"),
-        ],
-        plots: vec![Plot {
-            name: "latency",
-            caption: "How long messages take. The time that one sample in so many exceeds: 100 is the 99th \
-                      percentile. Last: the share of stops against the time to zero rates without the ramp.",
-            svg: sheet(&plots::panels(rounds, limit_us), 1, 700)?,
-        }],
+        recordings: recordings(rounds),
         ..Dataset::default()
     };
-    dataset.fact("setting", to_value(setting)?);
-    dataset.fact("unmeasured", to_value(unmeasured)?);
-    for leg in Leg::ALL.into_iter().filter(|leg| !leg.is_grid()) {
-        for (word, quantile) in [("p50", 0.5), ("p99", 0.99)] {
-            let of = |round: &Round| quantile_of(round, leg, quantile);
-            let name = format!("latency/{}_{word}", leg.name().replace('.', "/"));
-            dataset.lower(name, "µs", rounds.iter().filter_map(of));
+    let (mut legs, mut of_rounds) = (Vec::new(), Vec::new());
+    for leg in Leg::ALL {
+        let each_round: Vec<Value> = round_rows(leg, rounds);
+        legs.extend(row(leg, rounds, &each_round));
+        if !leg.is_grid() {
+            let name = leg.name().replace('.', "/");
+            for quantile in ["p50", "p99"] {
+                let values = each(
+                    &each_round,
+                    if quantile == "p50" {
+                        "latency_us_p50"
+                    } else {
+                        "latency_us_p99"
+                    },
+                );
+                dataset.lower(format!("latency/{name}_{quantile}"), "µs", values);
+            }
         }
+        of_rounds.extend(each_round);
     }
+    let mut ratios = Vec::new();
     for (leg, to) in RATIOS {
+        let of_round = |round: &Round| {
+            Some(round.leg(leg).quantile_us(0.5)? / round.leg(to).quantile_us(0.5)?)
+        };
+        let values: Vec<f64> = rounds.iter().filter_map(of_round).collect();
         let [name, to_name] = [leg, to].map(|leg| leg.name().replace('.', "_"));
-        let name = format!("latency/{name}_per_{to_name}_p50");
-        let ratios = ratios_of_rounds((leg, to), rounds);
-        dataset.lower(name, "", ratios);
+        let (p50, range) = (median(values.clone()), range(values.clone()));
+        ratios.extend(p50.map(
+            |p50| json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": values }),
+        ));
+        dataset.lower(format!("latency/{name}_per_{to_name}_p50"), "", values);
     }
-    dataset.metrics.retain(|metric| !metric.rounds.is_empty());
-    dataset.recordings = recordings(rounds);
+    let mut unmeasured = Unmeasured::default();
+    for round in rounds {
+        unmeasured += round.unmeasured;
+    }
+    let stops = legs
+        .iter()
+        .filter(|row| BOUND.iter().any(|leg| row["leg"] == leg.name()));
+    let targets: Vec<Value> = stops.map(|row| target(row, limit_us)).collect();
+    let counts = json!({ "looks": setting["looks"], "unmeasured": unmeasured });
+    dataset.fact("setting", setting);
+    dataset.fact("unmeasured", json!(unmeasured));
+    dataset.plots.push(Plot {
+        name: "latency",
+        caption: "How long messages take. The time that one sample in so many exceeds: 100 is the 99th \
+                  percentile. Last: the share of stops against the time to zero rates without the ramp.",
+        svg: sheet(&panels(rounds, limit_us), 1, 700)?,
+    });
+    let shown = legs.iter().map(shown).collect();
+    dataset.sheets = vec![
+        Sheet::of(title, &COLUMNS, shown),
+        Sheet::of(
+            "Beside iceoryx2 alone: ratio of the medians",
+            &RATIO_COLUMNS,
+            ratios,
+        )
+        .key("ratios"),
+        Sheet::of("Stops beside their bound", &TARGET_COLUMNS, targets).key("targets"),
+        Sheet::of("What was not measured", &UNMEASURED_COLUMNS, vec![counts]),
+        Sheet::of("From which stamp to which", &DEFINITIONS, legs)
+            .key("legs")
+            .file("latency"),
+        Sheet::of("", &[], of_rounds)
+            .key("rounds")
+            .file("latency-rounds"),
+    ];
     Ok(dataset)
 }
 
-impl Setting {
-    fn title(&self) -> String {
-        let threads = match (self.realtime, self.client_realtime) {
-            (true, true) => "SCHED_FIFO",
-            (true, false) => "SCHED_FIFO for the daemon alone",
-            (false, _) => "no real-time threads: not granted",
-        };
-        format!(
-            "Latencies of messages, period {:.1} ms, gather {:.0} µs before the release, {threads}",
-            self.period_us * 1e-3,
-            self.gather_lead_us
-        )
-    }
-}
-
-fn row(leg: Leg, rounds: &[Round]) -> Option<LegRow> {
-    let all = pooled(leg, rounds)?;
-    let of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
-    let quantiles: Vec<Quantiles> = of_rounds.clone().filter_map(Quantiles::of).collect();
-    let (from, to) = leg.definition();
-    Some(LegRow {
-        leg,
-        from,
-        to,
-        samples: all.len(),
-        latency_us: Quantiles::of(&all)?,
-        rounds_us: Quantiles::over_rounds(&quantiles)?,
-        fewest: of_rounds.map(Histogram::len).filter(|n| *n > 0).min()?,
-    })
-}
-
-/// For people: without the percentiles of fewer values than they need.
-fn shown(row: &LegRow) -> Result<Value> {
-    let mut value = to_value(row)?;
-    for (times, key, count, least) in [
-        ("latency_us", "p99", row.samples, VALUES_OF_P99),
-        ("latency_us", "p999", row.samples, VALUES_OF_P999),
-        ("rounds_us", "p99", row.fewest, VALUES_OF_P99),
-    ] {
-        if count < least {
-            value[times][key] = Value::Null;
-        }
-    }
-    Ok(value)
-}
-
-/// A leg of the daemon beside one of iceoryx2 alone.
-fn ratio((leg, to): (Leg, Leg), rounds: &[Round]) -> Option<Value> {
-    let rounds = ratios_of_rounds((leg, to), rounds);
-    let (p50, range) = (
-        median(rounds.iter().copied())?,
-        range(rounds.iter().copied())?,
-    );
-    Some(json!({ "leg": leg, "to": to, "p50": p50, "range": range, "rounds": rounds }))
-}
-
-fn ratios_of_rounds((leg, to): (Leg, Leg), rounds: &[Round]) -> Vec<f64> {
-    let of = |round: &Round| Some(quantile_of(round, leg, 0.5)? / quantile_of(round, to, 0.5)?);
-    rounds.iter().filter_map(of).collect()
-}
-
-/// Whether a stop's bound is asked of it.
-fn is_bound(leg: Leg) -> bool {
-    matches!(leg, Leg::StopZeroHandover | Leg::StopZeroCommand)
-}
-
-/// A bound that a leg shall keep at the 99th percentile; of too few values nothing is known.
-fn target(row: &LegRow, limit_us: f64) -> Value {
-    let p99_us = (row.samples >= VALUES_OF_P99).then_some(row.latency_us.p99);
-    json!({
-        "leg": row.leg,
-        "samples": row.samples,
-        "limit_us": limit_us,
-        "p99_us": p99_us,
-        "kept": p99_us.map(|p99_us| p99_us <= limit_us),
-    })
-}
-
-fn round_rows(rounds: &[Round]) -> Vec<Value> {
-    let row = |(index, leg): (usize, Leg)| {
-        let latencies = &rounds[index].leg(leg).latencies;
-        let latency_us = Quantiles::of(latencies)?;
-        let samples = latencies.len();
+fn round_rows(leg: Leg, rounds: &[Round]) -> Vec<Value> {
+    let row = |(index, round): (usize, &Round)| {
+        let latencies = &round.leg(leg).latencies;
+        let (latency_us, samples) = (Quantiles::of(latencies)?, latencies.len());
         Some(
             json!({ "round": index + 1, "leg": leg, "samples": samples, "latency_us": latency_us }),
         )
     };
-    let all = (0..rounds.len()).flat_map(|index| Leg::ALL.map(|leg| (index, leg)));
-    all.filter_map(row).collect()
+    rounds.iter().enumerate().filter_map(row).collect()
+}
+
+fn row(leg: Leg, rounds: &[Round], each_round: &[Value]) -> Option<Value> {
+    let all = pooled(leg, rounds)?;
+    let (from, to) = leg.definition();
+    Some(json!({
+        "leg": leg,
+        "from": from,
+        "to": to,
+        "samples": all.len(),
+        "samples_of_round_least": each(each_round, "samples").reduce(f64::min),
+        "latency_us": Quantiles::of(&all),
+        "rounds_us": together(each_round)["latency_us"],
+    }))
+}
+
+/// For people: without the percentiles of fewer values than they need.
+fn shown(row: &Value) -> Value {
+    let mut shown = row.clone();
+    for (times, key, count, least) in [
+        ("latency_us", "p99", "samples", VALUES_OF_P99),
+        ("latency_us", "p999", "samples", VALUES_OF_P999),
+        ("rounds_us", "p99", "samples_of_round_least", VALUES_OF_P99),
+    ] {
+        if row[count].as_f64() < Some(least as f64) {
+            shown[times][key] = Value::Null;
+        }
+    }
+    shown
+}
+
+/// A bound that a leg shall keep at the 99th percentile; of too few values nothing is known.
+fn target(row: &Value, limit_us: f64) -> Value {
+    let p99_us = number(&shown(row), "latency_us_p99");
+    let kept = p99_us.map(|p99_us| p99_us <= limit_us);
+    json!({ "leg": row["leg"], "samples": row["samples"], "limit_us": limit_us, "p99_us": p99_us, "kept": kept })
 }
 
 fn recordings(rounds: &[Round]) -> Vec<Recording> {
-    let all = rounds
-        .iter()
-        .flat_map(|round| Leg::ALL.map(|leg| (leg, round.leg(leg))));
-    let recording = |(leg, sampled): (Leg, &super::round::Sampled)| {
+    let recording = |(leg, sampled): (Leg, &Sampled)| {
         let (first_ns, last_ns) = sampled.span_ns?;
         Some(Recording {
             tag: leg.name().to_owned(),
@@ -267,11 +216,16 @@ fn recordings(rounds: &[Round]) -> Vec<Recording> {
             histogram_ns: sampled.latencies.clone(),
         })
     };
-    all.filter_map(recording).collect()
+    let of_round = |round| Leg::ALL.map(|leg| (leg, Round::leg(round, leg)));
+    rounds
+        .iter()
+        .flat_map(of_round)
+        .filter_map(recording)
+        .collect()
 }
 
 /// All rounds together; none without samples.
-pub(super) fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
+fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
     let mut of_rounds = rounds.iter().map(|round| &round.leg(leg).latencies);
     let mut all = of_rounds.next()?.clone();
     for latencies in of_rounds {
@@ -281,36 +235,102 @@ pub(super) fn pooled(leg: Leg, rounds: &[Round]) -> Option<Histogram<u64>> {
     (!all.is_empty()).then_some(all)
 }
 
-fn quantile_of(round: &Round, leg: Leg, quantile: f64) -> Option<f64> {
-    let latencies = &round.leg(leg).latencies;
-    (!latencies.is_empty()).then(|| quantile_us(latencies, quantile))
+fn panels(rounds: &[Round], limit_us: f64) -> Vec<Panel> {
+    use Leg::{
+        BareOneWay, BareRequest, BareRoundTrip, CommandHandover, CommandHop, CommandRelease,
+        LeaseAnswer, LeaseMachinery, MeasurementCommand, MeasurementMachinery, ObstacleCommand,
+        ObstacleMachinery, ReferenceCommand, ReferenceMachinery, TrackAnswer, TrackMachinery,
+    };
+    // The latency that one sample in x exceeds: up to 1.1²⁰⁰, far more than anybody samples.
+    let tail = |latencies: &Histogram<u64>| {
+        let one_in = (0..POINTS).map(|step| 1.1_f64.powi(step));
+        let known = one_in.take_while(|one_in| *one_in <= latencies.len() as f64);
+        known
+            .map(|one_in| (one_in, quantile_us(latencies, 1.0 - 1.0 / one_in)))
+            .collect()
+    };
+    // The share of stops that took at most so long.
+    let share = |latencies: &Histogram<u64>| {
+        let shares = (0..=POINTS).map(|step| f64::from(step) / f64::from(POINTS));
+        shares
+            .map(|share| (quantile_us(latencies, share) * 1e-3, 100.0 * share))
+            .collect()
+    };
+    let curves = |legs: &[Leg], points: &dyn Fn(&Histogram<u64>) -> Vec<Point>| {
+        let colours = [BLUE, SKY, GREEN, YELLOW, ORANGE, PURPLE];
+        let curve = |(leg, colour): (&Leg, _)| {
+            let points = points(&pooled(*leg, rounds)?);
+            Some(Curve::line(leg.name(), points, colour))
+        };
+        legs.iter()
+            .zip(colours)
+            .filter_map(curve)
+            .collect::<Vec<_>>()
+    };
+    let panel = |title: &str, legs: &[Leg]| Panel {
+        title: title.to_owned(),
+        x: "one sample in so many takes longer",
+        y: "µs",
+        scale: Scale::LogLog { floor: 0.01 },
+        curves: curves(legs, &tail),
+    };
+    let commands = [
+        BareOneWay,
+        BareRoundTrip,
+        CommandHop,
+        CommandHandover,
+        CommandRelease,
+    ];
+    #[rustfmt::skip]
+    let inputs = [
+        ReferenceCommand, ReferenceMachinery, ObstacleCommand, ObstacleMachinery, MeasurementCommand, MeasurementMachinery,
+    ];
+    let requests = [
+        BareRequest,
+        LeaseMachinery,
+        LeaseAnswer,
+        TrackMachinery,
+        TrackAnswer,
+    ];
+    let of_inputs = "Sent → first command that uses it: whole, and without the wait for the grid";
+    let limit_ms = 1e-3 * limit_us;
+    let mut stops = curves(
+        &[Leg::StopZeroHandover, Leg::StopZeroCommand, Leg::StopGrid],
+        &share,
+    );
+    stops.push(Curve::line(
+        "bound for 99 %",
+        vec![(limit_ms, 0.0), (limit_ms, 100.0)],
+        GREY,
+    ));
+    vec![
+        panel("Commands beside iceoryx2 alone", &commands),
+        panel(of_inputs, &inputs),
+        panel("Request → answer beside iceoryx2 alone", &requests),
+        Panel {
+            title: "Stop → zero rates, without the ramp".to_owned(),
+            x: "ms",
+            y: "stops that took no longer, %",
+            scale: Scale::Linear,
+            curves: stops,
+        },
+    ]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn setting() -> Setting {
-        Setting {
-            rounds: 2,
-            samples: 100,
-            stops: 20,
-            period_us: 5000.0,
-            gather_lead_us: 200.0,
-            realtime: true,
-            client_realtime: true,
-            realtime_core: 1,
-            client_core: 0,
-            looks: Looks { all: 7, late: 1 },
-        }
-    }
-
     /// A round in which every leg takes 1 to 100 µs, times `factor`, and every stop `stop_us`.
     fn round(factor: u64, stop_us: u64) -> Round {
         let mut round = Round::new(0).expect("bounds");
         for leg in Leg::ALL {
             for us in 1..=100 {
-                let us = if is_bound(leg) { stop_us } else { factor * us };
+                let us = if BOUND.contains(&leg) {
+                    stop_us
+                } else {
+                    factor * us
+                };
                 round.record(leg, 1000 * us);
             }
         }
@@ -320,8 +340,9 @@ mod tests {
     #[test]
     fn every_leg_has_a_row_of_all_rounds_and_a_stop_a_period_and_a_little_more() {
         for (stop_us, kept) in [(5090, true), (5120, false)] {
-            let found =
-                dataset(&setting(), &[round(1, stop_us), round(2, stop_us)]).expect("a result");
+            let rounds = [round(1, stop_us), round(2, stop_us)];
+            let setting = json!({ "period_us": 5000.0, "looks": { "all": 7, "late": 1 } });
+            let found = dataset("", setting, &rounds).expect("a result");
             let json = found.json();
             let row = &json["legs"][Leg::ReferenceCommand as usize];
             let expected = (&json!("reference.command"), &json!(200));
@@ -337,34 +358,35 @@ mod tests {
             let mut metrics = found.metrics.iter();
             assert!(metrics.all(|m| m.rounds.len() == 2 && !m.name.contains("grid")));
             assert_eq!(found.recordings.len(), 2 * Leg::ALL.len());
-            let targets = &json["targets"];
-            assert_eq!(
-                [&targets[0]["kept"], &targets[1]["kept"]],
-                [&json!(kept); 2]
-            );
+            let [one, other] = [0, 1].map(|index| &json["targets"][index]["kept"]);
+            assert_eq!([one, other], [&json!(kept); 2]);
         }
     }
 
     #[test]
-    fn a_percentile_of_too_few_values_is_not_printed() {
+    fn what_was_not_measured_and_percentiles_of_too_few_values_are_not_told() {
+        let leg = Leg::StopZeroHandover;
         for (count, absent) in [
             (99, [true; 3]),
             (100, [false, true, false]),
             (1000, [false; 3]),
         ] {
-            let mut round = Round::new(0).expect("bounds");
+            let mut rounds = [Round::new(0).expect("bounds")];
             for us in 1..=count {
-                round.record(Leg::StopZeroHandover, 1000 * us);
+                rounds[0].record(leg, 1000 * us);
             }
-            let row = row(Leg::StopZeroHandover, &[round]).expect("samples");
-            let value = shown(&row).expect("JSON");
-            let times = [
-                &value["latency_us"]["p99"],
-                &value["latency_us"]["p999"],
-                &value["rounds_us"]["p99"],
-            ];
-            assert_eq!(times.map(Value::is_null), absent);
+            let row = row(leg, &rounds, &round_rows(leg, &rounds)).expect("samples");
+            let times = ["latency_us_p99", "latency_us_p999", "rounds_us_p99"];
+            assert_eq!(times.map(|key| number(&shown(&row), key).is_none()), absent);
             assert_eq!(target(&row, 1.0)["kept"].is_null(), count < 100);
+            let found = dataset("", json!({ "period_us": 5000.0 }), &rounds).expect("a result");
+            assert_eq!(found.json()["legs"].as_array().map(Vec::len), Some(1));
+            assert!(
+                found
+                    .metrics
+                    .iter()
+                    .all(|metric| metric.name.contains("zero_handover"))
+            );
         }
     }
 }

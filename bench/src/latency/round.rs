@@ -7,7 +7,7 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 
 use super::leg::{Leg, Way};
-use crate::quantiles::histogram;
+use crate::quantiles::{histogram, quantile_us};
 
 /// The latencies of one leg in one round.
 #[derive(Debug, Clone)]
@@ -15,6 +15,12 @@ pub struct Sampled {
     pub latencies: Histogram<u64>,
     /// When the first and the last one were recorded, after the start of the run \[ns\].
     pub span_ns: Option<(u64, u64)>,
+}
+
+impl Sampled {
+    pub fn quantile_us(&self, quantile: f64) -> Option<f64> {
+        (!self.latencies.is_empty()).then(|| quantile_us(&self.latencies, quantile))
+    }
 }
 
 /// What was tried and could not be measured.

@@ -3,17 +3,21 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, RequestError, monotonic_ns};
-use cdcr_shared_types::codes::{ChunkMode, Interpolation, Outcome, RequestKind};
+use cdcr_shared_types::codes::{ChunkMode, Interpolation, Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Header, ReferencePoint};
 
 use super::hands::Hands;
+use super::inputs::Source;
+use crate::interrupt;
 
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
 /// How long the reference may take to be there, and how often the robot is asked to follow it.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// How long the daemon may take to know the robot of its driver.
+const PATIENCE_AWAKE: Duration = Duration::from_secs(10);
 const ASK_AGAIN: Duration = Duration::from_millis(5);
 /// When it ends: longer than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
@@ -40,6 +44,20 @@ pub(super) fn on_circle(index: u32, length_m: f64) -> [f64; 3] {
 pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
     let side = if index.is_multiple_of(2) { 0.4 } else { -0.4 };
     [side * length_m, 0.1 * length_m, 0.5 * length_m]
+}
+
+/// Measures until the daemon knows the robot behind its driver, and holds it.
+pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
+    let deadline = Instant::now() + PATIENCE_AWAKE;
+    while hands.connection.status(PATIENCE)?.mode != Mode::Holding.code() {
+        ensure!(
+            Instant::now() < deadline,
+            "the daemon does not see the robot of its driver"
+        );
+        interrupt::check()?;
+        measurement.send(0, None, None)?;
+    }
+    Ok(())
 }
 
 /// Takes the lease and lets the robot follow.

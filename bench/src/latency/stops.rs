@@ -7,15 +7,15 @@
 
 use std::mem;
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use cdcr_client::{ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Command, Telemetry};
 
 use super::asker::{Answer, Asker};
 use super::hands::{Errand, Hands, Seen};
+use super::inputs::Phases;
 use super::leg::{Leg, Way};
-use super::phase::Phases;
 use super::round::{Passage, Round};
 use super::scene;
 
@@ -53,8 +53,8 @@ struct Kept {
     speed_rad_s: f64,
 }
 
-pub(super) struct Stops {
-    asker: Asker,
+pub(super) struct Stops<'a> {
+    asker: &'a mut Asker,
     feed: ReferenceFeed,
     length_m: f64,
     fast_rad_s: f64,
@@ -70,11 +70,11 @@ pub(super) struct Stops {
     records: Vec<Kept>,
 }
 
-impl Stops {
+impl<'a> Stops<'a> {
     pub(super) fn new(
         hands: &Hands,
         feed: ReferenceFeed,
-        asker: Asker,
+        asker: &'a mut Asker,
         samples: usize,
     ) -> Result<Self> {
         let robot = &hands.status.robot;
@@ -108,7 +108,7 @@ impl Stops {
     }
 
     fn answered(&mut self, answer: &Answer) -> Result<()> {
-        let outcome = Outcome::try_from(answer.response.outcome);
+        let outcome = Outcome::try_from(answer.outcome);
         match (self.step, answer.kind, outcome) {
             // Refused to a robot that follows already: it goes on to the new reference.
             (Step::Reset, RequestKind::Reset, Ok(Outcome::Accepted | Outcome::WrongMode)) => {
@@ -121,11 +121,7 @@ impl Stops {
             // It came so late that the chunk was not there, or no longer ahead.
             (Step::Track, RequestKind::Track, Ok(Outcome::NoReference)) => self.begin(),
             (_, RequestKind::Stop, Ok(Outcome::Accepted)) => {}
-            _ => bail!(
-                "cannot {}: {}",
-                answer.kind,
-                Outcome::text_of(answer.response.outcome)
-            ),
+            _ => answer.accepted()?,
         }
         Ok(())
     }
@@ -162,7 +158,7 @@ impl Stops {
     }
 }
 
-impl Errand for Stops {
+impl Errand for Stops<'_> {
     fn due_ns(&self) -> u64 {
         let acts = matches!(self.step, Step::Reset | Step::Track | Step::Stop);
         if acts && self.asker.waits_since_ns().is_none() {
@@ -176,17 +172,16 @@ impl Errand for Stops {
         match self.step {
             Step::Reset => {
                 scene::send(&self.feed, scene::aside(self.turn, self.length_m))?;
-                self.asker.ask(RequestKind::Reset)
+                self.asker.ask(RequestKind::Reset)?;
             }
-            Step::Track => self.asker.ask(RequestKind::Track),
+            Step::Track => _ = self.asker.ask(RequestKind::Track)?,
             Step::Stop => {
-                self.asker.ask(RequestKind::Stop)?;
-                self.sent_ns = self.asker.waits_since_ns().unwrap_or(0);
+                (_, self.sent_ns) = self.asker.ask(RequestKind::Stop)?;
                 self.step = Step::Rest;
-                Ok(())
             }
-            Step::SpeedUp(_) | Step::Rest => Ok(()),
+            Step::SpeedUp(_) | Step::Rest => {}
         }
+        Ok(())
     }
 
     fn look(&mut self, _release_ns: u64) -> Result<bool> {

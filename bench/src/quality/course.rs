@@ -3,11 +3,11 @@
 use std::f64::consts::PI;
 
 use anyhow::Result;
+use cdcr_client::Trajectory;
 use cdcr_controller::nmpc::{Coordinates, NmpcSettings};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
 use nalgebra::Vector3;
 
-use super::legs::Legs;
 use crate::experiment::{CIRCLE_DISTANCES_M, Experiment, LINE_RATES_RAD_S, Solver, Task};
 use crate::named::named;
 use crate::scene::{PERIOD_S, Scene};
@@ -93,6 +93,34 @@ impl Course {
     }
 }
 
+/// A curve through points at given times (s, m), in their order, at rest in each of them; two points at one time are a
+/// jump. The last one is held.
+struct Legs {
+    name: &'static str,
+    knots: Vec<(f64, Vector3<f64>)>,
+}
+
+impl Trajectory for Legs {
+    fn name(&self) -> &str {
+        self.name
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.knots.last().map_or(0.0, |knot| knot.0)
+    }
+
+    fn position_m(&self, time_s: f64) -> [f64; 3] {
+        let next = self.knots.partition_point(|knot| knot.0 <= time_s);
+        let last = next.saturating_sub(1);
+        let (from_s, from_m) = self.knots[last];
+        let Some(&(to_s, to_m)) = self.knots.get(next).filter(|_| next > 0) else {
+            return from_m.into();
+        };
+        let share = (time_s - from_s) / (to_s - from_s);
+        (from_m + (to_m - from_m) * (0.5 - 0.5 * (PI * share).cos())).into()
+    }
+}
+
 /// The approach from straight, with which the paper begins, would hide everything else in the mean error.
 fn circle() -> Result<Scene> {
     Ok(Scene {
@@ -138,7 +166,7 @@ fn gap() -> Result<Scene> {
             (1.0, Vector3::new(0.34, 0.0, 0.74)),
             (1.6, Vector3::new(0.42, -0.12, 0.64)),
         ];
-        Legs::new("gap", knots)
+        Legs { name: "gap", knots }
     };
     let y_m = BODY_RADIUS_M + SAFE_DISTANCE_M + GAP_SLACK_M + POST_RADIUS_M;
     let post = |y_m: f64| {
@@ -155,7 +183,10 @@ fn crossing() -> Result<Scene> {
     let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
     let curve = |tip_m| {
         let knots = vec![(0.0, tip_m), (1.6, Vector3::new(0.4, 0.0, 0.7))];
-        Legs::new("crossing", knots)
+        Legs {
+            name: "crossing",
+            knots,
+        }
     };
     let shape = Shape::Sphere {
         centre_m: Vector3::new(0.36, -0.16, 0.65),
@@ -176,7 +207,10 @@ fn jump() -> Result<Scene> {
             (0.7, far_m),
             (0.7, tip_m),
         ];
-        Legs::new("jump", knots)
+        Legs {
+            name: "jump",
+            knots,
+        }
     };
     scene(start, curve, Vec::new(), 240)
 }
@@ -214,5 +248,30 @@ mod tests {
             .map(|cycle| body.clearance_m(&scene.obstacles[0].moved(scene.time_s(cycle))))
             .fold(f64::INFINITY, f64::min);
         assert!(least_m < 0.0, "{least_m}");
+    }
+
+    #[test]
+    fn points_are_reached_at_their_times_and_jumps_are_jumps() {
+        let (x, y) = (Vector3::x(), Vector3::y());
+        let knots = vec![(0.0, x), (1.0, y), (1.0, x), (2.0, x), (2.0, y)];
+        let legs = Legs {
+            name: "test",
+            knots,
+        };
+        let middle = (x + y) * 0.5;
+        for (time_s, point) in [
+            (-1.0, x),
+            (0.0, x),
+            (0.5, middle),
+            (1.0 - 1e-9, y),
+            (1.0, x),
+            (1.999, x),
+            (2.0, y),
+            (100.0, y),
+        ] {
+            let found = Vector3::from(legs.position_m(time_s));
+            assert!((found - point).norm() < 1e-9, "{time_s}: {found}");
+        }
+        assert_eq!(legs.duration_s(), 2.0);
     }
 }

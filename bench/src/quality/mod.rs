@@ -3,17 +3,15 @@
 //!
 //! | file | question it answers |
 //! |---|---|
-//! | `course`, `legs` | what is driven |
+//! | `course` | what is driven |
 //! | `variant`, `sizing` | with which solver, budget, swarm and horizon |
 //! | `trial` | what came of one run |
 //! | `problem`, `restarts` | who finds the best plan from a random start |
-//! | `report`, `plots` | what came of it, as a dataset |
+//! | `report` | what came of it, as a dataset |
 //!
 //! A closed loop with an ideal robot, without a daemon. All is deterministic but for what the clock ends.
 
 pub mod course;
-mod legs;
-mod plots;
 mod problem;
 mod report;
 pub mod restarts;
@@ -22,6 +20,7 @@ pub mod trial;
 pub mod variant;
 
 use anyhow::Result;
+use serde_json::{Value, json};
 
 pub use problem::Field;
 
@@ -33,7 +32,7 @@ use crate::scene::Scene;
 use course::Course;
 use restarts::{Ending, contest};
 use sizing::Sizing;
-use trial::{RunMetrics, drive};
+use trial::drive;
 use variant::{BUDGETS_US, HORIZONS, SOLVERS, SWARMS, Variant};
 
 use crate::experiment::Solver;
@@ -87,12 +86,31 @@ impl QualityOptions {
     fn scene(&self, course: Course) -> Result<Scene> {
         Ok(course.scene()?.at_most(self.cycles_max))
     }
+
+    /// The random problems of one round; every round has others.
+    fn contests(&self, round: u32, progress: &mut Progress) -> Result<Vec<Ending>> {
+        let mut endings = Vec::new();
+        for field in Field::ALL {
+            for restart in 0..self.restarts {
+                interrupt::check()?;
+                progress.begin(&format!("round {round}: random starts, {}", field.name()));
+                endings.extend(contest(
+                    field,
+                    u64::from((round - 1) * self.restarts + restart),
+                )?);
+                progress.advance(CONTEST_S);
+            }
+        }
+        Ok(endings)
+    }
 }
 
-#[derive(Debug, Clone)]
-pub struct Case {
-    pub variant: Variant,
-    pub rounds: Vec<RunMetrics>,
+/// One variant, and what came of it in each round.
+struct Case {
+    /// Index of its scene.
+    scene: usize,
+    variant: Variant,
+    rounds: Vec<Value>,
 }
 
 impl Benchmark for QualityOptions {
@@ -140,27 +158,41 @@ impl Benchmark for QualityOptions {
 
     /// Runs everything, round by round: what disturbs the machine for a while disturbs one round.
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let mut courses = Vec::new();
+        let (mut scenes, mut cases) = (Vec::new(), Vec::new());
         for &course in &self.courses {
             interrupt::check()?;
             progress.begin(&format!("sizing the swarm of {}", course.name()));
             let sizing = Sizing::measure(course)?;
             progress.advance(SIZING_S);
-            let variants = self.variants(course, &sizing).into_iter();
-            let cases = variants.map(|variant| Case {
-                variant,
-                rounds: Vec::new(),
-            });
-            courses.push((self.scene(course)?, cases.collect::<Vec<_>>()));
+            scenes.push(self.scene(course)?);
+            cases.extend(
+                self.variants(course, &sizing)
+                    .into_iter()
+                    .map(|variant| Case {
+                        scene: scenes.len() - 1,
+                        variant,
+                        rounds: Vec::new(),
+                    }),
+            );
         }
         let mut endings = Vec::new();
-        for round in 0..self.rounds {
-            for (scene, cases) in &mut courses {
-                drive_all(scene, cases, round, progress)?;
+        for round in 1..=self.rounds {
+            for case in &mut cases {
+                interrupt::check()?;
+                let (variant, scene) = (&case.variant, &scenes[case.scene]);
+                let names = [
+                    variant.course.name(),
+                    variant.solver.name(),
+                    &variant.value(),
+                ]
+                .join(", ");
+                progress.begin(&format!("round {round}: {names}"));
+                case.rounds
+                    .push(json!(drive(variant, scene, round.into())?));
+                progress.advance(run_s(variant, scene));
             }
-            endings.push(contest_all(self.restarts, round, progress)?);
+            endings.push(self.contests(round, progress)?);
         }
-        let cases: Vec<Case> = courses.into_iter().flat_map(|(_, cases)| cases).collect();
         report::dataset(&cases, &endings)
     }
 }
@@ -168,41 +200,4 @@ impl Benchmark for QualityOptions {
 /// About how long one run of a variant takes \[s\].
 fn run_s(variant: &Variant, scene: &Scene) -> f64 {
     scene.cycles as f64 * variant.solve_us() * 1e-6
-}
-
-/// One round of every variant of a course.
-fn drive_all(scene: &Scene, cases: &mut [Case], round: u32, progress: &mut Progress) -> Result<()> {
-    for case in cases {
-        interrupt::check()?;
-        let variant = &case.variant;
-        progress.begin(&format!(
-            "round {}: {}, {}, {}",
-            round + 1,
-            variant.course.name(),
-            variant.solver.name(),
-            variant.value()
-        ));
-        case.rounds
-            .push(drive(variant, scene, u64::from(round) + 1)?);
-        progress.advance(run_s(variant, scene));
-    }
-    Ok(())
-}
-
-/// The random problems of one round; every round has others.
-fn contest_all(restarts: u32, round: u32, progress: &mut Progress) -> Result<Vec<Ending>> {
-    let mut endings = Vec::new();
-    for field in Field::ALL {
-        for restart in 0..restarts {
-            interrupt::check()?;
-            progress.begin(&format!(
-                "round {}: random starts, {}",
-                round + 1,
-                field.name()
-            ));
-            endings.extend(contest(field, u64::from(round * restarts + restart))?);
-            progress.advance(CONTEST_S);
-        }
-    }
-    Ok(endings)
 }

@@ -1,19 +1,27 @@
 //! What the runs say, as rows, plots and single numbers.
 
 use anyhow::Result;
-use serde::Serialize;
+use plotters::style::RGBColor;
 use serde_json::{Value, json};
 
+use super::Case;
+use super::course::Course;
 use super::problem::Field;
 use super::restarts::{Contender, Ending, STUCK_SHARE};
-use super::trial::RunMetrics;
-use super::variant::{Axis, Variant};
-use super::{Case, plots};
-use crate::dataset::{Column, Dataset, Sheet, fixed, percent, plain, power, word};
-use crate::metric::{Better, Metric, median, range};
+use super::variant::{Axis, SOLVERS};
+use crate::chart::{BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Scale, sheet};
+use crate::dataset::{
+    Column, Dataset, Plot, Sheet, each, fixed, joined, number, percent, plain, power, together,
+    word,
+};
+use crate::experiment::Solver;
+use crate::metric::{Better, Metric, median};
 
 /// Errors below this are equal to people who compare two runs: a nanometre \[mm\].
 const METRIC_FLOOR_MM: f64 = 1e-6;
+/// Errors and excess costs below these are drawn on them \[mm, %\].
+const ERROR_FLOOR_MM: f64 = 1e-9;
+const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
 const EXPLANATION: &str = "<p>The controller in a closed loop with an ideal robot, without a daemon: three simulations of the \
          paper (their first seconds), a gap between two posts, a ball that crosses the body, a reference that jumps. The \
@@ -66,75 +74,42 @@ fn title(axis: Axis) -> &'static str {
 
 /// One variant: medians over the rounds, but the worst error, clearance and time below the safe distance of
 /// all of them.
-#[derive(Debug, Clone, Serialize)]
-pub(super) struct VariantRow {
-    #[serde(flatten)]
-    pub variant: Variant,
-    pub value: String,
-    pub rounds: usize,
-    #[serde(flatten)]
-    pub metrics: RunMetrics,
-}
-
-impl Case {
-    fn values(&self, value: impl Fn(&RunMetrics) -> Option<f64>) -> impl Iterator<Item = f64> {
-        self.rounds.iter().filter_map(value)
-    }
-
-    fn row(&self) -> VariantRow {
-        let middle = |value: fn(&RunMetrics) -> f64| {
-            median(self.values(|metrics| Some(value(metrics)))).unwrap_or(f64::NAN)
-        };
-        let ends = |value: fn(&RunMetrics) -> Option<f64>| range(self.values(value));
-        let max_error_mm = ends(|f| Some(f.max_error_mm)).map_or(f64::NAN, |(_, most)| most);
-        VariantRow {
-            variant: self.variant,
-            value: self.variant.value(),
-            rounds: self.rounds.len(),
-            metrics: RunMetrics {
-                mean_error_mm: middle(|f| f.mean_error_mm),
-                max_error_mm,
-                min_clearance_mm: ends(|f| f.min_clearance_mm).map(|(least, _)| least),
-                below_safe_ms: ends(|f| f.below_safe_ms).map(|(_, most)| most),
-                mean_cost: middle(|f| f.mean_cost),
-                cut_short_share: middle(|f| f.cut_short_share),
-                guarded_share: middle(|f| f.guarded_share),
-                solve_p50_us: middle(|f| f.solve_p50_us),
-                solve_p99_us: middle(|f| f.solve_p99_us),
-            },
-        }
-    }
+fn variant_row(case: &Case) -> Result<Value> {
+    let own = json!({
+        "value": case.variant.value(),
+        "rounds": case.rounds.len(),
+        "below_safe_ms": each(&case.rounds, "below_safe_ms").reduce(f64::max),
+    });
+    joined([json!(case.variant), together(&case.rounds), own])
 }
 
 /// The endings of a contender in a field.
-pub(super) fn endings_of(
-    endings: &[Ending],
-    field: Field,
-    contender: Contender,
-) -> impl Iterator<Item = &Ending> {
-    let is_it = move |ending: &&Ending| ending.field == field && ending.contender == contender;
-    endings.iter().filter(is_it)
+fn endings_of(endings: &[Ending], field: Field, contender: Contender) -> Vec<&Ending> {
+    let is_it = |ending: &&Ending| ending.field == field && ending.contender == contender;
+    endings.iter().filter(is_it).collect()
+}
+
+fn stuck_share(all: &[&Ending]) -> f64 {
+    all.iter().filter(|ending| ending.is_stuck()).count() as f64 / all.len() as f64
 }
 
 /// One contender in one field, over all rounds.
-fn stuck_row(endings: &[Ending], field: Field, contender: Contender) -> Option<Value> {
-    let all: Vec<&Ending> = endings_of(endings, field, contender).collect();
-    let share =
-        |is: fn(&Ending) -> bool| all.iter().filter(|e| is(e)).count() as f64 / all.len() as f64;
-    let values = |value: fn(&Ending) -> f64| all.iter().map(move |ending| value(ending));
-    let (_, excess_share_max) = range(values(Ending::excess_share))?;
+fn stuck_row(all: &[&Ending]) -> Option<Value> {
+    let first = all.first()?;
+    let excess = || all.iter().map(|ending| ending.excess_share());
+    let missed = all.iter().filter(|ending| !ending.arrives()).count();
     Some(json!({
-        "field": field,
-        "contender": contender,
+        "field": first.field,
+        "contender": first.contender,
         "problems": all.len(),
         // Share that ended more than 1 % above the best known cost.
-        "stuck_share": share(Ending::is_stuck),
+        "stuck_share": stuck_share(all),
         // Share whose plan does not lead to within 10 mm of the target.
-        "missed_share": share(|ending| !ending.arrives()),
+        "missed_share": missed as f64 / all.len() as f64,
         // Excess over the best known cost, as a share of that.
-        "excess_share_p50": median(values(Ending::excess_share)),
-        "excess_share_max": excess_share_max,
-        "time_ms_p50": median(values(|ending| ending.time_ms)),
+        "excess_share_p50": median(excess()),
+        "excess_share_max": excess().reduce(f64::max),
+        "time_ms_p50": median(all.iter().map(|ending| ending.time_ms)),
     }))
 }
 
@@ -148,58 +123,171 @@ pub(super) fn dataset(cases: &[Case], rounds: &[Vec<Ending>]) -> Result<Dataset>
     };
     for case in cases {
         let name = |what: &str| format!("quality/{}/{what}", case.variant.key());
-        let errors_mm = case.values(|f| Some(f.mean_error_mm.max(METRIC_FLOOR_MM)));
+        let errors_mm = each(&case.rounds, "mean_error_mm").map(|mm| mm.max(METRIC_FLOOR_MM));
         dataset.lower(name("mean_error"), "mm", errors_mm);
-        let clearances_mm = case.values(|f| f.min_clearance_mm);
-        let metric = Metric::new(name("least_clearance"), "mm", Better::Higher, clearances_mm);
-        dataset
-            .metrics
-            .extend(Some(metric).filter(|metric| !metric.rounds.is_empty()));
+        let clearances_mm = each(&case.rounds, "min_clearance_mm");
+        dataset.add_metric(Metric::new(
+            name("least_clearance"),
+            "mm",
+            Better::Higher,
+            clearances_mm,
+        ));
     }
     let endings = rounds.concat();
     let mut stuck = Vec::new();
-    for (field, contender) in Field::ALL
-        .iter()
-        .flat_map(|f| Contender::ALL.map(|c| (*f, c)))
-    {
-        let name = format!(
-            "quality/restarts/{}/{}/stuck",
-            field.name(),
-            contender.name()
-        );
-        let shares = rounds.iter().filter_map(|endings| {
-            let row = stuck_row(endings, field, contender)?;
-            Some(100.0 * row["stuck_share"].as_f64()?)
-        });
-        dataset.lower(name, "%", shares);
-        stuck.extend(stuck_row(&endings, field, contender));
+    for field in Field::ALL {
+        for contender in Contender::ALL {
+            let of = |endings| endings_of(endings, field, contender);
+            let name = format!(
+                "quality/restarts/{}/{}/stuck",
+                field.name(),
+                contender.name()
+            );
+            let shares = rounds
+                .iter()
+                .map(|endings| 100.0 * stuck_share(&of(endings)));
+            dataset.lower(name, "%", shares);
+            stuck.extend(stuck_row(&of(&endings)));
+        }
     }
-    let rows: Vec<VariantRow> = cases.iter().map(Case::row).collect();
+    let rows: Vec<Value> = cases.iter().map(variant_row).collect::<Result<_>>()?;
     for axis in Axis::ALL {
-        let rows: Vec<&VariantRow> = rows.iter().filter(|row| row.variant.axis == axis).collect();
-        let sheet = Sheet::new(&rows)?.table(title(axis), &columns(axis));
-        dataset.sheets.push(sheet);
+        let of_axis = rows.iter().filter(|row| row["axis"] == axis.name());
+        let table = Sheet::of(title(axis), &columns(axis), of_axis.cloned().collect());
+        dataset.sheets.push(table);
     }
-    let restarts = Sheet::new(&stuck)?
+    let restarts = "Random starts: how often a solver ends more than 1 % above the best plan known";
+    let restarts = Sheet::of(restarts, &STUCK, stuck)
         .key("restarts")
-        .file("quality-restarts")
-        .table(
-            "Random starts: how often a solver ends more than 1 % above the best plan known",
-            &STUCK,
-        );
+        .file("quality-restarts");
     dataset.sheets.insert(1, restarts);
+    dataset.plots = plots(&rows, &endings)?;
+    let problems: Vec<Value> = endings.iter().map(|ending| json!(ending)).collect();
     dataset.sheets.push(
-        Sheet::new(&rows)?
+        Sheet::of("", &columns(Axis::Budget), rows)
             .key("cases")
-            .file("quality")
-            .order(&columns(Axis::Budget)),
+            .file("quality"),
     );
-    let problems = Sheet::new(&endings)?
-        .key("problems")
-        .file("quality-problems");
-    dataset.sheets.push(problems);
-    dataset.plots = plots::plots(&rows, &endings)?;
+    dataset.sheets.push(
+        Sheet::of("", &[], problems)
+            .key("problems")
+            .file("quality-problems"),
+    );
     dataset.fact("rounds", rounds.len());
     dataset.fact("stuck_above_share", STUCK_SHARE);
     Ok(dataset)
+}
+
+fn plots(rows: &[Value], endings: &[Ending]) -> Result<Vec<Plot>> {
+    let of_courses = |y, key, scale| -> Vec<Panel> {
+        let panel = |course: &Course| panel(*course, rows, y, key, scale);
+        Course::ALL.iter().filter_map(panel).collect()
+    };
+    let errors = Scale::LogLog {
+        floor: ERROR_FLOOR_MM,
+    };
+    let excess = Field::ALL
+        .iter()
+        .filter_map(|field| excess(*field, endings));
+    let all = [
+        (
+            "quality-error",
+            "Mean error against the time of a solve, median over the rounds. A swarm has as many particles and \
+             iterations as it has time for.",
+            of_courses("mean error [mm]", "mean_error_mm", errors),
+        ),
+        (
+            "quality-clearance",
+            "Smallest clearance of the body against the time of a solve, worst of all rounds. The guard keeps \
+             the robot from entering the safe distance by its own motion.",
+            of_courses("least clearance [mm]", "min_clearance_mm", Scale::LogAcross),
+        ),
+        (
+            "quality-stuck",
+            "Random starts, sorted by how far above the best known cost a solver ended. Where a curve crosses \
+             the dark line, the rest to its right is stuck.",
+            excess.collect(),
+        ),
+    ];
+    let drawn = all.into_iter().filter(|(_, _, panels)| !panels.is_empty());
+    let plot = |(name, caption, panels): (_, _, Vec<Panel>)| {
+        let svg = sheet(&panels, 2, 560)?;
+        Ok(Plot { name, caption, svg })
+    };
+    drawn.map(plot).collect()
+}
+
+fn colour(solver: Solver) -> RGBColor {
+    match solver {
+        Solver::GaussNewton => ORANGE,
+        Solver::KpsoRefined => BLUE,
+        Solver::Kpso | Solver::KpsoVerbatim => GREEN,
+    }
+}
+
+/// A number against the budget of a solve, for each solver; none where nothing of it was measured.
+fn panel(
+    course: Course,
+    rows: &[Value],
+    y: &'static str,
+    key: &str,
+    scale: Scale,
+) -> Option<Panel> {
+    let is_it = |row: &&Value| {
+        row["axis"] == Axis::Budget.name() && row["course"] == course.name() && !row[key].is_null()
+    };
+    let rows: Vec<&Value> = rows.iter().filter(is_it).collect();
+    let curve = |solver: Solver| {
+        let ours = rows
+            .iter()
+            .copied()
+            .filter(|row| row["solver"] == solver.name());
+        Curve::of_rows(solver.name(), ours, "budget_us", key, colour(solver))
+    };
+    let mut curves: Vec<Curve> = SOLVERS.map(curve).into();
+    let across = number(rows.first()?, "budget_us")?..number(rows.last()?, "budget_us")?;
+    if scale == Scale::LogAcross {
+        let safe_mm = 1e3 * course.settings().safe_distance_m;
+        curves.push(Curve::level("safe distance", safe_mm, across, DARK));
+    }
+    Some(Panel {
+        title: course.name().to_owned(),
+        x: "budget [µs]",
+        y,
+        scale,
+        curves,
+    })
+}
+
+fn excess(field: Field, endings: &[Ending]) -> Option<Panel> {
+    let curve = |contender: Contender| {
+        let all = endings_of(endings, field, contender);
+        let mut excess: Vec<f64> = all
+            .iter()
+            .map(|ending| 100.0 * ending.excess_share())
+            .collect();
+        excess.sort_by(f64::total_cmp);
+        let share = |index: usize| 100.0 * (index as f64 + 0.5) / all.len() as f64;
+        let points = excess
+            .iter()
+            .enumerate()
+            .map(|(index, percent)| (share(index), *percent));
+        let colour = match contender {
+            Contender::GaussNewtonRestarted => GREY,
+            other => colour(other.solver()),
+        };
+        Curve::line(contender.name(), points.collect(), colour)
+    };
+    endings.iter().find(|ending| ending.field == field)?;
+    let mut curves: Vec<Curve> = Contender::ALL.map(curve).into();
+    curves.push(Curve::level("stuck", 100.0 * STUCK_SHARE, 0.0..100.0, DARK));
+    Some(Panel {
+        title: format!("Between tip and target: {}", field.name()),
+        x: "share of the problems [%]",
+        y: "cost above the best [%]",
+        scale: Scale::Log {
+            floor: EXCESS_FLOOR_PERCENT,
+        },
+        curves,
+    })
 }

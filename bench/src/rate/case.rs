@@ -1,7 +1,6 @@
-//! Whose shortest period is looked for.
+//! Whose shortest period is looked for, and how a daemon is started for it.
 
 use std::fs;
-use std::path::PathBuf;
 
 use anyhow::{Context, Result};
 use cdcr_client::PAPER_SECTION_M;
@@ -12,10 +11,9 @@ use crate::experiment::Solver;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
 
-/// Longest time before a release at which the inputs are gathered \[ms\]: the daemon's default.
-const GATHER_LEAD_MAX_MS: f64 = 0.2;
-/// The same as a share of the period: the gather must fit between two cycles.
-const GATHER_LEAD_SHARE: f64 = 0.35;
+/// Longest time before a release at which the inputs are gathered \[ms\], the daemon's default, and the same as a share
+/// of the period: the gather must fit between two cycles.
+const GATHER_LEAD_MAX: (f64, f64) = (0.2, 0.35);
 /// A later start than this counts as late \[ms\]: the daemon's default, where the period is not shorter.
 const LATE_START_MAX_MS: f64 = 1.0;
 /// Share of the period that may be spent spinning.
@@ -30,44 +28,36 @@ pub struct Case {
 }
 
 impl Case {
-    pub const DEFAULT: Self = Self {
-        sections: 3,
-        solver: Solver::KpsoRefined,
-        horizon_steps: 2,
-    };
+    pub const DEFAULT: Self = Self::new(3, Solver::KpsoRefined, 2);
+
+    pub const fn new(sections: usize, solver: Solver, horizon_steps: u32) -> Self {
+        Self {
+            sections,
+            solver,
+            horizon_steps,
+        }
+    }
 
     /// One to three sections with every solver and both horizons, so that neighbours are alike.
     pub fn all() -> Vec<Self> {
-        let mut all = Vec::new();
-        for solver in [Solver::GaussNewton, Solver::Kpso, Solver::KpsoRefined] {
-            for horizon_steps in [2, 10] {
-                all.extend((1..=3).map(|sections| Self {
-                    sections,
-                    solver,
-                    horizon_steps,
-                }));
-            }
-        }
-        all
+        let solvers = [Solver::GaussNewton, Solver::Kpso, Solver::KpsoRefined];
+        let horizons = solvers
+            .iter()
+            .flat_map(|solver| [(*solver, 2), (*solver, 10)]);
+        let all =
+            horizons.flat_map(|(solver, steps)| [1, 2, 3].map(|n| Self::new(n, solver, steps)));
+        all.collect()
     }
 
     pub fn name(&self) -> String {
         let plural = if self.sections == 1 { "" } else { "s" };
-        format!(
-            "{} section{plural}, {}, N = {}",
-            self.sections,
-            self.solver.name(),
-            self.horizon_steps
-        )
+        let (sections, solver, steps) = (self.sections, self.solver.name(), self.horizon_steps);
+        format!("{sections} section{plural}, {solver}, N = {steps}")
     }
 
     pub fn key(&self) -> String {
-        format!(
-            "{}-sections/{}/n{}",
-            self.sections,
-            self.solver.name(),
-            self.horizon_steps
-        )
+        let (sections, solver, steps) = (self.sections, self.solver.name(), self.horizon_steps);
+        format!("{sections}-sections/{solver}/n{steps}")
     }
 }
 
@@ -86,9 +76,8 @@ impl Stage {
         let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
         let folder = folder.context("a folder for temporary files")?;
         for sections in 1..=3 {
-            let file = folder.path().join(file_name(sections));
-            fs::write(&file, robot(sections))
-                .with_context(|| format!("cannot write {}", file.display()))?;
+            fs::write(folder.path().join(file_name(sections)), robot(sections))
+                .context("cannot write a robot")?;
         }
         Ok(Self {
             cores,
@@ -100,10 +89,11 @@ impl Stage {
 
     /// How a daemon with this case and this period is started.
     pub fn launch(&self, case: &Case, period_ms: f64) -> Launch {
-        Launch::patient(Some(self.config(case.sections)))
+        let (lead_ms, lead_share) = GATHER_LEAD_MAX;
+        Launch::patient(Some(self.folder.path().join(file_name(case.sections))))
             .placed(&self.cores, self.realtime)
             .with("cycle.period_ms", period_ms)
-            .with("cycle.gather_lead_ms", gather_lead_ms(period_ms))
+            .with("cycle.gather_lead_ms", lead_ms.min(lead_share * period_ms))
             .with("cycle.late_start_ms", period_ms.min(LATE_START_MAX_MS))
             .with("realtime.spin_us", self.spin_within_us(period_ms))
             .with("controller.solver", case.solver.name())
@@ -114,15 +104,6 @@ impl Stage {
     pub fn spin_within_us(&self, period_ms: f64) -> f64 {
         self.spin_us.min(SPIN_SHARE * period_ms * 1e3)
     }
-
-    fn config(&self, sections: usize) -> PathBuf {
-        self.folder.path().join(file_name(sections))
-    }
-}
-
-/// How long before a release the inputs are gathered \[ms\].
-fn gather_lead_ms(period_ms: f64) -> f64 {
-    GATHER_LEAD_MAX_MS.min(GATHER_LEAD_SHARE * period_ms)
 }
 
 fn file_name(sections: usize) -> String {
@@ -133,13 +114,8 @@ fn robot(sections: usize) -> String {
     let section = |index: usize| {
         let offset_rad = (40.0 * index as f64).to_radians();
         format!(
-            "[[robot.sections]]\n\
-             length_m = {PAPER_SECTION_M:?}\n\
-             cable_radius_m = 0.0125\n\
-             cable_offset_rad = {offset_rad:?}\n\
-             bend_max_rad = 2.8\n\
-             rate_max_rad_s = 2.0\n\
-             body_radius_m = 0.015\n"
+            "[[robot.sections]]\nlength_m = {PAPER_SECTION_M:?}\ncable_radius_m = 0.0125\n\
+             cable_offset_rad = {offset_rad:?}\nbend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n"
         )
     };
     (0..sections).map(section).collect()
@@ -148,26 +124,45 @@ fn robot(sections: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::subject::daemon::program;
 
     #[test]
-    fn the_daemon_accepts_every_robot_with_every_period() {
-        let stage = Stage::new(Cores::find().unwrap(), false, 0.0).unwrap();
-        for sections in 1..=3 {
-            let case = Case {
-                sections,
-                ..Case::DEFAULT
-            };
-            let launch = stage.launch(&case, 0.5);
-            let program = crate::subject::daemon::program("cdcrd").unwrap();
-            let mut command = std::process::Command::new(program);
-            command.arg("check").arg("--config");
-            command.arg(launch.config.as_ref().unwrap());
-            for (key, value) in &launch.settings {
-                command.arg("--set").arg(format!("{key}={value}"));
+    fn the_daemon_accepts_every_robot_and_what_the_period_bounds() {
+        let stage = Stage::new(Cores::find().unwrap(), false, 1000.0).unwrap();
+        for (sections, period_ms, bounds) in [
+            (1, 5.0, [0.2, 1.0, 1000.0]),
+            (2, 0.5, [0.175, 0.5, 125.0]),
+            (3, 0.1, [0.035, 0.1, 25.0]),
+        ] {
+            let launch = stage.launch(&Case::new(sections, Solver::Kpso, 10), period_ms);
+            let keys = [
+                "cycle.gather_lead_ms",
+                "cycle.late_start_ms",
+                "realtime.spin_us",
+            ];
+            for (key, bound) in keys.into_iter().zip(bounds) {
+                let set = launch.settings.iter().rfind(|(name, _)| name == key);
+                let value: f64 = set.unwrap().1.parse().unwrap();
+                assert!((value - bound).abs() < 1e-9, "{key}: {value}");
             }
-            let output = command.output().unwrap();
-            let stderr = String::from_utf8_lossy(&output.stderr);
-            assert!(output.status.success(), "{stderr}");
+            let mut command = std::process::Command::new(program("cdcrd").unwrap());
+            command
+                .arg("check")
+                .arg("--config")
+                .arg(launch.config.unwrap());
+            let settings = launch
+                .settings
+                .iter()
+                .map(|(key, value)| format!("{key}={value}"));
+            let output = command
+                .args(settings.flat_map(|set| ["--set".to_owned(), set]))
+                .output()
+                .unwrap();
+            assert!(
+                output.status.success(),
+                "{}",
+                String::from_utf8_lossy(&output.stderr)
+            );
         }
     }
 }

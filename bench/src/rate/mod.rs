@@ -10,15 +10,12 @@
 
 mod case;
 mod report;
-mod search;
 mod trial;
-mod trial_metrics;
 
 use anyhow::Result;
 
 pub use case::Case;
-pub use trial::{Length, Trial};
-pub use trial_metrics::{TrialMetrics, Verdict};
+pub use trial::{Length, Trial, TrialMetrics, Verdict};
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
@@ -67,34 +64,28 @@ pub struct RateOptions {
 }
 
 fn spin_us(text: &str) -> Result<f64, String> {
-    let value: f64 = text.parse().map_err(|_| "must be a number".to_owned())?;
-    if (0.0..=1000.0).contains(&value) {
-        Ok(value)
-    } else {
-        Err("must be 0 to 1000".to_owned())
-    }
+    let value = text.parse().map_err(|_| "must be a number")?;
+    let is_within = (0.0..=1000.0).contains(&value);
+    is_within
+        .then_some(value)
+        .ok_or_else(|| "must be 0 to 1000".to_owned())
 }
 
 impl Benchmark for RateOptions {
     /// Quick: the default and its solvers in short trials, about half a minute.
     fn of_report(quick: bool) -> Self {
-        let all: Self = defaults();
-        if !quick {
-            return all;
-        }
-        let like_default = |case: &Case| {
-            case.sections == Case::DEFAULT.sections
-                && case.horizon_steps == Case::DEFAULT.horizon_steps
-        };
-        Self {
-            rounds: 1,
-            length: Length {
+        let mut options: Self = defaults();
+        if quick {
+            options.rounds = 1;
+            options.length = Length {
                 least_s: 0.5,
                 least_periods: 400,
-            },
-            cases: Case::all().into_iter().filter(like_default).collect(),
-            ..all
+            };
+            options
+                .cases
+                .retain(|case| (case.sections, case.horizon_steps) == (3, 2));
         }
+        options
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -134,8 +125,6 @@ pub struct Measured {
     pub begin_ns: u64,
     pub steps: Vec<Tried>,
     pub shortest: Vec<Shortest>,
-    /// All trials of the search, in their order.
-    pub trials: Vec<Trial>,
 }
 
 /// The trials with one period: the rounds of the default, or those of a search.
@@ -152,30 +141,16 @@ impl Tried {
     }
 }
 
+/// What the search for one case found.
 #[derive(Debug, Clone)]
 pub struct Shortest {
     pub case: Case,
+    /// In their order.
+    pub trials: Vec<Trial>,
     /// The shortest period that held; none when not even the longest did.
     pub held: Option<Tried>,
     /// The next shorter period; none when there is no shorter one.
     pub failed: Option<Tried>,
-}
-
-impl Shortest {
-    /// Of the trials of one search, which found the period with this index.
-    fn of(case: Case, periods_ms: &[f64], index: Option<usize>, trials: &[Trial]) -> Self {
-        let with = |index: usize| {
-            let period_ms = *periods_ms.get(index)?;
-            let is_it = |trial: &&Trial| trial.period_ms.total_cmp(&period_ms).is_eq();
-            let trials = trials.iter().filter(is_it).cloned().collect();
-            Some(Tried { period_ms, trials })
-        };
-        Self {
-            case,
-            held: index.and_then(with),
-            failed: with(index.map_or(0, |index| index + 1)),
-        }
-    }
 }
 
 /// How long the search for one case takes, about \[s\].
@@ -188,128 +163,111 @@ pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measure
     let cores = Cores::find()?;
     cores.stay_off();
     let stage = Stage::new(cores, may_be_realtime(), options.spin_us)?;
-    let begin_ns = cdcr_client::monotonic_ns();
-    let mut run = Run {
-        options,
-        stage,
-        progress,
-        trials: Vec::new(),
-    };
-    let steps = run.steps()?;
-    let shortest = run.search_all()?;
-    Ok(Measured {
-        realtime: run.stage.realtime,
+    let mut measured = Measured {
+        realtime: stage.realtime,
         spin_us: options.spin_us,
-        begin_ns,
-        steps,
-        shortest,
-        trials: run.trials,
-    })
-}
-
-/// Index of the shortest of these periods that holds, after as many trials as that takes; all of them are kept.
-fn search_case(
-    periods_ms: &[f64],
-    guess: usize,
-    trials: &mut Vec<Trial>,
-    mut trial: impl FnMut(f64) -> Result<Trial>,
-) -> Result<Option<usize>> {
-    search::shortest(periods_ms.len(), guess, |index| {
-        let mut count = 0;
-        loop {
-            let trial = trial(periods_ms[index])?;
-            count += 1;
-            let (holds, is_decided) = (trial.holds, trial.decides(count));
-            trials.push(trial);
-            if is_decided {
-                return Ok(holds);
-            }
-        }
-    })
-}
-
-struct Run<'a> {
-    options: &'a RateOptions,
-    stage: Stage,
-    progress: &'a mut Progress,
-    trials: Vec<Trial>,
-}
-
-impl Run<'_> {
-    /// The default with each of its periods, one after the other in each round.
-    fn steps(&mut self) -> Result<Vec<Tried>> {
-        let empty = |period_ms: &f64| Tried {
+        begin_ns: cdcr_client::monotonic_ns(),
+        steps: Vec::new(),
+        shortest: Vec::new(),
+    };
+    let length = options.length;
+    let trial = |progress: &mut Progress, case: Case, period_ms: f64| {
+        interrupt::check()?;
+        progress.begin(&format!("{} every {period_ms} ms", case.name()));
+        let trial = Trial::run(&stage, case, period_ms, length)?;
+        progress.advance(length.whole_s(period_ms));
+        anyhow::Ok(trial)
+    };
+    // The default with each of its periods, one after the other in each round.
+    measured
+        .steps
+        .extend(options.steps_ms.iter().map(|period_ms| Tried {
             period_ms: *period_ms,
             trials: Vec::new(),
-        };
-        let mut steps: Vec<Tried> = self.options.steps_ms.iter().map(empty).collect();
-        for _ in 0..self.options.rounds {
-            for step in &mut steps {
-                step.trials.push(self.trial(Case::DEFAULT, step.period_ms)?);
+        }));
+    for _ in 0..options.rounds {
+        for step in &mut measured.steps {
+            step.trials
+                .push(trial(progress, Case::DEFAULT, step.period_ms)?);
+        }
+    }
+    // Each search begins where the one before it ended.
+    let mut guess = FIRST_GUESS;
+    for case in &options.cases {
+        let (index, found) = search(*case, &options.periods_ms, guess, |period_ms| {
+            trial(progress, *case, period_ms)
+        })?;
+        guess = index.unwrap_or(0);
+        // How many trials a search takes, and how long ones, is known only now.
+        let whole_s = |trial: &Trial| length.whole_s(trial.period_ms);
+        let spent_s: f64 = found.trials.iter().map(whole_s).sum();
+        progress.expect(spent_s - search_s(options));
+        measured.shortest.push(found);
+    }
+    Ok(measured)
+}
+
+/// The shortest of these periods that holds, longest first, and its index. Goes step by step from the guess towards the
+/// border, so that a good guess costs two trials. It takes for granted what is so in every loop: with more time a
+/// period does not hold worse.
+fn search(
+    case: Case,
+    periods_ms: &[f64],
+    guess: usize,
+    mut trial: impl FnMut(f64) -> Result<Trial>,
+) -> Result<(Option<usize>, Shortest)> {
+    let mut tried: Vec<Option<Tried>> = vec![None; periods_ms.len()];
+    let mut trials = Vec::new();
+    let mut index = guess.min(periods_ms.len().saturating_sub(1));
+    // The index of the longest period that failed is one more than that of the shortest that held.
+    while let Some(period_ms) = periods_ms.get(index).filter(|_| tried[index].is_none()) {
+        let mut of_period = Vec::new();
+        loop {
+            of_period.push(trial(*period_ms)?);
+            if of_period
+                .last()
+                .is_none_or(|trial| trial.decides(of_period.len()))
+            {
+                break;
             }
         }
-        Ok(steps)
+        let holds = of_period.last().is_some_and(|trial| trial.holds);
+        trials.extend(of_period.iter().cloned());
+        tried[index] = Some(Tried {
+            period_ms: *period_ms,
+            trials: of_period,
+        });
+        index = if holds {
+            index + 1
+        } else {
+            index.saturating_sub(1)
+        };
     }
-
-    /// The shortest period of each case; each search begins where the one before it ended.
-    fn search_all(&mut self) -> Result<Vec<Shortest>> {
-        let mut guess = FIRST_GUESS;
-        let mut all = Vec::new();
-        for case in &self.options.cases {
-            let mut trials = Vec::new();
-            let index = search_case(&self.options.periods_ms, guess, &mut trials, |period_ms| {
-                self.trial(*case, period_ms)
-            })?;
-            guess = index.unwrap_or(0);
-            all.push(Shortest::of(
-                *case,
-                &self.options.periods_ms,
-                index,
-                &trials,
-            ));
-            // How many trials a search takes, and how long ones, is known only now.
-            let whole_s = |trial: &Trial| self.options.length.whole_s(trial.period_ms);
-            let spent_s: f64 = trials.iter().map(whole_s).sum();
-            self.progress.expect(spent_s - search_s(self.options));
-            self.trials.append(&mut trials);
-        }
-        Ok(all)
-    }
-
-    fn trial(&mut self, case: Case, period_ms: f64) -> Result<Trial> {
-        interrupt::check()?;
-        self.progress
-            .begin(&format!("{} every {period_ms} ms", case.name()));
-        let trial = Trial::run(&self.stage, case, period_ms, self.options.length)?;
-        self.progress
-            .advance(self.options.length.whole_s(period_ms));
-        Ok(trial)
-    }
+    let holds = |tried: &Option<Tried>| tried.as_ref().is_some_and(|tried| tried.held() > 0);
+    let held = tried.iter().rposition(holds);
+    let mut take = |index: usize| tried.get_mut(index).and_then(Option::take);
+    let found = Shortest {
+        case,
+        trials,
+        held: held.and_then(&mut take),
+        failed: take(held.map_or(0, |index| index + 1)),
+    };
+    Ok((held, found))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::causes::Causes;
     use crate::quantiles::histogram;
+    use trial::tests::{lossy, quiet};
 
     /// A trial that holds, or in which the machine or the loop lost releases.
-    fn trial(period_ms: f64, verdict: Verdict) -> Trial {
-        let quiet = trial_metrics::tests::quiet();
-        let lost = |platform, compute| TrialMetrics {
-            skipped_periods: 40,
-            causes: Causes {
-                platform,
-                compute,
-                ..Causes::default()
-            },
-            ..quiet.clone()
-        };
+    pub(super) fn trial(period_ms: f64, verdict: Verdict) -> Trial {
         let metrics = match verdict {
-            Verdict::Holds => quiet,
-            Verdict::Machine => lost(3, 0),
-            Verdict::Own => lost(0, 3),
-            Verdict::Slow => lost(0, 0),
+            Verdict::Holds => quiet(),
+            Verdict::Machine => lossy(0, 40, [3, 0, 0, 0, 0]),
+            Verdict::Own => lossy(0, 40, [0, 0, 3, 0, 0]),
+            Verdict::Slow => lossy(0, 40, [0; 5]),
         };
         assert_eq!(metrics.verdict(period_ms), verdict);
         Trial {
@@ -319,73 +277,80 @@ mod tests {
             holds: verdict == Verdict::Holds,
             remarks: metrics.remarks(period_ms),
             metrics: Some(metrics),
-            tag: String::new(),
             responses: histogram().unwrap(),
-            begin_ns: 0,
+            begin_ns: 1,
         }
     }
 
     /// Searches where `verdict` says what the trial of a period ends like, the how many-th of that period.
-    fn search(guess: usize, verdict: impl Fn(usize, usize) -> Verdict) -> (Shortest, Vec<Trial>) {
+    fn find(guess: usize, verdict: impl Fn(usize, usize) -> Verdict) -> Shortest {
         let mut counts = [0; PERIODS_MS.len()];
-        let mut trials = Vec::new();
-        let index = search_case(&PERIODS_MS, guess, &mut trials, |period_ms| {
+        let found = search(Case::DEFAULT, &PERIODS_MS, guess, |period_ms| {
             let index = PERIODS_MS.iter().position(|ms| *ms == period_ms).unwrap();
             counts[index] += 1;
             Ok(trial(period_ms, verdict(index, counts[index])))
         });
-        let shortest = Shortest::of(Case::DEFAULT, &PERIODS_MS, index.unwrap(), &trials);
-        (shortest, trials)
+        found.unwrap().1
+    }
+
+    fn tally(tried: Option<&Tried>) -> Option<(f64, usize, usize)> {
+        tried.map(|tried| (tried.period_ms, tried.held(), tried.trials.len()))
     }
 
     #[test]
     fn the_border_lies_between_what_held_and_what_failed() {
         for failing in [Verdict::Machine, Verdict::Own, Verdict::Slow] {
-            for holding in 0..=PERIODS_MS.len() {
-                for guess in 0..PERIODS_MS.len() {
-                    let verdict = |index, _| {
-                        if index < holding {
-                            Verdict::Holds
-                        } else {
-                            failing
-                        }
-                    };
-                    let (found, trials) = search(guess, verdict);
-                    let tallied =
-                        |tried: &Tried| (tried.period_ms, tried.held(), tried.trials.len());
-                    let expected = |index: usize, held, trials| {
-                        PERIODS_MS
-                            .get(index)
-                            .map(|period_ms| (*period_ms, held, trials))
-                    };
-                    let held = holding
-                        .checked_sub(1)
-                        .and_then(|index| expected(index, 1, 1));
-                    assert_eq!(found.held.as_ref().map(tallied), held);
-                    let failed = expected(holding, 0, failing.trials());
-                    assert_eq!(found.failed.as_ref().map(tallied), failed);
-                    let said = |trial: &Trial| trial.holds || !trial.remarks.is_empty();
-                    assert!(trials.iter().all(said));
+            for (holding, guess) in
+                (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)))
+            {
+                let found = find(guess, |index, _| {
+                    if index < holding {
+                        Verdict::Holds
+                    } else {
+                        failing
+                    }
+                });
+                let expected = |index: usize, held, trials| {
+                    PERIODS_MS
+                        .get(index)
+                        .map(|period_ms| (*period_ms, held, trials))
+                };
+                let held = holding
+                    .checked_sub(1)
+                    .and_then(|index| expected(index, 1, 1));
+                assert_eq!(tally(found.held.as_ref()), held);
+                assert_eq!(
+                    tally(found.failed.as_ref()),
+                    expected(holding, 0, failing.trials())
+                );
+                assert!(
+                    found
+                        .trials
+                        .iter()
+                        .all(|trial| trial.holds || !trial.remarks.is_empty())
+                );
+                if guess + 1 == holding && holding < 7 {
+                    assert_eq!(found.trials.len(), 1 + failing.trials(), "a good guess");
                 }
             }
         }
+        assert!(search(Case::DEFAULT, &PERIODS_MS, 3, |_| anyhow::bail!("no")).is_err());
     }
 
     #[test]
     fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
         for spoilt in 0..Verdict::Machine.trials() {
-            let (found, trials) = search(2, |_, count| {
+            let machine = |count| {
                 if count > spoilt {
                     Verdict::Holds
                 } else {
                     Verdict::Machine
                 }
-            });
-            let held = found.held.unwrap();
-            assert_eq!(Some(&held.period_ms), PERIODS_MS.last());
-            assert_eq!((held.held(), held.trials.len()), (1, spoilt + 1));
+            };
+            let found = find(2, |_, count| machine(count));
+            assert_eq!(tally(found.held.as_ref()), Some((0.1, 1, spoilt + 1)));
             assert!(found.failed.is_none());
-            assert_eq!(trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
+            assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
         }
     }
 }

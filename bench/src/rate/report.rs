@@ -1,15 +1,16 @@
 //! What the rates say, as rows, plots and single numbers.
 
 use anyhow::Result;
-use serde_json::{Value, json, to_value};
+use serde_json::{Value, json};
 
 use super::case::Case;
 use super::trial::Trial;
-use super::trial_metrics::TrialMetrics;
 use super::{Measured, Shortest, Tried};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
-use crate::dataset::{Column, Dataset, Plot, Recording, Sheet, fixed, percent, plain, power, word};
-use crate::metric::median;
+use crate::dataset::{
+    Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, percent, plain, power, together,
+    word,
+};
 
 const EXPLANATION: &str = "<p>A period holds when, of a daemon that really tracks the spiral, at most 0.1 % of the releases were lost \
          (no cycle, or a command handed over after the end of the period), and no cycle was late by the \
@@ -24,12 +25,12 @@ const STEPS: [Column; 20] = [
     plain("rate Hz", "rate_hz"),
     word("held in rounds", "held_in"),
     word("remarks", "remarks"),
-    fixed("wake-up p50 µs", "wake_p50_us", 1),
-    fixed("p99 µs", "wake_p99_us", 1),
-    fixed("solve p50 µs", "solve_p50_us", 1),
-    fixed("response p50 µs", "response_p50_us", 1),
-    fixed("p99 µs", "response_p99_us", 1),
-    fixed("p99.9 µs", "response_p999_us", 1),
+    fixed("wake-up p50 µs", "wake_us_p50", 1),
+    fixed("p99 µs", "wake_us_p99", 1),
+    fixed("solve p50 µs", "solve_us_p50", 1),
+    fixed("response p50 µs", "response_us_p50", 1),
+    fixed("p99 µs", "response_us_p99", 1),
+    fixed("p99.9 µs", "response_us_p999", 1),
     percent("core %", "core_share", 1),
     percent("cut short %", "budget_hit_share", 1),
     percent("stale %", "stale_input_share", 1),
@@ -53,257 +54,223 @@ const SHORTEST: [Column; 16] = [
     fixed("response p50 µs", "held_response_us_p50", 1),
     fixed("p99 µs", "held_response_us_p99", 1),
     fixed("p99.9 µs", "held_response_us_p999", 1),
-    percent("core %", "core_share", 1),
+    percent("core %", "held_core_share", 1),
     percent("cut short %", "held_budget_hit_share", 1),
     plain("beyond the period", "held_deadline_misses"),
     plain("skipped", "held_skipped_periods"),
     plain("of cycles", "held_cycles"),
-    percent("lost %", "lost_share", 3),
+    percent("lost %", "held_lost_share", 3),
     power("error p99 mm", "held_error_p99_mm"),
 ];
 
 pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
-    let steps: Vec<Value> = measured.steps.iter().map(step_row).collect();
-    let shortest: Result<Vec<Value>> = measured.shortest.iter().map(shortest_row).collect();
-    let rounds: Vec<&Trial> = measured
-        .steps
-        .iter()
-        .flat_map(|step| &step.trials)
-        .collect();
-    let all: Vec<&Trial> = rounds.iter().copied().chain(&measured.trials).collect();
-    let how = how(&measured);
-    let title = format!(
-        "The default ({}) with shorter and shorter periods, medians over rounds{how}",
-        Case::DEFAULT.name()
-    );
+    let Measured {
+        realtime,
+        spin_us,
+        begin_ns,
+        steps,
+        shortest,
+    } = measured;
+    let how = how(realtime, spin_us);
     let mut dataset = Dataset {
         name: "rate",
         heading: "How fast the loop can go",
         explanation: EXPLANATION,
-        sheets: vec![
-            Sheet::new(&shortest?)?
-                .key("shortest")
-                .file("rate")
-                .table(format!("Shortest period that holds{how}"), &SHORTEST),
-            Sheet::new(&steps)?
-                .key("default")
-                .file("rate-default")
-                .table(title, &STEPS),
-            Sheet::new(&rounds)?.key("default_rounds"),
-            Sheet::new(&measured.trials)?.key("trials"),
-            Sheet::new(&all)?.file("rate-trials"),
-        ],
-        plots: vec![plot(&steps)?],
         ..Dataset::default()
     };
-    dataset.fact("realtime", measured.realtime);
-    dataset.fact("spin_us", measured.spin_us);
-    metrics(&mut dataset, &measured);
-    let begin_ns = measured.begin_ns;
-    let trials = measured.steps.into_iter().flat_map(|step| step.trials);
+    let (mut default, mut rounds) = (Vec::new(), Vec::new());
+    for step in &steps {
+        let of_step: Vec<Value> = step.trials.iter().map(Trial::row).collect::<Result<_>>()?;
+        let path = format!("rate/default/{:.0}-hz", 1e3 / step.period_ms);
+        dataset.compare(
+            &path,
+            &of_step,
+            &[
+                ("response_p50", "µs", "response_us_p50"),
+                ("response_p99", "µs", "response_us_p99"),
+                ("response_p999", "µs", "response_us_p999"),
+                ("core", "%", "core_share"),
+                ("cut_short", "%", "budget_hit_share"),
+                ("own_misses", "", "own_misses"),
+            ],
+        );
+        default.push(step_row(step, &of_step)?);
+        rounds.extend(of_step);
+    }
+    let (mut found, mut trials) = (Vec::new(), Vec::new());
+    for case in &shortest {
+        let held_ms = case.held.as_ref().map(|held| held.period_ms);
+        dataset.lower(format!("rate/shortest/{}", case.case.key()), "ms", held_ms);
+        found.push(shortest_row(case)?);
+        trials.extend(
+            case.trials
+                .iter()
+                .map(Trial::row)
+                .collect::<Result<Vec<_>>>()?,
+        );
+    }
+    let title = format!(
+        "The default ({}) with shorter and shorter periods, medians over rounds{how}",
+        Case::DEFAULT.name()
+    );
+    dataset.plots.push(plot(&default)?);
+    dataset.sheets = vec![
+        Sheet::of(
+            &format!("Shortest period that holds{how}"),
+            &SHORTEST,
+            found,
+        )
+        .key("shortest")
+        .file("rate"),
+        Sheet::of(&title, &STEPS, default)
+            .key("default")
+            .file("rate-default"),
+        Sheet::of("", &[], [&rounds[..], &trials].concat()).file("rate-trials"),
+        Sheet::of("", &[], rounds).key("default_rounds"),
+        Sheet::of("", &[], trials).key("trials"),
+    ];
+    dataset.fact("realtime", realtime);
+    dataset.fact("spin_us", spin_us);
     let recording = |trial: Trial| {
+        let (solver, rate_hz) = (trial.case.solver.name(), 1e3 / trial.period_ms);
         Some(Recording {
-            tag: trial.tag,
+            tag: format!("{solver}.{rate_hz:.0}-hz.response"),
             start_s: trial.begin_ns.saturating_sub(begin_ns) as f64 * 1e-9,
             duration_s: trial.metrics?.duration_s,
             histogram_ns: trial.responses,
         })
     };
+    let trials = steps.into_iter().flat_map(|step| step.trials);
     dataset.recordings = trials.filter_map(recording).collect();
     Ok(dataset)
 }
 
-fn how(measured: &Measured) -> String {
-    let spin = if measured.spin_us > 0.0 {
-        let spin_us = measured.spin_us;
+fn how(realtime: bool, spin_us: f64) -> String {
+    let spin = if spin_us > 0.0 {
         format!(", spinning {spin_us} µs (at most a quarter of the period)")
     } else {
         String::new()
     };
-    if measured.realtime {
-        spin
+    let refused = if realtime {
+        ""
     } else {
-        spin + ", without SCHED_FIFO (not granted)"
-    }
-}
-
-fn metrics(dataset: &mut Dataset, measured: &Measured) {
-    type Quantity = (&'static str, &'static str, fn(&TrialMetrics) -> f64);
-    let quantities: [Quantity; 6] = [
-        ("response_p50", "µs", |f| f.response_us.p50),
-        ("response_p99", "µs", |f| f.response_us.p99),
-        ("response_p999", "µs", |f| f.response_us.p999),
-        ("core", "%", |f| 100.0 * f.core_share()),
-        ("cut_short", "%", |f| 100.0 * f.budget_hit_share),
-        ("own_misses", "", |f| f.causes.own() as f64),
-    ];
-    for step in &measured.steps {
-        let rate_hz = rate_hz(step.period_ms).round();
-        for (what, unit, value) in quantities {
-            let name = format!("rate/default/{rate_hz}-hz/{what}");
-            dataset.lower(name, unit, measured_in(step).map(value));
-        }
-    }
-    for shortest in &measured.shortest {
-        let name = format!("rate/shortest/{}", shortest.case.key());
-        let held_ms = shortest.held.as_ref().map(|held| held.period_ms);
-        dataset.lower(name, "ms", held_ms);
-    }
+        ", without SCHED_FIFO (not granted)"
+    };
+    spin + refused
 }
 
 fn plot(rows: &[Value]) -> Result<Plot> {
-    let line = |label: &str, key: &str, factor: f64, colour| {
-        let point = |row: &Value| {
-            let (rate_hz, value) = (row["rate_hz"].as_f64()?, row[key].as_f64()?);
-            Some((rate_hz * 1e-3, value * factor))
-        };
-        Curve::line(label, rows.iter().filter_map(point).collect(), colour)
+    let line = |label: &str, key: &str, colour| Curve::of_rows(label, rows, "rate_hz", key, colour);
+    let panel = |title: &str, y, scale, curves| Panel {
+        title: title.to_owned(),
+        x: "rate [Hz]",
+        y,
+        scale,
+        curves,
     };
-    let times = Panel {
-        title: "Response of the default".to_owned(),
-        x: "rate [kHz]",
-        y: "[µs]",
-        scale: Scale::LogLog { floor: 1.0 },
-        curves: vec![
-            line("period", "period_ms", 1e3, DARK),
-            line("p99.9", "response_p999_us", 1.0, ORANGE),
-            line("p99", "response_p99_us", 1.0, GREEN),
-            line("p50", "response_p50_us", 1.0, BLUE),
-        ],
-    };
-    let shares = Panel {
-        title: "What it costs".to_owned(),
-        x: "rate [kHz]",
-        y: "[%]",
-        scale: Scale::Linear,
-        curves: vec![
-            line("of the core", "core_share", 100.0, BLUE),
-            line("solves cut short", "budget_hit_share", 100.0, ORANGE),
-        ],
-    };
+    let times = vec![
+        line("period", "period_us", DARK),
+        line("p99.9", "response_us_p999", ORANGE),
+        line("p99", "response_us_p99", GREEN),
+        line("p50", "response_us_p50", BLUE),
+    ];
+    let shares = vec![
+        line("of the core", "core_share", BLUE),
+        line("solves cut short", "budget_hit_share", ORANGE),
+    ];
+    let panels = [
+        panel(
+            "Response of the default",
+            "[µs]",
+            Scale::LogLog { floor: 1.0 },
+            times,
+        ),
+        panel("What it costs", "share", Scale::Linear, shares),
+    ];
     Ok(Plot {
         name: "rate",
         caption: "The default with shorter and shorter periods. The response is that of the cycles that ran: \
                   releases without a cycle are not in it.",
-        svg: sheet(&[times, shares], 2, 620)?,
+        svg: sheet(&panels, 2, 620)?,
     })
 }
 
 fn shortest_row(shortest: &Shortest) -> Result<Value> {
     let (held, failed) = (shortest.held.as_ref(), shortest.failed.as_ref());
     let last = |tried: Option<&Tried>| tried.and_then(|tried| tried.trials.last().cloned());
-    let metrics = last(held).and_then(|trial| trial.metrics);
-    let counts =
-        |tried: Option<&Tried>| tried.map_or((0, 0), |tried| (tried.held(), tried.trials.len()));
+    let failed_remarks = last(failed).map(|trial| trial.remarks);
     let ended_by = match (failed, held) {
         (Some(failed), _) => format!(
             "{} ms, held in {} trials: {}",
             failed.period_ms,
             held_in(failed),
-            last(Some(failed)).map_or_else(String::new, |trial| trial.remarks)
+            failed_remarks.as_deref().unwrap_or_default()
         ),
         (None, Some(_)) => "nothing: no shorter one was tried".to_owned(),
         (None, None) => String::new(),
     };
-    let period_ms = held.map(|held| held.period_ms);
-    let mut row = json!({
-        "sections": shortest.case.sections,
-        "solver": shortest.case.solver,
-        "horizon_steps": shortest.case.horizon_steps,
-        "shortest_period_ms": period_ms,
-        "rate_hz": period_ms.map(rate_hz),
-        "trials_held": counts(held).0,
-        "trials": counts(held).1,
-        "core_share": metrics.as_ref().map(TrialMetrics::core_share),
-        "lost_share": metrics.as_ref().map(TrialMetrics::lost_share),
+    let own = json!({
+        "shortest_period_ms": held.map(|held| held.period_ms),
+        "rate_hz": held.map(|held| 1e3 / held.period_ms),
+        "trials_held": held.map_or(0, Tried::held),
+        "trials": held.map_or(0, |held| held.trials.len()),
         "ended_by": ended_by,
         "held_in": held.map_or_else(String::new, held_in),
         "failed_period_ms": failed.map(|failed| failed.period_ms),
-        "failed_trials_held": counts(failed).0,
-        "failed_trials": counts(failed).1,
-        "failed_remarks": last(failed).map(|trial| trial.remarks),
+        "failed_trials_held": failed.map_or(0, Tried::held),
+        "failed_trials": failed.map_or(0, |failed| failed.trials.len()),
+        "failed_remarks": failed_remarks,
+        "held": last(held).map(|trial| trial.row()).transpose()?,
     });
-    if let Some(held) = last(held) {
-        row["held"] = to_value(held)?;
-    }
-    Ok(row)
+    joined([json!(shortest.case), own])
 }
 
 fn held_in(tried: &Tried) -> String {
     format!("{} of {}", tried.held(), tried.trials.len())
 }
 
-/// Of each round in which the robot followed.
-fn measured_in(step: &Tried) -> impl Iterator<Item = &TrialMetrics> {
-    let trials = step.trials.iter();
-    trials.filter_map(|trial| trial.metrics.as_ref())
-}
-
 /// Medians over the rounds, and sums of what was counted.
-fn step_row(step: &Tried) -> Value {
-    let middle = |value: fn(&TrialMetrics) -> f64| median(measured_in(step).map(value));
-    let sum = |count: fn(&TrialMetrics) -> u64| -> u64 { measured_in(step).map(count).sum() };
-    let tracking = measured_in(step).map(|f| f.tracking_share);
+fn step_row(step: &Tried, rounds: &[Value]) -> Result<Value> {
     // Those of the first round that did not hold, or else of the last one.
     let failed = step.trials.iter().find(|trial| !trial.holds);
     let told = failed.or(step.trials.last());
-    json!({
+    let all = together(rounds);
+    let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
+    let own = json!({
+        "sections": Case::DEFAULT.sections,
+        "horizon_steps": Case::DEFAULT.horizon_steps,
         "period_ms": step.period_ms,
-        "rate_hz": rate_hz(step.period_ms),
+        "period_us": 1e3 * step.period_ms,
+        "rate_hz": 1e3 / step.period_ms,
         "rounds": step.trials.len(),
         "rounds_held": step.held(),
-        "wake_p50_us": middle(|f| f.wake_us.p50),
-        "wake_p99_us": middle(|f| f.wake_us.p99),
-        "solve_p50_us": middle(|f| f.solve_us.p50),
-        "response_p50_us": middle(|f| f.response_us.p50),
-        "response_p99_us": middle(|f| f.response_us.p99),
-        "response_p999_us": middle(|f| f.response_us.p999),
-        "core_share": middle(TrialMetrics::core_share),
-        "budget_hit_share": middle(|f| f.budget_hit_share),
-        "stale_input_share": middle(|f| f.stale_input_share),
-        "error_p99_mm": middle(|f| f.error_p99_mm),
-        "cycles": sum(|f| f.cycles),
-        "own_misses": sum(|f| f.causes.own()),
-        "late_cycles": sum(|f| f.causes.all()),
-        "deadline_misses": sum(|f| f.deadline_misses),
-        "skipped_periods": sum(|f| f.skipped_periods),
-        "lost_share": sum(TrialMetrics::lost) as f64 / sum(TrialMetrics::due).max(1) as f64,
-        "dropped_records": sum(|f| f.dropped_records),
-        "tracking_share_least": tracking.reduce(f64::min).unwrap_or(0.0),
-        "remarks": told.map_or("", |trial| &trial.remarks),
         "held_in": held_in(step),
-    })
-}
-
-fn rate_hz(period_ms: f64) -> f64 {
-    1e3 / period_ms
+        "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
+        "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
+        "remarks": told.map_or("", |trial| &trial.remarks),
+    });
+    joined([all, own])
 }
 
 #[cfg(test)]
 mod tests {
+    use super::super::Verdict;
+    use super::super::tests::trial;
     use super::*;
-    use crate::quantiles::histogram;
-    use crate::rate::trial_metrics::tests::quiet;
-
-    fn trial(period_ms: f64, holds: bool) -> Trial {
-        Trial {
-            case: Case::DEFAULT,
-            period_ms,
-            spin_us: 0.0,
-            holds,
-            remarks: if holds { "" } else { "too short" }.to_owned(),
-            metrics: holds.then(quiet),
-            tag: "tag".to_owned(),
-            responses: histogram().unwrap(),
-            begin_ns: 1,
-        }
-    }
 
     #[test]
     fn what_failed_is_told_and_is_no_value_of_a_metric() {
-        let tried = |period_ms, holds: &[bool]| Tried {
-            period_ms,
-            trials: holds.iter().map(|holds| trial(period_ms, *holds)).collect(),
+        let tried = |period_ms, holds: &[bool]| {
+            let of_round = |holds: &bool| Trial {
+                metrics: trial(period_ms, Verdict::Holds).metrics.filter(|_| *holds),
+                holds: *holds,
+                remarks: if *holds { "" } else { "too short" }.to_owned(),
+                ..trial(period_ms, Verdict::Holds)
+            };
+            Tried {
+                period_ms,
+                trials: holds.iter().map(of_round).collect(),
+            }
         };
         let (held, failed) = (tried(0.5, &[false, true]), tried(0.25, &[false; 3]));
         let found = dataset(Measured {
@@ -311,9 +278,9 @@ mod tests {
             spin_us: 0.0,
             begin_ns: 0,
             steps: vec![tried(5.0, &[true, true]), tried(0.1, &[true, false])],
-            trials: [&held.trials[..], &failed.trials].concat(),
             shortest: vec![Shortest {
                 case: Case::DEFAULT,
+                trials: [&held.trials[..], &failed.trials].concat(),
                 held: Some(held),
                 failed: Some(failed),
             }],
@@ -322,26 +289,26 @@ mod tests {
         let json = found.json();
         assert_eq!(json["default"][1]["rounds_held"], 1);
         assert_eq!(json["default"][1]["remarks"], "too short");
+        assert_eq!(json["default"][0]["cycles"], 8000);
         assert_eq!(json["shortest"][0]["shortest_period_ms"], 0.5);
         assert_eq!(json["shortest"][0]["failed_period_ms"], 0.25);
         assert_eq!(json["trials"][2]["holds"], false);
         let text = found.text();
-        assert!(
-            text.contains("0.25 ms, held in 0 of 3 trials: too short")
-                && text.contains("1 of 2")
-                && text.contains("not granted"),
-            "{text}"
-        );
-        let of = |name: &str| {
-            found
-                .metrics
-                .iter()
-                .find(|metric| metric.name == name)
-                .unwrap()
+        for words in [
+            "0.25 ms, held in 0 of 3 trials: too short",
+            "1 of 2",
+            "not granted",
+        ] {
+            assert!(text.contains(words), "{text}");
+        }
+        let is = |name: &str, rounds: &[f64]| {
+            let metric = found.metrics.iter().find(|metric| metric.name == name);
+            assert_eq!(metric.unwrap().rounds, rounds, "{name}");
         };
-        assert_eq!(of("rate/default/200-hz/response_p50").rounds, [30.0, 30.0]);
-        assert_eq!(of("rate/default/10000-hz/response_p50").rounds, [30.0]);
-        assert_eq!(of("rate/shortest/3-sections/kpso-refined/n2").rounds, [0.5]);
+        is("rate/default/200-hz/response_p50", &[30.0, 30.0]);
+        is("rate/default/10000-hz/response_p50", &[30.0]);
+        is("rate/default/10000-hz/core", &[20.0]);
+        is("rate/shortest/3-sections/kpso-refined/n2", &[0.5]);
         assert_eq!(found.recordings.len(), 3);
     }
 }

@@ -1,15 +1,13 @@
 //! What the project set out to reach, and what a run found.
 
-use anyhow::Result;
-use serde::Serialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 
-use crate::dataset::{Sheet, plain, shorted, word};
+use crate::dataset::{Dataset, Sheet, plain, shorted, word};
 use crate::deadline::misses_p_value;
 use crate::metric::{Metric, range};
 
 /// How the rows are to be read: HTML.
-pub(crate) const EXPLANATION: &str = "\
+const EXPLANATION: &str = "\
 <p>With three sections, <code>kpso-refined</code>, 5 ms and real time. A figure is the median over the rounds, \
 with their range beside it; where several cases stand behind it, the worst of them. \"Beyond the bare loop\" asks \
 how probable so many misses of the cycles that were due, all loads together, would be if daemon and bare loop \
@@ -23,21 +21,6 @@ const CHANCE: f64 = 0.05;
 
 /// What a stop may take beyond one period \[µs\].
 const STOP_MARGIN_US: f64 = 100.0;
-
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Target {
-    pub what: &'static str,
-    pub target: &'static str,
-    pub found: f64,
-    /// Its unit; empty for a ratio or a count.
-    pub unit: &'static str,
-    /// Smallest and largest round, where it was measured in rounds.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub range: Option<(f64, f64)>,
-    /// Which case it comes from, or how much was measured; empty when nothing needs to be said.
-    pub of: String,
-    pub reached: bool,
-}
 
 struct Found<'a> {
     metrics: &'a [Metric],
@@ -86,24 +69,28 @@ const WANTED: [Wanted; 13] = [
 ];
 
 /// The figures that the metrics and results of a run tell.
-pub fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Target> {
+pub(super) fn targets(metrics: &[Metric], results: &Map<String, Value>) -> Vec<Value> {
     let found = Found { metrics, results };
     let target = |(what, target, unit, find, is_reached): Wanted| {
         let (value, range, of) = find(&found)?;
-        Some(Target {
-            what,
-            target,
-            found: value,
-            unit,
-            range,
-            of,
-            reached: is_reached(value),
-        })
+        let reached = is_reached(value);
+        Some(json!({
+            "what": what,
+            "target": target,
+            "found": value,
+            // Empty for a ratio or a count.
+            "unit": unit,
+            // Smallest and largest round, where it was measured in rounds.
+            "range": range,
+            // Which case it comes from, or how much was measured.
+            "of": of,
+            "reached": reached,
+        }))
     };
     WANTED.into_iter().filter_map(target).collect()
 }
 
-pub(super) fn sheet(targets: &[Target]) -> Result<Sheet> {
+pub(super) fn dataset(targets: Vec<Value>) -> Dataset {
     let columns = [
         word("figure", "what"),
         word("target", "target"),
@@ -113,7 +100,18 @@ pub(super) fn sheet(targets: &[Target]) -> Result<Sheet> {
         plain("unit", "unit"),
         shorted("rounds", "range"),
     ];
-    Ok(Sheet::new(targets)?.table("Figures to reach", &columns))
+    let title = if targets.is_empty() {
+        ""
+    } else {
+        "Figures to reach"
+    };
+    Dataset {
+        name: "targets",
+        heading: "Figures to reach",
+        explanation: EXPLANATION,
+        sheets: vec![Sheet::of(title, &columns, targets).key("targets")],
+        ..Dataset::default()
+    }
 }
 
 impl Found<'_> {
@@ -239,11 +237,14 @@ mod tests {
         ];
         let found = targets(&metrics, &Map::new());
         assert_eq!(found.len(), 1, "{found:?}");
-        assert_eq!((found[0].found, &*found[0].of), (1.2, "cpu"));
-        assert_eq!(found[0].range, Some((1.1, 1.3)));
-        let text = sheet(&found).expect("rows").text();
+        let (value, of, range) = (&found[0]["found"], &found[0]["of"], &found[0]["range"]);
+        assert_eq!(
+            (value, of, range),
+            (&json!(1.2), &json!("cpu"), &json!([1.1, 1.3]))
+        );
+        assert_eq!(found[0]["reached"], false);
+        let text = dataset(found).text();
         assert!(text.contains("1.1 to 1.3"), "{text}");
-        assert!(!found[0].reached);
     }
 
     #[test]
@@ -265,10 +266,17 @@ mod tests {
         ] } }));
         let found = targets(&[], &results);
         assert_eq!(found.len(), 2, "{found:?}");
-        assert_eq!((found[0].found, found[0].reached), (2.0, false));
-        assert_eq!(found[0].of, "3.0 min");
-        assert_eq!(found[1].of, "4 of 24000 against 4 of 24000");
-        assert!(found[1].reached && found[1].found > 0.5, "{found:?}");
+        says(&found[0], 2.0, "3.0 min", false);
+        assert_eq!(found[1]["of"], "4 of 24000 against 4 of 24000");
+        assert!(
+            found[1]["reached"] == true && found[1]["found"].as_f64() > Some(0.5),
+            "{found:?}"
+        );
+    }
+
+    fn says(target: &Value, found: f64, of: &str, reached: bool) {
+        let told = ["found", "of", "reached"].map(|key| &target[key]);
+        assert_eq!(told, [&json!(found), &json!(of), &json!(reached)]);
     }
 
     #[test]
@@ -280,7 +288,6 @@ mod tests {
             target("stop.zero_command", 2130.0),
         ] } }));
         let found = targets(&[], &results);
-        assert_eq!((found[0].found, found[0].reached), (130.0, false));
-        assert_eq!(found[0].of, "stop.zero_command");
+        says(&found[0], 130.0, "stop.zero_command", false);
     }
 }

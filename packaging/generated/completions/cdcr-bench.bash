@@ -59,7 +59,7 @@ _cdcr__bench() {
 
     case "${cmd}" in
         cdcr__bench)
-            opts="-h -V --help --version all compare deadline paper quality robustness solver budget latency peer rate footprint"
+            opts="-h -V --help --version all deadline latency rate footprint quality robustness paper solver budget compare peer"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 1 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

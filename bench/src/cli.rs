@@ -1,0 +1,404 @@
+//! The command line of the benchmarks.
+
+use std::fs;
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail, ensure};
+use cdcr_bench::benchmark::Benchmark;
+use cdcr_bench::budget::BudgetOptions;
+use cdcr_bench::compare::{Comparison, Input, Verdict};
+use cdcr_bench::deadline::DeadlineOptions;
+use cdcr_bench::environment::RunOptions;
+use cdcr_bench::footprint::FootprintOptions;
+use cdcr_bench::latency::{LatencyOptions, baseline};
+use cdcr_bench::progress::Progress;
+use cdcr_bench::quality::QualityOptions;
+use cdcr_bench::rate::RateOptions;
+use cdcr_bench::report::{self, BenchReport, Bundle, Extent, Plan, Start};
+use cdcr_bench::robustness::RobustnessOptions;
+use cdcr_bench::simulation::Effort;
+use cdcr_bench::solver::SolverOptions;
+use cdcr_shared_types::Location;
+use cdcr_testbed::interrupt;
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand, ValueEnum};
+
+/// Where a report goes that would take results from an older one.
+const ASIDE: &str = "partial";
+
+const DEADLINE_HELP: &str = "Example: cdcr-bench deadline --duration 60s --rounds 6 --out deadline\n\n\
+    Real-time threads need a privilege (docs/realtime.md); without it only the ordinary set-up is measured.";
+const LATENCY_HELP: &str = "Example: cdcr-bench latency --rounds 5 --out latency\n\n\
+    Real-time threads need a privilege (docs/realtime.md); without it the same is measured without them.";
+
+/// What the controller reaches, measured.
+#[derive(Debug, Parser)]
+#[command(
+    name = "cdcr-bench",
+    version,
+    about,
+    after_help = "Example: cdcr-bench paper --seeds 10"
+)]
+pub(crate) struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Everything, as one report with the machine's description: text, JSON, CSV, plots, raw histograms, and
+    /// a page that holds all of it.
+    #[command(after_help = "Example: cdcr-bench all --out report --quick")]
+    All(AllArguments),
+    #[command(flatten)]
+    One(One),
+    /// What changed between two runs beyond the noise of their rounds.
+    #[command(after_help = "Example: cdcr-bench compare before/report.json after/report.json")]
+    Compare(CompareArguments),
+    /// The other process of `latency`.
+    #[command(name = baseline::PEER, hide = true)]
+    Peer(PeerArguments),
+}
+
+/// Declares the benchmarks: what each is, its name, its options, what stands below its help.
+macro_rules! benchmarks {
+    ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal: $options:ty, $help:expr;)+) => {
+        #[derive(Debug, Subcommand)]
+        enum One {
+            $($(#[doc = $doc])+ #[command(after_help = $help)] $variant(Measure<$options>),)+
+        }
+
+        /// A benchmark of a report.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+        enum Name {
+            $($(#[doc = $doc])+ $variant,)+
+        }
+
+        impl One {
+            fn run(self, start: &Start) -> Result<()> {
+                match self {
+                    $(Self::$variant(asked) => asked.output.measure(asked.options, start),)+
+                }
+            }
+        }
+
+        impl Name {
+            fn name(self) -> &'static str {
+                match self {
+                    $(Self::$variant => $name,)+
+                }
+            }
+
+            fn plan(self, asked: &AllArguments) -> Plan {
+                match self {
+                    $(Self::$variant => Plan::new::<$options>($name, asked.extent, asked.config.as_ref()),)+
+                }
+            }
+        }
+    };
+}
+
+// In the order in which they are run: those of real time come first, while the machine is quiet.
+benchmarks! {
+    /// Deadline misses and latencies of the daemon under named loads, beside a bare loop in the same run.
+    Deadline = "deadline": DeadlineOptions, DEADLINE_HELP;
+    /// How long messages take: reference, obstacle, measurement, request and stop, beside iceoryx2 alone.
+    Latency = "latency": LatencyOptions, LATENCY_HELP;
+    /// How fast the loop can go: the shortest period that a real daemon holds with 1, 2 and 3 sections, every
+    /// solver and two horizons, and what ends it.
+    Rate = "rate": RateOptions, "Example: cdcr-bench rate --rounds 5 --out rate";
+    /// What a daemon takes at 200 Hz: share of a core of each thread, memory, files, time to start.
+    Footprint = "footprint": FootprintOptions,
+        "Example: cdcr-bench footprint --duration 30s --format json > footprint.json";
+    /// What time buys: error, clearance and cost against the budget of a solve, the swarm and the horizon, on
+    /// the paper's and on harder scenes, and how often a solver gets stuck.
+    Quality = "quality": QualityOptions, "Example: cdcr-bench quality --rounds 5 --out quality";
+    /// Robots that are not their model (lag, noise, play, another geometry, a load): the true error of the tip, and what each part of the
+    /// controller is for.
+    Robustness = "robustness": RobustnessOptions, "Example: cdcr-bench robustness --seeds 20 --out robustness";
+    /// The paper's three simulations (spiral, line with orientation, circle with an obstacle) with every
+    /// solver, beside the paper's figures.
+    Paper = "paper": Effort, "Example: cdcr-bench paper --seeds 3 --out paper";
+    /// Solve times on every path of this processor, and how they grow with sections, steps, particles,
+    /// iterations and obstacles.
+    Solver = "solver": SolverOptions, "Example: cdcr-bench solver --format csv > solver.csv";
+    /// How much later than its budget a solve ends, from no time at all to 1 ms, and that its plan is never
+    /// worse than the warm start.
+    Budget = "budget": BudgetOptions, "Example: cdcr-bench budget --format json > budget.json";
+}
+
+#[derive(Debug, clap::Args)]
+struct Measure<B: Benchmark> {
+    #[command(flatten)]
+    options: B,
+    #[command(flatten)]
+    output: Output,
+}
+
+/// How to print a result, and where to keep it.
+#[derive(Debug, Clone, clap::Args)]
+struct Output {
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// Folder for everything that was measured: text, JSON, CSV, a page with plots, raw histograms; made if
+    /// it does not exist.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Format {
+    /// A table for people.
+    Text,
+    /// The same table for a page on the web.
+    Markdown,
+    /// One JSON object.
+    Json,
+    /// Comma-separated values with a header.
+    Csv,
+}
+
+#[derive(Debug, clap::Args)]
+struct AllArguments {
+    /// Folder for the report: report.html, report.txt, report.json, a CSV for each table, plots as SVG, raw
+    /// histograms; made if it does not exist, written into at the end only.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    extent: Extent,
+    /// Only these, separated by commas.
+    #[arg(long, value_enum, value_delimiter = ',', value_name = "NAME")]
+    only: Vec<Name>,
+    /// Configuration of the daemon in deadline and latency; without it the default, three sections. The other
+    /// benchmarks choose their own, and with it no figure to reach is judged.
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum ComparisonFormat {
+    /// What changed, for people.
+    Text,
+    /// One JSON object with every number.
+    Json,
+}
+
+#[derive(Debug, clap::Args)]
+struct CompareArguments {
+    /// The JSON of the run before: report.json, or that of one benchmark.
+    #[arg(value_name = "A.json")]
+    before: PathBuf,
+    /// The JSON of the run after.
+    #[arg(value_name = "B.json")]
+    after: PathBuf,
+    /// How to print the result.
+    #[arg(long, value_enum, default_value_t = ComparisonFormat::Text)]
+    format: ComparisonFormat,
+    /// Exit status 1 when more numbers changed for the worse, beyond noise, than chance explains: than half of
+    /// those that chance alone would call changed, rounded up, and two more. Numbers with one value each do not
+    /// count.
+    #[arg(long)]
+    fail_on_worse: bool,
+}
+
+#[derive(Debug, clap::Args)]
+struct PeerArguments {
+    /// Prefix of the files in shared memory.
+    #[arg(long)]
+    prefix: String,
+    /// Root folder of iceoryx2.
+    #[arg(long)]
+    root: PathBuf,
+    /// The process that started it.
+    #[arg(long)]
+    parent: u32,
+    /// Its core.
+    #[arg(long)]
+    core: usize,
+    /// Both processes are on one core.
+    #[arg(long)]
+    shares: bool,
+}
+
+/// Carries the command line out.
+pub(crate) fn run() -> Result<()> {
+    let (command, matches) = (Cli::command(), Cli::command().get_matches());
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    let start = || Start::now(RunOptions::of(&command, &matches));
+    match cli.command {
+        Command::All(asked) => asked.run(start()?),
+        Command::One(one) => one.run(&start()?),
+        Command::Compare(asked) => asked.run(),
+        Command::Peer(asked) => asked.run(),
+    }
+}
+
+impl Output {
+    /// Runs one benchmark with its progress, and delivers its result. A folder that cannot be made costs no minutes, and
+    /// Ctrl-C ends the measurement in order.
+    fn measure(&self, asked: impl Benchmark, start: &Start) -> Result<()> {
+        interrupt::catch()?;
+        self.out.as_deref().map_or(Ok(()), make)?;
+        let options = asked.resolved()?;
+        let mut progress = Progress::new(options.expected_s());
+        let dataset = options.run(&mut progress)?;
+        drop(progress);
+        // Kept before it is printed: whoever reads may close the pipe.
+        if let Some(folder) = &self.out {
+            keep(&start.bundle_of(&dataset)?, folder)?;
+        }
+        let machine = start.environment.line();
+        show(&match self.format {
+            Format::Text => format!("{}\n{machine}\n", dataset.text()),
+            Format::Markdown => format!("{}\n{machine}\n", dataset.markdown()),
+            Format::Json => start.json_of(&dataset)?,
+            Format::Csv => {
+                let own = dataset.csv().find(|(name, _)| *name == dataset.name);
+                own.map_or_else(|| Ok(String::new()), |(_, csv)| csv)?
+            }
+        })
+    }
+}
+
+impl AllArguments {
+    /// Of those that were asked for; of all when none was named.
+    fn plans(&self) -> Vec<Plan> {
+        let is_asked = |name: &&Name| self.only.is_empty() || self.only.contains(name);
+        let asked = Name::value_variants().iter().filter(is_asked);
+        asked.map(|name| name.plan(self)).collect()
+    }
+
+    /// About how long it takes \[s\].
+    fn expected_s(&self) -> f64 {
+        self.plans().iter().map(|plan| plan.expected_s).sum()
+    }
+
+    fn run(self, start: Start) -> Result<()> {
+        interrupt::catch()?;
+        if let Some(config) = &self.config {
+            ensure!(config.is_file(), "there is no file {}", config.display());
+        }
+        make(&self.out)?;
+        let mut progress = Progress::new(self.expected_s());
+        let report = BenchReport {
+            start,
+            extent: self.extent,
+            default_config: self.config.is_none(),
+            parts: report::run(self.plans(), &mut progress)?,
+        };
+        drop(progress);
+        keep(&report.bundle()?, &self.folder(&report)?)?;
+        show(&report.summary())?;
+        let failed: Vec<&str> = report.failures().map(|(name, _)| name).collect();
+        ensure!(
+            failed.is_empty(),
+            "{} of {} benchmarks failed: {}; the report says why, and holds the others",
+            failed.len(),
+            report.parts.len(),
+            failed.join(", ")
+        );
+        Ok(())
+    }
+
+    /// The folder itself, unless it holds a report with results that this one lacks.
+    fn folder(&self, report: &BenchReport) -> Result<PathBuf> {
+        let older = fs::read_to_string(self.out.join("report.json")).unwrap_or_default();
+        let names = Name::value_variants().iter().map(|name| name.name());
+        let lost = report.would_lose(&older, names);
+        if lost.is_empty() {
+            return Ok(self.out.clone());
+        }
+        let aside = self.out.join(ASIDE);
+        writeln!(
+            std::io::stderr(),
+            "{} holds an older report, with {}, which this one lacks: it stays, and this one goes into {}",
+            self.out.display(),
+            lost.join(", "),
+            aside.display()
+        )?;
+        Ok(aside)
+    }
+}
+
+impl CompareArguments {
+    fn run(&self) -> Result<()> {
+        let comparison = Comparison::of(&Input::read(&self.before)?, &Input::read(&self.after)?);
+        show(&match self.format {
+            ComparisonFormat::Text => comparison.text()?,
+            ComparisonFormat::Json => serde_json::to_string(&comparison)? + "\n",
+        })?;
+        let worse = comparison.count(Verdict::Worse);
+        let by_chance = comparison.worse_by_chance();
+        if self.fail_on_worse && worse > by_chance {
+            bail!(
+                "{worse} numbers are worse than before, beyond noise; chance explains {by_chance} at most"
+            );
+        }
+        Ok(())
+    }
+}
+
+impl PeerArguments {
+    fn run(&self) -> Result<()> {
+        baseline::peer(&baseline::PeerOptions {
+            location: Location::new(&self.prefix, &self.root)?,
+            core: self.core,
+            parent: self.parent,
+            shares: self.shares,
+        })
+    }
+}
+
+fn make(folder: &Path) -> Result<()> {
+    fs::create_dir_all(folder)
+        .with_context(|| format!("cannot make the folder {}", folder.display()))
+}
+
+/// Writes all files, and tells so beside the result and not in it.
+fn keep(bundle: &Bundle, folder: &Path) -> Result<()> {
+    bundle.write(folder)?;
+    writeln!(
+        std::io::stderr(),
+        "{} files written into {}",
+        bundle.0.len(),
+        folder.display()
+    )?;
+    Ok(())
+}
+
+/// Writes to the standard output. A reader that closed it, like `head`, has seen enough.
+fn show(text: &str) -> Result<()> {
+    match std::io::stdout().write_all(text.as_bytes()) {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_manual_is_what_the_command_line_says() {
+        cdcr_packaging::check(&Cli::command(), "1", None).expect("up to date");
+    }
+
+    #[test]
+    fn a_quick_look_takes_less_time_than_the_whole() {
+        let expected_s = |quick| {
+            let extent = Extent {
+                quick,
+                rounds: None,
+            };
+            let all = AllArguments {
+                out: PathBuf::new(),
+                extent,
+                only: Vec::new(),
+                config: None,
+            };
+            all.expected_s()
+        };
+        assert!(expected_s(true) < expected_s(false) / 4.0);
+    }
+}

@@ -1,0 +1,519 @@
+//! The machine that a result comes from, and what a run was asked for: without them no figure can be judged, or
+//! compared with another's.
+//!
+//! Invariant: nothing here names the machine, its user or a folder of it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{DefaultHasher, Hasher};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::SystemTime;
+
+use anyhow::Result;
+use clap::ArgMatches;
+use clap::parser::ValueSource;
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+
+use crate::dataset::{Sheet, flat, word};
+use crate::system::cores::Cores;
+use crate::system::thread::may_be_realtime;
+
+/// Capability `CAP_IPC_LOCK`, its bit in `CapEff` (capabilities(7)).
+const CAP_IPC_LOCK: u32 = 14;
+/// Words of the kernel's command line that keep others off a core.
+const ISOLATING: [&str; 3] = ["isolcpus=", "nohz_full=", "rcu_nocbs="];
+/// Properties of the machine that move absolute times.
+const MOVING: [&str; 11] = [
+    "debug build",
+    "hypervisor",
+    "kernel clock source",
+    "kernel isolation",
+    "kernel release",
+    "privileges lock memory",
+    "privileges realtime",
+    "processor cores",
+    "processor governor",
+    "processor model",
+    "virtual machine",
+];
+
+/// The machine at the start of a run. What it does not tell is null.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Environment(Map<String, Value>);
+
+impl Environment {
+    /// This machine now. To be asked before any thread of this process is pinned.
+    pub fn find() -> Result<Self> {
+        let root = Root(PathBuf::from("/"));
+        let mut found = Self::of(&root, &Cores::find()?, may_be_realtime());
+        found.0.insert("commit".to_owned(), json!(commit()));
+        Ok(found)
+    }
+
+    fn of(root: &Root, cores: &Cores, realtime: bool) -> Self {
+        let first_number = |text: String| text.split_ascii_whitespace().next()?.parse::<f64>().ok();
+        let memory_kib = root
+            .field("proc/meminfo", "MemTotal")
+            .and_then(first_number);
+        let all = json!({
+            // When the run began, in UTC, like `2026-11-21T12:00:00Z`.
+            "started_utc": humantime::format_rfc3339_seconds(SystemTime::now()).to_string(),
+            "cdcr_version": env!("CARGO_PKG_VERSION"),
+            // Commit of the working copy in the current folder, when that is ours; `+` for changes beside it.
+            "commit": null,
+            // Built without optimisation: times of such a program say nothing.
+            "debug_build": cfg!(debug_assertions),
+            // As it is seen from the core that is measured.
+            "processor": root.processor(cores.realtime),
+            // Whether a hypervisor may halt the cores at any time, as the processor tells.
+            "virtual_machine": root.is_virtual(),
+            "hypervisor": root.hypervisor(),
+            "kernel": root.kernel(),
+            "memory_mb": memory_kib.map(|kib| (kib * 1024.0 / 1e6) as u64),
+            // Of the last minute before the start; 1 is one busy core.
+            "load_average": root.read("proc/loadavg").and_then(first_number),
+            // Threads with SCHED_FIFO, and as much locked memory as it likes.
+            "privileges": { "realtime": realtime, "lock_memory": root.may_lock() },
+            "cores": { "realtime": cores.realtime, "others": cores.others },
+        });
+        Self(all.as_object().cloned().unwrap_or_default())
+    }
+
+    pub fn is_realtime(&self) -> bool {
+        self.value("privileges realtime") == true
+    }
+
+    fn value(&self, property: &str) -> Value {
+        let found = self.properties().find(|(name, _)| name == property);
+        found.map_or(Value::Null, |(_, value)| value)
+    }
+
+    /// Name and value of everything that is known of the machine.
+    fn properties(&self) -> impl Iterator<Item = (String, Value)> {
+        let values = flat(&json!(self)).into_iter();
+        values.map(|(key, value)| (key.replace('_', " "), value))
+    }
+
+    pub fn table(&self) -> Sheet {
+        let rows = self
+            .properties()
+            .map(|(property, value)| json!({ "property": property, "value": value }));
+        let columns = [word("property", "property"), word("value", "value")];
+        Sheet::of("The machine", &columns, rows.collect())
+    }
+
+    /// What differs between two machines and moves absolute times. An older file may lack a property.
+    pub(crate) fn differing(&self, other: &Self) -> Vec<(&'static str, Value, Value)> {
+        let empty = [json!(null), json!(""), json!(false), json!(0), json!([])];
+        let both = MOVING.map(|name| (name, self.value(name), other.value(name)));
+        let is_differing = |(_, old, new): &(_, Value, Value)| {
+            old != new && !(empty.contains(old) && empty.contains(new))
+        };
+        both.into_iter().filter(is_differing).collect()
+    }
+
+    fn texts<const N: usize>(&self, properties: [&str; N]) -> [String; N] {
+        properties.map(|name| self.value(name).as_str().unwrap_or_default().to_owned())
+    }
+
+    /// What a figure needs beside it at least: processor, kernel, right to real time.
+    pub fn line(&self) -> String {
+        let realtime = if self.is_realtime() {
+            "granted"
+        } else {
+            "refused"
+        };
+        let [model, release] = self.texts(["processor model", "kernel release"]);
+        format!("Measured on {model}, kernel {release}, real time {realtime}.")
+    }
+
+    pub(crate) fn run(&self) -> String {
+        let [version, commit, started] = self.texts(["cdcr version", "commit", "started utc"]);
+        let [model, release] = self.texts(["processor model", "kernel release"]);
+        format!("cdcr {version} ({commit}), {started}, {model}, kernel {release}")
+    }
+}
+
+/// The folder below which the kernel's files are read; a test has its own.
+struct Root(PathBuf);
+
+impl Root {
+    /// The text of a file without the space around it; none where it cannot be read, or is empty.
+    fn read(&self, file: &str) -> Option<String> {
+        let text = std::fs::read(self.0.join(file)).ok()?;
+        // Texts of firmware end with a zero.
+        let text = String::from_utf8_lossy(&text);
+        let text = text.trim_matches(|c: char| c.is_whitespace() || c == '\0');
+        (!text.is_empty()).then(|| text.to_owned())
+    }
+
+    /// The value of the first line `key : value`.
+    fn field(&self, file: &str, key: &str) -> Option<String> {
+        let text = self.read(file)?;
+        let mut lines = text.lines().filter_map(|line| line.split_once(':'));
+        let (_, value) = lines.find(|(name, _)| name.trim() == key)?;
+        Some(value.trim().to_owned()).filter(|value| !value.is_empty())
+    }
+
+    /// The word in brackets of a file that lists what could be chosen.
+    fn chosen(&self, file: &str, brackets: [char; 2]) -> Option<String> {
+        let text = self.read(file)?;
+        let (_, rest) = text.split_once(brackets[0])?;
+        Some(rest.split_once(brackets[1])?.0.to_owned())
+    }
+
+    /// The kernel and what it was told that matters to a punctual loop.
+    fn kernel(&self) -> Value {
+        let own = |name: &str| self.read(&format!("proc/sys/kernel/{name}"));
+        let number = |name| own(name).and_then(|text| text.parse::<i64>().ok());
+        // Number of the build and what it was built with.
+        let version = own("version").unwrap_or_default();
+        let command_line = self.read("proc/cmdline").unwrap_or_default();
+        let isolates = |word: &&str| ISOLATING.iter().any(|name| word.starts_with(name));
+        json!({
+            "release": own("osrelease").unwrap_or_default(),
+            // `PREEMPT_RT`, or the word of the version, with the mode where it can be chosen.
+            "preemption": self.preemption(&version),
+            "version": version,
+            // `isolcpus`, `nohz_full` and `rcu_nocbs` of its command line; all else there is left out.
+            "isolation": command_line.split_ascii_whitespace().filter(isolates).collect::<Vec<_>>(),
+            "clock_source": self.read("sys/devices/system/clocksource/clocksource0/current_clocksource"),
+            // Transparent huge pages: `always`, `madvise` or `never`.
+            "huge_pages": self.chosen("sys/kernel/mm/transparent_hugepage/enabled", ['[', ']']),
+            // Time that real-time threads may have of each period; -1: all of it.
+            "rt_runtime_us": number("sched_rt_runtime_us"),
+            "rt_period_us": number("sched_rt_period_us"),
+        })
+    }
+
+    fn preemption(&self, version: &str) -> Option<String> {
+        if self.read("sys/kernel/realtime").as_deref() == Some("1") {
+            return Some("PREEMPT_RT".to_owned());
+        }
+        let mut words = version.split_ascii_whitespace();
+        let word = words.find(|word| word.starts_with("PREEMPT"))?;
+        // Only root may look.
+        let mode = self.chosen("sys/kernel/debug/sched/preempt", ['(', ')']);
+        Some(mode.map_or(word.to_owned(), |mode| format!("{word} ({mode})")))
+    }
+
+    fn processor(&self, core: usize) -> Value {
+        let folder = format!("sys/devices/system/cpu/cpu{core}");
+        let field = |key| self.field("proc/cpuinfo", key);
+        let model = field("model name").or_else(|| field("Model"));
+        let model = model.or_else(|| self.read("proc/device-tree/model"));
+        // Of the core, like `L1 Data 32K`.
+        let cache = |index: usize| {
+            let words = ["level", "type", "size"]
+                .map(|name| self.read(&format!("{folder}/cache/index{index}/{name}")));
+            let [level, kind, size] = words;
+            Some(format!("L{} {} {}", level?, kind?, size?))
+        };
+        let khz = self.read(&format!("{folder}/cpufreq/scaling_cur_freq"));
+        let khz: Option<f64> = khz.and_then(|khz| khz.parse().ok());
+        json!({
+            "model": model.unwrap_or_else(|| std::env::consts::ARCH.to_owned()),
+            "vendor": field("vendor_id").or_else(|| field("CPU implementer")),
+            "cores": self.online(),
+            "caches": (0..8).map_while(cache).collect::<Vec<_>>(),
+            "frequency_mhz": khz.map(|khz| khz * 1e-3).or_else(|| field("cpu MHz")?.parse().ok()),
+            "governor": self.read(&format!("{folder}/cpufreq/scaling_governor")),
+        })
+    }
+
+    fn online(&self) -> usize {
+        let list = self.read("sys/devices/system/cpu/online");
+        let count = |part: &str| {
+            let (first, last) = part.split_once('-').unwrap_or((part, part));
+            Some(last.parse::<usize>().ok()? + 1 - first.parse::<usize>().ok()?)
+        };
+        let counted = list.and_then(|list| list.split(',').map(count).sum());
+        counted.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+    }
+
+    /// Whether the processor says that a hypervisor runs it; none where processors have no such flag.
+    fn is_virtual(&self) -> Option<bool> {
+        let flags = self.field("proc/cpuinfo", "flags")?;
+        Some(
+            flags
+                .split_ascii_whitespace()
+                .any(|flag| flag == "hypervisor"),
+        )
+    }
+
+    /// Name of the hypervisor; none on a machine that is not virtual, or does not tell: there it would be its maker.
+    fn hypervisor(&self) -> Option<String> {
+        if self.is_virtual() == Some(false) {
+            return None;
+        }
+        let firmware = |name| self.read(&format!("sys/class/dmi/id/{name}"));
+        self.read("sys/hypervisor/type").or_else(|| {
+            self.is_virtual()?;
+            let names = ["sys_vendor", "product_name"]
+                .into_iter()
+                .filter_map(firmware);
+            Some(names.collect::<Vec<_>>().join(" ")).filter(|names| !names.is_empty())
+        })
+    }
+
+    /// As the capability and the limit of the process say.
+    fn may_lock(&self) -> bool {
+        use rustix::process::{Resource, getrlimit};
+        let capabilities = self.field("proc/self/status", "CapEff");
+        let bits = capabilities.and_then(|hex| u64::from_str_radix(&hex, 16).ok());
+        bits.is_some_and(|bits| bits >> CAP_IPC_LOCK & 1 == 1)
+            || getrlimit(Resource::Memlock).current.is_none()
+    }
+}
+
+/// The commit, with a `+` when files were changed since; none where there is no git or no working copy of
+/// this project.
+fn commit() -> Option<String> {
+    let git = |arguments: &[&str]| {
+        // It only looks.
+        let output = Command::new("git")
+            .arg("--no-optional-locks")
+            .args(arguments)
+            .output()
+            .ok()?;
+        let text = String::from_utf8(output.stdout).ok()?;
+        output.status.success().then(|| text.trim().to_owned())
+    };
+    let root = git(&["rev-parse", "--show-toplevel"])?;
+    let manifest = std::fs::read_to_string(Path::new(&root).join("bench/Cargo.toml")).ok()?;
+    if !manifest.contains("name = \"cdcr-bench\"") {
+        return None;
+    }
+    let commit = git(&["rev-parse", "--short=12", "HEAD"])?;
+    let changed = git(&["status", "--porcelain", "--untracked-files=no"])?;
+    Some(commit + if changed.is_empty() { "" } else { "+" })
+}
+
+/// The command and the options of a command line, by name: two runs that were asked for different things are no
+/// measure of each other.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct RunOptions(BTreeMap<String, String>);
+
+impl RunOptions {
+    /// What was given on a command line of this program, but for where and how the result is written.
+    pub fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
+        let mut options = BTreeMap::new();
+        let Some((name, matches)) = matches.subcommand() else {
+            return Self(options);
+        };
+        options.insert("command".to_owned(), name.to_owned());
+        let arguments = command
+            .find_subcommand(name)
+            .into_iter()
+            .flat_map(clap::Command::get_arguments);
+        for argument in arguments {
+            let (Some(long), id) = (argument.get_long(), argument.get_id().as_str()) else {
+                continue;
+            };
+            let is_given = matches.value_source(id) == Some(ValueSource::CommandLine);
+            if !is_given || ["out", "format"].contains(&long) {
+                continue;
+            }
+            let values = matches.get_raw(id).into_iter().flatten();
+            let text = |value: &std::ffi::OsStr| match long {
+                // The content of a file is told, not its place.
+                "config" => hash(Path::new(value)),
+                _ => value.to_string_lossy().into_owned(),
+            };
+            options.insert(
+                long.to_owned(),
+                values.map(text).collect::<Vec<_>>().join(","),
+            );
+        }
+        Self(options)
+    }
+
+    /// Names and values of the options that differ, `none` where an option was not given.
+    pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
+        let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
+        let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();
+        let all = names
+            .into_iter()
+            .map(|name| (name.as_str(), value(self, name), value(other, name)));
+        all.filter(|(_, ours, theirs)| ours != theirs).collect()
+    }
+}
+
+/// Of the text of a file, in hexadecimal digits.
+fn hash(file: &Path) -> String {
+    let Ok(text) = std::fs::read(file) else {
+        return "not readable".to_owned();
+    };
+    let mut hasher = DefaultHasher::new();
+    hasher.write(&text);
+    format!("{:016x}", hasher.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    /// What is told of a machine with these files.
+    fn machine(files: &[(&str, &str)]) -> Environment {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (name, text) in files {
+            let file = folder.path().join(name);
+            fs::create_dir_all(file.parent().expect("a folder above")).expect("made");
+            fs::write(file, text).expect("written");
+        }
+        let mut cores = Cores::find().expect("cores");
+        cores.realtime = 2;
+        Environment::of(&Root(folder.path().to_owned()), &cores, false)
+    }
+
+    fn says(machine: &Environment, properties: &[(&str, Value)]) {
+        for (property, value) in properties {
+            assert_eq!(machine.value(property), *value, "{property}");
+        }
+    }
+
+    #[test]
+    fn a_machine_that_tells_nothing_is_described_all_the_same() {
+        let nothing = machine(&[]);
+        says(
+            &nothing,
+            &[("memory mb", json!(null)), ("virtual machine", json!(null))],
+        );
+        assert!(nothing.line().ends_with("real time refused."));
+        let text = nothing.table().text();
+        assert!(
+            text.contains("privileges realtime") && text.contains("cores others"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    #[rustfmt::skip]
+    fn a_machine_that_tells_is_understood() {
+        let cloud = machine(&[
+            ("proc/meminfo", "MemTotal:        8000000 kB\nMemFree: 1 kB\n"),
+            ("proc/loadavg", "0.50 0.61 1.10 1/100 4711\n"),
+            ("proc/self/status", "Name:\tx\nCapEff:\t0000000000004000\n"),
+            ("proc/sys/kernel/osrelease", "6.12.0\n"),
+            ("proc/sys/kernel/version", "#1 SMP PREEMPT_DYNAMIC @0\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "950000\n"),
+            ("proc/cmdline", "root=/dev/sda1 isolcpus=1 quiet rcu_nocbs=1\n"),
+            ("sys/kernel/debug/sched/preempt", "none voluntary (full)\n"),
+            ("sys/kernel/mm/transparent_hugepage/enabled", "always [madvise] never\n"),
+            ("proc/cpuinfo", "vendor_id\t: Maker\nmodel name\t: Quick 9\ncpu MHz\t: 2500.5\nflags\t: fpu hypervisor\n"),
+            ("sys/devices/system/cpu/online", "0-3,5\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/level", "1\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/type", "Data\n"),
+            ("sys/devices/system/cpu/cpu2/cache/index0/size", "32K\n"),
+            ("sys/class/dmi/id/sys_vendor", "Cloud\n"),
+            ("sys/class/dmi/id/product_name", "large\n"),
+        ]);
+        says(&cloud, &[
+            ("memory mb", json!(8192)),
+            ("load average", json!(0.5)),
+            ("privileges lock memory", json!(true)),
+            ("kernel release", json!("6.12.0")),
+            ("kernel preemption", json!("PREEMPT_DYNAMIC (full)")),
+            // Nothing else of the command line.
+            ("kernel isolation", json!(["isolcpus=1", "rcu_nocbs=1"])),
+            ("kernel rt runtime us", json!(950_000)),
+            ("kernel huge pages", json!("madvise")),
+            ("processor model", json!("Quick 9")),
+            ("processor cores", json!(5)),
+            ("processor caches", json!(["L1 Data 32K"])),
+            ("processor frequency mhz", json!(2500.5)),
+            ("virtual machine", json!(true)),
+            ("hypervisor", json!("Cloud large")),
+        ]);
+        // A real machine with a real-time kernel.
+        let real = machine(&[
+            ("proc/cpuinfo", "flags : fpu avx\n"),
+            ("sys/class/dmi/id/sys_vendor", "Maker\n"),
+            ("sys/kernel/realtime", "1\n"),
+            ("proc/sys/kernel/sched_rt_runtime_us", "-1\n"),
+        ]);
+        says(&real, &[
+            ("virtual machine", json!(false)),
+            ("hypervisor", json!(null)),
+            ("kernel preemption", json!("PREEMPT_RT")),
+            ("kernel rt runtime us", json!(-1)),
+            ("kernel isolation", json!([])),
+        ]);
+    }
+
+    #[test]
+    fn what_was_written_is_read_again_and_names_neither_the_machine_nor_a_folder() {
+        let here = Environment::find().expect("a machine");
+        let json = serde_json::to_string(&here).expect("JSON");
+        let again: Environment = serde_json::from_str(&json).expect("the same");
+        assert_eq!(again, here);
+        assert!(here.differing(&again).is_empty());
+        let names: Vec<String> = here.properties().map(|(name, _)| name).collect();
+        assert!(
+            MOVING
+                .iter()
+                .all(|name| names.iter().any(|known| known == name)),
+            "{names:?}"
+        );
+        let older: Environment = serde_json::from_str("{\"kernel\":{}}").expect("few keys");
+        assert!(older.differing(&Environment::default()).is_empty());
+
+        let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        // A host that is called like a word of the description cannot be told from it.
+        assert!(
+            host.trim().len() <= 4 || !json.contains(host.trim()),
+            "{json}"
+        );
+        let folder = std::env::current_dir().expect("a folder");
+        assert!(!json.contains(&*folder.to_string_lossy()), "{json}");
+    }
+
+    #[test]
+    fn the_options_of_a_run_are_what_it_was_asked_for() {
+        let argument = |name: &'static str| clap::Arg::new(name).long(name);
+        let rounds = argument("rounds").default_value("6");
+        let load = argument("load")
+            .value_delimiter(',')
+            .action(clap::ArgAction::Append);
+        let quick = argument("quick").action(clap::ArgAction::SetTrue);
+        let all = clap::Command::new("deadline").args([
+            rounds,
+            load,
+            quick,
+            argument("out"),
+            argument("config"),
+        ]);
+        let command = clap::Command::new("bench").subcommand(all);
+        let of = |words: &str| {
+            let words = ["bench", "deadline"]
+                .into_iter()
+                .chain(words.split_ascii_whitespace());
+            RunOptions::of(&command, &command.clone().get_matches_from(words))
+        };
+        let one = of("--load=none --load cpu --rounds 3 --quick --out a");
+        assert_eq!(one, of("--quick --rounds=3 --load none,cpu"));
+        let json = r#"{"command":"deadline","load":"none,cpu","quick":"true","rounds":"3"}"#;
+        assert_eq!(serde_json::to_string(&one).expect("JSON"), json);
+        assert_eq!(
+            one.differing(&of("--load none,cpu --quick")),
+            [("rounds", "3", "none")]
+        );
+
+        // A configuration is known by its text and not by its place.
+        let folder = tempfile::tempdir().expect("a folder");
+        let with = |name: &str, text: &str| {
+            let file = folder.path().join(name);
+            fs::write(&file, text).expect("written");
+            of(&format!("--config {}", file.display()))
+        };
+        let one = with("a.toml", "x = 1");
+        assert_eq!(one, with("b.toml", "x = 1"));
+        assert_ne!(one, with("a.toml", "x = 2"));
+        assert!(!format!("{one:?}").contains("toml"));
+    }
+}

@@ -1,0 +1,517 @@
+//! The paper's figures, drawn from the first run of each experiment.
+
+use anyhow::{Context, Result};
+use cdcr_controller::nmpc::Coordinates;
+use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, ZyxAngles};
+use nalgebra::Vector3;
+use plotters::style::RGBColor;
+
+use crate::chart::{
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, sheet,
+};
+use crate::closed_loop::Sample;
+use crate::dataset::Plot;
+use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
+use crate::simulation::{Outcome, obstacle_m};
+
+/// A section bent by less than this has no direction to speak of \[rad\].
+const STRAIGHT_RAD: f64 = 1e-3;
+/// Errors below this are drawn here: a logarithm knows no zero \[mm\].
+const ERRORS: Scale = Scale::Log { floor: 1e-14 };
+const BROWN: RGBColor = RGBColor(120, 80, 40);
+const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
+const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
+/// Shapes of the robot that are drawn of the line.
+const SHAPES: usize = 6;
+/// Points of a section.
+const POINTS: u32 = 24;
+
+/// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
+pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
+    let spiral = |sections| {
+        let plural = if sections == 1 { "" } else { "s" };
+        let title = format!("Spiral, {sections} section{plural}");
+        Drawn::new(outcomes, Task::Spiral { sections }, title)
+    };
+    let line = |rate_limit_rad_s: f64| {
+        let title = format!("Line, rates up to {rate_limit_rad_s} rad/s");
+        Drawn::new(outcomes, Task::Line { rate_limit_rad_s }, title)
+    };
+    let circle = |safe_distance_m: f64| {
+        let title = format!("Circle, D = {} mm", 1e3 * safe_distance_m);
+        Drawn::new(outcomes, Task::Circle { safe_distance_m }, title)
+    };
+    let spirals = (1..=3).map(spiral).collect::<Result<Vec<_>>>()?;
+    let lines = LINE_RATES_RAD_S
+        .map(line)
+        .into_iter()
+        .collect::<Result<Vec<_>>>()?;
+    let circles = CIRCLE_DISTANCES_M
+        .map(circle)
+        .into_iter()
+        .collect::<Result<Vec<_>>>()?;
+    let drawn = |(name, caption, (columns, height), panels): Figure| {
+        let svg = sheet(&panels, columns, height)?;
+        Ok(Plot { name, caption, svg })
+    };
+    let all = [of_spirals(&spirals), of_lines(&lines), of_circles(&circles)];
+    all.into_iter().flatten().map(drawn).collect()
+}
+
+/// Name, caption, how many panels beside each other and how high, the panels.
+type Figure = (&'static str, &'static str, (usize, u32), Vec<Panel>);
+
+#[rustfmt::skip]
+fn of_spirals(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+    vec![
+        ("spiral-path", "Path of the tip over the reference (the paper's Fig. 3, left), and the shapes of the robots \
+          with one, two and three sections at the end.", (2, 900), spiral_paths(tasks)),
+        ("spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
+         (1, 560), tasks.iter().map(Drawn::errors).collect()),
+        ("spiral-solvers", "Distance of the tip from the reference with every solver.",
+         (1, 560), tasks.iter().map(Drawn::distances).collect()),
+        ("spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
+          commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad.",
+         (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
+        ("spiral-cables", "Lengths of the cables with kpso-refined, with several sections less the length at the straight \
+          robot; Lji is cable i of section j.", (1, 600), tasks.iter().map(Drawn::cables).collect()),
+        ("spiral-times", "Computation time of every cycle (Fig. 5).",
+         (1, 560), tasks.iter().map(Drawn::times).collect()),
+    ]
+}
+
+#[rustfmt::skip]
+fn of_lines(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+    vec![
+        ("line-shapes", "Shapes of the robot at equal intervals, from grey to blue, and the line (Fig. 7).",
+         (2, 1050), tasks.iter().flat_map(Drawn::shapes).collect()),
+        ("line-angles", "Bend and direction of the sections (Fig. 8). Two sections in one direction and the middle one \
+          against them make an S. Any vertical plane will do for it.",
+         (2, 600), tasks.iter().flat_map(Drawn::angles).collect()),
+        ("line-controls", "Control signals (Fig. 9): left as commanded, right in the paper's angles.",
+         (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
+        ("line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
+          its axis, so the first samples are late.",
+         (1, 560), tasks.iter().map(Drawn::errors).chain(tasks.iter().map(Drawn::tilt)).collect()),
+        ("line-solvers", "Distance of the tip from the reference with every solver.",
+         (1, 560), tasks.iter().map(Drawn::distances).collect()),
+        ("line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
+         (1, 600), tasks.iter().map(Drawn::cables).collect()),
+        ("line-times", "Computation time of every cycle (Fig. 11).",
+         (1, 560), tasks.iter().map(Drawn::times).collect()),
+    ]
+}
+
+#[rustfmt::skip]
+fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
+    vec![
+        ("circle-path", "Path of the tip around the obstacle (Fig. 12): thick the tip, thin the safe distance D, and \
+          the robot where it is nearest to the obstacle.", (2, 900),
+         vec![circle_path(View::ABOVE, "Circle from above", tasks), circle_path(View::SIDE, "From the side", tasks)]),
+        ("circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
+          detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
+         (1, 640), vec![circle_errors(tasks)]),
+        ("circle-clearance", "Clearance between the whole body and the obstacle, and the safe distances.",
+         (1, 640), vec![circle_clearance(tasks)]),
+        ("circle-cables", "Lengths of the cables (Fig. 13).",
+         (1, 520), tasks.iter().map(Drawn::cables).collect()),
+        ("circle-times", "Computation time of every cycle (Fig. 14).",
+         (1, 560), tasks.iter().map(Drawn::times).collect()),
+    ]
+}
+
+fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
+    samples.iter().map(|s| (s.time_s, value(s))).collect()
+}
+
+fn timed(title: String, y: &'static str, scale: Scale, curves: Vec<Curve>) -> Panel {
+    Panel {
+        title,
+        x: "time [s]",
+        y,
+        scale,
+        curves,
+    }
+}
+
+/// One simulation: with every solver, and that of `kpso-refined`.
+struct Drawn<'a> {
+    title: String,
+    all: Vec<&'a Outcome>,
+    run: &'a Outcome,
+}
+
+impl<'a> Drawn<'a> {
+    fn new(outcomes: &'a [Outcome], task: Task, title: String) -> Result<Self> {
+        let find = |solver: Solver| {
+            let is_it = |outcome: &&Outcome| {
+                let found = &outcome.experiment;
+                let what = (found.task, found.solver, found.coordinates);
+                what == (task, solver, Coordinates::BendVector)
+            };
+            let missing = || format!("no outcome of {task:?} with {}", solver.name());
+            outcomes.iter().find(is_it).with_context(missing)
+        };
+        Ok(Self {
+            title,
+            all: Solver::ALL.into_iter().map(find).collect::<Result<_>>()?,
+            run: find(Solver::KpsoRefined)?,
+        })
+    }
+
+    fn samples(&self) -> &'a [Sample] {
+        &self.run.first
+    }
+
+    fn level(&self, label: String, y: f64, colour: RGBColor) -> Curve {
+        let end_s = self.samples().last().map_or(1.0, |sample| sample.time_s);
+        Curve::level(label, y, 0.0..end_s, colour)
+    }
+
+    fn sections(&self) -> usize {
+        let first = self.samples().first();
+        first.map_or(0, |sample| sample.configuration.section_count())
+    }
+
+    /// Errors along the axes, and the paper's mean.
+    fn errors(&self) -> Panel {
+        let axis = |(i, label): (usize, &str)| {
+            let along = over_time(self.samples(), |s| s.offset_mm()[i].abs());
+            Curve::line(label, along, COLOURS[i]).width(3)
+        };
+        let axes = ["|x error|", "|y error|", "|z error|"]
+            .into_iter()
+            .enumerate();
+        let mean_mm = self.run.experiment.task.paper().mean_error_mm;
+        let mean = mean_mm.map(|mm| self.level(format!("paper's mean {mm:e} mm"), mm, DARK));
+        timed(
+            self.title.clone(),
+            "error [mm]",
+            ERRORS,
+            axes.map(axis).chain(mean).collect(),
+        )
+    }
+
+    fn distances(&self) -> Panel {
+        // The first is broad, as the next often lies upon it.
+        let styles = [(SKY, 9), (PURPLE, 3), (ORANGE, 3), (BLUE, 3)];
+        let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
+            let points = over_time(&outcome.first, Sample::error_mm);
+            Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
+        };
+        let curves = self.all.iter().zip(styles).map(curve);
+        timed(self.title.clone(), "error [mm]", ERRORS, curves.collect())
+    }
+
+    /// Bend θ and direction φ of every section.
+    fn angles(&self) -> [Panel; 2] {
+        let (title, samples) = (&self.title, self.samples());
+        let bend = |j: usize| {
+            let points = over_time(samples, |s| s.configuration.bend_rad(j));
+            Curve::line(format!("θ{}", j + 1), points, COLOURS[j % 3])
+        };
+        let direction = |j: usize| {
+            let pieces = bent(samples, j, unwrapped(samples, j));
+            Curve::pieces(format!("φ{}", j + 1), pieces, COLOURS[j % 3])
+        };
+        let sections = 0..self.sections();
+        let (bends, directions) = (sections.clone().map(bend), sections.map(direction));
+        [
+            timed(
+                format!("{title}: bend"),
+                "θ [rad]",
+                Scale::Linear,
+                bends.collect(),
+            ),
+            timed(
+                format!("{title}: direction"),
+                "φ [rad]",
+                Scale::Linear,
+                directions.collect(),
+            ),
+        ]
+    }
+
+    /// What is commanded, rates of the bend vectors, and the same in the paper's angles.
+    fn controls(&self) -> [Panel; 2] {
+        let (title, samples) = (&self.title, self.samples());
+        let (mut vectors, mut angles) = (Vec::new(), Vec::new());
+        for j in 0..self.sections() {
+            let colours = [COLOURS[j % 3], PALE_COLOURS[j % 3]];
+            let label = |name: &str| format!("{name}{}", j + 1);
+            for (i, colour) in colours.into_iter().enumerate() {
+                let points = over_time(samples, |s| s.rates.section(j)[i]);
+                vectors.push(Curve::line(label(["u̇", "v̇"][i]), points, colour).width(3));
+                let points = over_time(samples, |s| angle_rates(s, j)[i]);
+                let pieces = bent(samples, j, points);
+                angles.push(Curve::pieces(label(["θ̇", "φ̇"][i]), pieces, colour).width(3));
+            }
+        }
+        let (commanded, in_angles) = (
+            format!("{title}: as commanded"),
+            format!("{title}: in angles"),
+        );
+        [
+            timed(commanded, "u̇, v̇ [rad/s]", Scale::Linear, vectors),
+            timed(in_angles, "θ̇, φ̇ [rad/s]", Scale::Linear, angles),
+        ]
+    }
+
+    /// Lengths of all cables; of several sections less those at the straight robot, beside which they change
+    /// little.
+    fn cables(&self) -> Panel {
+        let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
+        let robot = &self.run.scene.robot;
+        let straight_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
+        let (label, from_m) = match robot.section_count() {
+            1 => ("length [mm]", [0.0; CABLES_MAX]),
+            _ => ("change of length [mm]", straight_m),
+        };
+        let curve = |i: usize| {
+            let length = |s: &Sample| 1e3 * (robot.cable_lengths(&s.configuration)[i] - from_m[i]);
+            let (section, cable) = (i / 3, i % 3);
+            let points = over_time(self.samples(), length);
+            let label = format!("L{}{}", section + 1, cable + 1);
+            Curve::line(label, points, colours[section % 3][cable]).width(3)
+        };
+        let curves = (0..robot.cable_count()).map(curve);
+        timed(self.title.clone(), label, Scale::Linear, curves.collect())
+    }
+
+    /// Solve times of several solvers, and the paper's mean.
+    fn times(&self) -> Panel {
+        let curve = |outcome: &&Outcome| {
+            let points = over_time(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
+            let colour = match outcome.experiment.solver {
+                Solver::Kpso => SKY,
+                Solver::KpsoVerbatim => PURPLE,
+                Solver::GaussNewton => ORANGE,
+                Solver::KpsoRefined => BLUE,
+            };
+            Curve::line(outcome.experiment.solver.name(), points, colour).width(2)
+        };
+        let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
+        let mean = self.level(format!("paper's mean {mean_ms} ms"), 1e3 * mean_ms, DARK);
+        let curves = self.all.iter().map(curve).chain([mean]);
+        let scale = Scale::Log { floor: 0.1 };
+        timed(
+            self.title.clone(),
+            "solve time [µs]",
+            scale,
+            curves.collect(),
+        )
+    }
+
+    fn shapes(&self) -> [Panel; 2] {
+        let samples = self.samples();
+        let last = samples.len().saturating_sub(1);
+        let panel = |view: View, from: &str| {
+            let mut curves = vec![Curve::line("line", view.reference(samples), ORANGE).width(8)];
+            for i in 0..SHAPES {
+                let Some(sample) = samples.get(i * last / (SHAPES - 1)) else {
+                    continue;
+                };
+                let points = view.backbone(&self.run.scene.robot, &sample.configuration);
+                let is_end = i == 0 || i == SHAPES - 1;
+                let label = if is_end {
+                    format!("{:.2} s", sample.time_s)
+                } else {
+                    String::new()
+                };
+                curves.push(Curve::line(label, points, between(GREY, BLUE, i)).width(5));
+            }
+            view.panel(&format!("{}, {from}", self.title), curves)
+        };
+        [panel(View::SIDE, "side"), panel(View::FRONT, "front")]
+    }
+
+    fn tilt(&self) -> Panel {
+        let angles = |s: &Sample| ZyxAngles::from_rotation(&s.tip.rotation);
+        let theta = over_time(self.samples(), |s| angles(s).theta_rad.abs());
+        let psi = over_time(self.samples(), |s| angles(s).psi_rad.abs());
+        let bound = format!("bound {LINE_TILT_MAX_RAD} rad");
+        let curves = vec![
+            Curve::line("|Θ|", theta, BLUE).width(3),
+            Curve::line("|Ψ|", psi, ORANGE).width(3),
+            self.level(bound, LINE_TILT_MAX_RAD, DARK),
+        ];
+        let title = format!("{}: tilt of the tip", self.title);
+        timed(title, "tilt [rad]", Scale::Log { floor: 1e-14 }, curves)
+    }
+}
+
+fn between(from: RGBColor, to: RGBColor, index: usize) -> RGBColor {
+    let share = index as f64 / (SHAPES - 1) as f64;
+    let mix = |a: u8, b: u8| (f64::from(a) + share * (f64::from(b) - f64::from(a))) as u8;
+    RGBColor(mix(from.0, to.0), mix(from.1, to.1), mix(from.2, to.2))
+}
+
+/// The rates of θ and φ that the command makes at the sample.
+fn angle_rates(sample: &Sample, j: usize) -> [f64; 2] {
+    let ([u, v], [du, dv]) = (sample.configuration.section(j), sample.rates.section(j));
+    let square = (u * u + v * v).max(f64::MIN_POSITIVE);
+    [
+        (u * du + v * dv) / square.sqrt(),
+        (u * dv - v * du) / square,
+    ]
+}
+
+fn unwrapped(samples: &[Sample], j: usize) -> Vec<Point> {
+    let mut last_rad = 0.0;
+    over_time(samples, |s| s.configuration.direction_rad(j))
+        .into_iter()
+        .map(|(time_s, rad)| {
+            let turns = f64::round((last_rad - rad) / std::f64::consts::TAU);
+            last_rad = rad + turns * std::f64::consts::TAU;
+            (time_s, last_rad)
+        })
+        .collect()
+}
+
+/// The points at which section `j` is bent enough to have a direction.
+fn bent(samples: &[Sample], j: usize, points: Vec<Point>) -> Vec<Vec<Point>> {
+    let is_bent = |sample: &Sample| sample.configuration.bend_rad(j) > STRAIGHT_RAD;
+    let all: Vec<(bool, Point)> = samples.iter().map(is_bent).zip(points).collect();
+    let runs = all.chunk_by(|a, b| a.0 == b.0).filter(|run| run[0].0);
+    runs.map(|run| run.iter().map(|(_, point)| *point).collect())
+        .collect()
+}
+
+fn spiral_paths(tasks: &[Drawn<'_>]) -> Vec<Panel> {
+    let (mut above, mut side) = (Vec::new(), Vec::new());
+    for (task, colour) in tasks.iter().zip(COLOURS) {
+        let (run, samples) = (task.run, task.samples());
+        let label = format!("n = {}", run.scene.robot.section_count());
+        side.push(Curve::line("", View::SIDE.reference(samples), GREY).width(10));
+        side.push(Curve::line(label, View::SIDE.path(samples), colour));
+        if let Some(last) = samples.last() {
+            let robot = View::SIDE.backbone(&run.scene.robot, &last.configuration);
+            side.push(Curve::line("", robot, colour).width(7));
+        }
+    }
+    if let Some(task) = tasks.last() {
+        let reference = View::ABOVE.reference(task.samples());
+        above.push(Curve::line("reference", reference, GREY).width(10));
+        above.push(Curve::line(
+            "tip, n = 3",
+            View::ABOVE.path(task.samples()),
+            GREEN,
+        ));
+    }
+    vec![
+        View::ABOVE.panel("Spiral from above", above),
+        View::SIDE.panel("From the side, robots at the end", side),
+    ]
+}
+
+/// Each circle with its safe distance \[m\] and its colour.
+fn detours<'a>(tasks: &'a [Drawn<'a>]) -> impl Iterator<Item = (&'a Drawn<'a>, f64, RGBColor)> {
+    let with = |((task, distance_m), colour)| (task, distance_m, colour);
+    tasks.iter().zip(CIRCLE_DISTANCES_M).zip(COLOURS).map(with)
+}
+
+fn circle_path(view: View, title: &str, tasks: &[Drawn<'_>]) -> Panel {
+    let mut curves = Vec::new();
+    for (task, distance_m, colour) in detours(tasks) {
+        let (run, samples) = (task.run, task.samples());
+        let centre_m = obstacle_m(&run.scene);
+        if curves.is_empty() {
+            curves.push(Curve::line("reference", view.reference(samples), GREY).width(10));
+            curves.push(Curve::line("obstacle", view.ball(&centre_m, 2e-3), DARK).width(8));
+        }
+        curves.push(Curve::line("", view.ball(&centre_m, distance_m), colour).width(2));
+        let label = format!("D = {} mm", 1e3 * distance_m);
+        curves.push(Curve::line(label, view.path(samples), colour));
+        let nearest = samples
+            .iter()
+            .min_by(|a, b| a.clearance_m.total_cmp(&b.clearance_m));
+        if let Some(sample) = nearest {
+            let robot = view.backbone(&run.scene.robot, &sample.configuration);
+            curves.push(Curve::line("", robot, colour).width(7));
+        }
+    }
+    view.panel(title, curves)
+}
+
+fn circle_errors(tasks: &[Drawn<'_>]) -> Panel {
+    let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
+        let points = over_time(task.samples(), Sample::error_mm);
+        Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
+    };
+    let curves = detours(tasks).map(curve).collect();
+    timed(
+        "Circle: error".into(),
+        "error [mm]",
+        Scale::Log { floor: 1e-4 },
+        curves,
+    )
+}
+
+fn circle_clearance(tasks: &[Drawn<'_>]) -> Panel {
+    let mut curves = Vec::new();
+    for (task, distance_m, colour) in detours(tasks) {
+        let (points, distance_mm) = (
+            over_time(task.samples(), |s| 1e3 * s.clearance_m),
+            1e3 * distance_m,
+        );
+        curves.push(Curve::line(format!("D = {distance_mm} mm"), points, colour));
+        curves.push(task.level(String::new(), distance_mm, colour).width(2));
+    }
+    let title = "Circle: clearance of the body".into();
+    timed(title, "clearance [mm]", Scale::Log { floor: 1.0 }, curves)
+}
+
+/// Two axes of the base frame, across and up: paths and robot shapes in projection.
+#[derive(Debug, Clone, Copy)]
+struct View([usize; 2]);
+
+impl View {
+    const ABOVE: Self = Self([0, 1]);
+    const SIDE: Self = Self([0, 2]);
+    const FRONT: Self = Self([1, 2]);
+
+    fn point(self, p_m: &Vector3<f64>) -> Point {
+        (1e3 * p_m[self.0[0]], 1e3 * p_m[self.0[1]])
+    }
+
+    fn path(self, samples: &[Sample]) -> Vec<Point> {
+        samples
+            .iter()
+            .map(|s| self.point(&s.tip.position_m))
+            .collect()
+    }
+
+    fn reference(self, samples: &[Sample]) -> Vec<Point> {
+        samples.iter().map(|s| self.point(&s.reference_m)).collect()
+    }
+
+    /// The backbone from the base to the tip.
+    fn backbone(self, robot: &Robot, at: &Configuration) -> Vec<Point> {
+        let sections = 0..robot.section_count();
+        let places =
+            sections.flat_map(|j| (0..=POINTS).map(move |i| (j, f64::from(i) / f64::from(POINTS))));
+        places
+            .map(|(j, share)| self.point(&robot.body_point(at, j, share)))
+            .collect()
+    }
+
+    fn ball(self, centre_m: &Vector3<f64>, radius_m: f64) -> Vec<Point> {
+        let (x, y) = self.point(centre_m);
+        let at = |degrees: u32| {
+            let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
+            (x + 1e3 * radius_m * cos, y + 1e3 * radius_m * sin)
+        };
+        (0..=360).step_by(4).map(at).collect()
+    }
+
+    fn panel(self, title: &str, curves: Vec<Curve>) -> Panel {
+        let [x, y] = self.0.map(|axis| ["x [mm]", "y [mm]", "z [mm]"][axis]);
+        Panel {
+            title: title.to_owned(),
+            x,
+            y,
+            scale: Scale::Equal,
+            curves,
+        }
+    }
+}

@@ -1,0 +1,425 @@
+//! Results as documents: one benchmark, or all of them, as text, JSON, CSV, plots, a page and raw histograms.
+
+mod page;
+mod targets;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::{Instant, SystemTime};
+
+use anyhow::{Context, Result, ensure};
+use serde::Serialize;
+use serde_json::{Map, Value, json};
+
+use crate::benchmark::Benchmark;
+use crate::dataset::Dataset;
+use crate::environment::{Environment, RunOptions};
+use crate::hlog;
+use crate::interrupt;
+use crate::metric::Metric;
+use crate::progress::Progress;
+
+/// Said of a report of `--quick`.
+const QUICK: &str =
+    "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
+
+/// When a run began, on what machine, and what it was asked for.
+#[derive(Debug, Clone)]
+pub struct Start {
+    pub time: SystemTime,
+    pub environment: Environment,
+    pub options: RunOptions,
+}
+
+impl Start {
+    /// Now. To be asked before any thread of this process is pinned.
+    pub fn now(options: RunOptions) -> Result<Self> {
+        Ok(Self {
+            time: SystemTime::now(),
+            environment: Environment::find()?,
+            options,
+        })
+    }
+
+    fn machine(&self) -> Dataset {
+        Dataset {
+            name: "environment",
+            heading: "The machine",
+            sheets: vec![self.environment.table()],
+            ..Dataset::default()
+        }
+    }
+
+    /// With a line feed at the end.
+    fn json(&self, mut keys: Map<String, Value>, metrics: &[Metric]) -> Result<String> {
+        keys.insert("environment".to_owned(), json!(self.environment));
+        keys.insert("options".to_owned(), json!(self.options));
+        keys.insert("metrics".to_owned(), json!(metrics));
+        Ok(serde_json::to_string(&keys)? + "\n")
+    }
+
+    /// One result as JSON.
+    pub fn json_of(&self, dataset: &Dataset) -> Result<String> {
+        self.json(dataset.json(), &dataset.metrics)
+    }
+
+    /// One result in all its forms.
+    pub fn bundle_of(&self, dataset: &Dataset) -> Result<Bundle> {
+        let (name, machine) = (dataset.name, self.machine());
+        let mut bundle = Bundle::new(name, self.json_of(dataset)?);
+        bundle.add_documents(name, dataset.heading, "", &[dataset, &machine])?;
+        bundle.add_data(self.time, dataset)?;
+        Ok(bundle)
+    }
+}
+
+/// Files by their name, which may have a folder in front.
+#[derive(Debug)]
+pub struct Bundle(pub BTreeMap<String, String>);
+
+impl Bundle {
+    fn new(name: &str, json: String) -> Self {
+        Self(BTreeMap::from([(format!("{name}.json"), json)]))
+    }
+
+    fn add(&mut self, name: String, text: String) -> Result<()> {
+        ensure!(
+            !self.0.contains_key(&name),
+            "two files of one result are called {name}"
+        );
+        self.0.insert(name, text);
+        Ok(())
+    }
+
+    /// The page and the text.
+    fn add_documents(
+        &mut self,
+        name: &str,
+        title: &str,
+        introduction: &str,
+        all: &[&Dataset],
+    ) -> Result<()> {
+        let texts: Vec<String> = all.iter().map(|dataset| dataset.text()).collect();
+        self.add(format!("{name}.txt"), texts.join("\n"))?;
+        self.add(format!("{name}.html"), page::page(title, introduction, all))
+    }
+
+    fn add_data(&mut self, started: SystemTime, dataset: &Dataset) -> Result<()> {
+        let name = dataset.name;
+        for (file, csv) in dataset.csv() {
+            self.add(file_name(name, file) + ".csv", csv?)?;
+        }
+        for plot in &dataset.plots {
+            self.add(file_name(name, plot.name) + ".svg", plot.svg.clone())?;
+        }
+        if let Some(log) = hlog::log(started, &dataset.recordings)? {
+            self.add(format!("histograms/{name}.hlog"), log)?;
+        }
+        Ok(())
+    }
+
+    /// Writes all files into `folder`, which is made if it does not exist. They are written beside their place
+    /// first, and take it once all are complete: a disk that is full leaves the older files alone.
+    pub fn write(&self, folder: &Path) -> Result<()> {
+        let make = |folder: &Path| {
+            let made = fs::create_dir_all(folder);
+            made.with_context(|| format!("cannot make the folder {}", folder.display()))
+        };
+        make(folder)?;
+        let fresh = tempfile::Builder::new().prefix(".new-").tempdir_in(folder);
+        let fresh =
+            fresh.with_context(|| format!("cannot write into the folder {}", folder.display()))?;
+        let cannot = |file: &Path| format!("cannot write {}", file.display());
+        for (name, text) in &self.0 {
+            let file = fresh.path().join(name);
+            make(file.parent().unwrap_or(folder))?;
+            fs::write(&file, text).with_context(|| cannot(&file))?;
+        }
+        for name in self.0.keys() {
+            let place = folder.join(name);
+            make(place.parent().unwrap_or(folder))?;
+            fs::rename(fresh.path().join(name), &place).with_context(|| cannot(&place))?;
+        }
+        Ok(())
+    }
+}
+
+/// A name that begins with that of its benchmark, so that no two benchmarks write the same file.
+fn file_name(benchmark: &str, name: &str) -> String {
+    let rest = name.strip_prefix(benchmark);
+    if rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-')) {
+        name.to_owned()
+    } else {
+        format!("{benchmark}-{name}")
+    }
+}
+
+/// How much of each benchmark is run.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, clap::Args)]
+pub struct Extent {
+    /// A look of a few minutes that proves little.
+    #[arg(long)]
+    pub quick: bool,
+    /// Rounds of each benchmark, 1 to 100, instead of the usual number of each; compare needs at least 3.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub rounds: Option<u32>,
+}
+
+type Run = dyn FnOnce(&mut Progress) -> Result<Dataset> + Send;
+
+/// A benchmark with its options.
+pub struct Plan {
+    name: &'static str,
+    pub expected_s: f64,
+    run: Box<Run>,
+}
+
+impl Plan {
+    pub fn new<B: Benchmark>(name: &'static str, extent: Extent, config: Option<&PathBuf>) -> Self {
+        let mut options = B::of_report(extent.quick);
+        if let Some(rounds) = extent.rounds {
+            *options.rounds_mut() = rounds;
+        }
+        if let Some(of_daemon) = options.config_mut() {
+            *of_daemon = config.cloned();
+        }
+        Self {
+            name,
+            expected_s: options.expected_s(),
+            run: Box::new(move |progress| options.run(progress)),
+        }
+    }
+
+    /// In a thread of its own: cores and priorities that it takes end with it.
+    fn carry_out(self, progress: &mut Progress) -> Part {
+        let (started, begin) = (SystemTime::now(), Instant::now());
+        let run = self.run;
+        let result = thread::scope(|scope| scope.spawn(|| run(progress)).join());
+        let panicked =
+            |_| "the benchmark panicked; what it said is on the standard error".to_owned();
+        Part {
+            name: self.name,
+            started,
+            took_s: begin.elapsed().as_secs_f64(),
+            result: result
+                .map_err(panicked)
+                .and_then(|result| result.map_err(|error| format!("{error:#}"))),
+        }
+    }
+}
+
+/// Runs benchmarks. One that fails is part of the report and does not keep the others from running.
+pub fn run(plans: Vec<Plan>, progress: &mut Progress) -> Result<Vec<Part>> {
+    let mut left_s: f64 = plans.iter().map(|plan| plan.expected_s).sum();
+    let mut parts = Vec::new();
+    for plan in plans {
+        interrupt::check()?;
+        progress.begin_part(plan.name, left_s);
+        left_s -= plan.expected_s;
+        parts.push(plan.carry_out(progress));
+    }
+    interrupt::check()?;
+    Ok(parts)
+}
+
+pub struct Part {
+    pub name: &'static str,
+    started: SystemTime,
+    took_s: f64,
+    /// Its result, or why there is none.
+    pub result: Result<Dataset, String>,
+}
+
+pub struct BenchReport {
+    pub start: Start,
+    pub extent: Extent,
+    pub default_config: bool,
+    /// One for each benchmark that was asked for, in their order.
+    pub parts: Vec<Part>,
+}
+
+impl BenchReport {
+    fn datasets(&self) -> impl Iterator<Item = &Dataset> {
+        let parts = self.parts.iter();
+        parts.filter_map(|part| part.result.as_ref().ok())
+    }
+
+    /// Name of each benchmark that failed, and why.
+    pub fn failures(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        let parts = self.parts.iter();
+        parts.filter_map(|part| Some((part.name, part.result.as_ref().err()?.as_str())))
+    }
+
+    /// What each benchmark found, under its name; of one that failed the key `error`.
+    fn results(&self) -> Map<String, Value> {
+        let result = |part: &Part| match &part.result {
+            Ok(dataset) => (part.name.to_owned(), dataset.json().into()),
+            Err(cause) => (part.name.to_owned(), json!({ "error": cause })),
+        };
+        self.parts.iter().map(result).collect()
+    }
+
+    fn metrics(&self) -> Vec<Metric> {
+        let metrics = self.datasets().flat_map(|dataset| &dataset.metrics);
+        metrics.cloned().collect()
+    }
+
+    /// What was asked of the project, and what was found: without rows when nothing of it was measured, with a note when
+    /// that was not under the conditions of the figures.
+    fn targets(&self) -> Dataset {
+        let has_any = self
+            .parts
+            .iter()
+            .any(|part| targets::JUDGED.contains(&part.name));
+        let why = match (has_any, self.start.environment.is_realtime()) {
+            (false, _) => None,
+            (true, false) => Some("they are for real time, which this user is not granted"),
+            (true, true) if self.default_config => None,
+            (true, true) => {
+                Some("they are for the default configuration, and --config named another")
+            }
+        };
+        match why {
+            Some(why) => Dataset {
+                note: format!("The figures to reach were not judged: {why}."),
+                ..targets::dataset(Vec::new())
+            },
+            None => targets::dataset(targets::targets(&self.metrics(), &self.results())),
+        }
+    }
+
+    /// What stands before the results: machine, targets, what failed.
+    fn front(&self) -> Vec<Dataset> {
+        let mut front = vec![self.start.machine(), self.targets()];
+        front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
+        if self.extent.quick {
+            QUICK.clone_into(&mut front[0].note);
+        }
+        let failed = self.failures().map(|(name, cause)| Dataset {
+            name,
+            heading: name,
+            note: format!("{name} failed. There is no result: {cause}"),
+            ..Dataset::default()
+        });
+        front.extend(failed);
+        front
+    }
+
+    /// The machine, the targets, and what failed, as text.
+    pub fn summary(&self) -> String {
+        let texts: Vec<String> = self.front().iter().map(Dataset::text).collect();
+        texts.join("\n")
+    }
+
+    /// The whole as JSON.
+    fn json(&self) -> Result<String> {
+        let took = self.parts.iter().map(|part| (part.name, part.took_s));
+        let failed: Vec<&str> = self.failures().map(|(name, _)| name).collect();
+        let targets = self.targets();
+        let mut all = self.results();
+        all.extend(targets.json());
+        all.insert("extent".to_owned(), json!(self.extent));
+        all.insert("failed".to_owned(), json!(failed));
+        all.insert("took_s".to_owned(), json!(took.collect::<BTreeMap<_, _>>()));
+        if !targets.note.is_empty() {
+            all.insert("targets_not_judged".to_owned(), targets.note.into());
+        }
+        self.start.json(all, &self.metrics())
+    }
+
+    pub fn bundle(&self) -> Result<Bundle> {
+        let mut bundle = Bundle::new("report", self.json()?);
+        let front = self.front();
+        let all: Vec<&Dataset> = front.iter().chain(self.datasets()).collect();
+        bundle.add_documents(
+            "report",
+            "What cdcr reaches, measured",
+            page::INTRODUCTION,
+            &all,
+        )?;
+        for part in &self.parts {
+            if let Ok(dataset) = &part.result {
+                bundle.add_data(part.started, dataset)?;
+            }
+        }
+        Ok(bundle)
+    }
+
+    /// Which of these benchmarks have a result in an older `report.json` and none in this one.
+    pub fn would_lose<'a>(
+        &self,
+        older: &str,
+        benchmarks: impl Iterator<Item = &'a str>,
+    ) -> Vec<&'a str> {
+        let older: Value = serde_json::from_str(older).unwrap_or_default();
+        let was_there = |name: &str| older[name].is_object() && older[name].get("error").is_none();
+        let is_here = |name: &str| self.datasets().any(|dataset| dataset.name == name);
+        benchmarks
+            .filter(|name| was_there(name) && !is_here(name))
+            .collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_name_begins_with_its_benchmark() {
+        for (name, file) in [
+            ("rate", "rate"),
+            ("rate-sections", "rate-sections"),
+            ("rates", "rate-rates"),
+            ("sections", "rate-sections"),
+        ] {
+            assert_eq!(file_name("rate", name), file);
+        }
+    }
+
+    fn bundle(text: &str) -> Bundle {
+        let mut bundle = Bundle::new("a", text.to_owned());
+        bundle
+            .add("deep/b.hlog".to_owned(), text.to_owned())
+            .expect("another");
+        bundle
+            .add("deep/b.hlog".to_owned(), text.to_owned())
+            .expect_err("a second");
+        bundle
+    }
+
+    #[test]
+    fn a_folder_holds_the_files_and_nothing_else_or_the_older_ones() {
+        let place = tempfile::tempdir().expect("a folder");
+        let folder = place.path().join("new");
+        bundle("old").write(&folder).expect("written");
+        bundle("new").write(&folder).expect("written over");
+        let mut broken = bundle("broken");
+        broken.add("x".repeat(300), String::new()).expect("a name");
+        broken
+            .write(&folder)
+            .expect_err("a name that no file can have");
+        for name in ["a.json", "deep/b.hlog"] {
+            assert_eq!(fs::read_to_string(folder.join(name)).expect(name), "new");
+        }
+        let entries = fs::read_dir(&folder).expect("a folder").count();
+        assert_eq!(entries, 2, "no file for the time between is left");
+    }
+
+    #[test]
+    fn a_benchmark_that_fails_or_panics_is_a_part_without_a_result() {
+        let fails: Box<Run> = Box::new(|_| anyhow::bail!("no luck"));
+        let panics: Box<Run> = Box::new(|_| panic!("a test of a panic"));
+        for (run, words) in [(fails, "no luck"), (panics, "panicked")] {
+            let plan = Plan {
+                name: "budget",
+                expected_s: 1.0,
+                run,
+            };
+            let part = plan.carry_out(&mut Progress::silent());
+            let cause = part.result.err().expect("no result");
+            assert!(cause.contains(words), "{cause}");
+        }
+    }
+}
