@@ -168,12 +168,13 @@ fn moments() -> impl Strategy<Value = Moment> {
         )
 }
 
-/// As many as `PROPTEST_CASES` asks for.
+/// As many as `PROPTEST_CASES` asks for, or a thousand with `CDCR_WHOLE`.
 fn cases() -> ProptestConfig {
-    if std::env::var_os("PROPTEST_CASES").is_some() {
+    let is_set = |name| std::env::var_os(name).is_some();
+    if is_set("PROPTEST_CASES") {
         ProptestConfig::default()
     } else {
-        ProptestConfig::with_cases(400)
+        ProptestConfig::with_cases(if is_set("CDCR_WHOLE") { 1000 } else { 400 })
     }
 }
 
