@@ -1,5 +1,7 @@
 //! A problem near one point: residuals, their derivatives, and constraints that a step may meet.
 
+use std::collections::BinaryHeap;
+
 use super::Budget;
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
@@ -15,8 +17,8 @@ pub struct LinearModel {
     cost_rows: usize,
     constraints: Vec<f64>,
     constraint_jacobian: Vec<f64>,
-    /// How far each is from being broken, in the measure of its problem.
-    slack: Vec<f64>,
+    /// How far each is from being broken, in the measure of its problem, and its index.
+    slackest: BinaryHeap<(i64, usize)>,
     met: Vec<bool>,
     constraints_max: usize,
 }
@@ -30,7 +32,7 @@ impl LinearModel {
             cost_rows: 0,
             constraints: Vec::with_capacity(constraints),
             constraint_jacobian: Vec::with_capacity(constraints * columns),
-            slack: Vec::with_capacity(constraints),
+            slackest: BinaryHeap::with_capacity(constraints),
             met: Vec::with_capacity(constraints),
             constraints_max: constraints,
         }
@@ -41,7 +43,7 @@ impl LinearModel {
         self.jacobian.clear();
         self.constraints.clear();
         self.constraint_jacobian.clear();
-        self.slack.clear();
+        self.slackest.clear();
         self.met.clear();
         self.columns = columns;
         self.cost_rows = 0;
@@ -59,23 +61,24 @@ impl LinearModel {
     /// Adds a constraint h + A Δ ≥ 0 with all derivatives zero, and returns them for the caller to fill
     /// in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
     pub fn push_constraint(&mut self, h: f64, slack: f64) -> Option<&mut [f64]> {
-        let count = self.constraints.len();
-        let index = if count < self.constraints_max {
+        let order = in_order(slack);
+        let mut index = self.constraints.len();
+        if index < self.constraints_max {
+            self.slackest.push((order, index));
             self.constraints.push(h);
-            self.slack.push(slack);
             self.met.push(false);
-            self.constraint_jacobian
-                .resize((count + 1) * self.columns, 0.0);
-            count
+            let length = (index + 1) * self.columns;
+            self.constraint_jacobian.resize(length, 0.0);
         } else {
-            let slackest = (0..count).max_by(|&a, &b| self.slack[a].total_cmp(&self.slack[b]))?;
-            if slack >= self.slack[slackest] {
+            let mut slackest = self.slackest.peek_mut()?;
+            if order >= slackest.0 {
                 return None;
             }
-            (self.constraints[slackest], self.slack[slackest]) = (h, slack);
-            self.constraint_jacobian[slackest * self.columns..][..self.columns].fill(0.0);
-            slackest
-        };
+            index = slackest.1;
+            slackest.0 = order;
+            self.constraints[index] = h;
+            self.constraint_jacobian[index * self.columns..][..self.columns].fill(0.0);
+        }
         Some(&mut self.constraint_jacobian[index * self.columns..][..self.columns])
     }
 
@@ -147,6 +150,12 @@ impl LinearModel {
     }
 }
 
+/// An integer that is in the order of [`f64::total_cmp`].
+fn in_order(number: f64) -> i64 {
+    let bits = number.to_bits().cast_signed();
+    bits ^ ((bits >> 63).cast_unsigned() >> 1).cast_signed()
+}
+
 /// Σ aᵢ bᵢ over the shorter length, in eight sums side by side: the order is fixed, and no product waits for the
 /// one before it.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -172,7 +181,7 @@ mod tests {
     fn of_too_many_constraints_a_step_sees_those_with_the_least_slack() {
         let mut model = LinearModel::with_capacity(0, 3, 1);
         model.clear(1);
-        for slack in [5.0, 1.0, 4.0, 9.0, 2.0, 3.0] {
+        for slack in [5.0, -1.0, 4.0, 9.0, -2.0, 3.0] {
             let Some(derivatives) = model.push_constraint(slack, slack) else {
                 continue;
             };
@@ -183,6 +192,6 @@ mod tests {
         assert_eq!(met, Some(()));
         let mut seen: Vec<f64> = (0..model.rows()).map(|row| model.residual(row)).collect();
         seen.sort_by(f64::total_cmp);
-        assert_eq!(seen, [1.0, 2.0, 3.0]);
+        assert_eq!(seen, [-2.0, -1.0, 3.0]);
     }
 }
