@@ -35,6 +35,7 @@ pub enum Shape {
 
 impl Shape {
     /// The same shape elsewhere.
+    #[inline(always)]
     fn translated(self, by_m: Vector3<f64>) -> Self {
         match self {
             Self::Sphere { centre_m } => Self::Sphere {
@@ -211,6 +212,7 @@ impl Obstacle {
 
     /// The obstacle `dt_s` (s, finite) later, at constant velocity without turning; earlier if negative.
     #[must_use]
+    #[inline(always)]
     pub fn moved(&self, dt_s: f64) -> Self {
         let by_m = self.velocity_m_s * dt_s;
         Self {
