@@ -117,7 +117,7 @@ message! {
     ///
     /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
     /// in the order that the events of the records tell; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v5" {
+    pub struct Telemetry "cdcr.Telemetry.v4" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -270,10 +270,5 @@ message! {
         acceleration_rad_s2: f64,
         /// How far ahead of the reference the motors are commanded \[ns\]: the delay and time constant of `[actuator]` together.
         reference_lead_ns: u64,
-        /// Play between each motor and its cable \[m\]: `actuator.play_m`.
-        cable_play_m: f64,
-        /// How far each cable is beside its motor where the commands up to this release lead it \[m\]: `bend_rad` is that of the cables, `commanded_rad`
-        /// that of the motors.
-        cable_slack_m: [f64; CABLES_MAX] [used 3 command.sections],
     }
 }

@@ -40,13 +40,18 @@ const COLUMNS: [Column; 11] = [
 ];
 
 /// What the parts of the controller are for, one robot a line.
-const COMPARISON: [Column; 8] = [
+const COMPARISON: [Column; 9] = [
     word("robot", "name"),
     fixed("full", "full", 3),
     fixed("no actuator model", "no actuator model", 3),
-    fixed("no estimator, no actuator model", "no estimator", 3),
+    fixed(
+        "sensors believed at once, motors taken for ideal",
+        "no estimator",
+        3,
+    ),
     fixed("no tip", "no tip", 3),
     fixed("open loop", "open loop", 3),
+    fixed("rate change rms rad/s", "rate_change_rms", 4),
     fixed("wanted", "target_mm", 2),
     word("reached", "reached"),
 ];
@@ -153,7 +158,7 @@ pub fn comparison(rows: &[Value]) -> Sheet {
             robot[controller] = row["mean_error_mm"].clone();
         }
     }
-    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off";
+    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off; root mean square of what the rates change by from cycle to cycle";
     Sheet::of(title, &COMPARISON, robots)
 }
 
@@ -189,7 +194,7 @@ fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &Fi
     let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();
     let time_s = |part: usize| (part * DRAWN_CYCLES) as f64 * FigureEight::PERIOD_S;
     let points = parts.map(|(part, errors_mm)| (time_s(part), most(errors_mm)));
-    let curve = Curve::line(control.name(), points.collect(), control.colour());
+    let curve = Curve::line(control.label(), points.collect(), control.colour());
     if control == Control::Full {
         panels.push(Panel {
             title: scenario.name.to_owned(),

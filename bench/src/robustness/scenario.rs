@@ -9,7 +9,7 @@ use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
 use crate::named::named;
 
 /// Time constant of a daemon's estimate, by default \[s\].
-const TIME_CONSTANT_S: f64 = 0.1;
+const TIME_CONSTANT_S: f64 = 0.15;
 
 named! {
     /// What is done about it.
@@ -28,6 +28,14 @@ named! {
 }
 
 impl Control {
+    /// Its name in pictures and tables.
+    pub(super) fn label(self) -> &'static str {
+        match self {
+            Self::NoEstimator => "sensors believed at once, motors taken for ideal",
+            other => other.name(),
+        }
+    }
+
     pub(super) fn colour(self) -> RGBColor {
         match self {
             Self::Full => BLUE,

@@ -1,4 +1,4 @@
-//! The tables of `docs/results.md` are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/robustness.md` are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -45,7 +45,7 @@ fn generates() -> bool {
 #[test]
 fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let place = docs.join("results.md");
+    let place = docs.join("robustness.md");
     let text = std::fs::read_to_string(&place).expect("the document");
     let mut parts = text.split(MARKS.0);
     let mut made = parts.next().unwrap_or_default().to_owned();
@@ -64,5 +64,5 @@ fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
         std::fs::write(&place, &made).expect("written");
         return;
     }
-    assert!(made == text, "docs/results.md is not up to date: {HOW}");
+    assert!(made == text, "docs/robustness.md is not up to date: {HOW}");
 }

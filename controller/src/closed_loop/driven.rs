@@ -84,11 +84,6 @@ impl DrivenRobot {
         self.estimator.configuration()
     }
 
-    /// The rates of the motors with which the robot moves at `desired`.
-    pub(super) fn motor_rates(&self, desired: &BendRates, period_s: f64) -> BendRates {
-        self.estimator.motor_rates(&self.model, desired, period_s)
-    }
-
     /// Where its motors are sent, if they obey positions.
     pub(super) fn commanded(&self) -> Option<&Configuration> {
         self.driven.obeys_positions.then_some(&self.commanded)

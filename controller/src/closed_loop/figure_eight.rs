@@ -82,6 +82,12 @@ impl FigureEight {
         })
     }
 
+    /// The same with other settings of the solver.
+    #[must_use]
+    pub fn with_settings(self, settings: NmpcSettings) -> Self {
+        Self { settings, ..self }
+    }
+
     /// Once round with a robot that is not its model, behind a driver. `obstacles` are where they are at the beginning.
     ///
     /// # Errors

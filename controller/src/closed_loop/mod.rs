@@ -141,11 +141,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             deceleration_rad_s2,
             comes_to_rest: false,
         };
-        let motor_rates = match &self.driven {
-            None => *desired_rates,
-            Some(driven) => driven.motor_rates(desired_rates, self.period_s),
-        };
-        self.command = safe_command(&situation, &motor_rates);
+        self.command = safe_command(&situation, desired_rates);
         self.configuration = match &mut self.driven {
             None => self
                 .configuration

@@ -94,11 +94,6 @@ impl ActuatorModel {
         self
     }
 
-    /// How far each cable is beside its motor where the commands lead it; none: there is no play.
-    pub(super) fn slack(&self) -> Option<&Slack> {
-        self.play.as_ref().map(|play| &play.led)
-    }
-
     /// Where the cables are that belong to motors at `at`, where the commands lead them.
     pub(super) fn cables_led(&self, at: &Configuration) -> Configuration {
         let mut cables = *at;

@@ -13,9 +13,13 @@ use nalgebra::Vector3;
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
 use actuator::ActuatorModel;
-pub use slack::Slack;
+use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
+
+/// Filters that what is measured passes. The rates follow the estimate at once, so its second difference is what noise changes them by:
+/// at the same delay that of three filters is a tenth of that of two.
+const STAGES: usize = 3;
 
 /// What a driver measured.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,13 +42,13 @@ pub enum Measurement {
 /// meanwhile says [`Self::present`].
 #[derive(Debug, Clone)]
 pub struct Estimator {
-    /// Where the commands lead the motors.
-    estimate: Configuration,
+    /// Where the commands lead the motors, as far as the measurements have been smoothed: the last one is the estimate.
+    stages: [Configuration; STAGES],
     /// Where that takes the cables, and the robot with them.
     led: Configuration,
     /// What the measurements alone say, moved on as commanded; where they are believed at once, it is the estimate.
     measured: Configuration,
-    /// Time constant with which the disturbance follows what is measured \[s\]; 0: at once.
+    /// By how much the disturbance follows later what is measured \[s\]; 0: at once.
     time_constant_s: f64,
     /// Predicted since the last measurement \[s\]; none: the next one is believed whole.
     uncorrected_s: Option<f64>,
@@ -59,7 +63,7 @@ impl Estimator {
     /// Begins with a configuration that is known or assumed, and ideal motors. Measurements are believed at once.
     pub fn new(configuration: Configuration) -> Self {
         Self {
-            estimate: configuration,
+            stages: [configuration; STAGES],
             led: configuration,
             measured: configuration,
             time_constant_s: 0.0,
@@ -73,13 +77,13 @@ impl Estimator {
     /// The same with motors that follow their commands like this.
     #[must_use]
     pub fn with_actuator(mut self, robot: &Robot, actuator: Actuator) -> Self {
-        self.motors = ActuatorModel::new(actuator, self.estimate.section_count()).with_play(robot);
+        self.motors = ActuatorModel::new(actuator, self.measured.section_count()).with_play(robot);
         self
     }
 
-    /// The same with a disturbance that follows what is measured with this time constant \[s\], 0 or more. Noise of one
-    /// measurement in a period T counts for T / (T + time constant). Where the motors lag by more than the [`Actuator`]
-    /// says, a time constant of four times what is missing or more keeps the loop from oscillating.
+    /// The same with a disturbance that follows what is measured this much later \[s\], 0 or more: through three filters of first order, each
+    /// with a third of it as its time constant. One alone makes the rates change forty times as much by noise (docs/robustness.md). Where the
+    /// motors lag by more than the [`Actuator`] says, four times what is missing or more keeps the loop from oscillating.
     #[must_use]
     pub fn with_time_constant(mut self, time_constant_s: f64) -> Self {
         self.time_constant_s = time_constant_s;
@@ -96,7 +100,7 @@ impl Estimator {
 
     /// Begins anew at `configuration`, with motors at rest.
     pub fn begin(&mut self, configuration: Configuration) {
-        self.estimate = configuration;
+        self.stages = [configuration; STAGES];
         self.measured = configuration;
         self.uncorrected_s = None;
         self.tip.begin();
@@ -107,8 +111,8 @@ impl Estimator {
 
     /// Begins anew where the measurements alone say that the commands lead, with motors that are still on their way there.
     pub fn begin_moving(&mut self) {
-        self.estimate = self.measured;
-        self.led = self.motors.cables_led(&self.estimate);
+        self.stages = [self.measured; STAGES];
+        self.led = self.motors.cables_led(self.motors());
         self.uncorrected_s = None;
         self.tip_offset.begin();
     }
@@ -120,26 +124,13 @@ impl Estimator {
 
     /// Where the commands up to now lead the motors: the robot is beside that by the play of its cables.
     pub fn motors(&self) -> &Configuration {
-        &self.estimate
-    }
-
-    /// How far each cable is beside its motor; none: they have no play.
-    pub fn slack(&self) -> Option<&Slack> {
-        self.motors.slack()
-    }
-
-    /// The rates of the motors with which the robot moves at `desired` for `period_s` (s): [`Slack::motor_rates`].
-    pub fn motor_rates(&self, robot: &Robot, desired: &BendRates, period_s: f64) -> BendRates {
-        match self.slack() {
-            Some(slack) => slack.motor_rates(robot, desired, period_s),
-            None => *desired,
-        }
+        &self.stages[STAGES - 1]
     }
 
     /// Where the robot is: behind that by what its motors are behind their commands.
     pub fn present(&self) -> Configuration {
         let way = self.motors.way_left(0.0);
-        way.cables(&way.back_from(&self.estimate))
+        way.cables(&way.back_from(self.motors()))
     }
 
     /// How far the tip is measured beside where the bends place it (m), as [`Self::correct_tip`] has learnt: what the model is off by there.
@@ -149,13 +140,15 @@ impl Estimator {
 
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.
     pub fn predict(&mut self, rates: &BendRates, elapsed_s: f64) -> &Configuration {
-        self.estimate = self.estimate.advanced(rates, elapsed_s);
+        for stage in &mut self.stages {
+            *stage = stage.advanced(rates, elapsed_s);
+        }
         self.measured = self.measured.advanced(rates, elapsed_s);
         self.uncorrected_s = self.uncorrected_s.map(|time_s| time_s + elapsed_s);
         self.tip.predict(elapsed_s);
         self.tip_offset.predict(elapsed_s);
         self.motors.command(rates, elapsed_s);
-        self.led = self.motors.cables_led(&self.estimate);
+        self.led = self.motors.cables_led(self.motors());
         &self.led
     }
 
@@ -182,14 +175,18 @@ impl Estimator {
                 way.from(&way.motors(&self.tip.correct(robot, &then, position_m)))
             }
         };
-        self.estimate = match self.uncorrected_s.replace(0.0) {
+        let gain = match self.uncorrected_s.replace(0.0) {
             Some(since_s) if self.time_constant_s > 0.0 => {
-                let gain = since_s / (since_s + self.time_constant_s);
-                towards(&self.estimate, &self.measured, gain)
+                since_s / (since_s + self.time_constant_s / STAGES as f64)
             }
-            _ => self.measured,
+            _ => 1.0,
         };
-        self.led = self.motors.cables_led(&self.estimate);
+        let mut before = self.measured;
+        for stage in &mut self.stages {
+            *stage = towards(stage, &before, gain);
+            before = *stage;
+        }
+        self.led = self.motors.cables_led(self.motors());
         &self.led
     }
 
@@ -198,7 +195,7 @@ impl Estimator {
     /// last one: a sensor that stands still while the robot moves says nothing.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
         let way = self.motors.way_left(age_s);
-        let then = way.cables(&way.back_from(&self.estimate));
+        let then = way.cables(&way.back_from(self.motors()));
         let placed_m = robot.tip_position(&then);
         self.tip_offset.correct(position_m, &placed_m)
     }

@@ -63,7 +63,7 @@ fn driven(flaws: Flaws) -> Driven {
     Driven {
         flaws,
         actuator: Actuator::IDEAL,
-        time_constant_s: 0.1,
+        time_constant_s: 0.15,
         obeys_positions: true,
         sensor: Sensor::Cables,
         seed: 1,
@@ -115,6 +115,8 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
     let figures = worst("30 µm", noisy);
     assert!(figures.rms_mm < 0.15 && believed.rms_mm > 0.4);
     assert!(figures.rate_change_rms < 0.05 * believed.rate_change_rms);
+    let quiet = worst("no noise", driven(Flaws::default()));
+    assert!(figures.rate_change_rms < 2.0 * quiet.rate_change_rms);
 }
 
 /// The figures of motors that are not quite what they are taken for: 30 ms ± 30 %, 15 ms ± 5 ms.
@@ -263,24 +265,28 @@ fn motors_run_through_the_play_of_their_cables() {
     }
 }
 
-/// A robot that is sent somewhere and shall rest there: tip sensor and play do not keep it swinging, known or not.
+/// A robot that is sent somewhere and shall rest there: tip sensor and play do not keep it swinging, whether the play is not known or
+/// taken for less than it is.
 #[test]
 fn a_robot_with_play_comes_to_rest() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let settings = NmpcSettings::default();
+    // Rates that move the robot and not its tip cost a little, or noise makes it turn about its tip.
+    let settings = NmpcSettings {
+        rate_weight: 1e-10,
+        ..NmpcSettings::default()
+    };
     let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
     let goal = ReferenceSample {
         state: ReferenceState::Inside,
         position_m: robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0),
         orientation: Orientation::Free,
     };
-    for known_m in [0.0, 4e-4, 5e-4, 6e-4] {
+    for known_m in [0.0, 4e-4] {
         for obeys_positions in [true, false] {
             let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-            let driven = Driven {
-                obeys_positions,
-                ..with_play(known_m)
-            };
+            let mut driven = with_play(known_m);
+            driven.obeys_positions = obeys_positions;
+            driven.flaws.noise_m = 3e-5;
             let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], |_| goal)
                 .with_acceleration(40.0)
                 .with_driven(driven)

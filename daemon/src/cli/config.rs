@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result};
 use clap::{Args, Subcommand};
 
+use super::preset::Preset;
 use crate::config::{
     ConfigError, DEFAULT_TEXT, Layers, Origin, SCHEMA_TEXT, Settings, Validated, explain,
 };
@@ -50,6 +51,9 @@ pub(super) struct Source {
     /// Configuration file (TOML) [env: CDCR_CONFIG]
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
+    /// Set what damps noise and chatter, as measured on a robot built well
+    #[arg(long, value_enum, value_name = "NAME")]
+    preset: Option<Preset>,
     /// Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]
     #[arg(long, value_name = "KEY=VALUE", value_parser = assignment)]
     set: Vec<(String, String)>,
@@ -100,6 +104,9 @@ impl Source {
     }
 
     fn options(&self, mut layers: Layers) -> Result<Layers, ConfigError> {
+        for (key, value) in self.preset.into_iter().flat_map(Preset::keys) {
+            layers = layers.key(key, value, Origin::Option("--preset"))?;
+        }
         for (key, value) in &self.set {
             layers = layers.key(key, value, Origin::Option("--set"))?;
         }

@@ -3,6 +3,7 @@
 mod bare;
 mod config;
 mod doctor;
+mod preset;
 
 use std::process::ExitCode;
 

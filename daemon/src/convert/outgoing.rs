@@ -116,8 +116,6 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         following_lag_ns: (record.policy.following.lag_s * 1e9) as u64,
         acceleration_rad_s2: record.policy.acceleration_rad_s2,
         reference_lead_ns: record.policy.reference_lead_ns,
-        cable_play_m: record.slack.play_m,
-        cable_slack_m: record.slack.slack_m,
         obstacle_count: record.obstacles.count() as u32,
         ..wire::Telemetry::default()
     };

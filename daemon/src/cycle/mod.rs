@@ -242,7 +242,6 @@ impl Cycle {
             present,
             configuration,
             commanded: *self.state.commanded(),
-            slack: self.state.slack(),
             following: *self.state.following().error(),
             previous_rates,
             reference,
@@ -506,7 +505,7 @@ impl Cycle {
         if report.status == SolveStatus::NonFinite {
             self.modes.fault(Reason::NonFinite);
         }
-        (self.state.motor_rates(&rates), report)
+        (rates, report)
     }
 
     /// In every mode, the last word: limits, and the clearance guard.

@@ -1,4 +1,4 @@
-use cdcr_controller::estimator::{Estimator, Measurement, Slack};
+use cdcr_controller::estimator::{Estimator, Measurement};
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
 use nalgebra::Vector3;
@@ -83,17 +83,6 @@ impl RobotState {
     /// Where the commands up to now lead the robot, as far as that is known.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
-    }
-
-    /// How far its cables are beside their motors where the commands lead them.
-    pub(super) fn slack(&self) -> Slack {
-        self.estimator.slack().copied().unwrap_or_default()
-    }
-
-    /// The rates of the motors with which it moves at `desired` for a period.
-    pub(super) fn motor_rates(&self, desired: &BendRates) -> BendRates {
-        let period_s = self.period_ns as f64 * 1e-9;
-        self.estimator.motor_rates(&self.robot, desired, period_s)
     }
 
     /// Where it is now: behind that where its motors are behind their commands.

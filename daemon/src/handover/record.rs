@@ -1,4 +1,3 @@
-use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::{Approach, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
@@ -85,8 +84,6 @@ pub struct CycleRecord {
     pub present: Configuration,
     /// Commanded configuration at the release.
     pub commanded: Configuration,
-    /// How far the cables are beside their motors where the commands up to now lead them.
-    pub slack: Slack,
     /// How far the robot was from it at its last measurement.
     pub following: FollowingError,
     /// Tip at the release.

@@ -61,7 +61,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__bare)
-            opts="-h --config --set --robot --prefix --root --duration --format --end-with-parent --help"
+            opts="-h --config --preset --set --robot --prefix --root --duration --format --end-with-parent --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -69,6 +69,10 @@ _cdcrd() {
             case "${prev}" in
                 --config)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --preset)
+                    COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
                 --set)
@@ -107,7 +111,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__check)
-            opts="-h --config --set --robot --prefix --root --help"
+            opts="-h --config --preset --set --robot --prefix --root --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -115,6 +119,10 @@ _cdcrd() {
             case "${prev}" in
                 --config)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --preset)
+                    COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
                 --set)
@@ -169,7 +177,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__config__subcmd__explain)
-            opts="-h --config --set --robot --prefix --root --help"
+            opts="-h --config --preset --set --robot --prefix --root --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 3 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -177,6 +185,10 @@ _cdcrd() {
             case "${prev}" in
                 --config)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --preset)
+                    COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
                 --set)
@@ -217,7 +229,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__doctor)
-            opts="-h --config --set --robot --prefix --root --format --help"
+            opts="-h --config --preset --set --robot --prefix --root --format --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -225,6 +237,10 @@ _cdcrd() {
             case "${prev}" in
                 --config)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --preset)
+                    COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
                 --set)
@@ -255,7 +271,7 @@ _cdcrd() {
             return 0
             ;;
         cdcrd__subcmd__run)
-            opts="-h --config --set --robot --prefix --root --end-with-parent --help"
+            opts="-h --config --preset --set --robot --prefix --root --end-with-parent --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
@@ -263,6 +279,10 @@ _cdcrd() {
             case "${prev}" in
                 --config)
                     COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --preset)
+                    COMPREPLY=($(compgen -W "precise smooth fast" -- "${cur}"))
                     return 0
                     ;;
                 --set)

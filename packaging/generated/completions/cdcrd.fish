@@ -32,13 +32,19 @@ complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "check" -d 'Check a conf
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "doctor" -d 'Examine this machine: what delays a real-time loop, and the remedy'
 complete -c cdcrd -n "__fish_cdcrd_needs_command" -f -a "config" -d 'Print configurations'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l preset -d 'Set what damps noise and chatter, as measured on a robot built well' -r -f -a "precise\t'The tip as near to its reference as the sensors allow'
+smooth\t'Rates that change a fifth as much'
+fast\t'What the robot differs by from its commands is followed five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand run" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l preset -d 'Set what damps noise and chatter, as measured on a robot built well' -r -f -a "precise\t'The tip as near to its reference as the sensors allow'
+smooth\t'Rates that change a fifth as much'
+fast\t'What the robot differs by from its commands is followed five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
@@ -50,12 +56,18 @@ json\t'The numbers of the table as one object, for programs'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -l end-with-parent -d 'End when the parent process, which has this id, ends, however it ends' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand bare" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l preset -d 'Set what damps noise and chatter, as measured on a robot built well' -r -f -a "precise\t'The tip as near to its reference as the sensors allow'
+smooth\t'Rates that change a fifth as much'
+fast\t'What the robot differs by from its commands is followed five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand check" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l preset -d 'Set what damps noise and chatter, as measured on a robot built well' -r -f -a "precise\t'The tip as near to its reference as the sensors allow'
+smooth\t'Rates that change a fifth as much'
+fast\t'What the robot differs by from its commands is followed five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand doctor" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
@@ -70,8 +82,11 @@ complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and not __fish_seen_
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from default" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from schema" -s h -l help -d 'Print help'
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l config -d 'Configuration file (TOML) [env: CDCR_CONFIG]' -r -F
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l preset -d 'Set what damps noise and chatter, as measured on a robot built well' -r -f -a "precise\t'The tip as near to its reference as the sensors allow'
+smooth\t'Rates that change a fifth as much'
+fast\t'What the robot differs by from its commands is followed five times as fast'"
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l set -d 'Set one key, as TOML; repeatable [env: CDCR_CYCLE_PERIOD_MS=2 for cycle.period_ms, and so on]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l robot -d 'Name of the robot in the service names: robot.name [env: CDCR_ROBOT]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l prefix -d 'Prefix of the shared-memory files: transport.prefix [env: CDCR_PREFIX]' -r
 complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -l root -d 'Root folder of the shared-memory services: transport.root [env: CDCR_ROOT]' -r -F
-complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -s h -l help -d 'Print help'
+complete -c cdcrd -n "__fish_cdcrd_using_subcommand config; and __fish_seen_subcommand_from explain" -s h -l help -d 'Print help (see more with \'--help\')'

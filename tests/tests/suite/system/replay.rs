@@ -9,7 +9,6 @@ use std::time::Duration;
 use cdcr_client::{
     FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns,
 };
-use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::plant::{Flaws, Preset};
@@ -161,17 +160,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
             .map(Mode::code)
             .contains(&record.mode),
     };
-    let slack = Slack {
-        play_m: record.cable_play_m,
-        slack_m: record.cable_slack_m,
-    };
-    let is_tracking = record.mode == Mode::Tracking.code();
-    let desired = if is_tracking && slack.play_m > 0.0 {
-        slack.motor_rates(robot, desired, situation.period_s)
-    } else {
-        *desired
-    };
-    let safe = safe_command(&situation, &desired);
+    let safe = safe_command(&situation, desired);
     let command = &record.command;
     assert_eq!(
         bits(safe.rates.as_slice()),
@@ -338,8 +327,6 @@ fn cycles_of_a_robot_whose_motors_lag_and_cables_have_play_are_computed_again_bi
     let lagging =
         "[link]\nsimulated = \"sloppy\"\n[actuator]\ntime_constant_ms = 20.0\nplay_m = 3e-4\n";
     let recording = Recording::make(&format!("{PATIENT}{lagging}"), &[], &spiral());
-    let is_played = |record: &Telemetry| record.cable_slack_m[0].abs() > 1e-4;
-    assert!(recording.records.iter().any(is_played));
     let is_led = |record: &Telemetry| {
         record.reference_lead_ns == 20_000_000 && record.present_rad != record.bend_rad
     };

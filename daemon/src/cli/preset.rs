@@ -1,0 +1,77 @@
+use clap::ValueEnum;
+
+/// Values of a few keys that belong together, chosen by measurement: docs/tuning.md.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub(super) enum Preset {
+    /// The tip as near to its reference as the sensors allow.
+    Precise,
+    /// Rates that change a fifth as much.
+    Smooth,
+    /// What the robot differs by from its commands is followed five times as fast.
+    Fast,
+}
+
+impl Preset {
+    /// Keys and values, as TOML. Rates that move the robot and not its tip cost something in each: noise makes them grow otherwise.
+    pub(super) fn keys(self) -> [(&'static str, &'static str); 3] {
+        let (rate_change_weight, time_constant_ms) = match self {
+            Self::Precise => ("0.0", "300.0"),
+            Self::Smooth => ("1e-5", "300.0"),
+            Self::Fast => ("0.0", "60.0"),
+        };
+        [
+            ("controller.rate_weight", "1e-10"),
+            ("controller.rate_change_weight", rate_change_weight),
+            ("estimator.time_constant_ms", time_constant_ms),
+        ]
+    }
+}
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+    use crate::cli::config::Source;
+    use crate::config::Config;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        source: Source,
+    }
+
+    fn config(arguments: &[&str]) -> Config {
+        let line = Line::parse_from(["cdcrd"].iter().chain(arguments));
+        let settings = line.source.settings().unwrap();
+        settings.validate().unwrap().config
+    }
+
+    #[test]
+    fn a_preset_sets_its_keys_and_an_option_wins_over_it() {
+        let default = config(&[]);
+        assert!(default.controller.rate_weight == 0.0);
+        for preset in Preset::value_variants() {
+            let name = preset.to_possible_value().unwrap().get_name().to_owned();
+            let set = config(&["--preset", &name]);
+            let values = [
+                set.controller.rate_weight,
+                set.controller.rate_change_weight,
+                set.estimator.time_constant_ms,
+            ];
+            let expected = preset
+                .keys()
+                .map(|(_, value)| value.parse::<f64>().unwrap());
+            assert!(values == expected, "{name}: {values:?}");
+            let mut others = set.clone();
+            others.controller.rate_weight = default.controller.rate_weight;
+            others.controller.rate_change_weight = default.controller.rate_change_weight;
+            others.estimator.time_constant_ms = default.estimator.time_constant_ms;
+            assert!(others == default, "{name} sets nothing else");
+            let key = "estimator.time_constant_ms=70";
+            let over = config(&["--set", key, "--preset", &name]);
+            assert!(over.estimator.time_constant_ms == 70.0, "{name}");
+        }
+    }
+}
