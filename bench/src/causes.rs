@@ -2,10 +2,9 @@
 
 use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::LateCause;
-use derive_more::AddAssign;
 use serde::Serialize;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, AddAssign)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
 pub struct Causes {
     /// The timer or the processor itself came late: hypervisor, firmware.
     pub platform: u64,

@@ -156,16 +156,10 @@ impl Sheet {
         self
     }
 
-    /// Shows them to people as a table.
+    /// Shows them to people as a table, unless it has no title. The columns of a CSV begin with these.
     #[must_use]
     pub fn table(mut self, title: impl Into<String>, columns: &[Column]) -> Self {
         self.title = title.into();
-        self.order(columns)
-    }
-
-    /// Which columns of the CSV come first.
-    #[must_use]
-    pub fn order(mut self, columns: &[Column]) -> Self {
         self.columns = columns.to_vec();
         self
     }
@@ -241,36 +235,31 @@ impl Sheet {
     /// Every value of the rows: those that the table shows first, in its order.
     fn csv(&self) -> Result<String> {
         let rows: Vec<_> = self.rows.iter().map(flat).collect();
-        let keys: BTreeSet<&str> = rows
-            .iter()
-            .flat_map(BTreeMap::keys)
-            .map(String::as_str)
-            .collect();
+        let keys: BTreeSet<&String> = rows.iter().flat_map(BTreeMap::keys).collect();
         // What is missing in all rows has a column, but an object that is missing in one has those that others give it.
-        let is_said = |key: &str| {
-            rows.iter()
-                .any(|row| row.get(key).is_some_and(|value| !value.is_null()))
-        };
-        let has_fields = |key: &str| {
-            keys.iter().any(|other| {
+        let is_object = |key: &str| {
+            let is_field = |other: &String| {
                 other
                     .strip_prefix(key)
                     .is_some_and(|rest| rest.starts_with('_'))
-            })
+            };
+            let is_said = rows
+                .iter()
+                .any(|row| row.get(key).is_some_and(|value| !value.is_null()));
+            !is_said && keys.iter().any(|other| is_field(other))
         };
-        let known: BTreeSet<&str> = keys
+        let known: Vec<&str> = keys
             .iter()
-            .copied()
-            .filter(|key| is_said(key) || !has_fields(key))
+            .map(|key| key.as_str())
+            .filter(|key| !is_object(key))
             .collect();
         let shown = self.columns.iter().map(|column| column.key);
         let mut heads: Vec<&str> = shown.filter(|key| known.contains(key)).collect();
-        heads.extend(
-            known
-                .iter()
-                .filter(|key| !heads.contains(key))
-                .collect::<Vec<_>>(),
-        );
+        for key in known {
+            if !heads.contains(&key) {
+                heads.push(key);
+            }
+        }
         let mut writer = csv::Writer::from_writer(Vec::new());
         writer.write_record(&heads)?;
         for row in &rows {

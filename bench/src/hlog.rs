@@ -80,30 +80,28 @@ mod tests {
             recording("none.bare.wake", 0.5, &other),
         ];
         let text = log(started, &recordings).expect("written").expect("a log");
-
-        let (mut found, mut base) = (Vec::new(), None);
+        let (mut found, mut base) = (0, None);
         for entry in IntervalLogIterator::new(text.as_bytes()) {
             match entry.expect("an entry") {
                 LogEntry::BaseTime(time) => base = Some(time),
-                LogEntry::Interval(interval) => found.push(interval),
+                LogEntry::Interval(interval) => {
+                    // In the order of time, whatever the order of the recordings.
+                    let expected = &recordings[1 - found];
+                    found += 1;
+                    assert_eq!(interval.tag().expect("a tag").as_str(), expected.tag);
+                    assert_eq!(interval.start_timestamp(), seconds(expected.start_s));
+                    assert_eq!(interval.duration(), Duration::from_millis(2500));
+                    let bytes = STANDARD
+                        .decode(interval.encoded_histogram())
+                        .expect("base64");
+                    let again: Result<Histogram<u64>, _> =
+                        Deserializer::new().deserialize(&mut &*bytes);
+                    assert_eq!(again.expect("a histogram"), expected.histogram_ns);
+                }
                 LogEntry::StartTime(_) => {}
             }
         }
-        assert_eq!(base, Some(Duration::from_secs(1_000_000)));
-        // In the order of time, whatever the order of the recordings.
-        for (interval, expected) in found.iter().zip([&recordings[1], &recordings[0]]) {
-            assert_eq!(interval.tag().expect("a tag").as_str(), expected.tag);
-            assert_eq!(interval.start_timestamp(), seconds(expected.start_s));
-            assert_eq!(interval.duration(), Duration::from_millis(2500));
-            let bytes = STANDARD
-                .decode(interval.encoded_histogram())
-                .expect("base64");
-            let again: Histogram<u64> = Deserializer::new()
-                .deserialize(&mut bytes.as_slice())
-                .expect("a histogram");
-            assert_eq!(again, expected.histogram_ns);
-        }
-        assert_eq!(found.len(), 2);
+        assert_eq!((found, base), (2, Some(Duration::from_secs(1_000_000))));
     }
 
     #[test]

@@ -7,7 +7,7 @@
 //! | [`rate`] | the shortest period that holds |
 //! | [`footprint`] | what a daemon takes: cores, memory, files, time to start |
 //! | [`quality`] | what the time of a solve, the swarm and the horizon buy |
-//! | [`paper`], [`experiment`], [`simulation`], [`zone`], [`mod@plots`] | the paper's simulations |
+//! | [`paper`], [`experiment`], [`simulation`], [`mod@plots`] | the paper's simulations |
 //! | [`solver`] | solve times on every path, and how they grow |
 //! | [`robustness`] | how far robots that are not their model are from the reference |
 //! | [`budget`] | what a solve does with its budget, and how late it ends |
@@ -63,6 +63,5 @@ pub mod robustness;
 pub mod scene;
 pub mod simulation;
 pub mod solver;
-pub mod zone;
 
 use cdcr_testbed::{interrupt, load, subject, system};

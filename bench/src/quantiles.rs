@@ -5,8 +5,6 @@ use cdcr_shared_types::LatencySummary;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 
-use crate::metric::{median, range};
-
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Quantiles {
     pub min: f64,
@@ -36,18 +34,6 @@ impl Quantiles {
             p99: us(summary.p99_ns),
             p999: us(summary.p999_ns),
             max: us(summary.max_ns),
-        })
-    }
-
-    /// The least of the rounds, the largest of the rounds, and medians of the others; none of nothing.
-    pub fn over_rounds(rounds: &[Self]) -> Option<Self> {
-        let middle = |value: fn(&Self) -> f64| median(rounds.iter().map(value));
-        Some(Self {
-            min: range(rounds.iter().map(|round| round.min))?.0,
-            p50: middle(|round| round.p50)?,
-            p99: middle(|round| round.p99)?,
-            p999: middle(|round| round.p999)?,
-            max: range(rounds.iter().map(|round| round.max))?.1,
         })
     }
 }
@@ -81,14 +67,5 @@ mod tests {
         ] {
             assert!((value - expected).abs() <= 2e-3 * expected, "{found:?}");
         }
-        let twice = Quantiles {
-            min: 0.5,
-            p50: 502.0,
-            max: 2000.0,
-            ..found
-        };
-        let all = Quantiles::over_rounds(&[found, twice]).expect("two rounds");
-        assert_eq!((all.min, all.max), (0.5, 2000.0));
-        assert!((all.p50 - 501.0).abs() < 1.1, "{all:?}");
     }
 }

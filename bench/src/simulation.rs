@@ -12,7 +12,12 @@ use crate::experiment::{Experiment, Solver, Task};
 use crate::metric::median;
 use crate::quantiles::{Quantiles, histogram};
 use crate::scene::Scene;
-use crate::zone::Zone;
+
+/// The approach ends when the error first falls below this \[mm\]: the printed constants of the circle
+/// are rounded and leave 7.2e-3 mm.
+const ARRIVED_MM: f64 = 0.02;
+/// The detour is where the reference is nearer to the obstacle than this many safe distances.
+const DETOUR_DISTANCES: f64 = 2.0;
 
 /// An experiment, its row, its first run for the figures, and what came of each seed.
 pub struct Outcome {
@@ -138,32 +143,99 @@ fn row(
 }
 
 fn circle(scene: &Scene, safe_distance_m: f64, all: &[Vec<Sample>]) -> Value {
-    let zones = all.iter().map(|samples| {
-        (
-            Zone::of(samples, &obstacle_m(scene), safe_distance_m),
-            samples,
-        )
-    });
-    let outside_mm = zones
-        .clone()
-        .map(|(zone, samples)| zone.mean_error_outside_mm(samples));
-    let peaks_mm = zones.map(|(zone, samples)| zone.peak_error_mm(samples));
     let clearances_m = all.iter().flatten().map(|sample| sample.clearance_m);
+    let errors = all
+        .iter()
+        .map(|samples| errors_mm(samples, &obstacle_m(scene), safe_distance_m));
+    let (outside_mm, peaks_mm): (Vec<_>, Vec<_>) = errors.unzip();
+    let outside_mm: Option<Vec<f64>> = outside_mm.into_iter().collect();
+    let peaks_mm: Option<Vec<f64>> = peaks_mm.into_iter().collect();
     json!({
         "safe_distance_mm": 1e3 * safe_distance_m,
         // Smallest clearance of the whole body in all samples and runs.
         "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
-        // Median over the seeds of the mean error after the approach and outside the detour; null when a run has no such
-        // sample.
-        "mean_error_outside_mm": outside_mm.collect::<Option<Vec<_>>>().and_then(median),
-        // Largest error after the approach of all runs; null when a run never arrives.
-        "peak_error_mm": peaks_mm.collect::<Option<Vec<_>>>().map(|all| all.into_iter().fold(0.0, f64::max)),
+        // Median over the seeds, and the largest of all runs; null when a run has no such sample.
+        "mean_error_outside_mm": outside_mm.and_then(median),
+        "peak_error_mm": peaks_mm.and_then(|all| all.into_iter().reduce(f64::max)),
     })
+}
+
+/// Of a run around an obstacle, after the approach: the mean error outside the detour, and the largest one \[mm\]; none
+/// when no sample is there.
+fn errors_mm(
+    samples: &[Sample],
+    obstacle_m: &Vector3<f64>,
+    safe_distance_m: f64,
+) -> (Option<f64>, Option<f64>) {
+    let arrived = samples
+        .iter()
+        .skip_while(|sample| sample.error_mm() >= ARRIVED_MM);
+    let peak_mm = arrived.clone().map(Sample::error_mm).reduce(f64::max);
+    let reach_m = DETOUR_DISTANCES * safe_distance_m;
+    let outside = arrived.filter(|sample| (sample.reference_m - obstacle_m).norm() >= reach_m);
+    let outside_mm: Vec<f64> = outside.map(Sample::error_mm).collect();
+    let sum_mm: f64 = outside_mm.iter().sum();
+    let mean_mm = (!outside_mm.is_empty()).then(|| sum_mm / outside_mm.len() as f64);
+    (mean_mm, peak_mm)
 }
 
 pub fn obstacle_m(scene: &Scene) -> Vector3<f64> {
     match scene.obstacles.first().map(|obstacle| *obstacle.shape()) {
         Some(Shape::Sphere { centre_m }) => centre_m,
         _ => Vector3::repeat(f64::INFINITY),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::robot::{BendRates, Configuration, Pose};
+
+    use super::*;
+
+    /// A sample with its reference on the x axis, and this error.
+    fn sample((reference_x_m, error_mm): (f64, f64)) -> Sample {
+        let reference_m = Vector3::new(reference_x_m, 0.0, 0.0);
+        let mut tip = Pose::identity();
+        tip.position_m = reference_m + Vector3::new(0.0, 1e-3 * error_mm, 0.0);
+        Sample {
+            time_s: 0.0,
+            reference_m,
+            tip,
+            configuration: Configuration::straight(1),
+            rates: BendRates::zero(1),
+            clearance_m: f64::INFINITY,
+            solve_ns: 0,
+        }
+    }
+
+    #[test]
+    fn approach_and_detour_are_left_out_of_the_mean_and_only_the_approach_of_the_peak() {
+        let errors = |samples: &[(f64, f64)]| {
+            let samples: Vec<Sample> = samples.iter().copied().map(sample).collect();
+            errors_mm(&samples, &Vector3::zeros(), 0.01)
+        };
+        // The third is above the threshold again: the approach is over all the same. The next two are the detour.
+        let whole = [
+            (-0.1, 100.0),
+            (-0.09, 0.01),
+            (-0.08, 0.03),
+            (-0.019, 12.0),
+            (0.0, 10.0),
+            (0.021, 0.02),
+        ];
+        let (mean_mm, peak_mm) = errors(&whole);
+        assert!(
+            (mean_mm.expect("some outside") - 0.02).abs() < 1e-12,
+            "{mean_mm:?}"
+        );
+        assert!(
+            (peak_mm.expect("arrived") - 12.0).abs() < 1e-12,
+            "{peak_mm:?}"
+        );
+        assert_eq!(
+            errors(&[(0.5, 3.0), (0.5, 0.02)]),
+            (None, None),
+            "it never arrives"
+        );
     }
 }

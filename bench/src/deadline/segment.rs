@@ -9,6 +9,7 @@ use cdcr_shared_types::Location;
 use super::observer::{Signals, observe};
 use super::tally::Tally;
 use super::{DeadlineOptions, Setup, WARM_UP};
+use crate::benchmark::with_period;
 use crate::interrupt;
 use crate::load::{Done, Load, Running};
 use crate::named::named;
@@ -137,7 +138,7 @@ impl<'a> Runner<'a> {
         let running = Running::start(load, &self.cores, Some(location))?;
         interrupt::sleep(WARM_UP)?;
         signals.begin();
-        let steal = Steal::begin(&self.cores, setup);
+        let before_ms = self.stolen_ms(setup);
         let mut left = self.options.segment();
         // An observer that ended by itself is asked for its reason when it is ended.
         while !left.is_zero() && !has_ended() {
@@ -148,7 +149,7 @@ impl<'a> Runner<'a> {
             interrupt::sleep(step)?;
             left -= step;
         }
-        Ok((steal.end_ms(), running.stop()?))
+        Ok((self.stolen_ms(setup) - before_ms, running.stop()?))
     }
 
     /// Measures something that is no daemon. A load that needs one gets a decoy: without real time, beside
@@ -174,13 +175,26 @@ impl<'a> Runner<'a> {
         Daemon::start(&launch, &cores)
     }
 
+    /// What the hypervisor has taken since the start of the machine from the real-time core, in as far as it is counted
+    /// \[ms\]; without real time from all, because the threads are where the system puts them.
+    fn stolen_ms(&self, setup: Setup) -> f64 {
+        let others = self
+            .cores
+            .others
+            .iter()
+            .filter(|core| **core != self.cores.realtime);
+        let others = others.filter(|_| setup == Setup::Ordinary);
+        let watched = others.chain([&self.cores.realtime]);
+        watched.filter_map(|core| steal_ms(*core)).sum()
+    }
+
     fn bare(&self, setup: Setup) -> Result<Tally> {
         let duration = WARM_UP + self.options.segment();
         let bare = Baseline::start(&self.launch(setup), &self.cores, duration)?;
         interrupt::sleep(WARM_UP)?;
-        let steal = Steal::begin(&self.cores, setup);
+        let before_ms = self.stolen_ms(setup);
         let cycles = bare.wait()?;
-        let steal_ms = steal.end_ms();
+        let steal_ms = self.stolen_ms(setup) - before_ms;
         let first_ns = cycles.first().map_or(0, |cycle| cycle.due_ns);
         let begin_ns = first_ns + WARM_UP.as_nanos() as u64;
         let warm = cycles.partition_point(|cycle| cycle.due_ns < begin_ns);
@@ -196,9 +210,9 @@ impl<'a> Runner<'a> {
         let (core, priority) = (self.cores.realtime, Some(CYCLE_PRIORITY));
         let running = cyclictest.start(self.period, priority, core, warm + counted)?;
         interrupt::sleep(WARM_UP)?;
-        let steal = Steal::begin(&self.cores, Setup::Realtime);
+        let before_ms = self.stolen_ms(Setup::Realtime);
         let latencies = running.wait()?.without_first(warm)?;
-        let steal_ms = steal.end_ms();
+        let steal_ms = self.stolen_ms(Setup::Realtime) - before_ms;
         let mut tally = Tally::of_cyclictest(&latencies, self.deadline_ns, self.late_start_ns)?;
         tally.counts.steal_ms = steal_ms;
         Ok(tally)
@@ -213,41 +227,8 @@ fn launch(options: &DeadlineOptions) -> Launch {
     let launch = Launch::patient(options.config.clone())
         .with("link.kind", "simulated")
         .with("realtime.cycle_priority", CYCLE_PRIORITY);
-    match options.period.map(|period| period.as_secs_f64() * 1e3) {
-        Some(period_ms) => launch
-            .with("cycle.period_ms", period_ms)
-            .with("cycle.gather_lead_ms", (0.35 * period_ms).min(0.2))
-            .with("cycle.late_start_ms", period_ms.min(1.0)),
+    match options.period {
+        Some(period) => with_period(launch, period.as_secs_f64() * 1e3),
         None => launch,
-    }
-}
-
-/// Time that the hypervisor takes from cores, from a moment on.
-struct Steal {
-    /// Each with what had been taken from it before \[ms\].
-    cores: Vec<(usize, f64)>,
-}
-
-impl Steal {
-    /// Of the real-time core; without real time of all, because the threads are where the system puts them.
-    fn begin(cores: &Cores, setup: Setup) -> Self {
-        let mut watched = vec![cores.realtime];
-        if setup == Setup::Ordinary {
-            watched.extend(cores.others.iter().filter(|core| **core != cores.realtime));
-        }
-        let known = watched.into_iter();
-        Self {
-            cores: known
-                .filter_map(|core| Some((core, steal_ms(core)?)))
-                .collect(),
-        }
-    }
-
-    /// What was taken since \[ms\], in as far as it is counted.
-    fn end_ms(&self) -> f64 {
-        let taken = self.cores.iter();
-        taken
-            .filter_map(|(core, before_ms)| Some(steal_ms(*core)? - before_ms))
-            .sum()
     }
 }

@@ -102,19 +102,17 @@ mod tests {
 
     #[test]
     fn every_leg_has_its_place_and_a_name_of_its_own_and_the_parts_follow_their_whole() {
-        for (index, leg) in Leg::ALL.iter().enumerate() {
-            assert_eq!(*leg as usize, index);
-            let same = Leg::ALL.iter().filter(|other| other.name() == leg.name());
-            assert_eq!(same.count(), 1, "{}", leg.name());
-        }
-        let ways = [
-            Way::REFERENCE,
-            Way::OBSTACLE,
-            Way::MEASUREMENT,
-            Way::LEASE,
-            Way::TRACK,
-            Way::STOP,
-        ];
+        let mut names = Leg::ALL.map(Leg::name);
+        assert!(
+            Leg::ALL
+                .iter()
+                .enumerate()
+                .all(|(index, leg)| *leg as usize == index)
+        );
+        names.sort_unstable();
+        assert!(names.windows(2).all(|pair| pair[0] != pair[1]), "{names:?}");
+        #[rustfmt::skip]
+        let ways = [Way::REFERENCE, Way::OBSTACLE, Way::MEASUREMENT, Way::LEASE, Way::TRACK, Way::STOP];
         for Way(legs) in ways {
             let [whole, grid, machinery] = legs.map(|leg| leg.name().split_once('.').unwrap());
             assert!(whole.0 == grid.0 && grid.0 == machinery.0);

@@ -7,15 +7,11 @@ use cdcr_client::PAPER_SECTION_M;
 use serde::Serialize;
 use tempfile::TempDir;
 
+use crate::benchmark::with_period;
 use crate::experiment::Solver;
 use crate::subject::daemon::Launch;
 use crate::system::cores::Cores;
 
-/// Longest time before a release at which the inputs are gathered \[ms\], the daemon's default, and the same as a share
-/// of the period: the gather must fit between two cycles.
-const GATHER_LEAD_MAX: (f64, f64) = (0.2, 0.35);
-/// A later start than this counts as late \[ms\]: the daemon's default, where the period is not shorter.
-const LATE_START_MAX_MS: f64 = 1.0;
 /// Share of the period that may be spent spinning.
 const SPIN_SHARE: f64 = 0.25;
 
@@ -89,12 +85,9 @@ impl Stage {
 
     /// How a daemon with this case and this period is started.
     pub fn launch(&self, case: &Case, period_ms: f64) -> Launch {
-        let (lead_ms, lead_share) = GATHER_LEAD_MAX;
-        Launch::patient(Some(self.folder.path().join(file_name(case.sections))))
-            .placed(&self.cores, self.realtime)
-            .with("cycle.period_ms", period_ms)
-            .with("cycle.gather_lead_ms", lead_ms.min(lead_share * period_ms))
-            .with("cycle.late_start_ms", period_ms.min(LATE_START_MAX_MS))
+        let config = self.folder.path().join(file_name(case.sections));
+        let launch = Launch::patient(Some(config)).placed(&self.cores, self.realtime);
+        with_period(launch, period_ms)
             .with("realtime.spin_us", self.spin_within_us(period_ms))
             .with("controller.solver", case.solver.name())
             .with("controller.horizon_steps", case.horizon_steps)

@@ -123,22 +123,9 @@ pub struct Measured {
     pub spin_us: f64,
     /// When the run began \[ns, `CLOCK_MONOTONIC`\].
     pub begin_ns: u64,
-    pub steps: Vec<Tried>,
+    /// The rounds of the default with each period.
+    pub steps: Vec<Vec<Trial>>,
     pub shortest: Vec<Shortest>,
-}
-
-/// The trials with one period: the rounds of the default, or those of a search.
-#[derive(Debug, Clone)]
-pub struct Tried {
-    pub period_ms: f64,
-    /// The last one decides.
-    pub trials: Vec<Trial>,
-}
-
-impl Tried {
-    pub fn held(&self) -> usize {
-        self.trials.iter().filter(|trial| trial.holds).count()
-    }
 }
 
 /// What the search for one case found.
@@ -147,10 +134,10 @@ pub struct Shortest {
     pub case: Case,
     /// In their order.
     pub trials: Vec<Trial>,
-    /// The shortest period that held; none when not even the longest did.
-    pub held: Option<Tried>,
-    /// The next shorter period; none when there is no shorter one.
-    pub failed: Option<Tried>,
+    /// Those of the shortest period that held, the last of which decides; none when not even the longest did.
+    pub held: Vec<Trial>,
+    /// Those of the next shorter period; none when there is no shorter one.
+    pub failed: Vec<Trial>,
 }
 
 /// How long the search for one case takes, about \[s\].
@@ -179,16 +166,10 @@ pub fn measure(options: &RateOptions, progress: &mut Progress) -> Result<Measure
         anyhow::Ok(trial)
     };
     // The default with each of its periods, one after the other in each round.
-    measured
-        .steps
-        .extend(options.steps_ms.iter().map(|period_ms| Tried {
-            period_ms: *period_ms,
-            trials: Vec::new(),
-        }));
+    measured.steps.resize(options.steps_ms.len(), Vec::new());
     for _ in 0..options.rounds {
-        for step in &mut measured.steps {
-            step.trials
-                .push(trial(progress, Case::DEFAULT, step.period_ms)?);
+        for (step, period_ms) in measured.steps.iter_mut().zip(&options.steps_ms) {
+            step.push(trial(progress, Case::DEFAULT, *period_ms)?);
         }
     }
     // Each search begins where the one before it ended.
@@ -216,40 +197,31 @@ fn search(
     guess: usize,
     mut trial: impl FnMut(f64) -> Result<Trial>,
 ) -> Result<(Option<usize>, Shortest)> {
-    let mut tried: Vec<Option<Tried>> = vec![None; periods_ms.len()];
+    let mut tried = vec![Vec::new(); periods_ms.len()];
     let mut trials = Vec::new();
     let mut index = guess.min(periods_ms.len().saturating_sub(1));
-    // The index of the longest period that failed is one more than that of the shortest that held.
-    while let Some(period_ms) = periods_ms.get(index).filter(|_| tried[index].is_none()) {
-        let mut of_period = Vec::new();
-        loop {
+    while let Some(period_ms) = periods_ms.get(index).filter(|_| tried[index].is_empty()) {
+        let of_period: &mut Vec<Trial> = &mut tried[index];
+        while of_period
+            .last()
+            .is_none_or(|trial| !trial.decides(of_period.len()))
+        {
             of_period.push(trial(*period_ms)?);
-            if of_period
-                .last()
-                .is_none_or(|trial| trial.decides(of_period.len()))
-            {
-                break;
-            }
         }
-        let holds = of_period.last().is_some_and(|trial| trial.holds);
         trials.extend(of_period.iter().cloned());
-        tried[index] = Some(Tried {
-            period_ms: *period_ms,
-            trials: of_period,
-        });
-        index = if holds {
-            index + 1
-        } else {
-            index.saturating_sub(1)
+        index = match of_period.last() {
+            Some(trial) if trial.holds => index + 1,
+            _ => index.saturating_sub(1),
         };
     }
-    let holds = |tried: &Option<Tried>| tried.as_ref().is_some_and(|tried| tried.held() > 0);
-    let held = tried.iter().rposition(holds);
-    let mut take = |index: usize| tried.get_mut(index).and_then(Option::take);
+    let held = tried
+        .iter()
+        .rposition(|trials| trials.iter().any(|trial| trial.holds));
+    let mut take = |index: usize| tried.get_mut(index).map(std::mem::take).unwrap_or_default();
     let found = Shortest {
         case,
         trials,
-        held: held.and_then(&mut take),
+        held: held.map(&mut take).unwrap_or_default(),
         failed: take(held.map_or(0, |index| index + 1)),
     };
     Ok((held, found))
@@ -293,8 +265,9 @@ mod tests {
         found.unwrap().1
     }
 
-    fn tally(tried: Option<&Tried>) -> Option<(f64, usize, usize)> {
-        tried.map(|tried| (tried.period_ms, tried.held(), tried.trials.len()))
+    fn tally(trials: &[Trial]) -> Option<(f64, usize, usize)> {
+        let held = trials.iter().filter(|trial| trial.holds).count();
+        Some((trials.first()?.period_ms, held, trials.len()))
     }
 
     #[test]
@@ -318,11 +291,8 @@ mod tests {
                 let held = holding
                     .checked_sub(1)
                     .and_then(|index| expected(index, 1, 1));
-                assert_eq!(tally(found.held.as_ref()), held);
-                assert_eq!(
-                    tally(found.failed.as_ref()),
-                    expected(holding, 0, failing.trials())
-                );
+                assert_eq!(tally(&found.held), held);
+                assert_eq!(tally(&found.failed), expected(holding, 0, failing.trials()));
                 assert!(
                     found
                         .trials
@@ -348,8 +318,8 @@ mod tests {
                 }
             };
             let found = find(2, |_, count| machine(count));
-            assert_eq!(tally(found.held.as_ref()), Some((0.1, 1, spoilt + 1)));
-            assert!(found.failed.is_none());
+            assert_eq!(tally(&found.held), Some((0.1, 1, spoilt + 1)));
+            assert!(found.failed.is_empty());
             assert_eq!(found.trials.len(), (PERIODS_MS.len() - 2) * (spoilt + 1));
         }
     }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::case::Case;
 use super::trial::Trial;
-use super::{Measured, Shortest, Tried};
+use super::{Measured, Shortest};
 use crate::chart::{BLUE, Curve, DARK, GREEN, ORANGE, Panel, Scale, sheet};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, percent, plain, power, together,
@@ -80,8 +80,9 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
     };
     let (mut default, mut rounds) = (Vec::new(), Vec::new());
     for step in &steps {
-        let of_step: Vec<Value> = step.trials.iter().map(Trial::row).collect::<Result<_>>()?;
-        let path = format!("rate/default/{:.0}-hz", 1e3 / step.period_ms);
+        let of_step: Vec<Value> = step.iter().map(Trial::row).collect::<Result<_>>()?;
+        let period_ms = step.first().map_or(f64::NAN, |trial| trial.period_ms);
+        let path = format!("rate/default/{:.0}-hz", 1e3 / period_ms);
         dataset.compare(
             &path,
             &of_step,
@@ -94,12 +95,12 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
                 ("own_misses", "", "own_misses"),
             ],
         );
-        default.push(step_row(step, &of_step)?);
+        default.push(step_row(period_ms, step, &of_step)?);
         rounds.extend(of_step);
     }
     let (mut found, mut trials) = (Vec::new(), Vec::new());
     for case in &shortest {
-        let held_ms = case.held.as_ref().map(|held| held.period_ms);
+        let held_ms = case.held.first().map(|held| held.period_ms);
         dataset.lower(format!("rate/shortest/{}", case.case.key()), "ms", held_ms);
         found.push(shortest_row(case)?);
         trials.extend(
@@ -140,7 +141,7 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
             histogram_ns: trial.responses,
         })
     };
-    let trials = steps.into_iter().flat_map(|step| step.trials);
+    let trials = steps.into_iter().flatten();
     dataset.recordings = trials.filter_map(recording).collect();
     Ok(dataset)
 }
@@ -196,55 +197,57 @@ fn plot(rows: &[Value]) -> Result<Plot> {
 }
 
 fn shortest_row(shortest: &Shortest) -> Result<Value> {
-    let (held, failed) = (shortest.held.as_ref(), shortest.failed.as_ref());
-    let last = |tried: Option<&Tried>| tried.and_then(|tried| tried.trials.last().cloned());
-    let failed_remarks = last(failed).map(|trial| trial.remarks);
-    let ended_by = match (failed, held) {
-        (Some(failed), _) => format!(
-            "{} ms, held in {} trials: {}",
-            failed.period_ms,
-            held_in(failed),
-            failed_remarks.as_deref().unwrap_or_default()
-        ),
-        (None, Some(_)) => "nothing: no shorter one was tried".to_owned(),
-        (None, None) => String::new(),
+    let Shortest { held, failed, .. } = shortest;
+    let period_ms = |trials: &[Trial]| trials.first().map(|trial| trial.period_ms);
+    let failed_remarks = failed.last().map(|trial| &*trial.remarks);
+    let ended_by = match (period_ms(failed), held.is_empty()) {
+        (Some(failed_ms), _) => {
+            let (held_in, remarks) = (held_in(failed), failed_remarks.unwrap_or_default());
+            format!("{failed_ms} ms, held in {held_in} trials: {remarks}")
+        }
+        (None, false) => "nothing: no shorter one was tried".to_owned(),
+        (None, true) => String::new(),
     };
     let own = json!({
-        "shortest_period_ms": held.map(|held| held.period_ms),
-        "rate_hz": held.map(|held| 1e3 / held.period_ms),
-        "trials_held": held.map_or(0, Tried::held),
-        "trials": held.map_or(0, |held| held.trials.len()),
+        "shortest_period_ms": period_ms(held),
+        "rate_hz": period_ms(held).map(|held_ms| 1e3 / held_ms),
+        "trials_held": count_held(held),
+        "trials": held.len(),
         "ended_by": ended_by,
-        "held_in": held.map_or_else(String::new, held_in),
-        "failed_period_ms": failed.map(|failed| failed.period_ms),
-        "failed_trials_held": failed.map_or(0, Tried::held),
-        "failed_trials": failed.map_or(0, |failed| failed.trials.len()),
+        "held_in": if held.is_empty() { String::new() } else { held_in(held) },
+        "failed_period_ms": period_ms(failed),
+        "failed_trials_held": count_held(failed),
+        "failed_trials": failed.len(),
         "failed_remarks": failed_remarks,
-        "held": last(held).map(|trial| trial.row()).transpose()?,
+        "held": held.last().map(Trial::row).transpose()?,
     });
     joined([json!(shortest.case), own])
 }
 
-fn held_in(tried: &Tried) -> String {
-    format!("{} of {}", tried.held(), tried.trials.len())
+fn count_held(trials: &[Trial]) -> usize {
+    trials.iter().filter(|trial| trial.holds).count()
+}
+
+fn held_in(trials: &[Trial]) -> String {
+    format!("{} of {}", count_held(trials), trials.len())
 }
 
 /// Medians over the rounds, and sums of what was counted.
-fn step_row(step: &Tried, rounds: &[Value]) -> Result<Value> {
+fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Result<Value> {
     // Those of the first round that did not hold, or else of the last one.
-    let failed = step.trials.iter().find(|trial| !trial.holds);
-    let told = failed.or(step.trials.last());
+    let failed = trials.iter().find(|trial| !trial.holds);
+    let told = failed.or(trials.last());
     let all = together(rounds);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
     let own = json!({
         "sections": Case::DEFAULT.sections,
         "horizon_steps": Case::DEFAULT.horizon_steps,
-        "period_ms": step.period_ms,
-        "period_us": 1e3 * step.period_ms,
-        "rate_hz": 1e3 / step.period_ms,
-        "rounds": step.trials.len(),
-        "rounds_held": step.held(),
-        "held_in": held_in(step),
+        "period_ms": period_ms,
+        "period_us": 1e3 * period_ms,
+        "rate_hz": 1e3 / period_ms,
+        "rounds": trials.len(),
+        "rounds_held": count_held(trials),
+        "held_in": held_in(trials),
         "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
         "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
         "remarks": told.map_or("", |trial| &trial.remarks),
@@ -267,10 +270,7 @@ mod tests {
                 remarks: if *holds { "" } else { "too short" }.to_owned(),
                 ..trial(period_ms, Verdict::Holds)
             };
-            Tried {
-                period_ms,
-                trials: holds.iter().map(of_round).collect(),
-            }
+            holds.iter().map(of_round).collect::<Vec<_>>()
         };
         let (held, failed) = (tried(0.5, &[false, true]), tried(0.25, &[false; 3]));
         let found = dataset(Measured {
@@ -280,9 +280,9 @@ mod tests {
             steps: vec![tried(5.0, &[true, true]), tried(0.1, &[true, false])],
             shortest: vec![Shortest {
                 case: Case::DEFAULT,
-                trials: [&held.trials[..], &failed.trials].concat(),
-                held: Some(held),
-                failed: Some(failed),
+                trials: [&held[..], &failed].concat(),
+                held,
+                failed,
             }],
         })
         .unwrap();

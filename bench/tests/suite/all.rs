@@ -165,29 +165,20 @@ fn ctrl_c_leaves_nothing_in_the_folder() {
     assert!(names(place.path()).is_empty());
 }
 
-/// The daemons that a process started: its children that run `cdcrd run`.
-fn daemons_of(parent: u32) -> Vec<u32> {
+/// The daemons in the private places whose names begin like this.
+fn daemons_in(places: &str) -> Vec<u32> {
     let entries = fs::read_dir("/proc").expect("processes").flatten();
     let numbers = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
     numbers
-        .filter(|process| parent_of(*process) == Some(parent) && is_daemon(*process))
+        .filter(|process| is_daemon(*process, places))
         .collect()
 }
 
-fn parent_of(process: u32) -> Option<u32> {
-    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
-    let line = status.lines().find_map(|line| line.strip_prefix("PPid:"))?;
-    line.trim().parse().ok()
-}
-
 /// Of a process that is gone or a zombie: no.
-fn is_daemon(process: u32) -> bool {
+fn is_daemon(process: u32, places: &str) -> bool {
     let line = fs::read(format!("/proc/{process}/cmdline")).unwrap_or_default();
-    let mut words = line.split(|byte| *byte == 0);
-    words
-        .next()
-        .is_some_and(|program| program.ends_with(b"cdcrd"))
-        && words.next() == Some(b"run")
+    let line = String::from_utf8_lossy(&line);
+    line.contains("cdcrd\0run\0") && line.contains(&format!("\0{places}"))
 }
 
 /// Names in a folder that hold these words.
@@ -220,14 +211,14 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
     // A daemon with a client runs when it has files; how soon is up to the machine.
     let has_ended = loop {
         let ended = child.try_wait().expect("it is ours").is_some();
-        let is_there = !daemons_of(child.id()).is_empty() && !names_with(shared, &own).is_empty();
+        let is_there = !daemons_in(&own).is_empty() && !names_with(shared, &own).is_empty();
         if ended || is_there {
             break ended;
         }
         thread::sleep(Duration::from_millis(20));
     };
     thread::sleep(Duration::from_secs(1));
-    let daemons = daemons_of(child.id());
+    let daemons = daemons_in(&own);
     let folders = names(place.path());
     if !has_ended {
         kill_process(Pid::from_child(&child), Signal::INT).expect("a signal");
@@ -239,7 +230,7 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
 
     assert!(!output.status.success(), "{errors}");
     assert!(errors.contains("interrupted"), "{errors}");
-    assert!(!daemons.iter().any(|process| is_daemon(*process)));
+    assert!(!daemons.iter().any(|process| is_daemon(*process, &own)));
     assert!(names_with(shared, &own).is_empty());
     assert!(names(place.path()).is_empty());
 }
