@@ -119,13 +119,13 @@ pub mod wide;
 
 // The compiler puts all that is public into the program of the unit tests, called or not, and would compile the solver once more.
 // `tests/suite` tests it in the library.
-macro_rules! public_unless_unit_tests {
-    ($($module:ident)*) => {$(
-        #[cfg(not(test))]
-        pub mod $module;
-        #[cfg(test)]
-        #[allow(dead_code, unused_imports, unreachable_pub, reason = "not public here")]
-        mod $module;
-    )*};
-}
-public_unless_unit_tests!(closed_loop nmpc);
+#[cfg(not(test))]
+pub mod closed_loop;
+#[cfg(test)]
+#[allow(dead_code, unused_imports, unreachable_pub, reason = "not public here")]
+mod closed_loop;
+#[cfg(not(test))]
+pub mod nmpc;
+#[cfg(test)]
+#[allow(dead_code, unused_imports, unreachable_pub, reason = "not public here")]
+mod nmpc;

@@ -88,6 +88,11 @@ impl FigureEight {
         Self { settings, ..self }
     }
 
+    /// Distance of the tip from the reference where a run begins (m).
+    pub fn begin_error_m(&self) -> f64 {
+        (self.robot.tip_position(&self.start) - Self::reference(0.0).position_m).norm()
+    }
+
     /// Once round with a robot that is not its model, behind a driver. `obstacles` are where they are at the beginning.
     ///
     /// # Errors

@@ -107,14 +107,16 @@ impl ActuatorModel {
         cables
     }
 
-    /// The motors are at rest at their command. Allocates nothing.
+    /// The motors are at rest at their command, and the cables where that led them: whoever begins anew moves none. Allocates nothing.
     pub(super) fn begin(&mut self) {
         let section_count = self.moves[self.newest].rates.section_count();
-        self.moves.fill(Move::rest(section_count));
+        let mut rest = Move::rest(section_count);
         if let Some(play) = &mut self.play {
-            let middle = Slack::middle(self.actuator.play_m);
-            (play.motors, play.led) = (middle, middle);
+            play.motors = play.led;
+            let led = play.led.bends(&play.robot);
+            add(&mut rest.slack_rad, led.as_slice(), 1.0);
         }
+        self.moves.fill(rest);
     }
 
     /// `rates` were commanded for `duration_s`.

@@ -106,7 +106,7 @@ impl Estimator {
         self.tip.begin();
         self.tip_offset.begin();
         self.motors.begin();
-        self.led = configuration;
+        self.led = self.motors.cables_led(&configuration);
     }
 
     /// Begins anew where the measurements alone say that the commands lead, with motors that are still on their way there.
@@ -125,6 +125,11 @@ impl Estimator {
     /// Where the commands up to now lead the motors: the robot is beside that by the play of its cables.
     pub fn motors(&self) -> &Configuration {
         &self.stages[STAGES - 1]
+    }
+
+    /// Where the motors are: behind that by what they have left of their way.
+    pub fn motors_present(&self) -> Configuration {
+        self.motors.way_left(0.0).back_from(self.motors())
     }
 
     /// Where the robot is: behind that by what its motors are behind their commands.

@@ -89,6 +89,15 @@ mod tests {
             }
             assert!(played_rad > 0.02, "{played_rad}");
             assert!(farthest_rad < 1e-5, "{actuator:?}: {farthest_rad}");
+
+            // Who begins anew where the motors are moves no cable.
+            for _ in 0..100 {
+                estimator.predict(&BendRates::zero(3), PERIOD_S);
+            }
+            let rest = *estimator.configuration();
+            estimator.begin(*estimator.motors());
+            assert!(most(estimator.configuration(), &rest) < 1e-15);
+            assert!(most(&estimator.present(), &rest) < 1e-15);
         }
     }
 }

@@ -92,8 +92,10 @@ impl RobotState {
 
     /// Whether its motors have come to where the commands lead them, as far as that is known.
     pub(super) fn has_arrived(&self) -> bool {
-        let ends = self.configuration().as_slice();
-        let mut pairs = self.present.as_slice().iter().zip(ends);
+        // Not the cables, which stand still while motors run through their play.
+        let here = self.estimator.motors_present();
+        let ends = self.estimator.motors().as_slice();
+        let mut pairs = here.as_slice().iter().zip(ends);
         pairs.all(|(here, end)| (end - here).abs() < ARRIVED_RAD)
     }
 
