@@ -262,10 +262,10 @@ fn motors_run_through_the_play_of_their_cables() {
     }
 }
 
-/// A robot that is sent somewhere and shall rest there: tip sensor and play do not keep it swinging, whether the play is not known or
+/// A robot that is sent somewhere and shall stay there: tip sensor and play do not make it swing farther, whether the play is not known or
 /// taken for less than it is.
 #[test]
-fn a_robot_with_play_comes_to_rest() {
+fn a_robot_with_play_stays_within_a_third_of_a_millimetre() {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
     // Rates that move the robot and not its tip cost a little, or noise makes it turn about its tip.
     let settings = NmpcSettings {
