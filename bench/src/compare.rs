@@ -21,7 +21,7 @@ use crate::named::named;
 /// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
 const ROUNDS_MIN: usize = 3;
 /// A smaller change of the median is of no account, however small the spread \[%\].
-const LEAST_CHANGE_PERCENT: f64 = 2.0;
+pub const LEAST_CHANGE_PERCENT: f64 = 2.0;
 /// Chance has a spread of its own: so many more may get worse.
 const WORSE_MARGIN: usize = 2;
 /// More names than this are not listed.
