@@ -50,6 +50,15 @@ impl Signals {
     }
 }
 
+/// Ends an observation when it is dropped.
+pub(super) struct Ending<'a>(pub(super) &'a Signals);
+
+impl Drop for Ending<'_> {
+    fn drop(&mut self) {
+        self.0.end();
+    }
+}
+
 /// Watches the daemon at `location` from `core` until that is ended; with `realtime` before all ordinary tasks. To be
 /// called on a thread of its own.
 pub(super) fn observe(

@@ -6,7 +6,7 @@ use std::time::Duration;
 use anyhow::{Context, Result, anyhow};
 use cdcr_shared_types::Location;
 
-use super::observer::{Signals, observe};
+use super::observer::{Ending, Signals, observe};
 use super::tally::Tally;
 use super::{DeadlineOptions, Setup, WARM_UP};
 use crate::benchmark::with_period;
@@ -111,8 +111,10 @@ impl<'a> Runner<'a> {
         let (signals, realtime) = (Signals::new(), setup == Setup::Realtime);
         let (tally, measured) = thread::scope(|scope| {
             let observer = scope.spawn(|| observe(location, core, realtime, &signals));
+            // A measurement that fails or panics ends the observer, too.
+            let ending = Ending(&signals);
             let measured = self.measure(load, setup, location, &signals, || observer.is_finished());
-            signals.end();
+            drop(ending);
             let observed = observer
                 .join()
                 .map_err(|_| anyhow!("the observer panicked"));
@@ -149,7 +151,10 @@ impl<'a> Runner<'a> {
             interrupt::sleep(step)?;
             left -= step;
         }
-        Ok((self.stolen_ms(setup) - before_ms, running.stop()?))
+        // Nothing counts of the time in which the load ends.
+        signals.end();
+        let steal_ms = self.stolen_ms(setup) - before_ms;
+        Ok((steal_ms, running.stop()?))
     }
 
     /// Measures something that is no daemon. A load that needs one gets a decoy: without real time, beside
