@@ -132,7 +132,9 @@ impl Environment {
     pub(crate) fn run(&self) -> String {
         let [version, commit, started] = self.texts(["cdcr version", "commit", "started utc"]);
         let [model, release] = self.texts(["processor model", "kernel release"]);
-        format!("cdcr {version} ({commit}), {started}, {model}, kernel {release}")
+        let commit = Some(format!(" ({commit})")).filter(|_| !commit.is_empty());
+        let commit = commit.unwrap_or_default();
+        format!("cdcr {version}{commit}, {started}, {model}, kernel {release}")
     }
 }
 
@@ -462,6 +464,9 @@ mod tests {
         );
         let older: Environment = serde_json::from_str("{\"kernel\":{}}").expect("few keys");
         assert!(older.differing(&Environment::default()).is_empty());
+        assert!(!older.run().contains('('), "{}", older.run());
+        let known: Environment = serde_json::from_str("{\"commit\":\"0c4\"}").expect("a key");
+        assert!(known.run().contains(" (0c4), "), "{}", known.run());
 
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         // A host that is called like a word of the description cannot be told from it.
