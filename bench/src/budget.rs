@@ -16,7 +16,9 @@ use serde_json::{Value, json};
 use crate::benchmark::Benchmark;
 use crate::chart::{BLUE, Curve, GREEN, GREY, Panel, Scale, sheet};
 use crate::closed_loop::{self, ClosedLoop, PlanEvaluator};
-use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, joined, percent, plain, together, word};
+use crate::dataset::{
+    Column, Dataset, Plot, Sheet, fixed, joined, number, percent, plain, together, word,
+};
 use crate::experiment::{Solver, Task};
 use crate::interrupt;
 use crate::progress::Progress;
@@ -121,10 +123,11 @@ fn dataset(all: &[(&str, u64, Vec<Value>)], rounds: u32) -> Result<Dataset> {
             ("over_p99", "µs", "over_us_p99"),
         ];
         dataset.compare(&path, rounds, &numbers);
-        rows.push(joined([
-            json!({ "case": case, "budget_us": budget_us }),
-            together(rounds),
-        ])?);
+        let all = together(rounds);
+        let of_all = |key| Some(number(&all, key)? / number(&all, "solves")?);
+        let share = json!({ "ended_by_budget_share": of_all("ended_by_budget") });
+        let case = json!({ "case": case, "budget_us": budget_us });
+        rows.push(joined([&case, &all, &share])?);
     }
     dataset.fact("rounds", rounds);
     dataset.plots.push(Plot {
@@ -223,8 +226,8 @@ impl Case {
         );
         Ok(json!({
             "solves": solves,
-            // Share of the solves that the budget ended; the others had nothing left to do.
-            "ended_by_budget_share": runner.ended_by_budget as f64 / solves as f64,
+            // Solves that the budget ended; the others had nothing left to do.
+            "ended_by_budget": runner.ended_by_budget,
             // How much later than the budget a solve ended, and the loop without work.
             "over_us": Quantiles::of(&runner.over_ns),
             "bare_over_us": Quantiles::of(&runner.bare_over_ns),
@@ -294,11 +297,13 @@ mod tests {
 
     #[test]
     fn rounds_are_put_together() {
-        let round =
-            |(p99, max): (f64, f64)| json!({ "solves": 5, "over_us": { "p99": p99, "max": max } });
-        let rounds = [(3.0, 9.0), (1.0, 90.0), (2.0, 5.0)].map(round);
+        let round = |(ended, p99, max): (u64, f64, f64)| json!({ "solves": 5, "ended_by_budget": ended, "over_us": { "p99": p99, "max": max } });
+        let rounds = [(5, 3.0, 9.0), (5, 1.0, 90.0), (0, 2.0, 5.0)].map(round);
         let dataset = dataset(&[("default", 10, rounds.into())], 3).expect("rounds");
-        let expected = json!({ "case": "default", "budget_us": 10, "solves": 15, "over_us": { "p99": 2.0, "max": 90.0 } });
+        let expected = json!({
+            "case": "default", "budget_us": 10, "solves": 15, "ended_by_budget": 10,
+            "ended_by_budget_share": 2.0 / 3.0, "over_us": { "p99": 2.0, "max": 90.0 }
+        });
         assert_eq!(dataset.json()["cases"][0], expected);
         assert_eq!(dataset.metrics[0].rounds, [3.0, 1.0, 2.0]);
     }
