@@ -79,6 +79,17 @@ fn every_form_holds_every_variant() {
         ("quality-problems", 2 * fields),
     ];
     assert_eq!(lines.collect::<Vec<_>>(), expected);
+    let text = report.text();
+    for word in [
+        "crossing",
+        "500 µs",
+        "6 x 10",
+        "5 steps",
+        "posts",
+        "gauss-newton-restarted",
+    ] {
+        assert!(text.contains(word), "{word} in {text}");
+    }
     let names: Vec<&str> = report.plots.iter().map(|plot| plot.name).collect();
     assert_eq!(
         names,
