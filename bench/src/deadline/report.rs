@@ -412,6 +412,8 @@ fn survival(times_ns: &Histogram<u64>) -> Vec<Point> {
 mod tests {
     use super::*;
     use crate::quantiles::histogram;
+    use crate::subject::Cycle;
+    use cdcr_shared_types::codes::LateCause;
 
     #[test]
     fn all_are_later_than_the_first_and_none_than_the_last() {
@@ -421,6 +423,60 @@ mod tests {
         }
         let shares: Vec<f64> = survival(&times).iter().map(|point| point.1).collect();
         assert_eq!(shares, [1.0, 0.75, 0.25]);
+    }
+
+    #[test]
+    fn a_case_adds_its_rounds_up_and_takes_their_medians() {
+        let key = Key {
+            setup: Setup::Ordinary,
+            load: Load::None,
+            subject: Subject::Bare,
+        };
+        let cycle = |wake_us: u64, cause: LateCause| Cycle {
+            due_ns: 0,
+            wake_ns: 1000 * wake_us,
+            response_ns: 1000 * wake_us,
+            late_start: false,
+            deadline_miss: cause != LateCause::None,
+            skipped_periods: 0,
+            cause,
+            run_delay_ns: 500_000,
+        };
+        let rounds = [
+            [cycle(10, LateCause::None); 4].to_vec(),
+            vec![cycle(20, LateCause::Compute)],
+            vec![cycle(30, LateCause::Platform)],
+        ];
+        let mut case = Case::default();
+        for (round, cycles) in rounds.iter().enumerate() {
+            let of_round = json!({ "round": round, "start_s": 2 * round });
+            let tally = Tally::of(cycles, true).expect("bounds");
+            case.push(key, of_round, tally).expect("a round");
+        }
+        let row = case.row(key).expect("a row");
+        for (name, expected) in [
+            ("cycles", 6),
+            ("deadline_misses", 2),
+            ("own_misses", 1),
+            ("causes_compute", 1),
+            ("causes_platform", 1),
+            ("causes_load", 0),
+        ] {
+            assert_eq!(number(&row, name), Some(f64::from(expected)), "{name}");
+        }
+        for (name, expected) in [
+            ("run_delay_ms", 3.0),
+            // Of all cycles.
+            ("wake_us_p50", 10.0),
+            ("wake_us_max", 30.0),
+            // Of the three medians.
+            ("median_of_rounds_wake_us_p50", 20.0),
+        ] {
+            let found = number(&row, name).expect(name);
+            assert!((found - expected).abs() < 0.05, "{name}: {found}");
+        }
+        assert_eq!(row["rounds"].as_array().map(Vec::len), Some(3));
+        assert!(row["round"].is_null() && row["start_s"].is_null(), "{row}");
     }
 
     #[test]
