@@ -83,12 +83,6 @@ macro_rules! benchmarks {
         }
 
         impl Name {
-            fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $name,)+
-                }
-            }
-
             fn plan(self, asked: &AllArguments) -> Plan {
                 match self {
                     $(Self::$variant => Plan::new::<$options>($name, asked.extent, asked.config.as_ref()),)+
@@ -304,8 +298,7 @@ impl AllArguments {
     /// The folder itself, unless it holds a report with results that this one lacks.
     fn folder(&self, report: &BenchReport) -> Result<PathBuf> {
         let older = fs::read_to_string(self.out.join("report.json")).unwrap_or_default();
-        let names = Name::value_variants().iter().map(|name| name.name());
-        let lost = report.would_lose(&older, names);
+        let lost = report.would_lose(&older);
         if lost.is_empty() {
             return Ok(self.out.clone());
         }

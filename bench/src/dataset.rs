@@ -26,6 +26,8 @@ pub struct Dataset {
     pub explanation: &'static str,
     /// What must not be overlooked, in a sentence.
     pub note: String,
+    /// Whether the note warns, of a failure or of numbers that prove nothing.
+    pub warns: bool,
     /// Keys of the JSON beside those of the sheets.
     pub facts: Map<String, Value>,
     /// The most important first.

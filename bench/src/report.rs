@@ -25,6 +25,9 @@ use crate::progress::Progress;
 const QUICK: &str =
     "This was a quick look (--quick): it shows that everything runs, and proves nothing.";
 
+/// Objects of a report that are no result of a benchmark.
+const NO_RESULTS: [&str; 4] = ["environment", "extent", "options", "took_s"];
+
 /// When a run began, on what machine, and what it was asked for.
 #[derive(Debug, Clone)]
 pub struct Start {
@@ -296,11 +299,13 @@ impl BenchReport {
         front.retain(|dataset| dataset.tables().next().is_some() || !dataset.note.is_empty());
         if self.extent.quick {
             QUICK.clone_into(&mut front[0].note);
+            front[0].warns = true;
         }
         let failed = self.failures().map(|(name, cause)| Dataset {
             name,
             heading: name,
             note: format!("{name} failed. There is no result: {cause}"),
+            warns: true,
             ..Dataset::default()
         });
         front.extend(failed);
@@ -347,18 +352,17 @@ impl BenchReport {
         Ok(bundle)
     }
 
-    /// Which of these benchmarks have a result in an older `report.json` and none in this one.
-    pub fn would_lose<'a>(
-        &self,
-        older: &str,
-        benchmarks: impl Iterator<Item = &'a str>,
-    ) -> Vec<&'a str> {
-        let older: Value = serde_json::from_str(older).unwrap_or_default();
-        let was_there = |name: &str| older[name].is_object() && older[name].get("error").is_none();
+    /// Which benchmarks, of today or not, have a result in an older `report.json` and none in this one.
+    pub fn would_lose(&self, older: &str) -> Vec<String> {
+        let older: Map<String, Value> = serde_json::from_str(older).unwrap_or_default();
+        let was_there = |name: &str, value: &Value| {
+            !NO_RESULTS.contains(&name) && value.is_object() && value.get("error").is_none()
+        };
         let is_here = |name: &str| self.datasets().any(|dataset| dataset.name == name);
-        benchmarks
-            .filter(|name| was_there(name) && !is_here(name))
-            .collect()
+        let lost = older
+            .into_iter()
+            .filter(|(name, value)| was_there(name, value) && !is_here(name));
+        lost.map(|(name, _)| name).collect()
     }
 }
 
@@ -405,6 +409,27 @@ mod tests {
         }
         let entries = fs::read_dir(&folder).expect("a folder").count();
         assert_eq!(entries, 2, "no file for the time between is left");
+    }
+
+    #[test]
+    fn an_older_result_is_lost_whatever_its_benchmark_is_called_today() {
+        let start = Start::now(RunOptions::default()).expect("a machine");
+        let report = BenchReport {
+            start,
+            extent: Extent {
+                quick: false,
+                rounds: None,
+            },
+            default_config: true,
+            parts: Vec::new(),
+        };
+        let mut older: Map<String, Value> =
+            serde_json::from_str(&report.json().expect("JSON")).expect("an object");
+        assert_eq!(report.would_lose(&json!(older).to_string()), [""; 0]);
+        older.insert("renamed".to_owned(), json!({ "cases": [] }));
+        older.insert("failing".to_owned(), json!({ "error": "no luck" }));
+        assert_eq!(report.would_lose(&json!(older).to_string()), ["renamed"]);
+        assert_eq!(report.would_lose("no report"), [""; 0]);
     }
 
     #[test]

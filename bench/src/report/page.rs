@@ -16,11 +16,11 @@ latency in <code>histograms/</code>, in the log format of HDR histograms.</p>\n"
 
 /// With contents where there is more than one result and its machine. The introduction is HTML.
 pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String {
-    let title = escape(title);
+    let heading = escape(title);
     let mut html = format!(
         "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
-         <title>{title}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>\n{introduction}"
+         <title>{heading}</title>\n<style>\n{STYLE}</style>\n</head>\n<body>\n<h1>{heading}</h1>\n{introduction}"
     );
     if !introduction.is_empty() {
         let link = |dataset: &&Dataset| {
@@ -31,20 +31,25 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         let _ = writeln!(html, "<nav><ul>\n{links}</ul></nav>");
     }
     for dataset in all {
+        if dataset.heading != title {
+            let (name, heading) = (dataset.name, escape(dataset.heading));
+            let _ = writeln!(html, "<h2 id=\"{name}\">{heading}</h2>");
+        }
         add(&mut html, dataset);
     }
     html + "</body>\n</html>\n"
 }
 
 fn add(html: &mut String, dataset: &Dataset) {
-    let (name, heading) = (dataset.name, escape(dataset.heading));
-    let _ = writeln!(
-        html,
-        "<h2 id=\"{name}\">{heading}</h2>\n{}",
-        dataset.explanation
-    );
+    let name = dataset.name;
+    let _ = writeln!(html, "{}", dataset.explanation);
     if !dataset.note.is_empty() {
-        let _ = writeln!(html, "<p class=\"failed\">{}</p>", escape(&dataset.note));
+        let class = if dataset.warns {
+            " class=\"failed\""
+        } else {
+            ""
+        };
+        let _ = writeln!(html, "<p{class}>{}</p>", escape(&dataset.note));
     }
     for table in dataset.tables() {
         let _ = writeln!(html, "<div class=\"wide\">\n{}</div>", table.html());
@@ -83,5 +88,26 @@ mod tests {
             "{html}"
         );
         assert!(!html.contains("<script"), "{html}");
+    }
+
+    #[test]
+    fn a_result_alone_has_one_heading_and_only_a_warning_stands_in_a_box() {
+        let mut dataset = Dataset {
+            name: "a",
+            heading: "1 < 2",
+            note: "not judged".to_owned(),
+            ..Dataset::default()
+        };
+        let html = page("1 < 2", "", &[&dataset]);
+        assert!(html.contains("<h1>1 &lt; 2</h1>"), "{html}");
+        assert!(!html.contains("<h2"), "{html}");
+        assert!(html.contains("<p>not judged</p>"), "{html}");
+        dataset.warns = true;
+        let html = page("more", "", &[&dataset]);
+        assert!(html.contains("<h2 id=\"a\">1 &lt; 2</h2>"), "{html}");
+        assert!(
+            html.contains("<p class=\"failed\">not judged</p>"),
+            "{html}"
+        );
     }
 }
