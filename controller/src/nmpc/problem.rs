@@ -378,8 +378,8 @@ impl Problem for TrackingProblem<'_> {
 }
 
 /// The problem in the coordinates that P stands for, with penalties unless it is `FREE`: what a swarm searches. A swarm
-/// and all that it evaluates become one function for each set of instructions. The compiler works three times as long on
-/// one function with all three cases as on a function for each.
+/// and all that it evaluates become one function for each set of instructions, and the compiler's time grows faster than a
+/// function: one for each case compiles sooner than one with all three (docs/decisions/0011-build.md).
 pub(super) struct SearchedProblem<'a, const P: usize, const FREE: bool>(
     pub &'a TrackingProblem<'a>,
 );
