@@ -28,14 +28,16 @@ end() {
 }
 trap end EXIT
 
+late="--set realtime.spin_us=0"
 # Name of the step | what the daemon is started through | its options.
 steps=(
-  "nothing||--set realtime.mode=off"
-  "a core of its own|setpriv --bounding-set -sys_nice,-ipc_lock|--set realtime.no_deep_sleep=false"
-  "+ locked memory|setpriv --bounding-set -sys_nice|--set realtime.no_deep_sleep=false"
-  "+ SCHED_FIFO||--set realtime.no_deep_sleep=false"
-  "+ no deep sleep||"
-  "+ 200 µs of spinning||--set realtime.spin_us=200"
+  "nothing||$late --set realtime.mode=off"
+  "a core of its own|setpriv --bounding-set -sys_nice,-ipc_lock|$late --set realtime.no_deep_sleep=false"
+  "+ locked memory|setpriv --bounding-set -sys_nice|$late --set realtime.no_deep_sleep=false"
+  "+ SCHED_FIFO||$late --set realtime.no_deep_sleep=false"
+  "+ no deep sleep||$late"
+  "+ a rehearsal (default)||"
+  "+ 200 µs early||--set realtime.spin_us=200"
 )
 
 run() { # load, step

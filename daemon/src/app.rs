@@ -357,7 +357,9 @@ pub fn run_cycles(
 ) {
     let mut cycles_to_rest = cycles_to_rest;
     while cycles_to_rest > 0 {
-        let release = schedule.wait(clock);
+        let release = schedule.wait_with(clock, |number, due_ns| {
+            cycle.rehearse(number, due_ns, ends.inputs.read(), clock);
+        });
         if shared.is_ending() {
             cycle.shut_down();
             cycles_to_rest = if cycle.is_at_rest() {

@@ -176,7 +176,7 @@ impl Recorder {
     fn new(config: &Config, last_cycle: u64) -> Result<Self> {
         Ok(Self {
             last_cycle,
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
             accounting: Accounting::new(Policy::new(config).limits()),
             attribution: Attribution::default(),
             cycles: memory(last_cycle as usize)?,

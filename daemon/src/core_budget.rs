@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! release                                                              next release
-//!    │ spin │ estimate, solve ... │ guard, command, record │ exchange │ ordinary tasks │
+//!    │ early │ estimate, solve ... │ guard, command, record │ exchange │ ordinary tasks │
 //!    │◄──────────────────── real-time time, at most ──────────────────►│
 //! ```
 //!
@@ -48,7 +48,7 @@ impl CoreBudget {
             period_ns,
             deadline_ns: config.cycle.deadline_ns(),
             margin_ns: config.cycle.budget_margin_ns(),
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
             is_real_time: config.realtime.mode != RealtimeMode::Off,
             real_time_ns: period_ns,
         };
@@ -211,6 +211,7 @@ mod tests {
 
     fn budget(change: impl FnOnce(&mut Config)) -> CoreBudget {
         let mut config = Config::default();
+        config.realtime.spin_us = 0.0;
         change(&mut config);
         CoreBudget::new(&config)
     }
@@ -261,11 +262,11 @@ mod tests {
     fn a_smaller_share_of_the_kernel_is_kept_to_and_ordinary_threads_have_none() {
         let mut config = Config::default();
         let half = CoreBudget::new(&config).with_kernel_share(0.5);
-        assert_eq!(half.solve_ns(Costs::default()), 2335 * US);
+        assert_eq!(half.solve_ns(Costs::default()), 2260 * US);
         assert!((half.share_max() - 0.475).abs() < 1e-9);
         config.realtime.mode = RealtimeMode::Off;
         let off = CoreBudget::new(&config).with_kernel_share(0.5);
-        assert_eq!(off.solve_ns(costs(280, 150)), 4500 * US);
+        assert_eq!(off.solve_ns(costs(280, 150)), 4495 * US);
     }
 
     #[test]

@@ -106,6 +106,15 @@ impl ObstacleSet {
         Ok(())
     }
 
+    /// Holds the first [`OBSTACLES_MAX`] of these, whose ids differ, instead of what it held.
+    pub fn fill(&mut self, known: impl IntoIterator<Item = KnownObstacle>) {
+        self.count = 0;
+        for (slot, known) in self.slots.iter_mut().zip(known) {
+            *slot = Some(known);
+            self.count += 1;
+        }
+    }
+
     /// Removes the obstacle of this id, if there is one.
     pub fn remove(&mut self, id: u32) {
         self.retain(|known| known.id != id);
@@ -128,14 +137,7 @@ impl ObstacleSet {
         *self = self.iter().copied().filter(keep).collect();
     }
 
-    /// The set at `time_ns`: each obstacle where it is then, without those that [`KnownObstacle::at`]
-    /// leaves out.
-    #[must_use]
-    pub fn at(&self, time_ns: u64) -> Self {
-        self.iter_at(time_ns).collect()
-    }
-
-    /// The obstacles of [`Self::at`].
+    /// Each obstacle where it is at `time_ns`, without those that [`KnownObstacle::at`] leaves out.
     pub fn iter_at(&self, time_ns: u64) -> impl Iterator<Item = KnownObstacle> {
         self.iter().filter_map(move |known| known.at(time_ns))
     }
@@ -155,10 +157,7 @@ impl ObstacleSet {
 impl FromIterator<KnownObstacle> for ObstacleSet {
     fn from_iter<I: IntoIterator<Item = KnownObstacle>>(known: I) -> Self {
         let mut set = Self::default();
-        for (slot, known) in set.slots.iter_mut().zip(known) {
-            *slot = Some(known);
-            set.count += 1;
-        }
+        set.fill(known);
         set
     }
 }
@@ -221,11 +220,12 @@ mod tests {
         let mut set = ObstacleSet::default();
         set.upsert(ball(1, Some(30))).unwrap();
         set.upsert(ball(2, None)).unwrap();
-        assert_eq!(ids(&set.at(1030 * MS - 1)), [1, 2]);
-        assert_eq!(ids(&set.at(1030 * MS)), [2]);
+        let ids_at = |set: &ObstacleSet, time_ns| ids(&set.iter_at(time_ns).collect());
+        assert_eq!(ids_at(&set, 1030 * MS - 1), [1, 2]);
+        assert_eq!(ids_at(&set, 1030 * MS), [2]);
         set.expire(1030 * MS);
         assert_eq!(ids(&set), [2]);
-        assert_eq!(ids(&set.at(u64::MAX / 4)), [0; 0], "gone to far away");
+        assert_eq!(ids_at(&set, u64::MAX / 4), [0; 0], "gone to far away");
     }
 
     #[test]

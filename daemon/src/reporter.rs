@@ -63,7 +63,7 @@ impl Reporter {
             robot: validated.robot.clone(),
             has_driver: config.link.kind == LinkKind::Driver,
             period_ns: ns(config.cycle.period_ms),
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
             daemon_id,
             incidents_sent: 0,
             last_mode: Mode::Starting,

@@ -111,7 +111,7 @@ fn say_what_is_missing(missing: u32, core: Option<usize>) {
 pub(crate) fn schedule(config: &Config, clock: &impl Clock) -> Schedule {
     let period_ns = ns(config.cycle.period_ms);
     Schedule::new(clock.now_ns() + START_DELAY_NS, period_ns)
-        .with_spin(ns(config.realtime.spin_us * 1e-3))
+        .with_spin(config.realtime.spin_ns(config.cycle.period_ms))
 }
 
 /// Lets the threads of a start that failed end, and leaves behind what hangs.

@@ -90,6 +90,8 @@ pub struct Nmpc {
     /// The plan of the last solve: what the next warm start is made of.
     plan: Vec<f64>,
     warm_plan: Vec<f64>,
+    /// The plan, while a rehearsal makes another.
+    kept_plan: Vec<f64>,
     solver: Solver,
 }
 
@@ -125,6 +127,7 @@ impl Nmpc {
             obstacles: Obstacles::with_capacity(),
             plan: Vec::with_capacity(unknowns),
             warm_plan: Vec::with_capacity(unknowns),
+            kept_plan: Vec::with_capacity(unknowns),
             solver: Solver::with_capacity(simd, unknowns),
         };
         nmpc.apply(settings);
@@ -151,6 +154,7 @@ impl Nmpc {
         let unknowns = self.robot.coordinate_count() * self.horizon.blocks();
         self.plan.resize(unknowns, 0.0);
         self.warm_plan.resize(unknowns, 0.0);
+        self.kept_plan.resize(unknowns, 0.0);
     }
 
     /// Forgets the plan: the next warm start is zero rates. For cycles in which another than the
@@ -209,6 +213,15 @@ impl Nmpc {
             return (BendRates::zero(n), SolveReport::default());
         }
         self.solve_within(input, budget)
+    }
+
+    /// Solves, and forgets it: the plan stays, so that every later solve gives the bits that it would have given. After a
+    /// pause this brings the solver's code and data back into the processor's caches before the time that matters, as the
+    /// preparation phase of the real-time iteration does (Diehl et al. 2005, doi:10.1137/S0363012902400713).
+    pub fn rehearse(&mut self, input: &SolveInput, budget: &mut Budget<'_>) {
+        self.kept_plan.copy_from_slice(&self.plan);
+        self.solve(input, budget);
+        core::mem::swap(&mut self.plan, &mut self.kept_plan);
     }
 
     fn solve_within(

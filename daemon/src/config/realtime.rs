@@ -1,6 +1,6 @@
 use serde::{Deserialize, Serialize};
 
-use super::LinkKind;
+use super::{LinkKind, ns};
 use crate::rt::privileges::{ThreadPlan, last_core};
 
 /// How much real time is asked for.
@@ -48,9 +48,10 @@ cdcr_controller::parameters! {
         cycle_priority: i32 = 80, in 2.0..=99.0, "above realtime.exchange_priority";
         /// SCHED_FIFO priority of the exchange thread, {range}, below that of the cycle.
         exchange_priority: i32 = 70, in 1.0..=98.0, "below realtime.cycle_priority";
-        /// Wake up this long before each release and spin to it, {range}, and at most half the period. It buys a
-        /// punctual start for the same share of the core.
-        spin_us: f64 = 0.0, in 0.0..=1000.0, "at most half of cycle.period_ms";
+        /// Wake up this long before each release, rehearse the cycle so that code and data are in the processor's caches, and
+        /// spin to the release; {range}, and at most half the period; 0: no rehearsal; -1: 1.5 % of the period, at most 75 µs.
+        /// It buys a punctual start and a response in half the time for the same share of the core.
+        spin_us: f64 = -1.0, in -1.0..=1000.0, "at most half of cycle.period_ms";
         /// Keep the processor out of deep sleep (by /dev/cpu_dma_latency, where the system grants it): it wakes up
         /// faster, and the machine draws more power.
         no_deep_sleep: bool = true;
@@ -58,6 +59,16 @@ cdcr_controller::parameters! {
 }
 
 impl RealtimeConfig {
+    /// How long before each release of a period of `period_ms` the cycle thread wakes up \[ns\].
+    pub fn spin_ns(&self, period_ms: f64) -> u64 {
+        let spin_us = if self.spin_us < 0.0 {
+            (15.0 * period_ms).min(75.0)
+        } else {
+            self.spin_us
+        };
+        ns(spin_us * 1e-3)
+    }
+
     /// The core of the real-time threads: the configured one, or else the last one that the process may use.
     pub fn core(&self) -> Option<usize> {
         usize::try_from(self.core).ok().or_else(last_core)

@@ -7,13 +7,15 @@
 //! Invariant: nothing here allocates, locks, logs, panics or calls the system. What it decides by is
 //! in the record, so that the cycle can be computed again.
 
+mod observation;
 mod present_clearance;
+mod rehearsal;
 mod state;
 mod warm_up;
 
 use cdcr_controller::nmpc::{Nmpc, OBSTACLES_MAX, PLAN_MAX, SolveInput, SolveReport, SolveStatus};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::reference::{FollowedReference, GridPoint, ReferenceSample};
+use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
@@ -25,9 +27,10 @@ use crate::config::{Interface, Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
 use crate::handover::{
     CycleAnswer, CycleInputs, CycleRecord, CycleRequest, Policy, REQUESTS_PER_CYCLE,
-    REQUESTS_WAITING, Settings, TimedMeasurement,
+    REQUESTS_WAITING, Settings,
 };
 use crate::link::RobotLink;
+use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
 use present_clearance::present_clearance_m;
@@ -39,6 +42,8 @@ pub struct Cycle {
     robot: Robot,
     link: RobotLink,
     state: RobotState,
+    /// Another, that rehearsals move on and nobody asks.
+    rehearsed: RobotState,
     modes: ModeMachine,
     nmpc: Nmpc,
     budget_ns: u64,
@@ -71,7 +76,9 @@ pub struct Cycle {
     longest_gap_ns: u64,
     previous_release_ns: Option<u64>,
     rates: BendRates,
-    /// Those of this cycle, where they are when the robot is where its commands lead it.
+    /// Those of this cycle, where they are at its release.
+    known_obstacles: ObstacleSet,
+    /// The same where they are when the robot is where its commands lead it.
     obstacles: Vec<Obstacle>,
     followed: FollowedReference,
 }
@@ -97,6 +104,7 @@ impl Cycle {
         Ok(Self {
             link,
             state: RobotState::new(robot.clone(), policy, period_ns, *initial),
+            rehearsed: RobotState::new(robot.clone(), policy, period_ns, *initial),
             control_begins: false,
             stale_ns: 0,
             suspends: 0,
@@ -119,6 +127,7 @@ impl Cycle {
             longest_gap_ns: 0,
             previous_release_ns: None,
             rates: BendRates::zero(robot.section_count()),
+            known_obstacles: ObstacleSet::default(),
             obstacles: Vec::with_capacity(OBSTACLES_MAX),
             followed: FollowedReference::new(policy.approach),
             robot: robot.clone(),
@@ -201,7 +210,7 @@ impl Cycle {
         self.clearance_m = if self.policy.reference_lead_ns == 0 {
             safe.clearance_m
         } else {
-            let obstacles = inputs.obstacles.iter_at(release.release_ns);
+            let obstacles = self.known_obstacles.iter().copied();
             present_clearance_m(&self.robot, &present, obstacles, safe.clearance_m)
         };
         self.rates = safe.rates;
@@ -246,7 +255,7 @@ impl Cycle {
             previous_rates,
             reference,
             approach: *self.followed.approach(),
-            obstacles: inputs.obstacles.at(release.release_ns),
+            obstacles: self.known_obstacles,
             settings: self.settings(),
             report,
             plan_length: 0,
@@ -317,64 +326,14 @@ impl Cycle {
 
     /// The obstacles of this cycle, moved on to its release. The list has room for all of them.
     fn place_obstacles(&mut self, inputs: &CycleInputs, release: &Release) {
-        let placed = inputs.obstacles.iter_at(release.release_ns);
+        let known = inputs.obstacles.iter_at(release.release_ns);
+        self.known_obstacles.fill(known);
         self.obstacles.clear();
         // The robot is where its commands lead it as much later as its motors are behind them.
         let lead_s = self.policy.reference_lead_ns as f64 * 1e-9;
-        let shapes = placed.map(|known| known.obstacle.moved(lead_s));
-        self.obstacles.extend(shapes.take(OBSTACLES_MAX));
-    }
-
-    fn observe(
-        &mut self,
-        measurement: Option<TimedMeasurement>,
-        reference: &ReferenceSample,
-        inputs: &CycleInputs,
-    ) -> Observation {
-        Observation {
-            measured: measurement.is_some(),
-            reference: reference.state,
-            too_far: self.is_too_far(reference),
-            lease: inputs.lease,
-            at_home: self.state.is_at_home(),
-            misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
-            suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,
-            wait: self.wait(inputs),
-            fault: self.fault(measurement),
-        }
-    }
-
-    /// Whether a reference is farther from the tip than it may be approached from.
-    fn is_too_far(&self, reference: &ReferenceSample) -> bool {
-        let most_m = self.policy.approach_distance_m;
-        most_m.is_finite() && (self.state.tip().position_m - reference.position_m).norm() > most_m
-    }
-
-    /// Why the robot should not move on, though nothing is broken.
-    fn wait(&self, inputs: &CycleInputs) -> Option<Reason> {
-        if self.stale_ns > self.policy.stale_inputs_max_ns {
-            return Some(Reason::InputsStale);
-        }
-        inputs
-            .obstacle_source_silent
-            .then_some(Reason::ObstacleSourceSilent)
-    }
-
-    fn fault(&self, measurement: Option<TimedMeasurement>) -> Option<Reason> {
-        // What was never measured is not lost: the machine waits for it.
-        measurement?;
-        if let Some(fault) = self.state.measurement_fault() {
-            return Some(fault);
-        }
-        if self.clearance_m < self.policy.clearance_fault_m {
-            return Some(Reason::ClearanceBroken);
-        }
-        // A robot that is stopped or faulted may be moved by hand, until control begins anew.
-        let is_in_control = !self.modes.mode().is_latched() && !self.control_begins;
-        if is_in_control && self.state.following().is_broken() {
-            return Some(Reason::FollowingError);
-        }
-        self.state.place_fault()
+        let shapes = self.known_obstacles.iter();
+        self.obstacles
+            .extend(shapes.map(|known| known.obstacle.moved(lead_s)));
     }
 
     fn answer(
@@ -510,8 +469,16 @@ impl Cycle {
 
     /// In every mode, the last word: limits, and the clearance guard.
     fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
+        let safe = safe_command(&self.situation(comes_to_rest), desired_rates);
+        if safe.limits_hit.non_finite {
+            self.modes.fault(Reason::NonFinite);
+        }
+        safe
+    }
+
+    fn situation(&self, comes_to_rest: bool) -> Situation<'_> {
         let obeys_positions = self.policy.interface == Interface::Position;
-        let situation = Situation {
+        Situation {
             robot: &self.robot,
             at: self.state.configuration(),
             commanded: obeys_positions.then_some(self.state.commanded()),
@@ -523,12 +490,7 @@ impl Cycle {
             moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,
             deceleration_rad_s2: self.policy.deceleration_rad_s2,
             comes_to_rest,
-        };
-        let safe = safe_command(&situation, desired_rates);
-        if safe.limits_hit.non_finite {
-            self.modes.fault(Reason::NonFinite);
         }
-        safe
     }
 
     fn copy_plans(&self, record: &mut CycleRecord) {

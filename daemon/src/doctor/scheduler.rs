@@ -239,7 +239,7 @@ mod tests {
             ])
         };
         fake("950000").expect("rt_throttling", Good, &["95.0 %", "92.5 %", "4.500 ms"]);
-        fake("500000").expect("rt_throttling", Warning, &["47.5 %", "2.335 ms", "sysctl"]);
+        fake("500000").expect("rt_throttling", Warning, &["47.5 %", "2.260 ms", "sysctl"]);
         fake("-1").expect("rt_throttling", Warning, &["off", "sysctl"]);
         fake("many").expect("rt_throttling", Unknown, &["no number"]);
         let mut spinning = fake("950000");

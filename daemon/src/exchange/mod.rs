@@ -131,7 +131,7 @@ impl Exchange {
             robot: validated.robot.clone(),
             period_ns: ns(config.cycle.period_ms),
             gather_lead_ns: ns(config.cycle.gather_lead_ms),
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
             references: References::new(
                 &validated.robot,
                 ns(config.reference.lease_ms),

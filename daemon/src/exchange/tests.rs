@@ -142,7 +142,8 @@ impl Rig {
     /// The last look before the release of the cycle that was gathered for.
     fn look_again(&mut self) -> &CycleInputs {
         let cycle = self.next_cycle - 1;
-        let now_ns = self.schedule.release_ns(cycle) - LastLook::LEAD_NS;
+        let wake_ns = self.schedule.release_ns(cycle) - self.exchange.spin_ns;
+        let now_ns = wake_ns - LastLook::LEAD_NS;
         self.clock.sleep_until(now_ns);
         self.exchange
             .look_again(&self.schedule, cycle, now_ns, &self.shared);

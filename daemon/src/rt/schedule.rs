@@ -57,7 +57,7 @@ impl Schedule {
         }
     }
 
-    /// The same grid; [`wait`](Self::wait) wakes up `spin_ns` before each release and spins to it.
+    /// The same grid; who waits wakes up `spin_ns` before each release and spins to it.
     #[must_use]
     pub fn with_spin(self, spin_ns: u64) -> Self {
         Self { spin_ns, ..self }
@@ -80,6 +80,12 @@ impl Schedule {
 
     /// Sleeps to the next release that is still to come, and says which one was met.
     pub fn wait(&mut self, clock: &impl Clock) -> Release {
+        self.wait_with(clock, |_, _| ())
+    }
+
+    /// The same; who wakes up before the release runs `rehearse` first, with the number of the cycle and the time of its
+    /// release \[ns\], and spins for what is left.
+    pub fn wait_with(&mut self, clock: &impl Clock, rehearse: impl FnOnce(u64, u64)) -> Release {
         let earliest = self.last_cycle + 1;
         let now_ns = clock.now_ns();
         let newest = self.cycle_at(now_ns);
@@ -97,6 +103,10 @@ impl Schedule {
             due_ns.saturating_sub(self.spin_ns)
         });
         let mut start_ns = clock.now_ns();
+        if start_ns < due_ns {
+            rehearse(next, due_ns);
+            start_ns = clock.now_ns();
+        }
         while start_ns < due_ns {
             core::hint::spin_loop();
             start_ns = clock.now_ns();
@@ -160,8 +170,13 @@ mod tests {
                 "12 of 30 ns late is early enough"
             );
         }
+        let mut rehearsed = None;
+        let release = schedule.wait_with(&clock, |cycle, release_ns| {
+            rehearsed = Some((cycle, release_ns));
+        });
+        assert_eq!((rehearsed, release.start_ns), (Some((4, 400)), 400));
         clock.late.set(50);
-        let release = schedule.wait(&clock);
+        let release = schedule.wait_with(&clock, |_, _| unreachable!("it woke up too late"));
         assert!((20..30).contains(&(release.start_ns - release.due_ns)));
     }
 

@@ -13,6 +13,7 @@ use nalgebra::Vector3;
 use super::super::*;
 use crate::config::Config;
 use crate::convert;
+use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;
 
 pub(super) const PERIOD_NS: u64 = 5_000_000;
@@ -40,6 +41,8 @@ pub(super) struct Trial {
     robot: Robot,
     pub(super) plant: MisbehavingRobot,
     interface: Interface,
+    /// Each cycle is rehearsed before its release.
+    pub(super) rehearses: bool,
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
     lead_ns: u64,
@@ -101,6 +104,7 @@ impl Trial {
             robot: validated.robot,
             interface,
             stands: false,
+            rehearses: false,
             measures_tip: false,
             tip_error_m: Vector3::zeros(),
             frozen_tip_m: None,
@@ -187,6 +191,15 @@ impl Trial {
             start_ns: release_ns + 20_000,
             skipped,
         };
+        if self.rehearses {
+            self.clock.0.set(release_ns - 150_000);
+            self.cycle
+                .rehearse(self.next, release_ns, &self.inputs, &self.clock);
+            assert!(
+                self.clock.0.get() <= release_ns,
+                "a rehearsal is over by the release"
+            );
+        }
         self.clock.0.set(release.start_ns);
         let mut asked = self.asked.take();
         let next_request = || {

@@ -87,7 +87,7 @@ fn judge_update(update: &message::ObstacleUpdate) -> bool {
     };
     assert!(set.count() <= (update.count as usize).min(OBSTACLES_MAX));
     for later_ns in [0, PERIOD_NS, 1 << 40, 1 << 62] {
-        for known in set.at(BEGIN_NS + later_ns).iter() {
+        for known in set.iter_at(BEGIN_NS + later_ns) {
             let ends = match *known.obstacle.shape() {
                 Shape::Sphere { centre_m } => [centre_m; 2],
                 Shape::Capsule { start_m, end_m } => [start_m, end_m],

@@ -202,8 +202,10 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
 
 #[test]
 fn the_newest_bad_cycles_are_kept_and_older_ones_go() {
-    // Every start is late by this measure.
-    let daemon = Daemon::start("[cycle]\nlate_start_ms = 0.001\nmiss_limit = 1000000\n");
+    // Every start of a thread that does not wake up early is late by this measure.
+    let daemon = Daemon::start(
+        "[cycle]\nlate_start_ms = 0.001\nmiss_limit = 1000000\n[realtime]\nspin_us = 0.0\n",
+    );
     let connection = daemon.connect();
     wait_status(&connection, |status| {
         status.late_starts > 2 * INCIDENTS_MAX as u64

@@ -1,0 +1,58 @@
+//! What the cycle thread does when it wakes up before its release: the cycle to come, without any effect.
+//!
+//! After milliseconds of sleep the processor's caches hold other things, and the same code takes two to three times as long.
+//! The time before a release costs no response. A later command depends on nothing here: the plan is put back, the estimate is one of
+//! its own, and what else is computed is thrown away.
+
+use std::hint::black_box;
+
+use cdcr_controller::estimator::Measurement;
+use cdcr_controller::nmpc::SolveInput;
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::safety::{Mode, safe_command};
+
+use super::Cycle;
+use crate::handover::{CycleInputs, TimedMeasurement};
+use crate::rt::clock::Clock;
+
+impl Cycle {
+    /// Estimates, checks and solves once with what is known before the release of `cycle` at `release_ns`, and forgets it.
+    /// What might not be over by then is left out.
+    pub fn rehearse(
+        &mut self,
+        cycle: u64,
+        release_ns: u64,
+        inputs: &CycleInputs,
+        clock: &impl Clock,
+    ) {
+        // Whatever looks at the clock may look this late.
+        let end_ns = release_ns.saturating_sub(self.longest_gap_ns);
+        let measurement = inputs.measurement.unwrap_or(TimedMeasurement {
+            measurement: Measurement::Configuration(*self.state.configuration()),
+            measured_ns: release_ns,
+        });
+        let state = &mut self.rehearsed;
+        state.count_silence(Some(measurement), inputs);
+        state.move_on(&self.rates, self.period_ns);
+        state.measure(Some(measurement), release_ns);
+        state.measure_tip(inputs.tip, release_ns);
+        state.locate(self.period_ns);
+        black_box((state.tip(), inputs.window.get(cycle)));
+        if clock.now_ns() + self.costs_after_solve.high_by_clock_ns() < end_ns {
+            black_box(safe_command(&self.situation(false), &self.rates));
+        }
+        if matches!(self.modes.mode(), Mode::Tracking { .. }) && clock.now_ns() < end_ns {
+            let settings = self.nmpc.settings();
+            let input = SolveInput {
+                configuration: self.state.configuration(),
+                previous_rates: &self.rates,
+                reference: inputs.window.ahead(cycle, settings.horizon_steps as usize),
+                obstacles: &self.obstacles,
+                elapsed_periods: 1,
+                seed: cycle_seed(settings.seed, cycle),
+            };
+            let mut is_spent = || clock.now_ns() >= end_ns;
+            self.nmpc.rehearse(&input, &mut Budget::new(&mut is_spent));
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! What is rehearsed has no effect.
+
+use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_controller::robot::{Obstacle, Shape};
+use cdcr_controller::safety::Request;
+use nalgebra::Vector3;
+
+use super::super::*;
+use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::obstacles::KnownObstacle;
+
+/// Every record of a robot with a tip sensor, noise and a lag, beside a moving ball: at the start, on the way, stopped and reset.
+fn records(interface: Interface, rehearses: bool) -> Vec<CycleRecord> {
+    let flaws = Flaws {
+        tip_noise_m: 3e-4,
+        ..Preset::Laboratory.flaws()
+    };
+    let mut trial = Trial::with(interface, flaws, "[actuator]\ntime_constant_ms = 10.0\n");
+    trial.measures_tip = true;
+    trial.rehearses = rehearses;
+    let shape = Shape::Sphere {
+        centre_m: Vector3::new(0.12, 0.0, 0.84),
+    };
+    let velocity_m_s = Vector3::new(0.0, 0.05, 0.0);
+    let known = KnownObstacle {
+        id: 1,
+        source: 0,
+        obstacle: Obstacle::new(shape, 0.03, velocity_m_s).unwrap(),
+        measured_ns: BEGIN_NS,
+        expires_ns: Some(BEGIN_NS + 300 * PERIOD_NS),
+    };
+    trial.inputs.obstacles.upsert(known).unwrap();
+    let mut records = vec![trial.turn()];
+    trial.begin_tracking();
+    records.extend((0..250).map(|_| trial.turn()));
+    records.push(trial.ask(Request::Stop));
+    records.extend((0..100).map(|_| trial.turn()));
+    records.push(trial.ask(Request::Reset));
+    records.push(trial.ask(Request::Track));
+    records.extend((0..100).map(|_| trial.turn()));
+    records
+}
+
+#[test]
+fn a_rehearsal_changes_no_bit_of_a_record() {
+    for interface in [Interface::Position, Interface::Velocity] {
+        let without = records(interface, false);
+        let with = records(interface, true);
+        assert!(without.iter().any(|record| record.clearance_m < 0.1));
+        for (without, with) in without.iter().zip(&with) {
+            assert_eq!(format!("{without:?}"), format!("{with:?}"));
+        }
+    }
+}
