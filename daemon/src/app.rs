@@ -88,8 +88,7 @@ fn run_with(
         give_up([reporter]);
         return Err(error);
     }
-    let waker = reporter.thread().clone();
-    let exchange = match spawn_exchange(validated, exchange_ends, &shared, daemon_id, waker) {
+    let exchange = match spawn_exchange(validated, exchange_ends, &shared, daemon_id) {
         Ok(exchange) => exchange,
         Err(error) => {
             give_up([reporter]);
@@ -259,7 +258,6 @@ fn spawn_exchange(
     ends: ExchangeEnds,
     shared: &Arc<Shared>,
     daemon_id: u64,
-    reporter: Thread,
 ) -> Result<Started> {
     let realtime = &validated.config.realtime;
     let plan = realtime.thread_plan(realtime.exchange_priority);
@@ -276,10 +274,9 @@ fn spawn_exchange(
         };
         let mut exchange = Exchange::new(&validated, ports, ends, daemon_id);
         if let Some(schedule) = stage.prepare(plan, || ()) {
-            exchange.run(&schedule, &MonotonicClock, &shared, &reporter);
+            exchange.run(&schedule, &MonotonicClock, &shared);
         }
         shared.set_exchange_ended();
-        reporter.unpark();
         drop(exchange);
         drop(node);
     })

@@ -1,7 +1,7 @@
 //! Tells whoever watches what each cycle did: the reporter thread.
 //!
 //! ```text
-//! loop { sleep until the exchange has a report
+//! loop { sleep for two periods
 //!          judge:   was the cycle late, and why
 //!          publish: telemetry of every cycle
 //!          hand on: bad cycles and a summary to the supervisor }
@@ -29,8 +29,12 @@ use crate::rt::attribution::{Attribution, Blame, Judged, Timing};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
 
-/// The longest sleep without a report: by it a watchdog sees that the thread lives.
-const SLEEP_MAX: Duration = Duration::from_millis(20);
+/// It looks for reports every two periods, that is, for the cost of one wake-up in two cycles, and not more often than once a
+/// millisecond.
+const PERIODS_PER_LOOK: u64 = 2;
+const LOOK_MIN: Duration = Duration::from_millis(1);
+/// By its looks a watchdog sees that the thread lives.
+const LOOK_MAX: Duration = Duration::from_millis(20);
 
 /// The reporter of one daemon.
 #[derive(Debug)]
@@ -73,6 +77,8 @@ impl Reporter {
 
     /// Runs until the exchange has ended and its last report is published.
     pub fn run(&mut self, clock: &impl Clock, shared: &Shared) {
+        let look_after = Duration::from_nanos(PERIODS_PER_LOOK * self.period_ns);
+        let look_after = look_after.clamp(LOOK_MIN, LOOK_MAX);
         loop {
             shared.beat_reporter();
             // Before the look at what waits: then nothing can come any more.
@@ -81,7 +87,7 @@ impl Reporter {
             if is_last {
                 break;
             }
-            std::thread::park_timeout(SLEEP_MAX);
+            std::thread::park_timeout(look_after);
         }
     }
 

@@ -3,8 +3,8 @@
 use cdcr_shared_types::Service;
 use cdcr_shared_types::codes::{EventKind, Mode};
 
+use super::Exchange;
 use super::measurements::Arrival;
-use super::{Exchange, LastLook};
 use crate::handover::{Settings, Shared};
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
@@ -55,21 +55,6 @@ impl Exchange {
         self.take_requests(now_ns, shared);
         self.references.forget_before(schedule, cycle);
         self.hand_over(schedule, cycle, now_ns);
-    }
-
-    /// Takes requests once more shortly before the release of `cycle`. What they change is handed over whole, as if the
-    /// gather had seen it; when there is no time left for that, the next gather takes them.
-    pub(super) fn look_again(
-        &mut self,
-        schedule: &Schedule,
-        cycle: u64,
-        now_ns: u64,
-        shared: &Shared,
-    ) {
-        let end_ns = schedule.release_ns(cycle) - self.spin_ns - LastLook::TAKES_NS;
-        if now_ns < end_ns && self.take_requests(now_ns, shared) {
-            self.hand_over(schedule, cycle, now_ns);
-        }
     }
 
     fn hand_over(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {

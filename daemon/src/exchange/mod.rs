@@ -3,8 +3,7 @@
 //! ```text
 //! loop { sleep to shortly before the next release, or until the cycle has a record
 //!        publish: command, answers, a report to the reporter (right after the cycle)
-//!        gather:  references, obstacles, measurements, requests → inputs of the next cycle
-//!        look:    requests once more, just before the release }
+//!        gather:  references, obstacles, measurements, requests → inputs of the next cycle }
 //! ```
 //!
 //! What clients bring is taken in by a desk each: `references`, `measurements`, `obstacles`, `settings`, `requests`.
@@ -27,7 +26,6 @@ mod references;
 mod requests;
 mod settings;
 
-use std::thread::Thread;
 use std::time::Duration;
 
 use cdcr_controller::robot::Robot;
@@ -88,28 +86,6 @@ pub struct Exchange {
     suspends: u64,
 }
 
-/// The look for requests between a gather and the release of its cycle: a stop that was sent meanwhile need not wait
-/// for another period.
-#[derive(Debug, Clone, Copy)]
-struct LastLook {
-    cycle: u64,
-    due_ns: u64,
-}
-
-impl LastLook {
-    /// So long before the cycle thread wakes up it is due \[ns\]: about as late as it can be over in time.
-    const LEAD_NS: u64 = 50_000;
-    /// Longer than it takes \[ns\]: who comes later leaves the requests to the next gather, whole.
-    const TAKES_NS: u64 = 15_000;
-    /// A shorter period is soon over, and has no time to spare \[ns\].
-    const PERIOD_MIN_NS: u64 = 1_000_000;
-
-    fn before(schedule: &Schedule, cycle: u64, spin_ns: u64) -> Option<Self> {
-        let due_ns = schedule.release_ns(cycle) - spin_ns - Self::LEAD_NS;
-        (schedule.period_ns() >= Self::PERIOD_MIN_NS).then_some(Self { cycle, due_ns })
-    }
-}
-
 /// What one gather and its cycle can bring fits one record: chunks and obstacle updates, other refusals, requests that are
 /// answered at once, and requests that the cycle decides.
 const _: () = assert!(
@@ -158,42 +134,30 @@ impl Exchange {
         }
     }
 
-    /// Runs until the cycle thread has ended and its last record is published. `reporter` is woken up for each report.
-    pub fn run(
-        &mut self,
-        schedule: &Schedule,
-        clock: &impl Clock,
-        shared: &Shared,
-        reporter: &Thread,
-    ) {
+    /// Runs until the cycle thread has ended and its last record is published.
+    pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
         // While the cycle thread spins to a release, nobody else has the core.
         let lead_ns = self.gather_lead_ns + self.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
-        let mut look: Option<LastLook> = None;
         self.scheduler = SchedulerLooks::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
-            let due_ns = look.map_or(gather_ns, |look| look.due_ns);
-            let left_ns = due_ns.saturating_sub(clock.now_ns());
+            let left_ns = gather_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
                 // The cycle ends this early when it has a record.
                 std::thread::park_timeout(Duration::from_nanos(left_ns));
             }
-            self.publish(clock, shared, reporter);
+            self.publish(clock, shared);
             let now_ns = clock.now_ns();
-            if let Some(last) = look.take_if(|look| now_ns >= look.due_ns) {
-                self.look_again(schedule, last.cycle, now_ns, shared);
-            }
             if now_ns >= gather_ns {
                 self.gather(schedule, next_cycle, now_ns, clock, shared);
                 self.gather_took_ns = clock.now_ns() - now_ns;
-                look = LastLook::before(schedule, next_cycle, self.spin_ns);
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
             // In this order: the last record was handed over before the end was said.
             if shared.has_cycle_ended() {
-                self.publish(clock, shared, reporter);
+                self.publish(clock, shared);
                 break;
             }
         }

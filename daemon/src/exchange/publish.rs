@@ -3,8 +3,6 @@
 //! What the scheduler counted of the cycle thread is read here, on its core and before the next cycle, and not by the
 //! reporter: that may come later than the next cycle, whose lateness would then be told of this one.
 
-use std::thread::Thread;
-
 use cdcr_shared_types as wire;
 
 use super::Exchange;
@@ -15,7 +13,7 @@ use crate::{convert, services};
 impl Exchange {
     /// Publishes the command of the newest record that the cycle has handed over, and hands every record on. More than one
     /// waits when this thread was held up; the commands of the older ones are out of date and never leave.
-    pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared, reporter: &Thread) {
+    pub(super) fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         let mut scheduling = None;
         let lost = self.ends.records.lost();
         while let Some(record) = self.ends.records.receive() {
@@ -44,7 +42,6 @@ impl Exchange {
             };
             // Nobody else fills the ring.
             let _ = self.ends.reports.push(report);
-            reporter.unpark();
         }
         shared.count_dropped_records(self.ends.records.lost() - lost);
         if let Some(scheduling) = scheduling {

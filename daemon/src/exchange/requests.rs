@@ -66,11 +66,11 @@ impl RequestDesk {
 }
 
 impl Exchange {
-    /// Takes the requests that wait. Says whether there were any.
-    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) -> bool {
-        for seen in 0..REQUESTS_SEEN_PER_GATHER {
+    /// Takes the requests that wait.
+    pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) {
+        for _ in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {
-                return seen > 0;
+                return;
             };
             let is_stop = asked.payload().kind == RequestKind::Stop.code();
             if is_stop {
@@ -82,7 +82,6 @@ impl Exchange {
                 self.answer_now(&asked, Outcome::Busy, now_ns);
             }
         }
-        true
     }
 
     /// A stop is never refused, and waits behind nothing: the inputs of the next cycle tell it. Where the ring has no

@@ -139,17 +139,6 @@ impl Rig {
         }
     }
 
-    /// The last look before the release of the cycle that was gathered for.
-    fn look_again(&mut self) -> &CycleInputs {
-        let cycle = self.next_cycle - 1;
-        let wake_ns = self.schedule.release_ns(cycle) - self.exchange.spin_ns;
-        let now_ns = wake_ns - LastLook::LEAD_NS;
-        self.clock.sleep_until(now_ns);
-        self.exchange
-            .look_again(&self.schedule, cycle, now_ns, &self.shared);
-        self.ends.inputs.read()
-    }
-
     /// Runs `cycle` with the inputs that are there.
     fn run(&mut self, cycle: u64, request: Option<cdcr_controller::safety::Request>) {
         let release_ns = self.schedule.release_ns(cycle);
@@ -168,8 +157,7 @@ impl Rig {
     }
 
     fn publish(&mut self) {
-        let reporter = std::thread::current();
-        self.exchange.publish(&self.clock, &self.shared, &reporter);
+        self.exchange.publish(&self.clock, &self.shared);
     }
 
     /// The commands that a driver has got since the last look.

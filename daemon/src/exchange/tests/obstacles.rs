@@ -38,7 +38,10 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
     for _ in 0..100 {
         let inputs = rig.gather();
         let (count, is_silent) = (inputs.obstacles.count(), inputs.obstacle_source_silent);
-        let placed = ObstacleSet::from_iter(inputs.obstacles.iter_at(inputs.gather_ns + PERIOD_NS));
+        let placed = inputs
+            .obstacles
+            .iter_at(inputs.gather_ns + PERIOD_NS)
+            .collect::<ObstacleSet>();
         assert_eq!((count, placed.count()), (1, 1));
         if is_silent {
             silent_ns.get_or_insert(rig.now_ns() - begin_ns);

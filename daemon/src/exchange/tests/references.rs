@@ -8,51 +8,35 @@ use super::*;
 
 #[test]
 fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
-    // Taken by a gather, and by the last look of a lease that expires after the gather.
-    for by_last_look in [false, true] {
-        let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
-        rig.gather();
-        let first = rig.ask(1, RequestKind::AcquireLease);
-        rig.gather();
-        let mut chunk = ReferenceChunk {
-            header: rig.header(1),
-            mode: ChunkMode::Replace.code(),
-            count: 2,
-            ..ReferenceChunk::default()
+    let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
+    rig.gather();
+    let first = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    let mut chunk = ReferenceChunk {
+        header: rig.header(1),
+        mode: ChunkMode::Replace.code(),
+        count: 2,
+        ..ReferenceChunk::default()
+    };
+    for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
+        *point = ReferencePoint {
+            time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
+            position_m: [0.0, 0.0, 0.89],
+            ..ReferencePoint::default()
         };
-        for (index, point) in chunk.points.iter_mut().take(2).enumerate() {
-            *point = ReferencePoint {
-                time_ns: rig.now_ns() + (500 + 500 * index as u64) * MS,
-                position_m: [0.0, 0.0, 0.89],
-                ..ReferencePoint::default()
-            };
-        }
-        rig.references.send_copy(chunk).unwrap();
-        let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
-        let cycle = rig.next_cycle;
-        assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-        let (inputs, second, cycle) = if by_last_look {
-            let renewed = rig.ask(1, RequestKind::AcquireLease);
-            rig.look_again();
-            rig.gather_for(15);
-            // The lease ends 20 ms after that look: after this gather, and with the look that follows it.
-            let cycle = rig.next_cycle;
-            assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-            let second = rig.ask(2, RequestKind::AcquireLease);
-            drop(renewed);
-            (rig.look_again(), second, cycle)
-        } else {
-            // 20 ms after the gather that took the chunk.
-            rig.gather_for(15);
-            let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
-            (rig.gather(), second, cycle)
-        };
-        assert_eq!(ahead(inputs, cycle), ReferenceState::None, "{by_last_look}");
-        let answer = second.receive().unwrap().unwrap();
-        assert_eq!(answer.outcome, Outcome::Accepted.code());
-        assert_eq!(answer.lease_holder, 2);
-        drop(first);
     }
+    rig.references.send_copy(chunk).unwrap();
+    let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
+    let cycle = rig.next_cycle;
+    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+    // 20 ms after the gather that took the chunk.
+    rig.gather_for(15);
+    let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
+    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::None);
+    let answer = second.receive().unwrap().unwrap();
+    assert_eq!(answer.outcome, Outcome::Accepted.code());
+    assert_eq!(answer.lease_holder, 2);
+    drop(first);
 }
 
 #[test]
