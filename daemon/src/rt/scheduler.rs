@@ -5,7 +5,8 @@ use std::os::unix::fs::FileExt;
 
 use super::attribution::{SchedulerCounts, Scheduling};
 
-/// Reads the counts of one thread from files that stay open: two system calls, about 5 µs, no allocation.
+/// Reads the counts of one thread from files that stay open, without allocation. `schedstat` is quickly told; for `stat` the kernel
+/// puts together fifty numbers: 20 µs with cold caches.
 #[derive(Debug)]
 pub struct SchedulerReader {
     schedstat: File,
@@ -26,16 +27,26 @@ impl SchedulerReader {
 
     /// The counts now. None when the thread has ended.
     pub fn read(&self) -> Option<SchedulerCounts> {
-        let mut text = [0; 1024];
+        self.read_with(self.page_faults()?)
+    }
+
+    /// The same with a number of page faults that is known.
+    fn read_with(&self, page_faults: u64) -> Option<SchedulerCounts> {
+        let mut text = [0; 128];
         let length = self.schedstat.read_at(&mut text, 0).ok()?;
         let [on_core_ns, run_delay_ns, turns] = schedstat(&text[..length])?;
-        let length = self.stat.read_at(&mut text, 0).ok()?;
         Some(SchedulerCounts {
             on_core_ns,
             run_delay_ns,
             turns,
-            page_faults: page_faults(&text[..length])?,
+            page_faults,
         })
+    }
+
+    fn page_faults(&self) -> Option<u64> {
+        let mut text = [0; 1024];
+        let length = self.stat.read_at(&mut text, 0).ok()?;
+        page_faults(&text[..length])
     }
 }
 
@@ -58,6 +69,19 @@ impl SchedulerLooks {
     /// What happened since the look before. None at the first look, and where the kernel does not tell.
     pub fn look(&mut self) -> Option<Scheduling> {
         let counts = self.reader.as_ref()?.read()?;
+        self.since_before(counts)
+    }
+
+    /// The same, less its page faults: those are told with the next whole look.
+    pub fn look_quickly(&mut self) -> Option<Scheduling> {
+        let Some(before) = self.before else {
+            return self.look();
+        };
+        let counts = self.reader.as_ref()?.read_with(before.page_faults)?;
+        self.since_before(counts)
+    }
+
+    fn since_before(&mut self, counts: SchedulerCounts) -> Option<Scheduling> {
         let before = self.before.replace(counts)?;
         Some(counts.since(&before))
     }
@@ -119,6 +143,10 @@ mod tests {
         }
         assert_eq!(looks.look(), None);
         assert!(looks.look().is_some());
+        let touched = std::hint::black_box(vec![1_u8; 1 << 22]);
+        assert_eq!(looks.look_quickly().map(|told| told.page_faults), Some(0));
+        let told = looks.look().expect("it has looked before");
+        assert!(told.page_faults > 0, "those of {} bytes", touched.len());
         assert_eq!(SchedulerLooks::at(None).look(), None);
     }
 
