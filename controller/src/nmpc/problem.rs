@@ -1,9 +1,11 @@
+use pulp::NullaryFnOnce;
+
 use super::limits::{LimitRow, Limits};
 use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
 use super::obstacles::{ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
-use crate::optimizer::{Bounds, Budget, Evaluation, LinearModel, Problem};
+use crate::optimizer::{Bounds, Budget, Cost, Evaluation, LinearModel, Problem, apart};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 use crate::wide::Wide;
@@ -108,15 +110,15 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// Eq. 5 for W plans side by side, in the coordinates that P stands for. `FREE` is whether neither
-    /// obstacle nor limit is in reach: code of its own, which is why a free scene is fast.
+    /// Eq. 5 for W plans side by side, in the coordinates that P stands for.
     #[inline(always)]
-    fn evaluate_in<const W: usize, const P: usize, const FREE: bool>(
+    fn evaluate_in<const W: usize, const P: usize>(
         &self,
         z: &impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
+        instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        let step_ns = self.step_ns();
+        let (step_ns, is_free) = (self.step_ns(), self.is_free());
         let mut bends: Bends<W, P> = self.motion.start();
         let mut before = bends.bend_rad;
         let mut evaluation = Evaluation::from_cost(self.regularisation(z));
@@ -131,23 +133,17 @@ impl<'a> TrackingProblem<'a> {
                 let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
                 evaluation.cost = evaluation.cost + error;
             }
-            if FREE {
-                continue;
-            }
-            if self.limits.matter() {
-                self.limits
-                    .add_penalties(&before, &bends.bend_rad, &mut evaluation);
-                before = bends.bend_rad;
-            }
-            if self.obstacles.matter() {
-                self.obstacles.add_penalties(
-                    self.robot,
-                    self.settings,
-                    self.step_time(step),
-                    &bends.bend_rad,
-                    &mut evaluation,
+            if !is_free {
+                let penalties = Penalties {
+                    problem: self,
+                    step,
+                    before: &before,
+                    after: &bends.bend_rad,
+                    evaluation: &mut evaluation,
                     budget,
-                )?;
+                };
+                apart(instructions, penalties)?;
+                before = bends.bend_rad;
             }
         }
         Some(evaluation)
@@ -333,18 +329,11 @@ impl Problem for TrackingProblem<'_> {
         self.width() * self.motion.horizon().blocks()
     }
 
-    #[inline(always)]
-    fn evaluate<const W: usize>(
-        &self,
-        z: impl Fn(usize) -> Wide<W>,
-        budget: &mut Budget<'_>,
-    ) -> Option<Evaluation<W>> {
+    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        let z = |i: usize| Wide([z[i]]);
         match self.motion.coordinates() {
-            Coordinates::BendVector if self.is_free() => {
-                self.evaluate_in::<W, VECTORS, true>(&z, budget)
-            }
-            Coordinates::BendVector => self.evaluate_in::<W, VECTORS, false>(&z, budget),
-            Coordinates::BendAngles => self.evaluate_in::<W, ANGLES, false>(&z, budget),
+            Coordinates::BendVector => Searched::<VECTORS>(self).evaluate(z, budget, pulp::Scalar),
+            Coordinates::BendAngles => Searched::<ANGLES>(self).evaluate(z, budget, pulp::Scalar),
         }
     }
 
@@ -377,29 +366,56 @@ impl Problem for TrackingProblem<'_> {
     }
 }
 
-/// The problem in the coordinates that P stands for, with penalties unless it is `FREE`: what a swarm searches. A swarm
-/// and all that it evaluates become one function for each set of instructions, and the compiler's time grows faster than a
-/// function: one for each case compiles sooner than one with all three (docs/decisions/0011-build.md).
-pub(super) struct SearchedProblem<'a, const P: usize, const FREE: bool>(
-    pub &'a TrackingProblem<'a>,
-);
+/// The problem in the coordinates that P stands for.
+pub(super) struct Searched<'a, const P: usize>(pub &'a TrackingProblem<'a>);
 
-impl<const P: usize, const FREE: bool> Problem for SearchedProblem<'_, P, FREE> {
-    fn dimension(&self) -> usize {
-        self.0.dimension()
-    }
-
+impl<const P: usize> Cost for Searched<'_, P> {
     #[inline(always)]
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
+        instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
-        self.0.evaluate_in::<W, P, FREE>(&z, budget)
+        self.0.evaluate_in::<W, P>(&z, budget, instructions)
     }
+}
 
-    fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-        self.0.linearise(z, model, budget)
+/// What limits and obstacles add to the cost of W plans at the end of a step. None: the budget was spent.
+///
+/// A function of its own, because the compiler's time grows faster than a function, and this is most of the code
+/// (docs/decisions/0011-build.md).
+struct Penalties<'a, 'b, const W: usize> {
+    problem: &'a TrackingProblem<'a>,
+    step: usize,
+    before: &'a [Wide<W>; COORDINATES_MAX],
+    after: &'a [Wide<W>; COORDINATES_MAX],
+    evaluation: &'a mut Evaluation<W>,
+    budget: &'a mut Budget<'b>,
+}
+
+impl<const W: usize> NullaryFnOnce for Penalties<'_, '_, W> {
+    type Output = Option<()>;
+
+    #[inline(always)]
+    fn call(self) -> Option<()> {
+        let problem = self.problem;
+        if problem.limits.matter() {
+            problem
+                .limits
+                .add_penalties(self.before, self.after, self.evaluation);
+        }
+        if problem.obstacles.matter() {
+            problem.obstacles.add_penalties(
+                problem.robot,
+                problem.settings,
+                problem.step_time(self.step),
+                self.after,
+                self.evaluation,
+                self.budget,
+            )?;
+        }
+        Some(())
     }
 }
 

@@ -2,12 +2,12 @@
 
 use super::knowledge::Knowledge;
 use super::motion::{ANGLES, VECTORS};
-use super::problem::{SearchedProblem, TrackingProblem};
+use super::problem::{Searched, TrackingProblem};
 use super::settings::STEP_TOLERANCE_RAD_S;
 use super::{Coordinates, HORIZON_STEPS_MAX, NmpcSettings, SWARM_MAX, SolveReport};
 use crate::optimizer::{
-    self, Bounds, Budget, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent, Kpso,
-    Problem, Simd,
+    self, Bounds, Budget, Cost, GaussNewton, GaussNewtonOutcome, GaussNewtonSettings, Incumbent,
+    Kpso, Problem, Simd,
 };
 
 /// Rows of one step: position, and three axes of the tip.
@@ -118,26 +118,18 @@ impl Solver {
         }
         let problem = task.problem;
         match problem.motion.coordinates() {
-            Coordinates::BendVector if problem.is_free() => {
-                self.search_around(&SearchedProblem::<VECTORS, true>(problem), task, budget)
-            }
             Coordinates::BendVector => {
-                self.search_around(&SearchedProblem::<VECTORS, false>(problem), task, budget)
+                self.search_around(&Searched::<VECTORS>(problem), task, budget)
             }
             Coordinates::BendAngles => {
-                self.search_around(&SearchedProblem::<ANGLES, false>(problem), task, budget)
+                self.search_around(&Searched::<ANGLES>(problem), task, budget)
             }
         }
     }
 
-    fn search_around(
-        &mut self,
-        problem: &impl Problem,
-        task: &Task,
-        budget: &mut Budget<'_>,
-    ) -> u32 {
+    fn search_around(&mut self, cost: &impl Cost, task: &Task, budget: &mut Budget<'_>) -> u32 {
         let swarm_task = optimizer::Task {
-            problem,
+            cost,
             bounds: task.bounds,
             settings: task.settings.kpso(),
             knowledge: self.knowledge.candidates(),

@@ -1,9 +1,9 @@
 //! Knowledge-based particle swarm optimisation, Eq. 6-7 of the paper.
 
-use pulp::NullaryFnOnce;
+use pulp::WithSimd;
 
 use super::random::RandomLanes;
-use super::{Bounds, Budget, Candidate, Incumbent, Problem, Simd};
+use super::{Bounds, Budget, Candidate, Cost, Incumbent, Simd};
 use crate::wide::{LANES, Wide};
 
 /// How a particle's velocity follows from its last one, v ← χ (w v + c₁ρ₁(p - x) + c₂ρ₂(g - x)).
@@ -74,9 +74,9 @@ impl Kpso {
     }
 
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
-    pub fn search<P: Problem>(
+    pub fn search<C: Cost>(
         &mut self,
-        task: &Task<P>,
+        task: &Task<C>,
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
     ) -> u32 {
@@ -88,7 +88,7 @@ impl Kpso {
                 budget,
                 incumbent,
             }
-            .call(),
+            .with_simd(pulp::Scalar),
             SwarmLayout::Wide(swarm) => self.simd.run(Search {
                 swarm,
                 task,
@@ -101,9 +101,9 @@ impl Kpso {
 
 /// What a search is for.
 #[derive(Debug)]
-pub struct Task<'a, P> {
+pub struct Task<'a, C> {
     /// The cost.
-    pub problem: &'a P,
+    pub cost: &'a C,
     /// The box.
     pub bounds: &'a Bounds,
     /// The rules of the swarm.
@@ -117,19 +117,19 @@ pub struct Task<'a, P> {
 }
 
 /// One search, as work that is compiled for a set of instructions: everything it calls is inlined into it.
-struct Search<'a, 'b, P, const W: usize> {
+struct Search<'a, 'b, C, const W: usize> {
     swarm: &'a mut Swarm<W>,
-    task: &'a Task<'a, P>,
+    task: &'a Task<'a, C>,
     budget: &'a mut Budget<'b>,
     incumbent: &'a mut Incumbent,
 }
 
-impl<P: Problem, const W: usize> NullaryFnOnce for Search<'_, '_, P, W> {
+impl<C: Cost, const W: usize> WithSimd for Search<'_, '_, C, W> {
     type Output = u32;
 
     /// Fig. 1 of the paper.
     #[inline(always)]
-    fn call(self) -> u32 {
+    fn with_simd<S: pulp::Simd>(self, instructions: S) -> u32 {
         let Self {
             swarm,
             task,
@@ -145,7 +145,7 @@ impl<P: Problem, const W: usize> NullaryFnOnce for Search<'_, '_, P, W> {
         {
             let before = incumbent.cost();
             let origins = if iterations == 0 { task.origins } else { &[] };
-            left = swarm.evaluate(task.problem, origins, budget, incumbent);
+            left = swarm.evaluate(task.cost, origins, budget, incumbent, instructions);
             iterations += 1;
             stagnant = if incumbent.cost() < before {
                 0
@@ -209,9 +209,9 @@ impl<const W: usize> Swarm<W> {
     /// Sizes the swarm for the task, and puts the candidates in the first places. False: the budget was
     /// spent.
     #[inline(always)]
-    fn gather<P: Problem>(&mut self, task: &Task<P>, budget: &mut Budget<'_>) -> bool {
+    fn gather<C: Cost>(&mut self, task: &Task<C>, budget: &mut Budget<'_>) -> bool {
         let knowledge = task.knowledge;
-        self.dimension = task.problem.dimension();
+        self.dimension = task.bounds.dimension();
         self.count = task.settings.size.min(self.best_costs.len() * W);
         self.known = (knowledge.len() / self.dimension).min(self.count);
         for block in 0..self.blocks() {
@@ -282,17 +282,18 @@ impl<const W: usize> Swarm<W> {
 
     /// Evaluates every particle; the first come from `origins`. False: the budget was spent.
     #[inline(always)]
-    fn evaluate<P: Problem>(
+    fn evaluate(
         &mut self,
-        problem: &P,
+        cost: &impl Cost,
         origins: &[Candidate],
         budget: &mut Budget<'_>,
         incumbent: &mut Incumbent,
+        instructions: impl pulp::Simd,
     ) -> bool {
         for block in 0..self.blocks() {
             let range = block * self.dimension..(block + 1) * self.dimension;
             let position = &self.positions[range.clone()];
-            let Some(evaluation) = problem.evaluate(|i| position[i], budget) else {
+            let Some(evaluation) = cost.evaluate(|i| position[i], budget, instructions) else {
                 return false;
             };
             let better = evaluation.cost.less(self.best_costs[block]);

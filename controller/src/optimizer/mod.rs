@@ -4,8 +4,8 @@
 //! [`GaussNewton`] finishes. Both are *anytime*: they check a [`Budget`] between small pieces of work
 //! and whatever is best when it is spent stays in the incumbent, which never gets worse.
 //!
-//! Invariant: nothing here knows a robot, a reference or a clock. A [`Problem`] is a cost over a box;
-//! time comes in as the closure of the budget. Nothing allocates after construction.
+//! Invariant: nothing here knows a robot, a reference or a clock. A [`Cost`] is a function over a box, a
+//! [`Problem`] has derivatives, too; time comes in as the closure of the budget. Nothing allocates after construction.
 
 mod bounds;
 mod budget;
@@ -24,6 +24,7 @@ pub use incumbent::{Candidate, Incumbent};
 pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
 pub use linear_model::LinearModel;
 pub use simd::Simd;
+pub(crate) use simd::apart;
 
 use crate::wide::Wide;
 
@@ -51,26 +52,28 @@ impl<const W: usize> Evaluation<W> {
     }
 }
 
-/// A cost over a box, and its least-squares structure.
-pub trait Problem {
-    /// Number of unknowns d.
-    fn dimension(&self) -> usize;
-
+/// A cost over a box, for many points: what a swarm searches.
+pub trait Cost {
     /// Evaluates W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
     /// spent on the way.
     ///
-    /// Implementations are `#[inline(always)]` down to the last operation, so that the swarm's path
-    /// decides the instructions; each lane must give the bits of W = 1.
+    /// Implementations are `#[inline(always)]` down to the last operation, or to what they run [`apart`] with
+    /// `instructions`: these are those of the caller. Each lane must give the bits of W = 1.
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
+        instructions: impl pulp::Simd,
     ) -> Option<Evaluation<W>>;
+}
 
-    /// Evaluates one point of length d.
-    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
-        self.evaluate(|i| Wide([z[i]]), budget)
-    }
+/// A cost over a box, point by point, and its least-squares structure.
+pub trait Problem {
+    /// Number of unknowns d.
+    fn dimension(&self) -> usize;
+
+    /// Evaluates one point of length d. None when `budget` was spent on the way.
+    fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>>;
 
     /// Writes residuals r and Jacobian J with cost(z + Δ) ≈ |r + J Δ|², and the constraints that a step
     /// may meet, into `model`. False when `budget` was spent on the way; the model is then not complete.

@@ -1,4 +1,4 @@
-use pulp::NullaryFnOnce;
+use pulp::{NullaryFnOnce, WithSimd};
 
 /// The instructions that compute the swarm. The same work gives the same bits with all of them; they differ in speed. Under
 /// a limited budget that holds for all but the scalar one, whose quanta hold one particle instead of eight.
@@ -57,7 +57,7 @@ impl Simd {
     /// `work` is large and inlined whole, so each arm that calls it is paid for by the compiler: there is one
     /// for each set of instructions.
     #[cfg(target_arch = "x86_64")]
-    pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
+    pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         if self == Self::Avx512
             && let Some(processor) = pulp::x86::V4::try_new()
         {
@@ -72,9 +72,16 @@ impl Simd {
     }
 
     #[cfg(not(target_arch = "x86_64"))]
-    pub(super) fn run<R>(self, work: impl NullaryFnOnce<Output = R>) -> R {
+    pub(super) fn run<R>(self, work: impl WithSimd<Output = R>) -> R {
         portable::run(work)
     }
+}
+
+/// Runs `work`, inlined whole, as a function of its own for these instructions. Where it is called from makes no difference: what
+/// several callers share is compiled once for each set of instructions, and their own functions stay small.
+#[inline(never)]
+pub(crate) fn apart<W: NullaryFnOnce>(instructions: impl pulp::Simd, work: W) -> W::Output {
+    instructions.vectorize(work)
 }
 
 // A module for each set of instructions, because a module is a code generation unit: the compiler works on
@@ -82,23 +89,23 @@ impl Simd {
 
 mod portable {
     #[inline(never)]
-    pub(super) fn run<W: pulp::NullaryFnOnce>(work: W) -> W::Output {
-        work.call()
+    pub(super) fn run<W: pulp::WithSimd>(work: W) -> W::Output {
+        work.with_simd(pulp::Scalar)
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 mod avx2 {
     #[inline(never)]
-    pub(super) fn run<W: pulp::NullaryFnOnce>(processor: pulp::x86::V3, work: W) -> W::Output {
-        processor.vectorize(work)
+    pub(super) fn run<W: pulp::WithSimd>(processor: pulp::x86::V3, work: W) -> W::Output {
+        pulp::Simd::vectorize(processor, work)
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 mod avx512 {
     #[inline(never)]
-    pub(super) fn run<W: pulp::NullaryFnOnce>(processor: pulp::x86::V4, work: W) -> W::Output {
-        processor.vectorize(work)
+    pub(super) fn run<W: pulp::WithSimd>(processor: pulp::x86::V4, work: W) -> W::Output {
+        pulp::Simd::vectorize(processor, work)
     }
 }

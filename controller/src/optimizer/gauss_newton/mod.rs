@@ -249,14 +249,10 @@ mod tests {
         fn dimension(&self) -> usize {
             if self.extra_unknown { 3 } else { 2 }
         }
-        fn evaluate<const W: usize>(
-            &self,
-            z: impl Fn(usize) -> Wide<W>,
-            budget: &mut Budget<'_>,
-        ) -> Option<Evaluation<W>> {
-            let first = z(0) * z(0) + z(1) + -1.0;
-            let second = (z(1) - z(0)) * 10.0;
-            let evaluation = Evaluation::from_cost(first * first + second * second);
+        fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
+            let first = z[0] * z[0] + z[1] - 1.0;
+            let second = (z[1] - z[0]) * 10.0;
+            let evaluation = Evaluation::from_cost(Wide([first * first + second * second]));
             budget.spend(100).then_some(evaluation)
         }
         fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {

@@ -1,7 +1,7 @@
 //! The search on Rastrigin's function: its budget, its bits on every path, and what it finds.
 
 use super::*;
-use crate::optimizer::{Evaluation, LinearModel};
+use crate::optimizer::Evaluation;
 
 use std::cell::Cell;
 
@@ -15,14 +15,12 @@ struct Rastrigin {
     clock: Cell<u64>,
 }
 
-impl Problem for Rastrigin {
-    fn dimension(&self) -> usize {
-        2
-    }
+impl Cost for Rastrigin {
     fn evaluate<const W: usize>(
         &self,
         z: impl Fn(usize) -> Wide<W>,
         budget: &mut Budget<'_>,
+        _: impl pulp::Simd,
     ) -> Option<Evaluation<W>> {
         let part = |i| {
             let d = z(i) + -self.centre;
@@ -35,9 +33,6 @@ impl Problem for Rastrigin {
         }
         self.clock.set(self.clock.get() + u64::from(EVALUATION_NS));
         Some(evaluation)
-    }
-    fn linearise(&self, _: &[f64], _: &mut LinearModel, _: &mut Budget<'_>) -> bool {
-        true
     }
 }
 
@@ -59,20 +54,19 @@ fn search(settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
 }
 
 fn search_with(simd: Simd, settings: &KpsoSettings, seed: u64, quanta: u32) -> Incumbent {
-    let problem = rastrigin();
+    let cost = rastrigin();
     let mut bounds = Bounds::with_capacity(2);
     bounds.set_symmetric(&std::iter::repeat_n(5.0, 2), 1);
     let mut incumbent = Incumbent::with_capacity(2);
     let start = [-4.0, 4.0];
     incumbent.restart(
         &start,
-        problem
-            .evaluate_at(&start, &mut Budget::unlimited())
+        cost.evaluate(|i| Wide([start[i]]), &mut Budget::unlimited(), pulp::Scalar)
             .as_ref(),
     );
     let mut budget = Budget::of_quanta(quanta);
     let task = Task {
-        problem: &problem,
+        cost: &cost,
         bounds: &bounds,
         settings: *settings,
         knowledge: &[],
@@ -98,13 +92,13 @@ fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
     let settings = settings(VelocityRule::Inertia);
     let mut swarm = Kpso::with_capacity(Simd::best(), 24, 2);
     for budget_ns in (0..1_000_000).step_by(7_900) {
-        let problem = rastrigin();
+        let cost = rastrigin();
         let mut incumbent = Incumbent::with_capacity(2);
         incumbent.restart(&[-4.0, 4.0], None);
-        let mut is_spent = || problem.clock.get() >= budget_ns;
+        let mut is_spent = || cost.clock.get() >= budget_ns;
         let mut budget = Budget::new(&mut is_spent);
         let task = Task {
-            problem: &problem,
+            cost: &cost,
             bounds: &bounds,
             settings,
             knowledge: &[],
@@ -112,7 +106,7 @@ fn on_a_simulated_clock_every_search_ends_within_5_us_of_its_budget() {
             seed: budget_ns,
         };
         swarm.search(&task, &mut budget, &mut incumbent);
-        let over_ns = problem.clock.get().saturating_sub(budget_ns);
+        let over_ns = cost.clock.get().saturating_sub(budget_ns);
         assert!(over_ns <= 5_000, "{budget_ns} ns: {over_ns} ns more");
     }
 }
