@@ -1,4 +1,5 @@
-//! Obstacles over the horizon: culled once per solve, then a penalty on every step of each section too near to one.
+//! Obstacles over the horizon: culled once per solve by what the box allows, again at each step by what the plans side by side do, then
+//! a penalty on every step of each section too near to one.
 
 use super::motion::Motion;
 use super::{HORIZON_STEPS_MAX, NmpcSettings, OBSTACLES_MAX};
@@ -12,6 +13,8 @@ pub(super) const CLEARANCE: usize = 0;
 const SPHERE_NS: u32 = 40;
 /// Nominal time of one section against a capsule \[ns\], likewise.
 const CAPSULE_NS: u32 = 300;
+/// Nominal time of culling one obstacle at a step \[ns\].
+const CULLING_NS: u32 = 4;
 /// Nominal time of the derivatives of one distance \[ns\].
 const ROW_NS: u32 = 160;
 /// A Gauss-Newton step keeps this much more than the safe distance \[m\], so that rounding and what it
@@ -26,6 +29,8 @@ const CONSTRAINT_SCALE: f64 = 1e3;
 #[derive(Debug, Clone)]
 pub(super) struct Obstacles {
     near: Vec<Near>,
+    /// The shape that clearances are counted from.
+    start: Configuration,
 }
 
 /// An obstacle, and the sections (a bit each) that can meet it by the end of each step.
@@ -33,6 +38,25 @@ pub(super) struct Obstacles {
 struct Near {
     obstacle: Obstacle,
     sections: [u8; HORIZON_STEPS_MAX],
+    /// Clearance of each section at the start, less the safe distance; infinite for those that no plan brings that near.
+    spare_m: [f64; SECTIONS_MAX],
+    /// What the obstacle moves in a period.
+    per_step_m: f64,
+}
+
+impl Near {
+    /// The sections that can be too near at the end of `step`, none of them having moved by more than `travel_m` since the start.
+    #[inline(always)]
+    fn sections_at(&self, step: usize, travel_m: &[f64; SECTIONS_MAX]) -> u8 {
+        let mut sections = self.sections[step];
+        let own_m = self.per_step_m * (step + 1) as f64 + ROUNDING_M;
+        for j in 0..SECTIONS_MAX {
+            if sections & 1 << j != 0 && self.spare_m[j] > own_m + travel_m[j] {
+                sections &= !(1 << j);
+            }
+        }
+        sections
+    }
 }
 
 /// The end of a step.
@@ -71,6 +95,7 @@ impl Obstacles {
     pub(super) fn with_capacity() -> Self {
         Self {
             near: Vec::with_capacity(OBSTACLES_MAX),
+            start: Configuration::straight(1),
         }
     }
 
@@ -90,7 +115,8 @@ impl Obstacles {
             return;
         }
         let steps = motion.horizon().steps();
-        let body = robot.body(&motion.start_shape());
+        self.start = motion.start_shape();
+        let body = robot.body(&self.start);
         // What body and obstacle can do in one period; over k periods at most k times as much.
         let per_step_m = robot.travel_m(&fastest_rad_s.map(|rate| rate * motion.period_s()));
         for obstacle in obstacles.iter().take(OBSTACLES_MAX) {
@@ -112,6 +138,8 @@ impl Obstacles {
                 self.near.push(Near {
                     obstacle: *obstacle,
                     sections,
+                    spare_m: clearances_m.map(|clearance_m| clearance_m - safe_distance_m),
+                    per_step_m: own_m,
                 });
             }
         }
@@ -125,6 +153,30 @@ impl Obstacles {
     #[inline(always)]
     fn matter_at(&self, step: usize) -> bool {
         self.near.iter().any(|near| near.sections[step] != 0)
+    }
+
+    /// How far any of W robots can have moved each section since the start (m), and zero, or NaN in the lanes that are not finite.
+    #[inline(always)]
+    fn travel_m<const W: usize>(
+        &self,
+        robot: &Robot,
+        bend_rad: &[Wide<W>; COORDINATES_MAX],
+    ) -> ([f64; SECTIONS_MAX], Wide<W>) {
+        let mut sum = Wide::splat(0.0);
+        let mut most_rad = [0.0; SECTIONS_MAX];
+        let starts = self.start.pairs().iter().take(robot.section_count());
+        for (j, [start_u, start_v]) in starts.enumerate() {
+            let (u, v) = (bend_rad[2 * j] - *start_u, bend_rad[2 * j + 1] - *start_v);
+            let square = u * u + v * v;
+            sum = sum + square;
+            // A plain loop, and a NaN is left to the sum.
+            let mut most = 0.0;
+            for lane in 0..W {
+                most = f64::max(most, square.0[lane]);
+            }
+            most_rad[j] = most.sqrt();
+        }
+        (robot.travel_m(&most_rad), sum * 0.0)
     }
 
     /// Penalties at the end of a step. None: the budget was spent.
@@ -141,11 +193,19 @@ impl Obstacles {
         if !self.matter_at(at.step) {
             return Some(());
         }
+        if !budget.spend(CULLING_NS * self.near.len() as u32) {
+            return None;
+        }
+        let (travel_m, poison) = self.travel_m(robot, bend_rad);
+        evaluation.cost = evaluation.cost + poison;
+        let is_met = |near: &Near| near.sections_at(at.step, &travel_m) != 0;
+        if !self.near.iter().any(is_met) {
+            return Some(());
+        }
         let body = robot.body_wide(|i| bend_rad[i]);
         let (zero, enough_m) = (Wide::splat(0.0), settings.safe_distance_m);
-        evaluation.cost = evaluation.cost + body.poison();
         for near in &self.near {
-            let sections = near.sections[at.step];
+            let sections = near.sections_at(at.step, &travel_m);
             if sections == 0 {
                 continue;
             }

@@ -99,8 +99,8 @@ impl<const W: usize> BodyWide<W> {
         least_m
     }
 
-    /// The same for one section, counted from 0; `None` where it is `enough_m` in all lanes, or there is no such section. What a
-    /// lane with a NaN or an infinity gives, only [`Self::poison`] tells.
+    /// The same for one section, counted from 0; `None` where it is `enough_m` in all lanes, or there is no such section. A
+    /// lane with a NaN or an infinity in its bends may give any number.
     #[inline(always)]
     pub(crate) fn section_clearance_below(
         &self,
@@ -133,12 +133,6 @@ impl<const W: usize> BodyWide<W> {
         let clearance_m = distance_m - section.parameters.body_radius_m - obstacle.radius_m();
         // Far lanes have enough, by whatever rounding: as if they were alone.
         Some(enough.select(enough.min_or_nan(clearance_m), far))
-    }
-
-    /// Zero where all bends are finite, NaN in the other lanes.
-    #[inline(always)]
-    pub(crate) fn poison(&self) -> Wide<W> {
-        self.poison
     }
 }
 

@@ -4,9 +4,11 @@ use nalgebra::{Unit, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 
 use super::*;
+use crate::nmpc::obstacles::CLEARANCE;
 use crate::nmpc::solver::CONSTRAINTS_MAX;
 use crate::nmpc::{HORIZON_STEPS_MAX, Horizon, OBSTACLES_MAX};
 use crate::robot::{BendRates, Obstacle, RobotParameters, Shape};
+use crate::wide::LANES;
 
 const PERIOD_S: f64 = 0.05;
 /// Moves a bend by 5e-6 rad in a period: truncation and rounding of a central difference are both near 1e-11.
@@ -158,6 +160,96 @@ proptest! {
                     let derivative = model.row(row)[i];
                     prop_assert!((derivative - difference).abs() < 1e-8, "row {row}, control {i}: {derivative} {difference}");
                 }
+            }
+            Ok(())
+        })?;
+    }
+}
+
+/// What each of eight plans does of the one that was drawn.
+const SHARES: [f64; LANES] = [1.0, 0.0, -1.0, 0.5, 1e-3, -0.25, 0.9, 0.1];
+
+/// Balls and capsules beside the start, some in it, moving or not: section, share of its length, offset (m), velocity (m/s).
+fn beside(case: &Case, places: &[(usize, f64, [f64; 3], [f64; 3])]) -> Vec<Obstacle> {
+    let robot = Robot::new(&RobotParameters::paper(case.at.section_count())).expect("the paper's");
+    let place = |(i, (section, s, offset_m, velocity_m_s)): (usize, &(usize, f64, [f64; 3], _))| {
+        let body_m = robot.body_point(&case.at, section % case.at.section_count(), *s);
+        let start_m = body_m + Vector3::from(*offset_m);
+        let end_m = start_m + Vector3::new(0.02, -0.03, 0.04);
+        let shape = match i % 2 {
+            0 => Shape::Sphere { centre_m: start_m },
+            _ => Shape::Capsule { start_m, end_m },
+        };
+        let moves = f64::from(u8::from(i % 3 == 0));
+        Obstacle::new(shape, 0.01, moves * Vector3::from(*velocity_m_s)).expect("an obstacle")
+    };
+    places.iter().enumerate().map(place).collect()
+}
+
+/// Eight plans side by side.
+fn evaluated(problem: &TrackingProblem, plans: impl Fn(usize) -> Wide<LANES>) -> Evaluation<LANES> {
+    let budget = &mut Budget::unlimited();
+    let found = match problem.motion.coordinates() {
+        Coordinates::BendVector => {
+            Searched::<VECTORS>(problem).evaluate(plans, budget, pulp::Scalar)
+        }
+        Coordinates::BendAngles => {
+            Searched::<ANGLES>(problem).evaluate(plans, budget, pulp::Scalar)
+        }
+    };
+    found.expect("an unlimited budget")
+}
+
+proptest! {
+    #[test]
+    fn what_is_culled_costs_nothing(
+        case in cases(),
+        places in prop::collection::vec(
+            (0..3_usize, 0.0..1.0_f64, prop::array::uniform3(-0.2..0.2_f64), prop::array::uniform3(-1.0..1.0_f64)), 6,
+        ),
+        bad_lane in 0..LANES,
+    ) {
+        let around = beside(&case, &places);
+        let parameters = RobotParameters::paper(case.at.section_count());
+        let share = |i: usize, lane: usize| SHARES[lane] * case.plan[i];
+        let plans = |i: usize| Wide::from_fn(|lane| share(i, lane));
+        let free = with_problem(&case, |problem| evaluated(problem, plans));
+        with_problem_among(&around, &parameters, &case, |problem| {
+            let found = evaluated(problem, plans);
+            // A lane that is not finite says so and changes no other.
+            let bad = evaluated(problem, |i| {
+                Wide::from_fn(|lane| if lane == bad_lane { f64::NAN } else { share(i, lane) })
+            });
+            for lane in 0..LANES {
+                let plan: Vec<f64> = (0..case.plan.len()).map(|i| share(i, lane)).collect();
+                let alone = problem.evaluate_at(&plan, &mut Budget::unlimited()).expect("no end");
+                let [cost, bad, alone] = [found.cost.0[lane], bad.cost.0[lane], alone.cost.0[0]];
+                prop_assert_eq!(cost.to_bits(), alone.to_bits());
+                let stays = if lane == bad_lane { bad.is_nan() } else { bad.to_bits() == cost.to_bits() };
+                prop_assert!(stays, "lane {lane}: {cost}, {bad} beside NaN in lane {bad_lane}");
+
+                // Every section against every obstacle at every step.
+                let (mut penalty, mut deepest_m, mut bends) = (0.0, 0.0, problem.motion.start());
+                for step in 0..problem.steps() {
+                    problem.motion.advance_one(&mut bends, &plan, step);
+                    let body = problem.robot.body(&problem.motion.shape(&bends));
+                    for obstacle in &around {
+                        let obstacle = obstacle.moved(PERIOD_S * (step + 1) as f64);
+                        for section in 0..case.at.section_count() {
+                            let depth_m = case.settings.safe_distance_m - body.clearance_of(section, &obstacle);
+                            prop_assume!(depth_m.abs() > 1e-9);
+                            if depth_m > 0.0 {
+                                penalty += case.settings.obstacle_step_penalty
+                                    + depth_m * case.settings.obstacle_slope_penalty
+                                    + depth_m * depth_m * case.settings.obstacle_square_penalty;
+                                deepest_m = f64::max(deepest_m, depth_m);
+                            }
+                        }
+                    }
+                }
+                let expected = free.cost.0[lane] + penalty;
+                prop_assert!((cost - expected).abs() <= 1e-9 * expected, "lane {lane}: {cost} {expected}");
+                prop_assert!((found.violations[CLEARANCE].0[lane] - deepest_m).abs() < 1e-9);
             }
             Ok(())
         })?;
