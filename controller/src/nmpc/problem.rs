@@ -1,8 +1,8 @@
 use pulp::NullaryFnOnce;
 
-use super::limits::{LimitRow, Limits};
+use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
-use super::obstacles::{ClearanceRow, Obstacles, StepTime};
+use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
 use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
 use crate::optimizer::{Bounds, Budget, Cost, Evaluation, LinearModel, Problem, apart};
@@ -29,9 +29,6 @@ const SECTION_NS: u32 = 15;
 const LIMITS_NS: u32 = 20;
 /// Nominal time of one row of a linear model, for each coordinate and block \[ns\].
 const ROW_NS: u32 = 1;
-/// What the slack of a limit is less than that of a clearance, both being shares within ±1: so of too many constraints,
-/// clearances are left out first.
-const LIMITS_FIRST: f64 = 2.0;
 
 impl<'a> TrackingProblem<'a> {
     pub(super) fn new(
@@ -224,11 +221,11 @@ impl<'a> TrackingProblem<'a> {
         }
     }
 
-    /// A constraint on the bends at the end of a step, unless no step in the box can break it. Its slack is the share of all
-    /// steps in the box that it takes to break it, less `first`.
+    /// A constraint of a kind on the bends at the end of a step, unless no step in the box can break it. Its slack is the share of
+    /// all steps in the box that it takes to break it.
     fn push_constraint(
         &self,
-        (h, first): (f64, f64),
+        (kind, h): (usize, f64),
         mut derivatives: [f64; COORDINATES_MAX],
         bends: &Bent,
         block_periods: &[f64],
@@ -245,7 +242,7 @@ impl<'a> TrackingProblem<'a> {
             .sum();
         let most = per_s * self.motion.period_s() * block_periods.iter().sum::<f64>();
         if h <= most
-            && let Some(into) = model.push_constraint(h, (h / most).clamp(-1.0, 1.0) - first)
+            && let Some(into) = model.push_constraint(kind, h, (h / most).clamp(-1.0, 1.0))
         {
             self.spread(&derivatives, block_periods, into);
         }
@@ -275,8 +272,8 @@ impl<'a> TrackingProblem<'a> {
                     at.block_periods
                 };
                 if is_left {
-                    let h = (row.h, LIMITS_FIRST);
-                    self.push_constraint(h, row.derivatives, at.bends, periods, model);
+                    let kind_and_h = (LIMITS, row.h);
+                    self.push_constraint(kind_and_h, row.derivatives, at.bends, periods, model);
                 }
             });
         is_left
@@ -293,7 +290,8 @@ impl<'a> TrackingProblem<'a> {
         let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
             let periods = at.block_periods;
-            self.push_constraint((row.h, 0.0), row.derivatives, at.bends, periods, model);
+            let kind_and_h = (CLEARANCE, row.h);
+            self.push_constraint(kind_and_h, row.derivatives, at.bends, periods, model);
         };
         self.obstacles
             .rows(self.robot, self.settings, instant, shape, budget, push)

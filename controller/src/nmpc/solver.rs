@@ -12,8 +12,8 @@ use crate::optimizer::{
 
 /// Rows of one step: position, and three axes of the tip.
 const POSE_ROWS: usize = 12;
-/// Constraints that a Gauss-Newton step sees, those that are nearest to being broken, limits first; further ones only count in
-/// the cost.
+/// Constraints that a Gauss-Newton step sees: of limits and of clearances those that are nearest to being broken, half of the room
+/// for each kind that needs it; further ones only count in the cost.
 pub(super) const CONSTRAINTS_MAX: usize = 256;
 /// Below this error of the tip \[m\] a vanished gradient is not looked into.
 const STUCK_ERROR_M: f64 = 1e-6;

@@ -2,7 +2,7 @@
 
 use std::collections::BinaryHeap;
 
-use super::Budget;
+use super::{Budget, VIOLATIONS};
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
 ///
@@ -17,8 +17,8 @@ pub struct LinearModel {
     cost_rows: usize,
     constraints: Vec<f64>,
     constraint_jacobian: Vec<f64>,
-    /// How far each is from being broken, in the measure of its problem, and its index.
-    slackest: BinaryHeap<(i64, usize)>,
+    /// Of each kind, how far each is from being broken, in the measure of its problem, and its index.
+    slackest: [BinaryHeap<(i64, usize)>; VIOLATIONS],
     met: Vec<bool>,
     constraints_max: usize,
 }
@@ -32,7 +32,7 @@ impl LinearModel {
             cost_rows: 0,
             constraints: Vec::with_capacity(constraints),
             constraint_jacobian: Vec::with_capacity(constraints * columns),
-            slackest: BinaryHeap::with_capacity(constraints),
+            slackest: core::array::from_fn(|_| BinaryHeap::with_capacity(constraints)),
             met: Vec::with_capacity(constraints),
             constraints_max: constraints,
         }
@@ -43,7 +43,7 @@ impl LinearModel {
         self.jacobian.clear();
         self.constraints.clear();
         self.constraint_jacobian.clear();
-        self.slackest.clear();
+        self.slackest.iter_mut().for_each(BinaryHeap::clear);
         self.met.clear();
         self.columns = columns;
         self.cost_rows = 0;
@@ -58,27 +58,32 @@ impl LinearModel {
         &mut self.jacobian[start..]
     }
 
-    /// Adds a constraint h + A Δ ≥ 0 with all derivatives zero, and returns them for the caller to fill
-    /// in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
-    pub fn push_constraint(&mut self, h: f64, slack: f64) -> Option<&mut [f64]> {
+    /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]) with all derivatives zero, and returns them for the caller
+    /// to fill in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
+    /// No kind takes more than its equal part of the room while another needs it.
+    pub fn push_constraint(&mut self, kind: usize, h: f64, slack: f64) -> Option<&mut [f64]> {
         let order = in_order(slack);
         let mut index = self.constraints.len();
         if index < self.constraints_max {
-            self.slackest.push((order, index));
             self.constraints.push(h);
             self.met.push(false);
             let length = (index + 1) * self.columns;
             self.constraint_jacobian.resize(length, 0.0);
         } else {
-            let mut slackest = self.slackest.peek_mut()?;
-            if order >= slackest.0 {
-                return None;
-            }
-            index = slackest.1;
-            slackest.0 = order;
+            let crowded = if self.slackest[kind].len() < self.constraints_max / VIOLATIONS {
+                self.slackest.iter_mut().max_by_key(|heap| heap.len())?
+            } else {
+                let own = &mut self.slackest[kind];
+                if order >= own.peek()?.0 {
+                    return None;
+                }
+                own
+            };
+            index = crowded.pop()?.1;
             self.constraints[index] = h;
             self.constraint_jacobian[index * self.columns..][..self.columns].fill(0.0);
         }
+        self.slackest[kind].push((order, index));
         Some(&mut self.constraint_jacobian[index * self.columns..][..self.columns])
     }
 
@@ -177,12 +182,12 @@ pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    #[test]
-    fn of_too_many_constraints_a_step_sees_those_with_the_least_slack() {
-        let mut model = LinearModel::with_capacity(0, 3, 1);
+    /// The slacks that a step sees of constraints of these kinds and slacks.
+    fn seen(room: usize, constraints: &[(usize, f64)]) -> Vec<f64> {
+        let mut model = LinearModel::with_capacity(0, room, 1);
         model.clear(1);
-        for slack in [5.0, -1.0, 4.0, 9.0, -2.0, 3.0] {
-            let Some(derivatives) = model.push_constraint(slack, slack) else {
+        for &(kind, slack) in constraints {
+            let Some(derivatives) = model.push_constraint(kind, slack, slack) else {
                 continue;
             };
             assert_eq!(derivatives, [0.0]);
@@ -192,6 +197,26 @@ mod tests {
         assert_eq!(met, Some(()));
         let mut seen: Vec<f64> = (0..model.rows()).map(|row| model.residual(row)).collect();
         seen.sort_by(f64::total_cmp);
-        assert_eq!(seen, [-2.0, -1.0, 3.0]);
+        seen
+    }
+
+    #[test]
+    fn of_too_many_constraints_a_step_sees_those_with_the_least_slack() {
+        let one_kind = [5.0, -1.0, 4.0, 9.0, -2.0, 3.0].map(|slack| (0, slack));
+        assert_eq!(seen(3, &one_kind), [-2.0, -1.0, 3.0]);
+    }
+
+    #[test]
+    fn no_kind_of_constraint_displaces_another_from_its_part() {
+        let near = [5.0, -1.0, 4.0, 9.0, -2.0, 3.0].map(|slack| (0, slack));
+        let far = [70.0, 90.0, 60.0].map(|slack| (1, slack));
+        for mixed in [[&near[..], &far].concat(), [&far[..], &near].concat()] {
+            assert_eq!(seen(4, &mixed), [-2.0, -1.0, 60.0, 70.0]);
+            // What one kind leaves is the other's.
+            assert_eq!(
+                seen(8, &mixed),
+                [-2.0, -1.0, 3.0, 4.0, 5.0, 60.0, 70.0, 90.0]
+            );
+        }
     }
 }

@@ -256,17 +256,14 @@ proptest! {
     }
 }
 
-/// Six sections among as many obstacles as there may be: each of them can meet each section at each step.
-#[test]
-fn obstacles_leave_room_for_every_limit() {
+/// Six sections, bent.
+fn long(horizon_steps: u32, plan: Vec<f64>) -> Case {
     let at = [0.4, 0.3].repeat(6);
-    let plan = [2.0, -2.0].repeat(15);
-    let settings = NmpcSettings {
-        horizon_steps: 5,
-        ..NmpcSettings::default()
-    };
-    let case = Case {
-        settings,
+    Case {
+        settings: NmpcSettings {
+            horizon_steps,
+            ..NmpcSettings::default()
+        },
         at: Configuration::from_slice(&at).expect("six sections"),
         held: BendRates::zero(6),
         goal: ReferenceSample {
@@ -274,33 +271,67 @@ fn obstacles_leave_room_for_every_limit() {
             position_m: Vector3::new(0.1, 0.2, 1.0),
             orientation: Orientation::Free,
         },
-        plan: [plan.as_slice(), &plan].concat(),
-    };
+        plan,
+    }
+}
+
+/// Values of the constraints that a step breaks.
+fn met(around: &[Obstacle], parameters: &RobotParameters, case: &Case, step: &[f64]) -> Vec<f64> {
+    with_problem_among(around, parameters, case, |problem| {
+        let mut model = linearised(problem, &case.plan);
+        let cost_rows = model.rows();
+        model.meet_constraints(step, &mut Budget::unlimited());
+        (cost_rows..model.rows())
+            .map(|row| model.residual(row))
+            .collect()
+    })
+}
+
+/// The paper's robot of six sections, one cable of which has no stroke left, and as many obstacles as there may be, this far (m)
+/// beside it.
+fn crowd(case: &Case, beside_m: impl Fn(usize) -> f64) -> (RobotParameters, Vec<Obstacle>) {
     let mut parameters = RobotParameters::paper(6);
     let robot = Robot::new(&parameters).expect("the paper's");
     let strokes_m = robot.cable_strokes(&case.at);
     parameters.cable_stroke_max_m = strokes_m.iter().fold(0.0, |most, m| m.abs().max(most));
     let around: Vec<Obstacle> = (0..OBSTACLES_MAX)
         .map(|i| {
-            let body_m = robot.body_point(&case.at, i % 6, 0.5);
-            let centre_m = body_m + Vector3::new(0.05, 0.001 * i as f64, 0.0);
+            let body_m = robot.body_point(&case.at, i % 6, 0.3 + 0.01 * i as f64);
+            // Normal to the plane in which it bends.
+            let centre_m = body_m + Vector3::new(-0.6, 0.8, 0.0) * beside_m(i);
             Obstacle::new(Shape::Sphere { centre_m }, 0.01, Vector3::zeros()).expect("a ball")
         })
         .collect();
-    // What a step breaks.
-    let met = |around: &[Obstacle]| -> Vec<f64> {
-        with_problem_among(around, &parameters, &case, |problem| {
-            let mut model = linearised(problem, &case.plan);
-            let cost_rows = model.rows();
-            model.meet_constraints(&case.plan, &mut Budget::unlimited());
-            (cost_rows..model.rows())
-                .map(|row| model.residual(row))
-                .collect()
-        })
-    };
+    (parameters, around)
+}
+
+/// Each obstacle can meet each section at each step.
+#[test]
+fn obstacles_leave_room_for_every_limit() {
+    let case = long(5, [2.0, -2.0].repeat(30));
+    let (parameters, around) = crowd(&case, |_| 0.05);
+    let met = |around: &[Obstacle]| met(around, &parameters, &case, &case.plan);
     let (limits, all) = (met(&[]), met(&around));
     assert!(limits.len() > 20, "{}", limits.len());
     let left_out = limits.iter().filter(|limit| !all.contains(limit)).count();
     assert_eq!(left_out, 0, "of {} limits", limits.len());
     assert!(all.len() > limits.len(), "obstacles are met, too");
+}
+
+/// There are more limits than a step sees constraints.
+#[test]
+fn limits_leave_room_for_the_nearest_clearances() {
+    let case = long(50, vec![0.0; 240]);
+    // The first is beside the first section, nearer than the safe distance, and no other is.
+    let (parameters, around) = crowd(&case, |i| if i == 0 { 0.02 } else { 0.15 });
+    let robot = Robot::new(&parameters).expect("a robot");
+    let body = robot.body(&case.at);
+    let safe_m = case.settings.safe_distance_m;
+    let near = |o: &&Obstacle| body.clearance_m(o) < safe_m;
+    assert_eq!(around.iter().filter(near).count(), 1);
+    // At rest a step of nothing breaks what is broken already.
+    let all = met(&around, &parameters, &case, &case.plan);
+    let depth_m = body.clearance_of(0, &around[0]) - safe_m - 1e-6;
+    let is_nearest = |h: &&f64| (**h - 1e3 * depth_m).abs() < 1e-9;
+    assert_eq!(all.iter().filter(is_nearest).count(), 50, "{all:?}");
 }
