@@ -74,11 +74,6 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                 safety.measurement_frozen_rad, link.measurement_timeout_ms
             )
         }),
-        (link.kind == LinkKind::Driver && config.robot.sections.len() > 1 && controller.rate_weight == 0.0).then(|| {
-            "controller.rate_weight = 0 with a driver: noise of its sensors adds up to motion about the tip, which nothing holds \
-             back; set 1e-10, or choose a --preset"
-                .to_owned()
-        }),
         (obstacles.source_timeout_ms > 0.0 && obstacles.source_timeout_ms < period_ms).then(|| {
             format!(
                 "obstacles.source_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a source \
@@ -148,13 +143,12 @@ mod tests {
                 "cycle.late_start_ms",
             ),
             ("[link]\ncommand_valid_ms = 2.0\n", "link.command_valid_ms"),
-            ("[link]\nkind = \"driver\"\n", "controller.rate_weight = 0"),
             (
-                "[controller]\nrate_weight = 1e-10\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2.0\n",
+                "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2.0\n",
                 "link.measurement_timeout_ms",
             ),
             (
-                "[controller]\nrate_weight = 1e-10\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 101\n",
+                "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 101\n",
                 "safety.measurement_frozen_rad = 0.2",
             ),
             (

@@ -12,7 +12,7 @@ const ACCELERATION_RAD_S2: f64 = 40.0;
 /// Periods until the robot has reached the beginning of the reference.
 const APPROACH_CYCLES: u32 = 600;
 
-/// The paper's robot with the default settings, at rest where the figure eight begins.
+/// The paper's robot with the default settings of a robot that is measured, at rest where the figure eight begins.
 #[derive(Debug, Clone)]
 pub struct FigureEight {
     robot: Robot,
@@ -78,7 +78,10 @@ impl FigureEight {
         Ok(Self {
             start: *closed.configuration(),
             robot,
-            settings,
+            settings: NmpcSettings {
+                rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+                ..settings
+            },
         })
     }
 

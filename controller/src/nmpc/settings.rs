@@ -81,7 +81,8 @@ crate::parameters! {
         orientation_weight: f64 = 0.1, in ranges::WEIGHT;
         /// Orientation error that costs nothing, {range}.
         orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
-        /// Weight of the squared rates, per (rad/s)², {range}.
+        /// Weight of the squared rates, per (rad/s)², {range}. 0 is the paper's cost, for the ideal simulated robot alone: a daemon of any other
+        /// puts 1e-10 in its place, or noise of the sensors makes the robot turn about its tip.
         rate_weight: f64 = 0.0, in ranges::WEIGHT;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT;
@@ -155,6 +156,10 @@ pub(super) const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
 const POSITION_TOLERANCE_M: f64 = 1e-15;
 
 impl NmpcSettings {
+    /// Rate weight of a robot that is measured, where none is set: so small that the tip does not notice, and enough to keep noise from
+    /// moving the robot about its tip (docs/robustness.md).
+    pub const MEASURED_RATE_WEIGHT: f64 = 1e-10;
+
     /// Checks every value against its range.
     ///
     /// # Errors

@@ -1,3 +1,5 @@
+use cdcr_controller::nmpc::NmpcSettings;
+
 use super::{Config, ConfigError, Origins, Validated, keys, ranges, rules};
 
 /// A typed configuration, not yet checked, and where its values come from.
@@ -34,6 +36,9 @@ impl Settings {
         let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         config.realtime.mode = config.realtime.mode.of(config.link.kind);
+        if config.controller.rate_weight == 0.0 && !config.link.is_ideal() {
+            config.controller.rate_weight = NmpcSettings::MEASURED_RATE_WEIGHT;
+        }
         let location = config.transport.location(&origins)?;
         let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {

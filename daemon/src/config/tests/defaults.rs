@@ -47,6 +47,23 @@ fn an_empty_file_is_the_papers_robot() {
 }
 
 #[test]
+fn rates_cost_something_in_every_robot_but_the_ideal_one() {
+    let weight = |text: &str| {
+        let validated = Config::parse(text, Path::new("x")).expect("legal");
+        validated.config.controller.rate_weight
+    };
+    let set = "[controller]\nrate_weight = 1e-7\n";
+    for (link, expected) in [
+        ("", 0.0),
+        ("[link]\nsimulated = \"laboratory\"\n", 1e-10),
+        ("[link]\nkind = \"driver\"\n", 1e-10),
+    ] {
+        assert!(weight(link) == expected, "{link}");
+        assert!(weight(&format!("{link}{set}")) == 1e-7, "{link}");
+    }
+}
+
+#[test]
 fn a_robot_behind_a_driver_requires_real_time_unless_told_otherwise() {
     let mode = |text: &str| {
         let validated = Config::parse(text, Path::new("x")).expect("legal");
