@@ -236,6 +236,8 @@ wire_enum! {
         Suspended = 16: "the machine was suspended",
         /// Nothing was heard of who sends the obstacles.
         ObstacleSourceSilent = 17: "the source of the obstacles is silent (obstacles.source_timeout_ms)",
+        /// The reference was replaced by one too far from the tip to be approached.
+        ReferenceTooFar = 18: "the reference was replaced by one farther from the tip than motion.approach_distance_m",
     }
 }
 

@@ -117,7 +117,7 @@ message! {
     ///
     /// A record holds all that its cycle used but the reference, which is rebuilt from the clients' chunks
     /// in the order that the events of the records tell; see `docs/replay.md`.
-    pub struct Telemetry "cdcr.Telemetry.v4" {
+    pub struct Telemetry "cdcr.Telemetry.v5" {
         /// The daemon, number of the record, time of publication.
         header: Header,
 
@@ -270,5 +270,17 @@ message! {
         acceleration_rad_s2: f64,
         /// How far ahead of the reference the motors are commanded \[ns\]: the delay and time constant of `[actuator]` together.
         reference_lead_ns: u64,
+        /// Where the commands up to this release lead the motors \[rad\]: `bend_rad` is beside that by the play of the cables.
+        motor_rad: [f64; COORDINATES_MAX] [used 2 command.sections],
+        /// What of that play is taken there: each cable minus its motor \[m\].
+        slack_m: [f64; CABLES_MAX] [used 3 command.sections],
+        /// Play of the cables \[m\]; 0: none.
+        play_m: f64,
+        /// A reference farther from the tip than this is not approached \[m\]; infinite: it is, from anywhere.
+        approach_distance_m: f64,
+        /// 1 where a latched mode was left and the robot has not come to rest since: a following error is no fault then.
+        control_begins: u32 [yes],
+        /// Zero.
+        reserved: u32,
     }
 }

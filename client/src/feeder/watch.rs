@@ -160,6 +160,9 @@ fn reason_remedy(reason: Reason) -> &'static str {
         Reason::ObstacleSourceSilent => {
             "Check that the program that sends the obstacles runs, then track again."
         }
+        Reason::ReferenceTooFar => {
+            "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."
+        }
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",

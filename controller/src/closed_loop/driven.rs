@@ -1,6 +1,6 @@
 use nalgebra::Vector3;
 
-use crate::estimator::{Actuator, Estimator, Measurement};
+use crate::estimator::{Actuator, Estimator, Measurement, Slack};
 use crate::plant::{Flaws, MisbehavingRobot, MotorOrder};
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot, RobotError};
 
@@ -84,9 +84,18 @@ impl DrivenRobot {
         self.estimator.configuration()
     }
 
-    /// Where its motors are sent, if they obey positions.
+    /// Where its motors are led, where the robot is beside that: commanded positions, or motors beside cables that have play.
     pub(super) fn commanded(&self) -> Option<&Configuration> {
-        self.driven.obeys_positions.then_some(&self.commanded)
+        if self.driven.obeys_positions {
+            return Some(&self.commanded);
+        }
+        let motors = self.estimator.motors();
+        Some(motors).filter(|motors| *motors != self.configuration())
+    }
+
+    /// What of the play of its cables is taken there, as far as that is known.
+    pub(super) fn slack(&self) -> Option<&Slack> {
+        self.estimator.slack_led()
     }
 
     pub(super) fn tip_offset_m(&self) -> Vector3<f64> {

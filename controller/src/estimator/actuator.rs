@@ -107,6 +107,11 @@ impl ActuatorModel {
         cables
     }
 
+    /// What of the play is taken where the commands lead; `None`: there is none.
+    pub(super) fn slack_led(&self) -> Option<&Slack> {
+        self.play.as_ref().map(|play| &play.led)
+    }
+
     /// The motors are at rest at their command, and the cables where that led them: whoever begins anew moves none. Allocates nothing.
     pub(super) fn begin(&mut self) {
         let section_count = self.moves[self.newest].rates.section_count();

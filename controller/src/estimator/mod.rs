@@ -13,7 +13,7 @@ use nalgebra::Vector3;
 use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot};
 pub use actuator::Actuator;
 use actuator::ActuatorModel;
-use slack::Slack;
+pub use slack::Slack;
 use tip_filter::{TIP_NOISE_M, TipFilter};
 use tip_offset::TipOffset;
 
@@ -125,6 +125,11 @@ impl Estimator {
     /// Where the commands up to now lead the motors: the robot is beside that by the play of its cables.
     pub fn motors(&self) -> &Configuration {
         &self.stages[STAGES - 1]
+    }
+
+    /// What of the play of its cables is taken there; `None`: they have none.
+    pub fn slack_led(&self) -> Option<&Slack> {
+        self.motors.slack_led()
     }
 
     /// Where the motors are: behind that by what they have left of their way.

@@ -3,7 +3,7 @@ use crate::robot::{CABLES_MAX, Configuration, Robot};
 /// How far each cable is beside its motor, where there is play between them: a motor that turns round takes its cable along when the
 /// play is over (the play operator: A. Visintin, *Differential Models of Hysteresis*, Springer 1994, §III.2).
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Slack {
+pub struct Slack {
     /// The play (m), 0 or more.
     play_m: f64,
     /// Cable minus motor (m), within ± half of the play; in the order of [`Robot::cable_lengths`].
@@ -13,15 +13,22 @@ pub(super) struct Slack {
 impl Slack {
     /// Cables in the middle of a play of `play_m` (m).
     pub(super) fn middle(play_m: f64) -> Self {
-        Self {
-            play_m,
-            slack_m: [0.0; CABLES_MAX],
-        }
+        Self::new(play_m, [0.0; CABLES_MAX])
+    }
+
+    /// Cables that are `slack_m` (m) beside their motors, within ± half of the play `play_m` (m).
+    pub fn new(play_m: f64, slack_m: [f64; CABLES_MAX]) -> Self {
+        Self { play_m, slack_m }
+    }
+
+    /// Cable minus motor (m), in the order of [`Robot::cable_lengths`].
+    pub fn slack_m(&self) -> &[f64; CABLES_MAX] {
+        &self.slack_m
     }
 
     /// After the motors moved evenly by `moved` (rad).
     #[must_use]
-    pub(super) fn moved(&self, robot: &Robot, moved: &Configuration) -> Self {
+    pub fn moved(&self, robot: &Robot, moved: &Configuration) -> Self {
         let mut next = *self;
         let half_m = 0.5 * self.play_m;
         for (slack_m, stroke_m) in next.slack_m.iter_mut().zip(robot.cable_strokes(moved)) {
@@ -31,7 +38,7 @@ impl Slack {
     }
 
     /// Bends of the robot minus those that its motors tell (rad).
-    pub(super) fn bends(&self, robot: &Robot) -> Configuration {
+    pub fn bends(&self, robot: &Robot) -> Configuration {
         robot.bend_from_cable_strokes(&self.slack_m)
     }
 }

@@ -55,6 +55,12 @@ impl FollowedReference {
         self.approach = Approach::default();
     }
 
+    /// Whether the reference that is followed was replaced by another one, which is not followed yet.
+    pub fn is_replaced(&self, window: &ReferenceWindow) -> bool {
+        self.last
+            .is_some_and(|last| last.replacements != window.replacements())
+    }
+
     /// The approach of the cycle that was looked at last; it does not run where the reference itself is followed.
     pub fn approach(&self) -> &Approach {
         &self.approach

@@ -10,7 +10,8 @@ pub struct Situation<'a> {
     pub robot: &'a Robot,
     /// Where it is.
     pub at: &'a Configuration,
-    /// Where it is commanded to be, when it obeys positions: they stay inside the limits, too.
+    /// Where its motors are led, when that is elsewhere: commanded positions, or motors beside cables that have play. Limits and clearance
+    /// hold there, too.
     pub commanded: Option<&'a Configuration>,
     /// The command before.
     pub previous: &'a BendRates,
@@ -31,7 +32,7 @@ pub struct Situation<'a> {
 }
 
 impl<'a> Situation<'a> {
-    fn stopping(&self) -> Stopping {
+    pub(super) fn stopping(&self) -> Stopping {
         Stopping {
             moving_s: self.moving_s.max(self.period_s),
             deceleration_rad_s2: self.deceleration_rad_s2,

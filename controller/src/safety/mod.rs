@@ -11,6 +11,7 @@ mod following;
 mod limits;
 mod mode;
 mod plausibility;
+mod play;
 mod projection;
 mod ramp;
 
@@ -20,4 +21,5 @@ pub use following::{FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};
 pub use plausibility::{MeasurementWatch, Plausibility, PlausibilityRules};
+pub use play::safe_command_with_play;
 pub use ramp::{homing_rates, ramp_to_zero};

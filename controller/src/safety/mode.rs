@@ -10,6 +10,7 @@
 //!  any but Faulted ── stop, leaky bucket, suspend ──► Stopped   latched: rates ramp to zero, until reset
 //!  any ── measurement lost, jumps or frozen, non-finite, limit, contact, does not follow ──► Faulted(cause)   latched
 //!  Tracking, Homing ── stale inputs, silent source of obstacles ──► Holding
+//!  Tracking ── replaced by a reference that is too far ──► Holding
 //!  Stopped, Faulted ── reset, cause gone ──► Holding
 //! ```
 
@@ -55,6 +56,8 @@ pub enum Reason {
     Suspended,
     /// Who sends the obstacles is silent.
     ObstacleSourceSilent,
+    /// The reference was replaced by one that is farther from the tip than it may be approached from.
+    ReferenceTooFar,
 }
 
 /// The mode, with what belongs to it.

@@ -39,7 +39,7 @@ cdcr_controller::parameters! {
         /// How a reference is reached that begins elsewhere than the tip is, or in motion, or replaces another one. "smooth": the distance
         /// between tip and reference decays within the limits below, while the reference goes on. "direct": as fast as the
         /// other limits allow, as in the paper. "refuse": as "smooth", and a request to track is refused from farther away than
-        /// approach_distance_m. "auto": "smooth", and "direct" for the ideal simulated robot.
+        /// approach_distance_m; a robot that tracks holds where its reference is replaced by one that far. "auto": "smooth", and "direct" for the ideal simulated robot.
         approach: ApproachKind = ApproachKind::Auto;
         /// Largest speed with which the distance decays, {range}. To join a reference in motion the tip is for a moment up to
         /// 1.5 times as fast as it.
@@ -47,8 +47,8 @@ cdcr_controller::parameters! {
         /// Largest acceleration that an approach adds to that of the reference, {range}. A motion that would take the tip
         /// farther aside than 2 % of the robot's length is joined faster. The tip turns towards an orientation at home_rate_rad_s at most.
         approach_acceleration_m_s2: f64 = 0.5, in 1e-3..=1e4;
-        /// With approach = "refuse": a reference that is farther from the tip than this when it shall be tracked is
-        /// refused, {range}.
+        /// With approach = "refuse": a reference that is farther from the tip than this when it shall be tracked, or when it
+        /// replaces another one, is not followed, {range}.
         approach_distance_m: f64 = 0.02, in 0.0..=100.0;
     }
 }

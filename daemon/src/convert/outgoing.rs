@@ -3,7 +3,7 @@
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::{SolveReport, SolveStatus};
 use cdcr_controller::reference::{Approach, Orientation, ReferenceSample, ReferenceState};
-use cdcr_controller::robot::{Robot, Shape, quaternion_xyzw};
+use cdcr_controller::robot::{CABLES_MAX, Robot, Shape, quaternion_xyzw};
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, LateCause};
 
@@ -116,6 +116,12 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         following_lag_ns: (record.policy.following.lag_s * 1e9) as u64,
         acceleration_rad_s2: record.policy.acceleration_rad_s2,
         reference_lead_ns: record.policy.reference_lead_ns,
+        play_m: record.policy.actuator.play_m,
+        slack_m: record
+            .slack
+            .map_or([0.0; CABLES_MAX], |slack| *slack.slack_m()),
+        approach_distance_m: record.policy.approach_distance_m,
+        control_begins: u32::from(record.control_begins),
         obstacle_count: record.obstacles.count() as u32,
         ..wire::Telemetry::default()
     };
@@ -137,6 +143,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
     copy(record.configuration.as_slice(), &mut telemetry.bend_rad);
     copy(record.commanded.as_slice(), &mut telemetry.commanded_rad);
     copy(record.present.as_slice(), &mut telemetry.present_rad);
+    copy(record.motors.as_slice(), &mut telemetry.motor_rad);
     copy(
         record.previous_rates.as_slice(),
         &mut telemetry.previous_rate_rad_s,

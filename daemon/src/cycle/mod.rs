@@ -19,11 +19,11 @@ use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
-    ramp_to_zero, safe_command,
+    ramp_to_zero, safe_command_with_play,
 };
 
 use crate::accounting::Accounting;
-use crate::config::{Interface, Validated, ns};
+use crate::config::{Validated, ns};
 use crate::core_budget::{CoreBudget, Costs, RecentCosts};
 use crate::handover::{
     CycleAnswer, CycleInputs, CycleRecord, CycleRequest, Policy, REQUESTS_PER_CYCLE,
@@ -33,7 +33,6 @@ use crate::link::RobotLink;
 use crate::obstacles::ObstacleSet;
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Release;
-use present_clearance::present_clearance_m;
 use state::RobotState;
 
 /// The controller of one robot, cycle by cycle.
@@ -180,6 +179,7 @@ impl Cycle {
 
         let reference = inputs.window.get(release.cycle);
         let seen = self.observe(measurement, &reference, inputs);
+        let control_begins = self.control_begins;
         let was_latched = self.modes.mode().is_latched();
         self.modes.observe(&seen);
         let answers = self.answer(next_request, inputs, &seen);
@@ -207,12 +207,7 @@ impl Cycle {
         self.solve_over_ns = solve_end_ns.min(self.solve_until_ns);
 
         let safe = self.make_safe(&desired_rates, comes_to_rest);
-        self.clearance_m = if self.policy.reference_lead_ns == 0 {
-            safe.clearance_m
-        } else {
-            let obstacles = self.known_obstacles.iter().copied();
-            present_clearance_m(&self.robot, &present, obstacles, safe.clearance_m)
-        };
+        self.clearance_m = self.present_clearance_m(safe.clearance_m);
         self.rates = safe.rates;
         self.link
             .command(release.release_ns, &safe.rates, self.state.commanded());
@@ -235,6 +230,7 @@ impl Cycle {
             stale_inputs,
             totals: *self.accounting.totals(),
             miss_bucket: self.accounting.bucket().level(),
+            control_begins,
             mode: self.modes.mode(),
             faults: self.modes.faults(),
             gather: inputs.gather,
@@ -249,6 +245,8 @@ impl Cycle {
             tip_offset_m: self.state.tip_offset_m(),
             tip: self.state.tip(),
             present,
+            motors: *self.state.motors(),
+            slack: self.state.slack_led().copied(),
             configuration,
             commanded: *self.state.commanded(),
             following: *self.state.following().error(),
@@ -469,7 +467,11 @@ impl Cycle {
 
     /// In every mode, the last word: limits, and the clearance guard.
     fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
-        let safe = safe_command(&self.situation(comes_to_rest), desired_rates);
+        let safe = safe_command_with_play(
+            &self.situation(comes_to_rest),
+            self.state.slack_led(),
+            desired_rates,
+        );
         if safe.limits_hit.non_finite {
             self.modes.fault(Reason::NonFinite);
         }
@@ -477,11 +479,10 @@ impl Cycle {
     }
 
     fn situation(&self, comes_to_rest: bool) -> Situation<'_> {
-        let obeys_positions = self.policy.interface == Interface::Position;
         Situation {
             robot: &self.robot,
             at: self.state.configuration(),
-            commanded: obeys_positions.then_some(self.state.commanded()),
+            commanded: self.state.motors_led(),
             previous: &self.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.nmpc.settings().safe_distance_m,

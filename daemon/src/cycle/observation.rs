@@ -16,26 +16,23 @@ impl Cycle {
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
-            too_far: self.is_too_far(reference),
+            too_far: self.state.is_too_far(reference),
             lease: inputs.lease,
             at_home: self.state.is_at_home(),
             misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
             suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,
-            wait: self.wait(inputs),
+            wait: self.wait(inputs, reference),
             fault: self.fault(measurement),
         }
     }
 
-    /// Whether a reference is farther from the tip than it may be approached from.
-    fn is_too_far(&self, reference: &ReferenceSample) -> bool {
-        let most_m = self.policy.approach_distance_m;
-        most_m.is_finite() && (self.state.tip().position_m - reference.position_m).norm() > most_m
-    }
-
     /// Why the robot should not move on, though nothing is broken.
-    fn wait(&self, inputs: &CycleInputs) -> Option<Reason> {
+    fn wait(&self, inputs: &CycleInputs, reference: &ReferenceSample) -> Option<Reason> {
         if self.stale_ns > self.policy.stale_inputs_max_ns {
             return Some(Reason::InputsStale);
+        }
+        if self.followed.is_replaced(&inputs.window) && self.state.is_too_far(reference) {
+            return Some(Reason::ReferenceTooFar);
         }
         inputs
             .obstacle_source_silent

@@ -1,17 +1,13 @@
-use cdcr_controller::robot::{Configuration, Robot};
+use super::Cycle;
 
-use crate::obstacles::KnownObstacle;
-
-/// Clearance \[m\] of the body where it is; `led_m` is that where its commands lead it, infinite where there is no obstacle.
-pub(super) fn present_clearance_m(
-    robot: &Robot,
-    present: &Configuration,
-    obstacles: impl Iterator<Item = KnownObstacle>,
-    led_m: f64,
-) -> f64 {
-    if !led_m.is_finite() {
-        return led_m;
+impl Cycle {
+    /// Clearance \[m\] of the body where it is; `led_m` is that where its commands lead it, infinite where there is no obstacle.
+    pub(super) fn present_clearance_m(&self, led_m: f64) -> f64 {
+        if self.policy.reference_lead_ns == 0 || !led_m.is_finite() {
+            return led_m;
+        }
+        let body = self.robot.body(self.state.present());
+        let obstacles = self.known_obstacles.iter();
+        body.least_clearance_m(obstacles.map(|known| known.obstacle))
     }
-    let body = robot.body(present);
-    body.least_clearance_m(obstacles.map(|known| known.obstacle))
 }

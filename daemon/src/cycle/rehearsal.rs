@@ -9,7 +9,7 @@ use std::hint::black_box;
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::safety::{Mode, safe_command};
+use cdcr_controller::safety::{Mode, safe_command_with_play};
 
 use super::Cycle;
 use crate::handover::{CycleInputs, TimedMeasurement};
@@ -39,7 +39,11 @@ impl Cycle {
         state.locate(self.period_ns);
         black_box((state.tip(), inputs.window.get(cycle)));
         if clock.now_ns() + self.costs_after_solve.high_by_clock_ns() < end_ns {
-            black_box(safe_command(&self.situation(false), &self.rates));
+            black_box(safe_command_with_play(
+                &self.situation(false),
+                self.state.slack_led(),
+                &self.rates,
+            ));
         }
         if matches!(self.modes.mode(), Mode::Tracking { .. }) && clock.now_ns() < end_ns {
             let settings = self.nmpc.settings();

@@ -1,4 +1,5 @@
-use cdcr_controller::estimator::{Estimator, Measurement};
+use cdcr_controller::estimator::{Estimator, Measurement, Slack};
+use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
 use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
 use nalgebra::Vector3;
@@ -83,6 +84,26 @@ impl RobotState {
     /// Where the commands up to now lead the robot, as far as that is known.
     pub(super) fn configuration(&self) -> &Configuration {
         self.estimator.configuration()
+    }
+
+    /// Where they lead its motors: the robot is beside that by the play of its cables.
+    pub(super) fn motors(&self) -> &Configuration {
+        self.estimator.motors()
+    }
+
+    /// What of the play of the cables is taken there; `None`: they have none.
+    pub(super) fn slack_led(&self) -> Option<&Slack> {
+        self.estimator.slack_led()
+    }
+
+    /// Where the motors are led, where the robot is beside that: commanded positions, or motors beside cables that have play.
+    pub(super) fn motors_led(&self) -> Option<&Configuration> {
+        match self.policy.interface {
+            Interface::Position => Some(&self.commanded),
+            Interface::Velocity => {
+                Some(self.motors()).filter(|motors| *motors != self.configuration())
+            }
+        }
     }
 
     /// Where it is now: behind that where its motors are behind their commands.
@@ -212,6 +233,12 @@ impl RobotState {
     /// Where the tip is.
     pub(super) fn tip(&self) -> Pose {
         self.tip_at(&self.present)
+    }
+
+    /// Whether a reference is farther from the tip than it may be approached from.
+    pub(super) fn is_too_far(&self, reference: &ReferenceSample) -> bool {
+        let most_m = self.policy.approach_distance_m;
+        most_m.is_finite() && (self.tip().position_m - reference.position_m).norm() > most_m
     }
 
     /// Where the commands up to now lead the tip.

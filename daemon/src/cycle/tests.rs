@@ -6,6 +6,7 @@
 
 mod approach;
 mod lead;
+mod play;
 mod rehearsal;
 mod trial;
 
@@ -17,7 +18,7 @@ use cdcr_controller::safety::Request;
 use nalgebra::Vector3;
 
 use super::*;
-use crate::config::Config;
+use crate::config::{Config, Interface};
 use crate::handover::MeasurementUse;
 use crate::link::RobotLink;
 use trial::{PERIOD_S, Trial, Watch};

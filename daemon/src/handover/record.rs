@@ -1,3 +1,4 @@
+use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{PLAN_MAX, SolveReport};
 use cdcr_controller::reference::{Approach, ReferenceSample};
 use cdcr_controller::robot::{BendRates, Configuration, Pose};
@@ -54,6 +55,8 @@ pub struct CycleRecord {
     pub totals: Totals,
     /// Level of the leaky bucket after this cycle.
     pub miss_bucket: u32,
+    /// A latched mode was left, and the robot had not come to rest since when the cycle looked for faults.
+    pub control_begins: bool,
     /// Mode in which the command was made.
     pub mode: Mode,
     /// Faults since the start.
@@ -80,6 +83,10 @@ pub struct CycleRecord {
     pub tip_offset_m: Vector3<f64>,
     /// Where the commands up to now lead the robot: what the next one is planned from.
     pub configuration: Configuration,
+    /// Where they lead its motors: the robot is beside that by the play of its cables.
+    pub motors: Configuration,
+    /// What of the play of the cables is taken there; `None`: they have none.
+    pub slack: Option<Slack>,
     /// Where it is at the release.
     pub present: Configuration,
     /// Commanded configuration at the release.

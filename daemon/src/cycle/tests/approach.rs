@@ -6,6 +6,7 @@ use nalgebra::Vector3;
 
 use super::super::*;
 use super::trial::{PERIOD_S, Trial};
+use crate::config::Interface;
 
 /// Of the defaults.
 const APPROACH_M_S: f64 = 0.1;
@@ -101,4 +102,20 @@ fn with_refuse_a_reference_that_is_far_is_not_tracked_and_a_near_one_is() {
     assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
     let seen = fastest(&tips_m(&mut trial, 400));
     assert!(is_gentle(seen), "{seen:?}");
+    // The same of references that replace it.
+    trial.feed_line([0.02, 0.0, 0.89], [0.0; 3], 0.0);
+    let mode = trial.turn().mode;
+    assert!(matches!(mode, Mode::Tracking { .. }), "{mode:?}");
+    let seen = fastest(&tips_m(&mut trial, 400));
+    assert!(is_gentle(seen), "{seen:?}");
+    trial.feed_line(BESIDE_M, ALONG_M_S, 0.0);
+    let held = trial.turn();
+    let reason = Reason::ReferenceTooFar;
+    assert_eq!(held.mode, Mode::Holding { reason });
+    let tip_m = trial.tip_m;
+    trial.turns(200);
+    let moved_m = (trial.tip_m - tip_m).norm();
+    assert!(moved_m < 1e-3, "{moved_m} m");
+    let record = trial.ask(Request::Track);
+    assert_eq!(record.answers[0].unwrap().outcome, Err(Refusal::TooFar));
 }

@@ -9,6 +9,7 @@ use nalgebra::Vector3;
 use super::super::*;
 use super::is_at_rest;
 use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
 const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];

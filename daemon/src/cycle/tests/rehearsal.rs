@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 
 use super::super::*;
 use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
 /// Every record of a robot with a tip sensor, noise and a lag, beside a moving ball: at the start, on the way, stopped and reset.

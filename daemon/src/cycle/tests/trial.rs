@@ -11,7 +11,7 @@ use cdcr_controller::safety::{LeaseState, Request};
 use nalgebra::Vector3;
 
 use super::super::*;
-use crate::config::Config;
+use crate::config::{Config, Interface};
 use crate::convert;
 use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;

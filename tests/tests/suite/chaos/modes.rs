@@ -64,6 +64,7 @@ const ARROWS: &[Arrow] = &[
     world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceEnded),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseExpired),
     world(&[Mode::Tracking], Mode::Holding, Reason::LeaseReleased),
+    world(&[Mode::Tracking], Mode::Holding, Reason::ReferenceTooFar),
     // The robot is straight.
     world(&[Mode::Homing], Mode::Holding, Reason::HomeReached),
     // The exchange was held up; a source of obstacles fell silent.

@@ -9,12 +9,13 @@ use std::time::Duration;
 use cdcr_client::{
     FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns,
 };
+use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
+use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command_with_play};
 use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome,
@@ -139,6 +140,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
     let (at, previous) = state_of(record);
     let width = robot.coordinate_count();
     let commanded = Configuration::from_slice(&record.commanded_rad[..width]).unwrap();
+    let motors = Configuration::from_slice(&record.motor_rad[..width]).unwrap();
     let obeys_positions = record.command.interface == Interface::Position.code();
     let moving_ns = if obeys_positions {
         record.period_ns
@@ -148,7 +150,11 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
     let situation = Situation {
         robot,
         at: &at,
-        commanded: obeys_positions.then_some(&commanded),
+        commanded: if obeys_positions {
+            Some(&commanded)
+        } else {
+            Some(&motors).filter(|motors| **motors != at)
+        },
         previous: &previous,
         obstacles: &obstacles_of(record),
         safe_distance_m: record.settings.safe_distance_m,
@@ -160,7 +166,8 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
             .map(Mode::code)
             .contains(&record.mode),
     };
-    let safe = safe_command(&situation, desired);
+    let slack = (record.play_m > 0.0).then(|| Slack::new(record.play_m, record.slack_m));
+    let safe = safe_command_with_play(&situation, slack.as_ref(), desired);
     let command = &record.command;
     assert_eq!(
         bits(safe.rates.as_slice()),

@@ -1,0 +1,196 @@
+//! Cycles of a robot whose cables have play between them and their motors.
+
+use cdcr_controller::estimator::Actuator;
+use cdcr_controller::plant::Flaws;
+use cdcr_controller::robot::{Configuration, Obstacle, Shape};
+use cdcr_controller::safety::Request;
+use nalgebra::Vector3;
+
+use super::super::*;
+use super::is_at_rest;
+use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use crate::config::Interface;
+use crate::obstacles::KnownObstacle;
+
+const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
+const PLAY_M: f64 = 1.5e-3;
+/// What half of it is of a bend at most \[rad\]: two thirds of twice half the play, over the cables' distance from the backbone.
+const SLACK_RAD: f64 = 2.0 / 3.0 * PLAY_M / 0.0125;
+
+/// A robot with play, of which the configuration knows this.
+fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
+    let flaws = Flaws {
+        actuator: Actuator {
+            play_m: PLAY_M,
+            ..Actuator::IDEAL
+        },
+        // Bits of noise, or the measurement of a robot that stands would be frozen.
+        noise_m: 1e-9,
+        ..Flaws::default()
+    };
+    let known = format!("[actuator]\nplay_m = {known_m}\n{more}");
+    Trial::with(interface, flaws, &known)
+}
+
+fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
+    values
+        .into_iter()
+        .fold(0.0, |most, value| value.abs().max(most))
+}
+
+fn apart(a: &Configuration, b: &Configuration) -> f64 {
+    largest(a.as_slice().iter().zip(b.as_slice()).map(|(a, b)| a - b))
+}
+
+#[test]
+fn home_is_where_the_cables_are_straight_not_the_motors() {
+    for interface in INTERFACES {
+        for (known_m, within_rad) in [(PLAY_M, 1e-3), (0.8 * PLAY_M, 0.01 + 0.2 * SLACK_RAD)] {
+            let mut trial = with_play(interface, known_m, "");
+            trial.turns(3);
+            trial.begin_tracking();
+            trial.turns(900);
+            assert!(largest(trial.at_release.as_slice().iter().copied()) > 0.2);
+            trial.ask(Request::Hold);
+            trial.turns(20);
+            trial.ask(Request::Home);
+            let home = trial.turns(400);
+            assert!(matches!(home.mode, Mode::Holding { .. }), "{:?}", home.mode);
+            assert!(is_at_rest(&home));
+            let left_rad = largest(trial.at_release.as_slice().iter().copied());
+            println!("{interface:?}, {known_m} m known: {left_rad} rad");
+            assert!(left_rad < within_rad, "{left_rad}");
+        }
+    }
+}
+
+/// After a stop in motion and a reset the cables are where they were taken to be, and no command moves them.
+#[test]
+fn a_stop_and_a_reset_move_no_cable() {
+    for interface in INTERFACES {
+        let mut trial = with_play(interface, PLAY_M, "");
+        trial.turns(3);
+        trial.begin_tracking();
+        trial.turns(700);
+        trial.ask(Request::Stop);
+        trial.turns(50);
+        let rest = trial.at_release;
+        let reset = trial.ask(Request::Reset);
+        assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
+        let held = trial.turns(20);
+        assert!(matches!(held.mode, Mode::Holding { .. }));
+        assert!(apart(&trial.at_release, &rest) < 1e-6);
+        let off_rad = apart(&held.present, &rest);
+        assert!(off_rad < 1e-4, "{interface:?}: {off_rad}");
+        // And it goes on from there.
+        trial.begin_tracking();
+        let error_m = |trial: &mut Trial| {
+            let record = trial.turn();
+            assert!(matches!(record.mode, Mode::Tracking { .. }));
+            (trial.tip_m - record.reference.position_m).norm()
+        };
+        trial.turns(900);
+        let errors_m = (0..800).map(|_| error_m(&mut trial));
+        let mean_m = errors_m.sum::<f64>() / 800.0;
+        println!("{interface:?}: {mean_m} m");
+        assert!(mean_m < 1e-3, "{interface:?}: {mean_m}");
+    }
+}
+
+/// Motors that follow are no following error however much play they have; motors that stand are.
+#[test]
+fn play_is_no_following_error_and_motors_that_stand_are_one() {
+    for interface in INTERFACES {
+        let mut trial = with_play(interface, PLAY_M, "");
+        trial.turns(3);
+        trial.begin_tracking();
+        let following = (0..1500).map(|_| trial.turn().following.largest_rad());
+        let most_rad = following.fold(0.0, f64::max);
+        println!("{interface:?}: {most_rad} rad");
+        assert!(most_rad < 0.5 * SLACK_RAD, "{most_rad}");
+        trial.stands = true;
+        let latched = core::iter::repeat_with(|| trial.turn()).take(1000);
+        let mut latched = latched.filter(|record| record.mode.is_latched());
+        let mode = latched.next().expect("a fault").mode;
+        assert_eq!(mode.reason(), Reason::FollowingError);
+    }
+}
+
+/// The reference is out of reach, so that bends and cables go to their limits: so do the motors, no farther, and that is no fault.
+#[test]
+fn motors_keep_their_limits_where_cables_reach_theirs() {
+    const BEND_MAX_RAD: f64 = 0.4;
+    let section = format!(
+        "[[robot.sections]]\nlength_m = 0.3\ncable_radius_m = 0.0125\ncable_offset_rad = 0.0\nbend_max_rad = {BEND_MAX_RAD}\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n"
+    );
+    for interface in INTERFACES {
+        for (stroke, stroke_max_m) in [("", 0.25), ("cable_stroke_max_m = 0.004\n", 0.004)] {
+            let more = format!("[motion]\napproach = \"direct\"\n[robot]\n{stroke}{section}");
+            let mut trial = with_play(interface, PLAY_M, &more);
+            trial.turns(3);
+            for goal_m in [[0.29, 0.05, 0.1], [-0.29, -0.05, 0.1]] {
+                trial.feed_line(goal_m, [0.0; 3], 0.0);
+                trial.ask(Request::Track);
+                for _ in 0..400 {
+                    let record = trial.turn();
+                    let mode = record.mode;
+                    assert!(matches!(mode, Mode::Tracking { .. }), "{mode:?}");
+                    let motors = trial.measured();
+                    assert!(
+                        motors.bend_rad(0) < BEND_MAX_RAD + 1e-6,
+                        "{interface:?}: {motors:?}"
+                    );
+                    let strokes_m = trial.plant.truth().cable_strokes(&motors);
+                    let most_m = largest(strokes_m);
+                    assert!(most_m < stroke_max_m + 1e-7, "{interface:?}: {most_m} m");
+                }
+                let rest = trial.turn();
+                assert!(apart(&trial.measured(), &rest.configuration) > 0.3 * SLACK_RAD);
+            }
+        }
+    }
+}
+
+/// A ball in the way, which the solver does not see. The guard keeps the body away from it where the cables have the play that is known, and
+/// where they have none: it looks at the motors, too.
+#[test]
+fn a_body_whose_cables_may_have_play_keeps_clear() {
+    let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
+    for interface in INTERFACES {
+        for true_m in [PLAY_M, 0.0] {
+            let mut trial = with_play(interface, PLAY_M, blind);
+            let mut flaws = Flaws {
+                noise_m: 1e-9,
+                ..Flaws::default()
+            };
+            flaws.actuator.play_m = true_m;
+            trial.plant.set_flaws(flaws);
+            trial.turns(3);
+            let shape = Shape::Sphere {
+                centre_m: Vector3::new(0.2, 0.0, 0.8),
+            };
+            let ball = Obstacle::new(shape, 0.05, Vector3::zeros()).unwrap();
+            let known = KnownObstacle {
+                id: 1,
+                source: 1,
+                obstacle: ball,
+                measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
+                expires_ns: None,
+            };
+            trial.inputs.obstacles.upsert(known).unwrap();
+            trial.feed_line([0.25, 0.0, 0.78], [0.0; 3], 0.0);
+            trial.ask(Request::Track);
+            let robot = trial.plant.truth().clone();
+            let (mut nearest_m, mut was_hit) = (f64::INFINITY, false);
+            for _ in 0..600 {
+                was_hit |= trial.turn().clearance_hit;
+                nearest_m = nearest_m.min(robot.clearance_m(&trial.at_release, &ball));
+            }
+            println!("{interface:?}, {true_m} m: {nearest_m} m");
+            assert!(
+                was_hit && nearest_m > 0.0099,
+                "{interface:?}, {true_m}: {nearest_m} m"
+            );
+        }
+    }
+}
