@@ -4,6 +4,7 @@
 //! A closed loop offline; each seed gives the same bits again.
 
 mod scenario;
+mod tuning;
 
 use anyhow::{Context, Result};
 use cdcr_controller::closed_loop::{FigureEight, FigureEightRun};
@@ -66,12 +67,18 @@ pub struct RobustnessOptions {
     /// Runs of each robot with each controller, each with other noise, 1 to 1000.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
+    /// Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md.
+    #[arg(long, conflicts_with = "seeds")]
+    pub sweep: bool,
 }
 
 impl Benchmark for RobustnessOptions {
     fn of_report(quick: bool) -> Self {
         let seeds = if quick { 1 } else { 20 };
-        Self { seeds }
+        Self {
+            seeds,
+            sweep: false,
+        }
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -79,10 +86,16 @@ impl Benchmark for RobustnessOptions {
     }
 
     fn expected_s(&self) -> f64 {
+        if self.sweep {
+            return tuning::count() as f64 * RUN_S;
+        }
         f64::from(self.seeds) * 2.0 * cases().len() as f64 * RUN_S
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
+        if self.sweep {
+            return tuning::run(RUN_S, progress);
+        }
         let (eight, ball) = (FigureEight::new()?, ball()?);
         let mut dataset = Dataset {
             name: "robustness",
@@ -160,6 +173,11 @@ pub fn comparison(rows: &[Value]) -> Sheet {
     }
     let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off; root mean square of what the rates change by from cycle to cycle";
     Sheet::of(title, &COMPARISON, robots)
+}
+
+/// What one knob of a sweep does, from the rows of its result.
+pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
+    tuning::table(knob, rows)
 }
 
 /// One line: a robot with a controller, over all seeds.

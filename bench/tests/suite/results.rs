@@ -1,4 +1,4 @@
-//! The tables of `docs/robustness.md` are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
+//! The tables of `docs/robustness.md` and `docs/tuning.md` are those of the committed results, which tell nothing of the machine; `CDCR_GENERATE=1` writes them.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -18,11 +18,12 @@ fn rows(document: &Value, key: &str) -> Vec<Value> {
     document[key].as_array().expect("rows").clone()
 }
 
-/// The table that stands for a result in the document.
-fn table(file: &str, document: &Value) -> Sheet {
-    match file {
-        "results/robustness.json" => robustness::comparison(&rows(document, "scenarios")),
-        other => panic!("no table is made from {other}"),
+/// The table that stands for a result, or for one knob of it, in a document.
+fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
+    match (file, knob) {
+        ("results/robustness.json", None) => robustness::comparison(&rows(document, "scenarios")),
+        ("results/tuning.json", Some(knob)) => robustness::knob(knob, &rows(document, "knobs")),
+        other => panic!("no table is made from {other:?}"),
     }
 }
 
@@ -45,24 +46,36 @@ fn generates() -> bool {
 #[test]
 fn the_tables_of_the_results_are_made_from_the_json_beside_them() {
     let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs");
-    let place = docs.join("robustness.md");
+    for (name, row) in [
+        ("robustness.md", "| 30 µm of noise |"),
+        ("tuning.md", "| smooth |"),
+    ] {
+        check(&docs, name, row);
+    }
+}
+
+/// That the tables of a document, of which one has this `row`, are up to date.
+fn check(docs: &Path, name: &str, row: &str) {
+    let place = docs.join(name);
     let text = std::fs::read_to_string(&place).expect("the document");
     let mut parts = text.split(MARKS.0);
     let mut made = parts.next().unwrap_or_default().to_owned();
     for part in parts {
         let (file, rest) = part.split_once(" -->\n").expect("a file and its table");
         let (_, rest) = rest.split_once(MARKS.1).expect("an end of the table");
-        let table = table(file, &result(&docs.join(file)));
+        let (name, knob) = match file.split_once(' ') {
+            Some((name, knob)) => (name, Some(knob)),
+            None => (file, None),
+        };
+        let table = table(name, knob, &result(&docs.join(name))).markdown();
         let (begin, end) = MARKS;
-        write!(made, "{begin}{file} -->\n{}{end}{rest}", table.markdown()).expect("a string grows");
+        write!(made, "{begin}{file} -->\n{}{end}{rest}", table.trim_start())
+            .expect("a string grows");
     }
-    assert!(
-        made.contains("| 30 µm of noise |"),
-        "the table of robustness"
-    );
+    assert!(made.contains(row), "the tables of {name}");
     if generates() {
         std::fs::write(&place, &made).expect("written");
         return;
     }
-    assert!(made == text, "docs/robustness.md is not up to date: {HOW}");
+    assert!(made == text, "docs/{name} is not up to date: {HOW}");
 }

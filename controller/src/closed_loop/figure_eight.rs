@@ -4,6 +4,7 @@ use nalgebra::Vector3;
 
 use super::{ClosedLoop, Driven};
 use crate::nmpc::{Nmpc, NmpcSettings, SettingsError};
+use crate::plant::Flaws;
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
@@ -12,11 +13,11 @@ const ACCELERATION_RAD_S2: f64 = 40.0;
 /// Periods until the robot has reached the beginning of the reference.
 const APPROACH_CYCLES: u32 = 600;
 
-/// The paper's robot with the default settings of a robot that is measured, at rest where the figure eight begins.
+/// The paper's robot with the default settings, at rest where the figure eight begins.
 #[derive(Debug, Clone)]
 pub struct FigureEight {
     robot: Robot,
-    settings: NmpcSettings,
+    settings: Option<NmpcSettings>,
     start: Configuration,
 }
 
@@ -78,17 +79,28 @@ impl FigureEight {
         Ok(Self {
             start: *closed.configuration(),
             robot,
-            settings: NmpcSettings {
-                rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
-                ..settings
-            },
+            settings: None,
         })
     }
 
     /// The same with other settings of the solver.
     #[must_use]
     pub fn with_settings(self, settings: NmpcSettings) -> Self {
+        let settings = Some(settings);
         Self { settings, ..self }
+    }
+
+    /// Those of a daemon without a configuration: of the ideal robot the paper's.
+    fn settings(&self, flaws: &Flaws) -> NmpcSettings {
+        let is_ideal = *flaws == Flaws::default();
+        self.settings.unwrap_or_else(|| NmpcSettings {
+            rate_weight: if is_ideal {
+                0.0
+            } else {
+                NmpcSettings::MEASURED_RATE_WEIGHT
+            },
+            ..NmpcSettings::default()
+        })
     }
 
     /// Distance of the tip from the reference where a run begins (m).
@@ -105,7 +117,7 @@ impl FigureEight {
         driven: Driven,
         obstacles: &[Obstacle],
     ) -> Result<FigureEightRun, FigureEightError> {
-        let (robot, settings, start) = (&self.robot, self.settings, self.start);
+        let (robot, settings, start) = (&self.robot, self.settings(&driven.flaws), self.start);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
         let way = Self::reference;
         let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)

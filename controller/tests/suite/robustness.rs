@@ -87,19 +87,8 @@ fn play(play_m: f64) -> Actuator {
 
 #[test]
 fn the_ideal_robot_is_on_its_reference() {
-    // With the paper's cost.
-    let eight = FigureEight::new()
-        .unwrap()
-        .with_settings(NmpcSettings::default());
-    for obeys_positions in [true, false] {
-        let ideal = Driven {
-            obeys_positions,
-            ..driven(Flaws::default())
-        };
-        assert!(eight.run(ideal, &[]).unwrap().max_mm() < 1e-9);
-    }
-    let figures = worst("ideal, measured", driven(Flaws::default()));
-    assert!(figures.max_mm < 1e-4);
+    let figures = worst("ideal", driven(Flaws::default()));
+    assert!(figures.max_mm < 1e-9);
 }
 
 #[test]

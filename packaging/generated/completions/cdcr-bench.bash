@@ -381,7 +381,7 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__robustness)
-            opts="-h --seeds --format --out --help"
+            opts="-h --seeds --sweep --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0

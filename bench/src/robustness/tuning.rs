@@ -1,0 +1,227 @@
+//! What each knob between precision and quiet motors does, on the robot of the laboratory.
+
+use anyhow::Result;
+use cdcr_controller::closed_loop::{Driven, FigureEight, FigureEightRun, Sensor};
+use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::plant::Preset;
+use serde_json::{Value, json};
+
+use crate::chart::{BLUE, Curve, ORANGE, Panel, Scale, sheet};
+use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, word};
+use crate::interrupt;
+use crate::progress::Progress;
+
+const EXPLANATION: &str = "\
+<p>The robot of the laboratory follows the figure eight: motors with a lag of 20 ms, which is known, 30 µm of noise on its cables, a sensor of \
+its tip with 0.3 mm of noise, 100 times a second. One knob is turned, the others are those of the preset <em>precise</em>. The rate change is the \
+root mean square of what the rates change by from cycle to cycle, all components together.</p>\n";
+
+const COLUMNS: [Column; 6] = [
+    word("knob", "knob"),
+    word("value", "turned_to"),
+    fixed("error mean mm", "mean_error_mm", 3),
+    fixed("error max mm", "max_error_mm", 3),
+    fixed("rate change rad/s", "rate_change_rms", 4),
+    fixed(
+        "cables only: rate change rad/s",
+        "cables_rate_change_rms",
+        4,
+    ),
+];
+
+/// What can be turned, as a configuration has it.
+struct Knobs {
+    rate_weight: f64,
+    rate_change_weight: f64,
+    time_constant_ms: f64,
+}
+
+/// The preset `precise` of a daemon.
+const PRECISE: Knobs = Knobs {
+    rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+    rate_change_weight: 0.0,
+    time_constant_ms: 300.0,
+};
+
+/// A knob: its key in a configuration, the values that it is turned to, and its head in pictures.
+struct Knob {
+    key: &'static str,
+    head: &'static str,
+    values: &'static [f64],
+    with: fn(f64) -> Knobs,
+}
+
+const KNOBS: [Knob; 3] = [
+    Knob {
+        key: "controller.rate_weight",
+        head: "controller.rate_weight [m²/(rad/s)²]",
+        values: &[0.0, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5],
+        with: |rate_weight| Knobs {
+            rate_weight,
+            ..PRECISE
+        },
+    },
+    Knob {
+        key: "controller.rate_change_weight",
+        head: "controller.rate_change_weight [m²/(rad/s)²]",
+        values: &[0.0, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4],
+        with: |rate_change_weight| Knobs {
+            rate_change_weight,
+            ..PRECISE
+        },
+    },
+    Knob {
+        key: "estimator.time_constant_ms",
+        head: "estimator.time_constant_ms [ms]",
+        values: &[0.0, 15.0, 30.0, 60.0, 100.0, 150.0, 300.0, 600.0, 1000.0],
+        with: |time_constant_ms| Knobs {
+            time_constant_ms,
+            ..PRECISE
+        },
+    },
+];
+
+/// The presets of a daemon, and what it has without one.
+const PRESETS: [(&str, Knobs); 4] = [
+    (
+        "none",
+        Knobs {
+            time_constant_ms: 150.0,
+            ..PRECISE
+        },
+    ),
+    ("precise", PRECISE),
+    (
+        "smooth",
+        Knobs {
+            rate_change_weight: 1e-5,
+            ..PRECISE
+        },
+    ),
+    (
+        "fast",
+        Knobs {
+            time_constant_ms: 60.0,
+            ..PRECISE
+        },
+    ),
+];
+
+/// Runs.
+pub(super) fn count() -> usize {
+    2 * (PRESETS.len() + KNOBS.iter().map(|knob| knob.values.len()).sum::<usize>())
+}
+
+/// Turns every knob; a run takes about `run_s` \[s\].
+pub(super) fn run(run_s: f64, progress: &mut Progress) -> Result<Dataset> {
+    let eight = FigureEight::new()?;
+    let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: &Knobs| {
+        interrupt::check()?;
+        progress.begin(knob);
+        let both = follow(&eight, knobs, Sensor::CablesAndTip { every: 2 })?;
+        let cables = follow(&eight, knobs, Sensor::Cables)?;
+        progress.advance(2.0 * run_s);
+        anyhow::Ok(json!({
+            "knob": knob,
+            "turned_to": turned_to,
+            "value": value,
+            "mean_error_mm": both.mean_mm(),
+            "max_error_mm": both.max_mm(),
+            "rate_change_rms": both.rate_change_square().sqrt(),
+            "cables_rate_change_rms": cables.rate_change_square().sqrt(),
+        }))
+    };
+    let (mut rows, mut panels) = (Vec::new(), Vec::new());
+    for (name, knobs) in &PRESETS {
+        rows.push(row("preset", (*name).to_owned(), None, knobs)?);
+    }
+    for knob in &KNOBS {
+        let turned = knob.values.iter();
+        let turned = turned.map(|value| {
+            let is_small = *value > 0.0 && *value < 1e-3;
+            let text = if is_small {
+                format!("{value:e}")
+            } else {
+                value.to_string()
+            };
+            row(knob.key, text, Some(*value), &(knob.with)(*value))
+        });
+        let turned: Vec<Value> = turned.collect::<Result<_>>()?;
+        panels.extend(draw(knob, &turned));
+        rows.extend(turned);
+    }
+    Ok(Dataset {
+        name: "tuning",
+        heading: "What the knobs do",
+        explanation: EXPLANATION,
+        plots: vec![Plot {
+            name: "tuning",
+            caption: "Error of the tip and change of the rates over each knob, the robot of the laboratory.",
+            svg: sheet(&panels, 2, 420)?,
+        }],
+        sheets: vec![
+            Sheet::new(&rows)?
+                .key("knobs")
+                .file("tuning")
+                .table("What the knobs do", &COLUMNS),
+        ],
+        ..Dataset::default()
+    })
+}
+
+fn follow(eight: &FigureEight, knobs: &Knobs, sensor: Sensor) -> Result<FigureEightRun> {
+    let flaws = Preset::Laboratory.flaws();
+    let settings = NmpcSettings {
+        rate_weight: knobs.rate_weight,
+        rate_change_weight: knobs.rate_change_weight,
+        ..NmpcSettings::default()
+    };
+    let driven = Driven {
+        flaws,
+        actuator: flaws.actuator,
+        time_constant_s: 1e-3 * knobs.time_constant_ms,
+        obeys_positions: true,
+        sensor,
+        seed: 1,
+    };
+    Ok(eight.clone().with_settings(settings).run(driven, &[])?)
+}
+
+/// Error, and change of the rates, over a knob; its 0 has no place on an axis of powers.
+fn draw(knob: &Knob, rows: &[Value]) -> [Panel; 2] {
+    let turned = || rows.iter().filter(|row| row["value"] != json!(0.0));
+    let curve = |label, key, colour| Curve::of_rows(label, turned(), "value", key, colour);
+    let error = vec![
+        curve("mean", "mean_error_mm", BLUE),
+        curve("largest", "max_error_mm", ORANGE),
+    ];
+    let change = vec![
+        curve("cables and tip", "rate_change_rms", BLUE),
+        curve("cables only", "cables_rate_change_rms", ORANGE),
+    ];
+    let panel = |y, scale, curves| Panel {
+        title: knob.key.to_owned(),
+        x: knob.head,
+        y,
+        scale,
+        curves,
+    };
+    [
+        panel("error of the tip [mm]", Scale::LogAcross, error),
+        panel(
+            "rate change, rms [rad/s]",
+            Scale::LogLog { floor: 1e-4 },
+            change,
+        ),
+    ]
+}
+
+/// What was measured of one knob, from the rows of a result.
+pub(super) fn table(knob: &str, rows: &[Value]) -> Sheet {
+    let of = rows.iter().filter(|row| row["knob"] == knob).cloned();
+    let mut columns = COLUMNS[1..].to_vec();
+    if knob == "preset" {
+        columns[0] = word("preset", "turned_to");
+    }
+    Sheet::of("", &columns, of.collect())
+}
