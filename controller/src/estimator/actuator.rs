@@ -131,12 +131,14 @@ impl ActuatorModel {
         let mut slack_rad = [0.0; COORDINATES_MAX];
         if let Some(play) = &mut self.play {
             let rest = Configuration::straight(rates.section_count());
-            let commanded = rest.advanced(rates, duration_s);
-            play.led = play.led.moved(&play.robot, &commanded);
-            let mut moved = commanded;
+            let mut moved = rest.advanced(rates, duration_s);
             add(moved.as_mut_slice(), &before.behind_rad, 1.0);
             add(moved.as_mut_slice(), &behind_rad, -1.0);
             play.motors = play.motors.moved(&play.robot, &moved);
+            // What they are behind they make up for evenly, whatever way the commands went: quick turns reach no cable.
+            play.led = play
+                .motors
+                .moved(&play.robot, &added(&rest, &behind_rad, 1.0));
             add(
                 &mut slack_rad,
                 play.motors.bends(&play.robot).as_slice(),
