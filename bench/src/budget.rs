@@ -54,6 +54,9 @@ const COLUMNS: [Column; 11] = [
     plain("worse than warm start", "worse_than_warm_start"),
 ];
 
+/// What a round counts.
+const COUNTS: [&str; 3] = ["solves", "ended_by_budget", "worse_than_warm_start"];
+
 #[derive(Debug, Clone, Copy, clap::Args)]
 pub struct BudgetOptions {
     /// How often all budgets are measured, 1 to 100; a time is the median, the largest of all.
@@ -123,7 +126,7 @@ fn dataset(all: &[(&str, u64, Vec<Value>)], rounds: u32) -> Result<Dataset> {
             ("over_p99", "µs", "over_us_p99"),
         ];
         dataset.compare(&path, rounds, &numbers);
-        let all = together(rounds);
+        let all = together(rounds, &COUNTS);
         let of_all = |key| Some(number(&all, key)? / number(&all, "solves")?);
         let share = json!({ "ended_by_budget_share": of_all("ended_by_budget") });
         let case = json!({ "case": case, "budget_us": budget_us });

@@ -285,9 +285,13 @@ pub fn each<'a>(rounds: &'a [Value], key: &'a str) -> impl Iterator<Item = f64> 
     rounds.iter().filter_map(move |row| number(row, key))
 }
 
-/// Rounds as one row: counts are summed up, of other numbers it is the median, but the least of `min…` and the largest of
-/// `max…`. Texts and lists are left out.
-pub fn together(rounds: &[Value]) -> Value {
+/// Rounds as one row: what these keys count is summed up, an object of counts field by field; of other numbers it is the
+/// median, but the least of `min…` and the largest of `max…`. Texts and lists are left out.
+pub fn together(rounds: &[Value], counts: &[&str]) -> Value {
+    merged(rounds, &|key| counts.contains(&key))
+}
+
+fn merged(rounds: &[Value], is_count: &dyn Fn(&str) -> bool) -> Value {
     let objects: Vec<_> = rounds.iter().filter_map(Value::as_object).collect();
     let keys: BTreeSet<&String> = objects.iter().flat_map(|row| row.keys()).collect();
     let of_key = |key: &String| {
@@ -295,8 +299,9 @@ pub fn together(rounds: &[Value]) -> Value {
         let values: Vec<Value> = values.filter(|value| !value.is_null()).collect();
         let numbers = || values.iter().filter_map(Value::as_f64);
         let value = match values.first() {
-            Some(Value::Object(_)) => together(&values),
-            Some(Value::Number(number)) if number.is_u64() => {
+            Some(Value::Object(_)) if is_count(key) => merged(&values, &|_| true),
+            Some(Value::Object(_)) => merged(&values, is_count),
+            Some(Value::Number(_)) if is_count(key) => {
                 values.iter().filter_map(Value::as_u64).sum::<u64>().into()
             }
             Some(Value::Number(_)) if key.starts_with("min") => numbers().reduce(f64::min).into(),
@@ -489,11 +494,13 @@ mod tests {
     #[test]
     fn rounds_become_one_row() {
         let rounds = [(1.0, 3, 9.0), (4.0, 4, 2.0), (2.0, 5, 5.0)].map(|(time, count, most)| {
-            json!({ "us": { "p50": time, "max": most, "min": most }, "count": count, "word": "a", "none": null })
+            json!({ "us": { "p50": time, "max": most, "min": most }, "count": count, "of": { "a": count }, "size": count, "word": "a", "none": null })
         });
-        let expected =
-            json!({ "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "none": null });
-        assert_eq!(together(&rounds), expected);
+        // A whole number is a count only where it is declared.
+        let expected = json!({
+            "us": { "p50": 2.0, "max": 9.0, "min": 2.0 }, "count": 12, "of": { "a": 12 }, "size": 4.0, "none": null,
+        });
+        assert_eq!(together(&rounds, &["count", "of"]), expected);
         let mut dataset = Dataset::default();
         dataset.compare(
             "a",

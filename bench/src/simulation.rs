@@ -3,11 +3,12 @@
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Shape, ZyxAngles};
+use hdrhistogram::Histogram;
 use nalgebra::Vector3;
 use serde_json::{Value, json};
 
 use crate::closed_loop::{self, Sample};
-use crate::dataset::{each, joined};
+use crate::dataset::{each, joined, together};
 use crate::experiment::{Experiment, Solver, Task};
 use crate::metric::median;
 use crate::quantiles::{Quantiles, histogram};
@@ -70,47 +71,71 @@ pub(crate) fn work(experiment: &Experiment) -> u64 {
     u64::from(settings.horizon_steps * swarm)
 }
 
+/// Keeps the first run whole, and of every other one what its row says: a thousand seeds take no more memory than one.
 pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -> Result<Outcome> {
     let scene = experiment.task.scene()?.at_most(effort.cycles_max);
-    let mut all = Vec::new();
+    let (mut first, mut runs, mut solve_ns) = (None, Vec::new(), histogram()?);
     for seed in 1..=effort.runs(&experiment) {
         let settings = NmpcSettings {
             seed,
             ..experiment.settings()
         };
-        all.push(closed_loop::run(&scene, settings)?);
+        let samples = closed_loop::run(&scene, settings)?;
+        for sample in &samples {
+            solve_ns.saturating_record(sample.solve_ns);
+        }
+        runs.push(run_row(experiment.task, &scene, &samples)?);
+        first.get_or_insert(samples);
         progress();
     }
-    let runs: Vec<Value> = all.iter().map(|samples| run_row(samples)).collect();
     Ok(Outcome {
-        row: row(&experiment, &scene, &all, &runs)?,
+        row: row(&experiment, &scene, &runs, &solve_ns)?,
         experiment,
         scene,
-        first: all.swap_remove(0),
+        first: first.context("no run")?,
         runs,
     })
 }
 
 /// One seed.
-fn run_row(samples: &[Sample]) -> Value {
+fn run_row(task: Task, scene: &Scene, samples: &[Sample]) -> Result<Value> {
+    let most = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).fold(0.0, f64::max);
     let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();
     let times_us = samples.iter().map(|sample| sample.solve_ns as f64 * 1e-3);
-    json!({ "mean_error_mm": sum_mm / samples.len() as f64, "solve_p50_us": median(times_us) })
+    let common = json!({
+        "mean_error_mm": sum_mm / samples.len() as f64,
+        "max_error_mm": most(&Sample::error_mm),
+        "solve_p50_us": median(times_us),
+    });
+    let angles = |sample: &Sample| ZyxAngles::from_rotation(&sample.tip.rotation);
+    let own = match task {
+        Task::Spiral { .. } => json!({}),
+        Task::Line { .. } => json!({
+            "max_theta_rad": most(&|sample| angles(sample).theta_rad.abs()),
+            "max_psi_rad": most(&|sample| angles(sample).psi_rad.abs()),
+        }),
+        Task::Circle { safe_distance_m } => {
+            let clearances_m = samples.iter().map(|sample| sample.clearance_m);
+            let (outside_mm, peak_mm) = errors_mm(samples, &obstacle_m(scene), safe_distance_m);
+            json!({
+                // Smallest clearance of the whole body.
+                "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
+                "mean_error_outside_mm": outside_mm,
+                "peak_error_mm": peak_mm,
+            })
+        }
+    };
+    joined([common, own])
 }
 
-/// All seeds.
+/// All seeds: medians of what is a mean, the worst of what is an extreme.
 fn row(
     experiment: &Experiment,
     scene: &Scene,
-    all: &[Vec<Sample>],
     runs: &[Value],
+    solve_ns: &Histogram<u64>,
 ) -> Result<Value> {
     let (settings, task) = (experiment.settings(), experiment.task);
-    let most = |value: &dyn Fn(&Sample) -> f64| all.iter().flatten().map(value).fold(0.0, f64::max);
-    let mut solve_ns = histogram()?;
-    for sample in all.iter().flatten() {
-        solve_ns.saturating_record(sample.solve_ns);
-    }
     let mean = json!({ "mean": solve_ns.mean() * 1e-3 });
     let common = json!({
         "name": task.name(),
@@ -122,42 +147,30 @@ fn row(
         "iterations": settings.swarm_iterations,
         "samples": scene.cycles,
         "seeds": runs.len(),
-        // Median over the seeds of the mean error.
-        "mean_error_mm": median(each(runs, "mean_error_mm")),
-        "max_error_mm": most(&Sample::error_mm),
-        "solve_us": joined([mean, json!(Quantiles::of(&solve_ns).context("no cycle")?)])?,
+        "solve_us": joined([mean, json!(Quantiles::of(solve_ns).context("no cycle")?)])?,
         "paper": task.paper(),
     });
-    let angles = |sample: &Sample| ZyxAngles::from_rotation(&sample.tip.rotation);
     let own = match task {
         Task::Spiral { .. } => json!({}),
-        // The largest of all samples and runs.
-        Task::Line { rate_limit_rad_s } => json!({
-            "max_theta_rad": most(&|sample| angles(sample).theta_rad.abs()),
-            "max_psi_rad": most(&|sample| angles(sample).psi_rad.abs()),
-            "rate_limit_rad_s": rate_limit_rad_s,
-        }),
-        Task::Circle { safe_distance_m } => circle(scene, safe_distance_m, all),
+        Task::Line { rate_limit_rad_s } => json!({ "rate_limit_rad_s": rate_limit_rad_s }),
+        Task::Circle { safe_distance_m } => {
+            // Null when a run has no such sample.
+            let of_all = |key| {
+                let known: Vec<f64> = each(runs, key).collect();
+                (known.len() == runs.len()).then_some(known)
+            };
+            let peaks_mm = of_all("peak_error_mm");
+            json!({
+                "safe_distance_mm": 1e3 * safe_distance_m,
+                "mean_error_outside_mm": of_all("mean_error_outside_mm").and_then(median),
+                "peak_error_mm": peaks_mm.and_then(|all| all.into_iter().reduce(f64::max)),
+            })
+        }
     };
-    joined([common, own])
-}
-
-fn circle(scene: &Scene, safe_distance_m: f64, all: &[Vec<Sample>]) -> Value {
-    let clearances_m = all.iter().flatten().map(|sample| sample.clearance_m);
-    let errors = all
-        .iter()
-        .map(|samples| errors_mm(samples, &obstacle_m(scene), safe_distance_m));
-    let (outside_mm, peaks_mm): (Vec<_>, Vec<_>) = errors.unzip();
-    let outside_mm: Option<Vec<f64>> = outside_mm.into_iter().collect();
-    let peaks_mm: Option<Vec<f64>> = peaks_mm.into_iter().collect();
-    json!({
-        "safe_distance_mm": 1e3 * safe_distance_m,
-        // Smallest clearance of the whole body in all samples and runs.
-        "min_clearance_mm": 1e3 * clearances_m.fold(f64::INFINITY, f64::min),
-        // Median over the seeds, and the largest of all runs; null when a run has no such sample.
-        "mean_error_outside_mm": outside_mm.and_then(median),
-        "peak_error_mm": peaks_mm.and_then(|all| all.into_iter().reduce(f64::max)),
-    })
+    let mut all = together(runs, &[]);
+    all.as_object_mut()
+        .and_then(|all| all.remove("solve_p50_us"));
+    joined([all, common, own])
 }
 
 /// Of a run around an obstacle, after the approach: the mean error outside the detour, and the largest one \[mm\]; none

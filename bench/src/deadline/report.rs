@@ -71,6 +71,19 @@ const COUNTS: [Column; 18] = [
     plain("cut short", "budget_hits"),
 ];
 
+/// What a round counts.
+const COUNTED: [&str; 9] = [
+    "cycles",
+    "late_starts",
+    "deadline_misses",
+    "own_misses",
+    "skipped_periods",
+    "causes",
+    "lost_records",
+    "lost_commands",
+    "budget_hits",
+];
+
 const TIMES: [Column; 9] = [
     word("load", "load"),
     word("set-up", "set_up"),
@@ -142,7 +155,7 @@ impl Case {
 
     /// All rounds together, their medians, and the rounds themselves.
     fn row(&self, key: Key) -> Result<Value> {
-        let mut all = together(&self.rounds);
+        let mut all = together(&self.rounds, &COUNTED);
         let of_rounds =
             TIME_NAMES.map(|name| (format!("{name}_us"), all[format!("{name}_us")].clone()));
         for of_a_round in ["round", "start_s", "load_did"] {

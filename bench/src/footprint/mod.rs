@@ -248,7 +248,7 @@ fn figures(rounds: &[Value]) -> Vec<Value> {
 
 /// Medians over the rounds, the busiest thread first.
 fn threads(rounds: &[Value]) -> Vec<Value> {
-    let all = together(rounds);
+    let all = together(rounds, &[]);
     let mut threads: Vec<(f64, Value)> = Vec::new();
     for (name, shares) in all["threads"].as_object().into_iter().flatten() {
         let percent = number(shares, "tracking_percent").unwrap_or(0.0);

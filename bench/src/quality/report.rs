@@ -80,7 +80,7 @@ fn variant_row(case: &Case) -> Result<Value> {
         "rounds": case.rounds.len(),
         "below_safe_ms": each(&case.rounds, "below_safe_ms").reduce(f64::max),
     });
-    joined([json!(case.variant), together(&case.rounds), own])
+    joined([json!(case.variant), together(&case.rounds, &[]), own])
 }
 
 /// The endings of a contender in a field.

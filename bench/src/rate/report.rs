@@ -63,6 +63,18 @@ const SHORTEST: [Column; 16] = [
     power("error p99 mm", "held_error_p99_mm"),
 ];
 
+/// What a trial counts.
+const COUNTS: [&str; 8] = [
+    "cycles",
+    "late_starts",
+    "deadline_misses",
+    "skipped_periods",
+    "dropped_records",
+    "causes",
+    "own_misses",
+    "late_cycles",
+];
+
 pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
     let Measured {
         realtime,
@@ -237,7 +249,7 @@ fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Result<Value>
     // Those of the first round that did not hold, or else of the last one.
     let failed = trials.iter().find(|trial| !trial.holds);
     let told = failed.or(trials.last());
-    let all = together(rounds);
+    let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
     let own = json!({
         "sections": Case::DEFAULT.sections,
