@@ -20,7 +20,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, TelemetryStream};
+use cdcr_client::{Connection, FeedOptions, TelemetryStream};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
@@ -96,6 +96,14 @@ impl Place {
         command
     }
 
+    /// Runs the words of `line`, the first of which is one of our programs, to its end; what it printed. Fails unless it ends with
+    /// `status` and has printed all of `parts`.
+    pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
+        let mut words = line.split_whitespace();
+        let mut command = self.command(words.next().expect("a program"));
+        assert_says(&Program::start(command.args(words)).output(), status, parts)
+    }
+
     /// Runs `cdcrctl` with `arguments` to its end.
     pub fn cdcrctl(&self, arguments: &[&str]) -> Output {
         self.command("cdcrctl")
@@ -109,6 +117,25 @@ impl Place {
 pub fn text(output: &Output) -> String {
     let [out, err] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes));
     format!("{out}{err}")
+}
+
+/// Fails unless a program ended with `status` and printed all of `parts`; everything that it printed.
+pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
+    let said = text(output);
+    assert_eq!(output.status.code(), Some(status), "{said}");
+    for part in parts {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    said
+}
+
+/// A reference that begins in a second and is tracked.
+pub fn tracked() -> FeedOptions {
+    FeedOptions {
+        lead: Duration::from_secs(1),
+        track: true,
+        ..FeedOptions::default()
+    }
 }
 
 impl Default for Place {

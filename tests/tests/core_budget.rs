@@ -12,14 +12,13 @@ use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
-use cdcr_client::{Connection, FeedEvent, FeedOptions, Spiral, monotonic_ns};
+use cdcr_client::{Connection, FeedEvent, Spiral, monotonic_ns};
 use cdcr_shared_types::codes::{LateCause, Mode, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, wait_status};
+use cdcr_tests::{Daemon, PATIENT, tracked, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Two daemons on one core would be each other's load.
@@ -106,11 +105,7 @@ fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
         duration_s,
         ..Spiral::for_sections(&[0.15; 6])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut records = Vec::new();
     let feed = connection.feed(&spiral, options).unwrap();
     let report = feed.run(|event| {

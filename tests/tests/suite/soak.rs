@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
-use cdcr_tests::{Daemon, PATIENCE, Place, Program, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, Place, Program, wait_until};
 use rustix::process::Signal;
 
 /// Timing is not the subject. Everything else is as in service.
@@ -131,15 +131,6 @@ fn soak(link: &str) {
     assert_no_growth(&samples);
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
-}
-
-/// Ends the load also when the test fails.
-struct EndWhenDropped<'a>(&'a AtomicBool);
-
-impl Drop for EndWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 /// A reader that keeps up.

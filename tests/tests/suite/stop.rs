@@ -23,7 +23,7 @@ use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, Requ
 use cdcr_shared_types::{Header, Request, Response, Service, Telemetry, ipc};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_record};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, Place, ROBOT, wait_record};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::Node;
 
@@ -62,15 +62,6 @@ fn configuration(link: &str) -> String {
         "{PATIENT}[link]\nkind = \"{link}\"\nmeasurement_timeout_ms = 2000.0\n\
          [motion]\napproach = \"direct\"\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
     )
-}
-
-/// Ends drivers and floods also when the test fails.
-pub(crate) struct EndWhenDropped<'a>(pub(crate) &'a AtomicBool);
-
-impl Drop for EndWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
 }
 
 fn drive(place: &Place, ending: &AtomicBool) {

@@ -21,7 +21,7 @@ use crate::tip_error::TipError;
 
 /// How long after now `goto` and `jog` begin.
 const GO_LEAD: Duration = Duration::from_millis(500);
-/// How long a status is waited for.
+/// How long a status or a record is waited for.
 const STATUS: Duration = Duration::from_secs(1);
 /// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
 const MISSED_M: f64 = 1e-3;
@@ -61,7 +61,7 @@ pub(crate) fn go(
             Mode::text_of(status.mode)
         );
     }
-    let start_m = status.tip_position_m;
+    let start_m = tip_m(&connection)?;
     let goal_m = end_m(start_m);
     let reach_m = section_lengths_m(&status.robot).iter().sum();
     let begin_m = within(start_m, reach_m);
@@ -79,17 +79,23 @@ pub(crate) fn go(
         return Ok(Done::Good);
     }
     demands.check_end(arguments.max_error)?;
-    let tip_m = || anyhow::Ok(connection.status(STATUS)?.tip_position_m);
-    if distance_m(tip_m()?, start_m) > arguments.max_error {
+    if distance_m(tip_m(&connection)?, start_m) > arguments.max_error {
         bail!(
             "the tip moved while the way was computed; nothing was sent: try again when it rests"
         );
     }
     let (done, _) = follow(&connection, &way, options)?;
     if done == Done::Good {
-        tell_end(distance_m(tip_m()?, goal_m), arguments.max_error)?;
+        tell_end(distance_m(tip_m(&connection)?, goal_m), arguments.max_error)?;
     }
     Ok(done)
+}
+
+/// Where the tip is in this cycle; a status may be 0.1 s old.
+fn tip_m(connection: &Connection) -> anyhow::Result<[f64; 3]> {
+    let record = connection.telemetry()?.next_within(STATUS)?;
+    let record = record.context("no telemetry within 1 s: the place of the tip is unknown")?;
+    Ok(record.tip_position_m)
 }
 
 /// Says how near the tip is to the point, and fails where that is farther than `limit_m`.

@@ -7,7 +7,7 @@ use cdcr_client::{Connection, ObstacleSender, RequestError, events, monotonic_ns
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind, guard};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
-use cdcr_tests::{Daemon, PATIENT, wait_status};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, wait_status};
 
 use crate::faults::trail::{Trail, is, say};
 
@@ -179,7 +179,7 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
     let mut trail = Trail::new(&connection);
     let (ending, done) = (AtomicBool::new(false), Done::default());
     std::thread::scope(|scope| {
-        let _ends = crate::stop::EndWhenDropped(&ending);
+        let _ends = EndWhenDropped(&ending);
         for _ in 0..3 {
             scope.spawn(|| flood_obstacles(daemon.place(), &ending, &done));
             scope.spawn(|| flood_bad_obstacles(daemon.place(), &ending));

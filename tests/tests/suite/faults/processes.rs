@@ -3,7 +3,6 @@
 use std::fs::{File, OpenOptions, Permissions};
 use std::os::unix::fs::{MetadataExt, OpenOptionsExt, PermissionsExt, chown};
 use std::path::PathBuf;
-use std::process::Output;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
@@ -14,7 +13,7 @@ use cdcr_daemon::instance::is_in_memory;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, binary, text, wait_status, wait_until};
+use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, binary, wait_status, wait_until};
 use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
@@ -24,33 +23,31 @@ use crate::faults::trail::{Trail, rests};
 /// User and group `nobody`.
 const NOBODY: u32 = 65_534;
 
-fn run(place: &Place, arguments: &[&str]) -> Output {
-    place.command("cdcrd").args(arguments).output().unwrap()
-}
-
-fn run_configured(place: &Place, configuration: &str) -> Output {
-    let path = place.write("robot.toml", configuration);
-    run(place, &["run", "--config", path.to_str().unwrap()])
-}
-
-/// It ended with this number, said this, and left nothing in shared memory.
-fn assert_refused(place: &Place, output: &Output, status: i32, parts: &[&str]) {
-    assert_eq!(output.status.code(), Some(status), "{}", text(output));
-    for part in parts {
-        assert!(text(output).contains(part), "{part}: {}", text(output));
-    }
+/// `cdcrd run` with these options ends with this number, says this, and leaves nothing in shared memory.
+fn assert_refused(place: &Place, options: &str, status: i32, parts: &[&str]) {
+    place.says(&format!("cdcrd run {options}"), status, parts);
     assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
+}
+
+/// The same with this configuration.
+fn assert_configuration_refused(text: &str, status: i32, parts: &[&str]) {
+    let place = Place::new();
+    let path = place.write("robot.toml", text);
+    assert_refused(
+        &place,
+        &format!("--config {}", path.display()),
+        status,
+        parts,
+    );
 }
 
 #[test]
 fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
     let mut daemon = Daemon::start("");
-    let output = run(daemon.place(), &["run"]);
-    assert_eq!(output.status.code(), Some(69), "{}", text(&output));
     let process = format!("process {}", daemon.id());
-    for part in ["runs already", &process, "kill"] {
-        assert!(text(&output).contains(part), "{part}: {}", text(&output));
-    }
+    let prefix = daemon.place().location().prefix();
+    let parts = ["runs already", &process, "kill", ROBOT, prefix, "--prefix"];
+    daemon.place().says("cdcrd run", 69, &parts);
     let connection = daemon.connect();
     let before = connection.status(PATIENCE).unwrap();
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 10);
@@ -155,8 +152,7 @@ fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
         "client killed while it connects: cleared after {:.1} s",
         took.as_secs_f64()
     );
-    let output = daemon.place().cdcrctl(&["status"]);
-    assert!(output.status.success(), "{}", text(&output));
+    daemon.place().says("cdcrctl status", 0, &[]);
     // A daemon that ends at once, and one that takes the place of a dead one, clear it themselves.
     kill_client_while_it_connects(&daemon, "telemetry");
     assert_eq!(daemon.stop().code(), Some(0), "{}", daemon.log());
@@ -169,27 +165,22 @@ fn a_client_killed_while_it_connects_does_not_block_those_that_follow() {
 
 #[test]
 fn a_wrong_configuration_ends_with_78() {
-    let place = Place::new();
-    let output = run_configured(&place, "[cycle]\nperiod_ms = 0.01\n");
-    assert_refused(&place, &output, 78, &["robot.toml", "line 2", "0.1 to 100"]);
+    let parts = ["robot.toml", "line 2", "0.1 to 100"];
+    assert_configuration_refused("[cycle]\nperiod_ms = 0.01\n", 78, &parts);
 }
 
 #[test]
 fn settings_into_which_no_cycle_fits_end_with_78() {
-    let place = Place::new();
     let sections =
         "[[robot.sections]]\nlength_m = 0.15\ncable_radius_m = 0.0125\ncable_offset_rad = 0.0\n\
                     bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n"
             .repeat(6);
-    let output = run_configured(
-        &place,
-        &format!(
-            "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n[realtime]\nspin_us = 50.0\n\
-             [controller]\nhorizon_steps = 50\n{sections}"
-        ),
+    let configuration = format!(
+        "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n[realtime]\nspin_us = 50.0\n\
+         [controller]\nhorizon_steps = 50\n{sections}"
     );
     let parts = ["6 sections", "horizon_steps = 50", "0.050 ms of spinning"];
-    assert_refused(&place, &output, 78, &parts);
+    assert_configuration_refused(&configuration, 78, &parts);
 }
 
 #[test]
@@ -200,9 +191,8 @@ fn real_time_that_is_not_granted_ends_with_77() {
         // The default of a robot behind a driver.
         "[link]\nkind = \"driver\"\n[realtime]\ncore = 1000\n",
     ] {
-        let place = Place::new();
-        let output = run_configured(&place, configuration);
-        assert_refused(&place, &output, 77, &["require", "core pinning", "prefer"]);
+        let parts = ["require", "core pinning", "prefer"];
+        assert_configuration_refused(configuration, 77, &parts);
     }
 }
 
@@ -223,8 +213,8 @@ fn a_root_folder_of_another_user_ends_with_73() {
     } else {
         "/usr".into()
     };
-    let output = run(&place, &["run", "--root", root.to_str().unwrap()]);
-    assert_refused(&place, &output, 73, &["belongs to user", "--root"]);
+    let options = format!("--root {}", root.display());
+    assert_refused(&place, &options, 73, &["belongs to user", "--root"]);
 }
 
 #[test]
@@ -236,8 +226,8 @@ fn a_root_folder_on_a_disk_ends_with_73() {
         println!("nothing to refuse: the target folder is in memory");
         return;
     }
-    let output = run(&place, &["run", "--root", root.path().to_str().unwrap()]);
-    assert_refused(&place, &output, 73, &["on a disk", "/dev/shm", "--root"]);
+    let options = format!("--root {}", root.path().display());
+    assert_refused(&place, &options, 73, &["on a disk", "/dev/shm", "--root"]);
     assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 0);
 }
 
@@ -248,8 +238,7 @@ fn a_root_folder_with_files_that_others_could_open_ends_with_73() {
     std::fs::create_dir(root).unwrap();
     std::fs::write(root.join("left"), "by a killed daemon").unwrap();
     std::fs::set_permissions(root, Permissions::from_mode(0o711)).unwrap();
-    let output = run(&place, &["run"]);
-    assert_refused(&place, &output, 73, &["mode 0711", "empty it", "--root"]);
+    assert_refused(&place, "", 73, &["mode 0711", "empty it", "--root"]);
     std::fs::remove_file(root.join("left")).unwrap();
     let mut program = Program::start(place.command("cdcrd").arg("run"));
     wait_until("it is closed", || {
@@ -266,20 +255,15 @@ fn a_root_folder_that_somebody_has_locked_ends_with_75() {
     std::fs::create_dir(root).unwrap();
     let locked = File::open(root).unwrap();
     locked.lock().unwrap();
-    let output = run(&place, &["run"]);
-    assert_refused(
-        &place,
-        &output,
-        75,
-        &["another process has locked", "--root"],
-    );
+    let parts = ["another process has locked", "--root"];
+    assert_refused(&place, "", 75, &parts);
 }
 
 #[test]
 fn a_wrong_command_line_ends_with_2() {
     let place = Place::new();
-    let output = run(&place, &["run", "--no-such-option"]);
-    assert_refused(&place, &output, 2, &["--no-such-option", "--help"]);
+    let parts = ["--no-such-option", "--help"];
+    assert_refused(&place, "--no-such-option", 2, &parts);
 }
 
 #[test]
@@ -306,24 +290,20 @@ fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too(
         .publish_subscribe::<u64>()
         .create()
         .unwrap();
-    let output = run(&place, &["run"]);
-    assert_eq!(output.status.code(), Some(71), "{}", text(&output));
     let service = format!("cdcr/{ROBOT}/status");
-    for part in [&service, "another version", "end the clients"] {
-        assert!(text(&output).contains(part), "{part}: {}", text(&output));
-    }
+    let parts = [&*service, "another version", "end the clients"];
+    place.says("cdcrd run", 71, &parts);
     let error = Connection::open(place.location(), ROBOT).expect_err("another version");
-    assert!(
-        matches!(error, ConnectError::VersionMismatch { .. }),
-        "{error:?}"
+    let is_of_status = matches!(
+        error,
+        ConnectError::VersionMismatch {
+            service: "status",
+            ..
+        }
     );
-    let output = place.cdcrctl(&["status"]);
-    assert_eq!(output.status.code(), Some(1));
-    assert!(
-        text(&output).contains("of one version"),
-        "{}",
-        text(&output)
-    );
+    assert!(is_of_status, "{error:?}");
+    let parts = ["another version of the status service", "of one version"];
+    place.says("cdcrctl status", 1, &parts);
     drop(other);
     drop(node);
 }

@@ -7,8 +7,9 @@ use cdcr_client::{CommandStream, ConnectError, Connection, LinkError, monotonic_
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
+use cdcr_tests::record::largest;
 use cdcr_tests::{
-    Daemon, PATIENCE, Place, Program, ROBOT, text, until_undisturbed, wait_status, wait_until,
+    Daemon, PATIENCE, Place, Program, ROBOT, until_undisturbed, wait_status, wait_until,
 };
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
@@ -17,7 +18,7 @@ use rustix::process::Signal;
 
 use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
-use crate::faults::trail::{Trail, fastest, is, rests};
+use crate::faults::trail::{Trail, is, rests};
 
 /// A thread of another process that stands still until this is dropped.
 pub(crate) struct Hung {
@@ -280,7 +281,7 @@ impl Commanded {
 }
 
 fn is_rest(command: &Command) -> bool {
-    fastest(&command.bend_rate_rad_s) == 0.0
+    largest(&command.bend_rate_rad_s) == 0.0
 }
 
 #[test]
@@ -461,8 +462,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     // New clients are told that it runs and is held up; anybody can still stop the robot, in two ways.
     let error = Connection::open(location, ROBOT).expect_err("no status");
     assert!(matches!(error, ConnectError::Silent { .. }), "{error:?}");
-    let output = managed.place.cdcrctl(&["stop"]);
-    assert!(output.status.success(), "{}", text(&output));
+    managed.place.says("cdcrctl stop", 0, &[]);
     trail.until("stopped", is(Mode::Stopped));
     connection.request(RequestKind::Reset).unwrap();
     trail.until("holding again", is(Mode::Holding));

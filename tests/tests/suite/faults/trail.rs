@@ -7,6 +7,7 @@ use cdcr_client::{Connection, TelemetryStream};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
 use cdcr_tests::PATIENCE;
+use cdcr_tests::record::largest;
 
 use crate::faults::history::History;
 
@@ -118,16 +119,9 @@ pub(crate) fn is(mode: Mode) -> impl FnMut(&Telemetry) -> bool {
     move |record| record.mode == mode.code()
 }
 
-/// The fastest component \[rad/s\].
-pub(crate) fn fastest(rates: &[f64]) -> f64 {
-    rates
-        .iter()
-        .fold(0.0, |fastest, rate| rate.abs().max(fastest))
-}
-
 /// Whether the command of this cycle is to stand still.
 pub(crate) fn rests(record: &Telemetry) -> bool {
-    fastest(&record.command.bend_rate_rad_s) == 0.0
+    largest(&record.command.bend_rate_rad_s) == 0.0
 }
 
 /// How late the cycle came, by its own account \[ns\]: the periods that were skipped before it, and its start
@@ -144,12 +138,12 @@ pub(crate) fn assert_ramps_to_rest(
     mut meanwhile: impl FnMut(),
 ) {
     let step = first.deceleration_rad_s2 * first.period_ns as f64 * 1e-9;
-    let begin = fastest(&first.previous_rate_rad_s);
+    let begin = largest(&first.previous_rate_rad_s);
     let cycles_max = (begin / step).ceil() as u64 + 1;
     let mut record = *first;
     for cycles in 1.. {
-        let before = fastest(&record.previous_rate_rad_s);
-        let now = fastest(&record.command.bend_rate_rad_s);
+        let before = largest(&record.previous_rate_rad_s);
+        let now = largest(&record.command.bend_rate_rad_s);
         assert!(
             now <= before && before - now <= step * 1.000_001,
             "{before} to {now} rad/s in one cycle, {step} are allowed"

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{ConnectError, Connection, LinkError};
 use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
 use cdcr_shared_types::{Location, Service, ipc};
-use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, text, wait_mode, wait_until};
+use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, wait_mode, wait_until};
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node};
 use rustix::process::Signal;
@@ -56,13 +56,11 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_stop_out() {
         Service::CONTROL_CLIENTS - Service::CONTROL_KEPT
     );
     for _ in 0..3 {
-        let output = daemon.place().cdcrctl(&["stop"]);
-        assert!(output.status.success(), "{}", text(&output));
+        daemon.place().says("cdcrctl stop", 0, &[]);
         wait_mode(&mut telemetry, Mode::Stopped);
         // Of the others, only who has a place can ask for anything.
-        let output = daemon.place().cdcrctl(&["reset"]);
-        assert!(!output.status.success(), "{}", text(&output));
-        assert!(text(&output).contains("close one of them"));
+        let place = daemon.place();
+        place.says("cdcrctl reset", 1, &["close one of them"]);
         crowd.connections[0].request(RequestKind::Reset).unwrap();
         wait_mode(&mut telemetry, Mode::Holding);
     }
@@ -156,9 +154,8 @@ fn a_stop_does_not_wait_for_the_dead() {
     let before = dead_nodes(location);
     assert!(before > (VICTIMS * NODES) as u64 / 2, "{before}");
     let asked = Instant::now();
-    let output = daemon.place().cdcrctl(&["stop"]);
+    daemon.place().says("cdcrctl stop", 0, &[]);
     let took = asked.elapsed();
-    assert!(output.status.success(), "{}", text(&output));
     let after = dead_nodes(location);
     println!("beside {before} dead nodes: a stop took {took:?}, and {after} were left");
     // It cleared none away; the daemon did.

@@ -8,7 +8,7 @@ use cdcr_client::Connection;
 use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
-use cdcr_tests::{Daemon, Place, text, wait_status, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, Place, wait_status, wait_until};
 
 use super::access::Crowd;
 use crate::faults::reference::track;
@@ -69,23 +69,15 @@ fn stop_in(
         return;
     }
     let begin = Instant::now();
-    let output = daemon.place().cdcrctl(&["stop"]);
-    let took = begin.elapsed();
-    println!("{mode:?} beside {beside:?}: {took:?}");
-    let said = text(&output);
-    assert!(
-        output.status.success(),
-        "{mode:?} beside {beside:?}: {said}"
-    );
+    println!("{mode:?} beside {beside:?}");
     let goal = if mode == Mode::Faulted {
         Mode::Faulted
     } else {
         Mode::Stopped
     };
-    assert!(
-        said.contains(&format!("the daemon is {}", goal.text())),
-        "{said}"
-    );
+    let parts = format!("the daemon is {}", goal.text());
+    let said = daemon.place().says("cdcrctl stop", 0, &[&parts]);
+    println!("  took {:?}", begin.elapsed());
     assert_rests_from(trail, accepted_in(&said), goal);
     drop(hung);
     drop(feeding);
@@ -134,7 +126,7 @@ fn stop_one_daemon(modes: &[Mode], beside: Beside, floods: bool) {
             scope.spawn(|| flood_references(place, &ending, &done));
             scope.spawn(|| flood_obstacles(place, &ending, &done));
         }
-        let _ends = super::EndWhenDropped(&ending);
+        let _ends = EndWhenDropped(&ending);
         wait_until("the floods begin", || {
             !floods || done.updates.load(Ordering::Relaxed) > 0
         });

@@ -17,10 +17,8 @@ use rustix::process::Signal;
 
 /// A second daemon at the same place is refused, and names the first.
 fn assert_second_is_refused(daemon: &Daemon) {
-    let output = daemon.place().command("cdcrd").arg("run").output().unwrap();
-    let text = text(&output);
-    assert_eq!(output.status.code(), Some(69), "{text}");
-    assert!(text.contains(&format!("process {}", daemon.id())), "{text}");
+    let process = format!("process {}", daemon.id());
+    daemon.place().says("cdcrd run", 69, &[&process]);
 }
 
 #[test]
@@ -37,8 +35,7 @@ fn a_deleted_lock_file_is_made_again_and_lets_no_second_daemon_in() {
         });
         assert_second_is_refused(&daemon);
     }
-    let output = daemon.place().cdcrctl(&["stop"]);
-    assert!(output.status.success(), "{}", text(&output));
+    daemon.place().says("cdcrctl stop", 0, &[]);
     wait_mode(&mut telemetry, Mode::Stopped);
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert!(!lock.exists(), "the end removes it");
@@ -80,7 +77,7 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&std::path::Path)) {
     assert!(daemon.log().contains("was emptied or replaced"));
     // It left nothing, and its place is free.
     daemon.restart();
-    assert!(daemon.place().cdcrctl(&["stop"]).status.success());
+    daemon.place().says("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
     let left = daemon.place().shared_memory_files();
     assert_eq!(left, Vec::<PathBuf>::new());

@@ -110,57 +110,23 @@ fn a_bad_configuration_is_named_by_file_line_key_and_range() {
     ];
     for (text, expected) in cases {
         let path = place.write("bad.toml", text);
-        for command in ["check", "run"] {
-            let output = place
-                .command("cdcrd")
-                .arg(command)
-                .arg("--config")
-                .arg(&path)
-                .output()
-                .unwrap();
-            let message = String::from_utf8_lossy(&output.stderr);
-            assert!(!output.status.success());
-            assert!(message.contains("bad.toml"), "{message}");
-            for part in expected {
-                assert!(message.contains(part), "{part} is not in: {message}");
-            }
+        for (command, status) in [("check", 78), ("run", 78)] {
+            let line = format!("cdcrd {command} --config {}", path.display());
+            let said = place.says(&line, status, &expected);
+            assert!(said.contains("bad.toml"), "{said}");
         }
     }
-    let missing = place
-        .command("cdcrd")
-        .args(["check", "--config", "/no/such.toml"])
-        .output()
-        .unwrap();
-    let message = String::from_utf8_lossy(&missing.stderr).into_owned();
-    assert!(
-        message.contains("/no/such.toml") && message.contains("config default"),
-        "{message}"
-    );
+    let parts = ["/no/such.toml", "config default"];
+    place.says("cdcrd check --config /no/such.toml", 78, &parts);
 }
 
 #[test]
 fn the_default_configuration_checks() {
     let place = Place::new();
-    let text = place
-        .command("cdcrd")
-        .args(["config", "default"])
-        .output()
-        .unwrap()
-        .stdout;
-    let path = place.write("default.toml", &String::from_utf8(text).unwrap());
-    let output = place
-        .command("cdcrd")
-        .arg("check")
-        .arg("--config")
-        .arg(path)
-        .output()
-        .unwrap();
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    assert!(String::from_utf8_lossy(&output.stdout).contains("3 sections"));
+    let text = place.says("cdcrd config default", 0, &[]);
+    let path = place.write("default.toml", &text);
+    let check = format!("cdcrd check --config {}", path.display());
+    place.says(&check, 0, &["3 sections"]);
 }
 
 #[test]
@@ -176,14 +142,7 @@ fn a_bad_reference_file_is_named_by_line() {
     ];
     for (text, part) in cases {
         let path = daemon.place().write("path.csv", text);
-        let output = daemon
-            .place()
-            .cdcrctl(&["ref", "file", path.to_str().unwrap()]);
-        let message = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success());
-        assert!(
-            message.contains("path.csv") && message.contains(part),
-            "{part}: {message}"
-        );
+        let line = format!("cdcrctl ref file {}", path.display());
+        daemon.place().says(&line, 1, &["path.csv", part]);
     }
 }

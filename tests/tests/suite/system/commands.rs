@@ -13,18 +13,12 @@ use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status}
 
 /// What a command that fails says.
 fn refused(daemon: &Daemon, line: &str) -> String {
-    let arguments: Vec<_> = line.split_whitespace().collect();
-    let output = daemon.place().cdcrctl(&arguments);
-    assert_eq!(output.status.code(), Some(1), "{line}: {}", text(&output));
-    text(&output)
+    daemon.place().says(&format!("cdcrctl {line}"), 1, &[])
 }
 
 /// What a command that succeeds says.
 fn done(daemon: &Daemon, line: &str) -> String {
-    let arguments: Vec<_> = line.split_whitespace().collect();
-    let output = daemon.place().cdcrctl(&arguments);
-    assert!(output.status.success(), "{line}: {}", text(&output));
-    text(&output)
+    daemon.place().says(&format!("cdcrctl {line}"), 0, &[])
 }
 
 #[test]
@@ -139,10 +133,8 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     let daemon = Daemon::start(&format!("{PATIENT}{bent}[motion]\nhome_rate_rad_s = 0.1\n"));
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let short = daemon.place().cdcrctl(&["home", "--wait=290ms"]);
-    assert_eq!(short.status.code(), Some(2));
-    let said = text(&short);
-    assert!(said.contains("must be 0.3 s to"), "{said}");
+    let too_short = "cdcrctl home --wait=290ms";
+    daemon.place().says(too_short, 2, &["must be 0.3 s to"]);
     let said = refused(&daemon, "home --wait=300ms");
     assert!(
         said.contains("not done within 300ms; the robot goes on"),
@@ -262,13 +254,8 @@ fn saved_settings_are_those_of_the_next_daemon() {
     }
     let settings = daemon.connect().settings().unwrap();
     assert!(daemon.stop().success());
-    let check = daemon
-        .place()
-        .command("cdcrd")
-        .args(["check", "--config", &path])
-        .output()
-        .unwrap();
-    assert!(check.status.success(), "{}", cdcr_tests::text(&check));
+    let check = format!("cdcrd check --config {path}");
+    daemon.place().says(&check, 0, &[]);
     let daemon = Daemon::start(&text);
     assert_eq!(daemon.connect().settings().unwrap(), settings);
     let again = done(&daemon, "settings save");

@@ -4,15 +4,13 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{
-    Connection, FeedEvent, FeedOptions, Line, TipSensor, monotonic_ns, section_lengths_m,
-};
+use cdcr_client::{Connection, FeedEvent, Line, TipSensor, monotonic_ns, section_lengths_m};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{
     Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
 };
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, wait_mode, wait_record, wait_status, wait_until};
+use cdcr_tests::{Daemon, PATIENCE, tracked, wait_mode, wait_record, wait_status, wait_until};
 
 use super::freeze;
 
@@ -89,11 +87,7 @@ fn a_driver_is_commanded_along_the_reference() {
         duration_s: 0.5,
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut moved = 0.0_f64;
     let report = feeding.feed(&line, options).unwrap().run(|_| {
         robot.turn();
@@ -122,11 +116,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
         velocity_m_s: [0.001, 0.0, -0.001],
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut tracked = false;
     let error = feeding
         .feed(&line, options)

@@ -2,12 +2,11 @@
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
-use std::time::Duration;
 
-use cdcr_client::{FeedEvent, FeedOptions, Line};
+use cdcr_client::{FeedEvent, Line};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode};
-use cdcr_tests::{Daemon, PATIENT, Program, text, wait_mode, wait_record};
+use cdcr_tests::{Daemon, PATIENT, Program, text, tracked, wait_mode, wait_record};
 use rustix::process::Signal;
 
 use super::error_max_m;
@@ -41,11 +40,7 @@ fn run_example(interface: &str) {
         duration_s: 1.0,
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let (mut cycles, mut last) = (Vec::new(), Telemetry::default());
     let report = connection.feed(&line, options).unwrap().run(|event| {
         if let FeedEvent::Record(record) = event

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use cdcr_client::{FeedOptions, Line, RequestError};
 use cdcr_shared_types::Command;
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind};
+use cdcr_tests::record::largest;
 use cdcr_tests::{Daemon, PATIENT, wait_until};
 use rustix::process::Signal;
 
@@ -31,8 +32,7 @@ fn moving(rate_rad_s: f64, deceleration_rad_s2: f64) -> Daemon {
 }
 
 fn speed(command: &Command) -> f64 {
-    let rates = command.bend_rate_rad_s.iter();
-    rates.fold(0.0, |most, rate| rate.abs().max(most))
+    largest(&command.bend_rate_rad_s)
 }
 
 #[test]

@@ -5,14 +5,10 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedReport, Line};
 use cdcr_shared_types::codes::{LeaseState, Outcome, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, wait_status};
+use cdcr_tests::{Daemon, PATIENT, tracked, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track,
-        ..FeedOptions::default()
-    };
+    let options = FeedOptions { track, ..tracked() };
     connection
         .feed(line, options)?
         .run(|_| ControlFlow::Continue(()))

@@ -1,12 +1,12 @@
 //! Feed, track, hold, stop, reset, home: what the daemon does when it is asked.
 
 use std::ops::ControlFlow;
-use std::time::Duration;
 
-use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, Line, RequestError, Spiral};
+use cdcr_client::{Connection, FeedEnd, FeedEvent, Line, RequestError, Spiral};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind, SolverStatus};
 use cdcr_shared_types::{SolverSettings, Telemetry};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status};
+use cdcr_tests::record::largest;
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, tracked, wait_mode, wait_record, wait_status};
 
 use super::error_max_m;
 
@@ -18,19 +18,11 @@ fn refused(connection: &Connection, kind: RequestKind) -> Outcome {
 }
 
 fn is_at_rest(record: &Telemetry) -> bool {
-    record
-        .command
-        .bend_rate_rad_s
-        .iter()
-        .all(|rate| *rate == 0.0)
+    largest_rate(record) == 0.0
 }
 
 fn largest_rate(record: &Telemetry) -> f64 {
-    record
-        .command
-        .bend_rate_rad_s
-        .iter()
-        .fold(0.0, |most, rate| rate.abs().max(most))
+    largest(&record.command.bend_rate_rad_s)
 }
 
 #[test]
@@ -41,11 +33,7 @@ fn feed_track_hold_stop_reset() {
     assert_eq!(refused(&connection, RequestKind::Track), Outcome::NoLease);
 
     let spiral = Spiral::for_sections(&[0.3; 3]);
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut tracked = 0;
     let report = connection
         .feed(&spiral, options)
@@ -95,11 +83,7 @@ fn tracking_follows_and_ends_with_the_reference() {
         duration_s: 0.5,
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let (mut reasons, mut solved, mut last_error_m) = (Vec::new(), 0, f64::NAN);
     let mut cycles = Vec::new();
     let report = connection
@@ -138,11 +122,7 @@ fn a_stop_ramps_within_the_limits_and_wins() {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     let spiral = Spiral::for_sections(&[0.3; 3]);
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let result = connection.feed(&spiral, options).unwrap().run(|event| {
         if let FeedEvent::Record(record) = event
             && largest_rate(record) > 0.05

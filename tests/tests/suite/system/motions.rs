@@ -1,26 +1,22 @@
 //! Motions that a person asks for: to a point, by so much, along a reference, and all of it without moving.
 
+use std::time::Duration;
+
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Program, text, wait_mode};
+use cdcr_tests::driver::DriverProcess;
+use cdcr_tests::{Daemon, PATIENT, Program, text, wait_mode, wait_record, wait_until};
 use rustix::process::Signal;
 
 const LABORATORY: &str = "[link]\nsimulated = \"laboratory\"\n";
 
 fn says(daemon: &Daemon, line: &str, status: i32) -> String {
-    let arguments: Vec<_> = line.split_whitespace().collect();
-    let output = daemon.place().cdcrctl(&arguments);
-    assert_eq!(
-        output.status.code(),
-        Some(status),
-        "{line}: {}",
-        text(&output)
-    );
-    text(&output)
+    daemon.place().says(&format!("cdcrctl {line}"), status, &[])
 }
 
+/// Of the newest cycle.
 fn tip_m(daemon: &Daemon) -> [f64; 3] {
-    let status = daemon.connect().status(cdcr_tests::PATIENCE);
-    status.expect("it runs").tip_position_m
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    wait_record(&mut telemetry, |_| true).tip_position_m
 }
 
 fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
@@ -94,6 +90,12 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         let mut command = daemon.place().command("cdcrctl");
         let mut plant = Program::start(command.args(["plant", "--tip", "100", "--preset", preset]));
         wait_mode(&mut daemon.connect().telemetry().unwrap(), Mode::Holding);
+        // Where the tip is measured to be beside the model's is still being learnt.
+        wait_until("the tip rests", || {
+            let before_m = tip_m(&daemon);
+            std::thread::sleep(Duration::from_millis(200));
+            distance_m(tip_m(&daemon), before_m) < 5e-4
+        });
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
         says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
         plant.signal(Signal::INT);
@@ -101,4 +103,69 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
         assert_eq!(output.status.code(), Some(0), "{}", text(&output));
         assert!(text(&output).contains(preset), "{}", text(&output));
     }
+}
+
+#[test]
+fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
+    // Home takes 6 s, in which the tip moves by a millimetre in a cycle.
+    let bent = "[link]\ninitial_bend_rad = [[1.2, 0.0], [1.2, 0.0], [1.2, 0.0]]\n";
+    let slow = "[motion]\nhome_rate_rad_s = 0.2\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{bent}{slow}"));
+    says(&daemon, "home", 0);
+    let refused = says(&daemon, "jog 0.01,0,0.01 --max-error 0.1mm", 1);
+    let reason = "the tip moved while the way was computed; nothing was sent";
+    assert!(refused.contains(reason), "{refused}");
+    let status = daemon.connect().status(cdcr_tests::PATIENCE).unwrap();
+    assert_eq!((status.mode, status.lease_holder), (Mode::Homing.code(), 0));
+}
+
+#[test]
+fn a_reference_that_ends_before_it_is_reached_is_an_error() {
+    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    // 0.4 m away, at 0.1 m/s at the most.
+    let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
+    let refused = says(&daemon, far, 1);
+    for part in [
+        "approached in",
+        "the reference ended before it was reached",
+        "cdcrctl goto",
+    ] {
+        assert!(refused.contains(part), "{part}: {refused}");
+    }
+}
+
+#[test]
+fn obstacles_are_where_they_will_be_when_a_reference_is_tried() {
+    let clearance_mm = |velocity: &str| {
+        let daemon = Daemon::start(PATIENT);
+        let ball =
+            format!("obstacle add --id 1 --at 0.3,0,0.4 --radius 0.02 --velocity {velocity}");
+        says(&daemon, &ball, 0);
+        let tried = says(&daemon, "ref spiral --duration 1s --lead 3s --dry-run", 0);
+        let (_, rest) = tried.split_once("clearance ").expect("a clearance");
+        let number = rest.split_whitespace().next().expect("a number");
+        number.parse::<f64>().expect("in mm")
+    };
+    // 0.05 m/s for 3 s of lead and 1 s of reference are 200 mm, and the body bends by some of that.
+    let [stands, comes, goes] = ["0,0,0", "-0.05,0,0", "0.05,0,0"].map(clearance_mm);
+    assert!(comes < stands - 100.0, "{comes}, {stands} mm");
+    assert!(goes > stands, "{goes}, {stands} mm");
+}
+
+#[test]
+fn a_simulated_robot_is_refused_beside_a_driver() {
+    let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n";
+    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    let _driver = DriverProcess::start(daemon.place());
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    wait_mode(&mut telemetry, Mode::Holding);
+    assert!(says(&daemon, "plant", 1).contains("measured already"));
+    let refused = says(&daemon, "plant --force", 1);
+    assert!(
+        refused.contains("the daemon refuses this robot"),
+        "{refused}"
+    );
+    // The driver's robot is measured and commanded as before.
+    let status = daemon.connect().status(cdcr_tests::PATIENCE).unwrap();
+    assert_eq!((status.mode, status.faults), (Mode::Holding.code(), 0));
 }

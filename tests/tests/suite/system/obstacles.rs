@@ -1,15 +1,13 @@
 //! Obstacles: who is known when and where, and that the body keeps clear of them in every mode.
 
 use std::ops::ControlFlow;
-use std::time::Duration;
 
 use cdcr_client::{
-    Connection, FeedEvent, FeedOptions, Line, ObstacleSender, TelemetryStream, monotonic_ns,
-    obstacles,
+    Connection, FeedEvent, Line, ObstacleSender, TelemetryStream, monotonic_ns, obstacles,
 };
 use cdcr_shared_types::codes::{EventKind, Mode, ObstacleShape, Outcome, RequestKind, guard};
 use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry, ipc};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, tracked, wait_record, wait_status};
 use iceoryx2::prelude::Node;
 
 /// The safe distance of the default configuration.
@@ -262,11 +260,7 @@ impl Watch {
 
 /// Feeds the paper's line and tracks it to its end.
 fn track_line(connection: &Connection, watch: &mut Watch) {
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut tracked = 0;
     connection
         .feed(&Line::for_sections(&[0.3; 3]), options)

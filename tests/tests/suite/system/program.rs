@@ -13,21 +13,12 @@ use serde_json::Value;
 use super::freeze;
 
 /// A slow line that lasts as long as a test needs it.
-const LONG_LINE: &[&str] = &[
-    "ref",
-    "line",
-    "--velocity",
-    "0.001,0,-0.001",
-    "--duration",
-    "120s",
-    "--lead",
-    "1s",
-];
-const SHORT_LINE: &[&str] = &["ref", "line", "--duration", "300ms", "--lead", "1s"];
+const LONG_LINE: &str = "ref line --velocity 0.001,0,-0.001 --duration 120s --lead 1s";
+const SHORT_LINE: &str = "ref line --duration 300ms --lead 1s";
 
-fn command(place: &Place, arguments: &[&[&str]]) -> Command {
+fn command(place: &Place, line: &str) -> Command {
     let mut command = place.command("cdcrctl");
-    command.args(arguments.concat());
+    command.args(line.split(' '));
     command
 }
 
@@ -51,36 +42,33 @@ fn start_into(path: &Path, command: &Command) -> Program {
 }
 
 /// Runs to a good end; what it printed.
-fn good(place: &Place, arguments: &[&[&str]]) -> String {
-    let output = Program::start(&mut command(place, arguments)).output();
-    let text = text(&output);
-    assert_eq!(output.status.code(), Some(0), "{arguments:?}: {text}");
-    text
+fn good(place: &Place, line: &str) -> String {
+    place.says(&format!("cdcrctl {line}"), 0, &[])
 }
 
 fn status(place: &Place) -> Value {
-    serde_json::from_str(&good(place, &[&["status", "--format", "json"]])).unwrap()
+    serde_json::from_str(&good(place, "status --format json")).unwrap()
 }
 
 #[test]
 fn a_reference_is_fed_tracked_and_played_to_its_end() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let fed = good(place, &[SHORT_LINE, &["--track"]]);
+    let fed = good(place, &format!("{SHORT_LINE} --track"));
     assert!(
         fed.contains("line: 61 points") && fed.contains("tracked to its end"),
         "{fed}"
     );
     let reason = "the reference ended";
     wait_until(reason, || status(place)["reason"] == reason);
-    let fed = good(place, &[SHORT_LINE]);
+    let fed = good(place, SHORT_LINE);
     assert!(fed.contains("but not tracked"), "{fed}");
     let file = place.write(
         "path.csv",
         "t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,0.001,0,0.899\n0.2,0.002,0,0.899\n",
     );
-    let file = ["ref", "file", file.to_str().unwrap(), "--lead", "1s"];
-    let fed = good(place, &[&file, &["--track"]]);
+    let file = format!("ref file {} --lead 1s --track", file.display());
+    let fed = good(place, &file);
     assert!(fed.contains("3 points"), "{fed}");
 }
 
@@ -88,7 +76,7 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 fn an_orientation_is_fed_without_a_warning() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let fed = good(place, &[SHORT_LINE, &["--axis", "0,0,1", "--track"]]);
+    let fed = good(place, &format!("{SHORT_LINE} --axis 0,0,1 --track"));
     assert!(fed.contains("tracked to its end"), "{fed}");
     assert!(!fed.contains("warning"), "{fed}");
 }
@@ -97,40 +85,33 @@ fn an_orientation_is_fed_without_a_warning() {
 fn obstacles_are_added_shown_and_removed() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let add = |id, rest: &[&str]| {
-        let sphere = ["obstacle", "add", "--id", id, "--at", "0.2,0,0.5"];
-        good(place, &[&sphere, rest])
+    let says = |line: &str, part: &str| {
+        place.says(&format!("cdcrctl obstacle {line}"), 0, &[part]);
     };
-    let said = add("1", &["--radius", "0.05"]);
-    assert!(said.contains("accepted, 1 known"), "{said}");
-    let said = add("2", &["--radius", "0.05", "--to", "0.2,0.1,0.5"]);
-    assert!(said.contains("accepted, 2 known"), "{said}");
+    let ball = "--at 0.2,0,0.5 --radius 0.05";
+    says(&format!("add --id 1 {ball}"), "accepted, 1 known");
+    let capsule = format!("add --id 2 {ball} --to 0.2,0.1,0.5");
+    says(&capsule, "accepted, 2 known");
     wait_until("2 obstacles", || status(place)["obstacle_count"] == 2);
     // The robot is straight: 0.2 m to the axis, less the radii of ball and body.
     let clearance_m = status(place)["clearance_m"].as_f64().unwrap();
     assert!((clearance_m - 0.135).abs() < 1e-12, "{clearance_m}");
-    let table = good(place, &[&["status"]]);
+    let table = good(place, "status");
     let shown = "obstacles   2, smallest clearance 135.00 mm";
     assert!(table.contains(shown), "{table}");
-    let said = good(place, &[&["obstacle", "remove", "2", "77"]]);
-    assert!(said.contains("accepted, 1 known"), "{said}");
-    let said = good(place, &[&["obstacle", "clear"]]);
-    assert!(said.contains("accepted, 0 known"), "{said}");
+    says("remove 2 77", "accepted, 1 known");
+    says("clear", "accepted, 0 known");
     wait_until("none", || status(place)["clearance_m"].is_null());
-    let refused = place.cdcrctl(&[
-        "obstacle", "add", "--id", "1", "--at", "9e9,0,0", "--radius", "1", "--far",
-    ]);
-    let message = text(&refused);
-    assert_eq!(refused.status.code(), Some(1), "{message}");
-    assert!(message.contains("the daemon refused it"), "{message}");
-    assert!(message.contains("within ±1000000 m"), "{message}");
+    let far = "cdcrctl obstacle add --id 1 --at 9e9,0,0 --radius 1 --far";
+    let parts = ["the daemon refused it", "within ±1000000 m"];
+    place.says(far, 1, &parts);
     wait_until("counted", || status(place)["obstacles_refused"] == 1);
 }
 
 #[test]
 fn whoever_leaves_last_leaves_nothing() {
     let mut daemon = Daemon::start(PATIENT);
-    good(daemon.place(), &[&["status"]]);
+    good(daemon.place(), "status");
     let connection = daemon.connect();
     let telemetry = connection.telemetry().unwrap();
     assert!(daemon.stop().success());
@@ -152,15 +133,11 @@ fn every_request_is_answered() {
         ("stop", "stopped"),
         ("reset", "holding"),
     ] {
-        let answer = good(place, &[&[request]]);
-        assert!(answer.contains(": accepted in cycle "), "{answer}");
-        assert!(answer.contains(&format!("daemon is {mode}")), "{answer}");
+        let parts = [": accepted in cycle ", &format!("daemon is {mode}")];
+        place.says(&format!("cdcrctl {request}"), 0, &parts);
     }
-    let output = place.cdcrctl(&["track"]);
-    let message = text(&output);
-    assert_eq!(output.status.code(), Some(1), "{message}");
-    assert!(message.starts_with("error: cannot track"), "{message}");
-    assert!(message.contains("cdcrctl ref"), "{message}");
+    let said = place.says("cdcrctl track", 1, &["cdcrctl ref"]);
+    assert!(said.starts_with("error: cannot track"), "{said}");
 }
 
 #[test]
@@ -168,7 +145,7 @@ fn track_follows_what_another_program_feeds_until_sigint_holds() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
     let connection = daemon.connect();
-    let mut feeding = Program::start(&mut command(place, &[LONG_LINE]));
+    let mut feeding = Program::start(&mut command(place, LONG_LINE));
     // Refused until the first chunk is in.
     wait_until("tracking", || place.cdcrctl(&["track"]).status.success());
     wait_status(&connection, |status| status.mode == Mode::Tracking.code());
@@ -186,7 +163,10 @@ fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
     for signal in [Signal::INT, Signal::TERM] {
-        let mut feeding = Program::start(&mut command(daemon.place(), &[LONG_LINE, &["--track"]]));
+        let mut feeding = Program::start(&mut command(
+            daemon.place(),
+            &format!("{LONG_LINE} --track"),
+        ));
         wait_status(&connection, |status| status.mode == Mode::Tracking.code());
         feeding.signal(signal);
         let output = feeding.output();
@@ -200,7 +180,7 @@ fn sigint_and_sigterm_during_a_tracked_feed_hold_and_exit_with_130() {
 #[test]
 fn the_status_is_shown_as_text_and_as_json() {
     let daemon = Daemon::start(PATIENT);
-    let table = good(daemon.place(), &[&["status"]]);
+    let table = good(daemon.place(), "status");
     for part in [
         "robot       cdcr (3 sections",
         "mode        holding",
@@ -224,9 +204,9 @@ fn the_status_is_shown_as_text_and_as_json() {
 fn the_statistics_are_reset_for_all_and_the_stop_stays() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    good(place, &[&["stop"]]);
+    good(place, "stop");
     let before = status(place);
-    let said = good(place, &[&["status", "--reset-statistics"]]);
+    let said = good(place, "status --reset-statistics");
     assert!(said.contains("reset after cycle"), "{said}");
     let since = |status: &Value| status["statistics_since_ns"].as_u64().unwrap();
     wait_until("the reset", || since(&status(place)) > since(&before));
@@ -239,9 +219,11 @@ fn the_statistics_are_reset_for_all_and_the_stop_stays() {
 #[test]
 fn a_watched_status_is_shown_again_and_again() {
     let daemon = Daemon::start(PATIENT);
-    let arguments = ["status", "--watch", "--format", "json"];
     let path = daemon.place().folder().join("watch.jsonl");
-    let mut watch = start_into(&path, &command(daemon.place(), &[&arguments]));
+    let mut watch = start_into(
+        &path,
+        &command(daemon.place(), "status --watch --format json"),
+    );
     wait_until("two of them", || {
         fs::read_to_string(&path).unwrap().lines().count() > 1
     });
@@ -278,18 +260,18 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
             && record["scheduling"]["late_cause"] != "in time"
     };
     wait_until("the incident", || {
-        let said = good(place, &[&["incidents", "--format", "json"]]);
+        let said = good(place, "incidents --format json");
         said.lines().any(frozen)
     });
-    let said = good(place, &[&["incidents", "--count", "1"]]);
+    let said = good(place, "incidents --count 1");
     assert_eq!(said.lines().count(), 2, "a heading and one line: {said}");
-    let said = good(place, &[&["incidents"]]);
+    let said = good(place, "incidents");
     assert!(said.contains("late start, "), "{said}");
     assert!(said.contains("skipped "), "{said}");
 
-    let arguments = ["incidents", "--follow", "--count", "0", "--format", "json"];
+    let line = "incidents --follow --count 0 --format json";
     let path = place.folder().join("follow.jsonl");
-    let mut follow = start_into(&path, &command(place, &[&arguments]));
+    let mut follow = start_into(&path, &command(place, line));
     // How soon it listens is up to the machine.
     wait_until("a new incident", || {
         freeze(&daemon, FROZEN);
@@ -310,29 +292,26 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
 fn settings_are_shown_and_changed_by_their_keys() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let show = ["settings", "show", "--format", "json"];
-    let shown = || -> Value { serde_json::from_str(&good(place, &[&show])).unwrap() };
+    let show = "settings show --format json";
+    let shown = || -> Value { serde_json::from_str(&good(place, show)).unwrap() };
     let before = shown();
-    let table = good(place, &[&["settings"]]);
+    let table = good(place, "settings");
     assert!(
         table.contains("kpso, gauss-newton or kpso-refined"),
         "{table}"
     );
 
-    let set = ["settings", "set", "solver=gauss-newton", "budget_ms=2.5"];
-    let said = good(place, &[&set, &["horizon_steps=4"]]);
-    let horizon = before["horizon_steps"].to_string();
-    for part in [
+    let set = "cdcrctl settings set solver=gauss-newton budget_ms=2.5 horizon_steps=4";
+    let parts = [
         "solver: kpso-refined -> gauss-newton",
         "budget_ms: 0 -> 2.5",
-        &format!("horizon_steps: {horizon} -> 4"),
+        &format!("horizon_steps: {} -> 4", before["horizon_steps"]),
         "settings: accepted",
-    ] {
-        assert!(said.contains(part), "{part}: {said}");
-    }
+    ];
+    place.says(set, 0, &parts);
     // One after the other at once: none takes back what the one before changed.
-    good(place, &[&["settings", "set", "seed=7"]]);
-    good(place, &[&["settings", "set", "inertia=0.6"]]);
+    good(place, "settings set seed=7");
+    good(place, "settings set inertia=0.6");
     let mut expected = before;
     expected["solver"] = "gauss-newton".into();
     expected["budget_ms"] = 2.5.into();
@@ -341,27 +320,20 @@ fn settings_are_shown_and_changed_by_their_keys() {
     expected["inertia"] = 0.6.into();
     assert_eq!(shown(), expected);
 
-    let refused = |change: &str| {
-        let output = place.cdcrctl(&["settings", "set", change]);
-        (output.status.code(), text(&output))
+    let refused = |change: &str, status, part: &str| {
+        place.says(&format!("cdcrctl settings set {change}"), status, &[part]);
     };
     // More blocks than steps: in the range of the key, but not for the daemon.
-    let (code, message) = refused("control_blocks=5");
-    assert_eq!(code, Some(1), "{message}");
-    assert!(
-        message.contains("control_blocks = 5 is out of range: allowed is 0 to 4"),
-        "{message}"
-    );
-    let (code, message) = refused("horizon=5");
-    assert_eq!(code, Some(2), "{message}");
-    assert!(message.contains("did you mean horizon_steps?"), "{message}");
+    let out_of_range = "control_blocks = 5 is out of range: allowed is 0 to 4";
+    refused("control_blocks=5", 1, out_of_range);
+    refused("horizon=5", 2, "did you mean horizon_steps?");
     assert_eq!(shown(), expected, "a refusal changes nothing");
 }
 
 /// Starts an echo, lets `speak` make messages until the echo has enough, and returns its lines.
 fn echo(place: &Place, topic: &str, format: &str, speak: &dyn Fn()) -> Vec<String> {
-    let options = ["echo", topic, "--count", "3", "--format", format];
-    let mut echo = Program::start(&mut command(place, &[&options]));
+    let line = format!("echo {topic} --count 3 --format {format}");
+    let mut echo = Program::start(&mut command(place, &line));
     wait_until(topic, || {
         speak();
         !echo.runs()
@@ -379,10 +351,7 @@ fn every_topic_is_echoed_as_text_and_as_json() {
     let connection = daemon.connect();
     let obstacles = connection.obstacle_sender().unwrap();
     let feed = || {
-        good(
-            place,
-            &[&["ref", "line", "--duration", "10ms", "--lead", "100ms"]],
-        );
+        good(place, "ref line --duration 10ms --lead 100ms");
     };
     let clear = || {
         obstacles.clear().unwrap();

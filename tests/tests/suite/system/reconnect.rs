@@ -8,12 +8,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{
-    Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError, ObstacleSender,
-    RequestError, TelemetryStream, monotonic_ns,
+    Connection, FeedEnd, FeedError, FeedEvent, Line, LinkError, ObstacleSender, RequestError,
+    TelemetryStream, monotonic_ns,
 };
 use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outcome, RequestKind};
 use cdcr_shared_types::{Measurement, Obstacle};
-use cdcr_tests::{PATIENCE, PATIENT, Place, ROBOT, wait_record, wait_status, wait_until};
+use cdcr_tests::load::connect;
+use cdcr_tests::{
+    EndWhenDropped, PATIENCE, PATIENT, Place, ROBOT, tracked, wait_record, wait_status, wait_until,
+};
 
 /// Kills of a daemon that held; others are killed while they start.
 const KILLS: usize = 50;
@@ -65,10 +68,6 @@ fn place(configuration: &str) -> Place {
     let place = Place::new();
     place.write("robot.toml", configuration);
     place
-}
-
-fn connect(place: &Place) -> Connection {
-    Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
 }
 
 /// Numbers that look random and are the same in every run (SplitMix64).
@@ -136,15 +135,6 @@ impl<'c> Old<'c> {
     }
 }
 
-/// Ends [`keep_asking`], in a panic, too.
-struct Over<'a>(&'a AtomicBool);
-
-impl Drop for Over<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
 /// A second old client, always in the middle of something when the daemon is killed. Counts how often it was answered.
 fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64) {
     while !over.load(Ordering::Relaxed) {
@@ -172,7 +162,7 @@ fn fifty_kills_at_any_moment() {
     let mut returns = Vec::new();
     thread::scope(|scope| {
         scope.spawn(|| keep_asking(&connect(&place), &is_over, &answered));
-        let _over = Over(&is_over);
+        let _over = EndWhenDropped(&is_over);
         for kill in 0..KILLS {
             // The busy client is not lost, either: each daemon answers it.
             let before = answers();
@@ -223,11 +213,7 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
         velocity_m_s: [0.001, 0.0, -0.001],
         ..line
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut killed = None;
     let fed = connection.feed(&long, options).unwrap().run(|event| {
         if let FeedEvent::Progress(progress) = event
@@ -386,7 +372,7 @@ fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
     let (is_connected, is_dead) = (AtomicBool::new(false), AtomicBool::new(false));
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
-        let _over = Over(&is_over);
+        let _over = EndWhenDropped(&is_over);
         let asking = scope.spawn(|| {
             let client = connect(&place);
             is_connected.store(true, Ordering::Relaxed);
@@ -424,7 +410,7 @@ fn a_driver_serves_every_daemon() {
     let mut old = Old::new(&connection);
     let (is_over, commanded_by) = (AtomicBool::new(false), AtomicU64::new(0));
     thread::scope(|scope| {
-        let over = Over(&is_over);
+        let over = EndWhenDropped(&is_over);
         let driver = scope.spawn(|| drive(&connect(&place), 0.0, &commanded_by, &is_over));
         let mut begin_ns = 0;
         for _ in 0..4 {

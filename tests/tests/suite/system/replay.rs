@@ -6,9 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use cdcr_client::{
-    FeedEvent, FeedOptions, Line, Spiral, Trajectory as Curve, events, monotonic_ns,
-};
+use cdcr_client::{FeedEvent, Line, Spiral, Trajectory as Curve, events, monotonic_ns};
 use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
@@ -26,7 +24,7 @@ use nalgebra::Vector3;
 
 use cdcr_tests::record::{configuration_of, largest, obstacles_of, robot_of};
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, wait_mode};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, tracked, wait_mode};
 
 /// The events of a recording by the gather that they took effect with, in order.
 fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
@@ -213,11 +211,7 @@ impl Recording {
         assert_eq!(verdict.unwrap(), Outcome::Accepted);
         let mut sent = connection.references().unwrap();
         let mut recording = Self::default();
-        let options = FeedOptions {
-            lead: Duration::from_secs(1),
-            track: true,
-            ..FeedOptions::default()
-        };
+        let options = tracked();
         connection
             .feed(curve, options)
             .unwrap()

@@ -4,11 +4,12 @@ use std::ops::ControlFlow;
 use std::time::Duration;
 
 use cdcr_client::{
-    ConnectError, Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, Line, LinkError,
-    RequestError,
+    ConnectError, Connection, FeedEnd, FeedError, FeedEvent, Line, LinkError, RequestError,
 };
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENCE, PATIENT, ROBOT, text, tracked, wait_mode, wait_status, wait_until,
+};
 use rustix::process::Signal;
 
 use super::freeze;
@@ -22,18 +23,10 @@ fn long_line() -> Line {
     }
 }
 
-fn options() -> FeedOptions {
-    FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    }
-}
-
 /// Feeds until the daemon, stopped in the middle of its tracking, is given up.
 fn feed_until_silence(daemon: &Daemon, connection: &Connection) -> FeedError {
     let (line, mut stopped) = (long_line(), false);
-    let feeder = connection.feed(&line, options()).unwrap();
+    let feeder = connection.feed(&line, tracked()).unwrap();
     let result = feeder.run(|event| {
         if let FeedEvent::Progress(progress) = event
             && progress.tracking
@@ -92,7 +85,7 @@ fn a_stopped_daemon_is_noticed_everywhere_and_works_again() {
         ..long_line()
     };
     let report = daemon.connect();
-    let report = report.feed(&line, options()).unwrap();
+    let report = report.feed(&line, tracked()).unwrap();
     let report = report.run(|_| ControlFlow::Continue(())).unwrap();
     assert_eq!((report.end, report.tracked), (FeedEnd::Played, true));
 }

@@ -4,12 +4,14 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Duration;
 
-use cdcr_client::{Connection, FeedEvent, FeedOptions, Line};
+use cdcr_client::{Connection, FeedEvent, Line};
 use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_record, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENCE, PATIENT, tracked, wait_mode, wait_record, wait_status, wait_until,
+};
 
 use super::{error_max_m, freeze};
 
@@ -19,11 +21,7 @@ fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
         duration_s,
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = FeedOptions {
-        lead: Duration::from_secs(1),
-        track: true,
-        ..FeedOptions::default()
-    };
+    let options = tracked();
     let mut records = Vec::new();
     let report = connection.feed(&line, options).unwrap().run(|event| {
         if let FeedEvent::Record(record) = event

@@ -9,13 +9,13 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use cdcr_shared_types::Location;
-use cdcr_tests::{PATIENT, Place, Program, binary, text, wait_until};
+use cdcr_tests::{PATIENT, Place, Program, assert_says, binary, text, wait_until};
 use rustix::fs::{XattrFlags, getxattr, setxattr};
 use rustix::process::Signal;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, assert_says, attempts, files_below, have_a_stranger, in_view, of_stranger,
-    open_to_all, stranger,
+    EXIT_ROOT, NOBODY, attempts, files_below, have_a_stranger, in_view, of_stranger, open_to_all,
+    stranger,
 };
 
 /// User and group of the daemon. Nobody has to know them.

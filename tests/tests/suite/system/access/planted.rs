@@ -6,27 +6,22 @@ use std::os::linux::net::SocketAddrExt;
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown, lchown, symlink};
 use std::os::unix::net::{SocketAddr, UnixListener};
 use std::path::PathBuf;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use cdcr_client::Connection;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, in_public_memory, text, wait_status,
-    wait_until,
+    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, assert_says, binary, in_public_memory, text,
+    wait_status, wait_until,
 };
 use rustix::process::{Signal, Uid};
 use rustix::thread::set_thread_res_uid;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, assert_says, attempts, everything, files_below, folder_of_stranger,
-    have_a_stranger, in_view, start, stranger,
+    EXIT_ROOT, NOBODY, attempts, everything, files_below, folder_of_stranger, have_a_stranger,
+    in_view, start, stranger,
 };
-
-/// Runs `cdcrd` to its end, which must come.
-fn ended(place: &Place) -> Output {
-    Program::start(place.command("cdcrd").arg("run")).output()
-}
 
 #[test]
 fn a_root_folder_that_another_user_put_there_is_refused() {
@@ -40,17 +35,17 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     let remedy = "--root";
     folder_of_stranger(root);
     fs::set_permissions(root, Permissions::from_mode(0o777)).unwrap();
-    assert_says(&ended(&place), EXIT_ROOT, &[foreign, remedy]);
+    place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
     // Ours, but open to all.
     chown(root, Some(0), Some(0)).unwrap();
-    assert_says(
-        &ended(&place),
+    place.says(
+        "cdcrd run",
         EXIT_ROOT,
         &["mode 0777", "chmod go-rwx", remedy],
     );
     assert_eq!(fs::metadata(root).unwrap().mode() & 0o777, 0o777);
     let words = "every user may write to the root path";
-    assert_says(&place.cdcrctl(&["status"]), 1, &[words]);
+    place.says("cdcrctl status", 1, &[words]);
     assert_eq!(files_below(root), BTreeSet::new());
     // A link of theirs to a folder of ours.
     let ours = root.with_file_name(format!("{}ours", place.location().prefix()));
@@ -59,12 +54,12 @@ fn a_root_folder_that_another_user_put_there_is_refused() {
     symlink(&ours, root).unwrap();
     lchown(root, Some(NOBODY), Some(NOBODY)).unwrap();
     let link = "symbolic link that belongs to user id 65534, not to 0";
-    assert_says(&ended(&place), EXIT_ROOT, &[link, remedy]);
+    place.says("cdcrd run", EXIT_ROOT, &[link, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
     // A link of ours to a folder of theirs.
     lchown(root, Some(0), Some(0)).unwrap();
     chown(&ours, Some(NOBODY), Some(NOBODY)).unwrap();
-    assert_says(&ended(&place), EXIT_ROOT, &[foreign, remedy]);
+    place.says("cdcrd run", EXIT_ROOT, &[foreign, remedy]);
     assert_eq!(files_below(&ours), BTreeSet::new());
     fs::remove_file(root).unwrap();
     fs::remove_dir(&ours).unwrap();
@@ -87,9 +82,11 @@ fn assert_serves(daemon: &Daemon) {
     assert!(telemetry.next_within(PATIENCE).unwrap().is_some());
     connection.obstacle_sender().unwrap().clear().unwrap();
     wait_status(&connection, |status| status.cycles > before.cycles);
-    for (request, mode) in [("stop", Mode::Stopped), ("reset", Mode::Holding)] {
-        let output = Program::start(daemon.place().command("cdcrctl").arg(request)).output();
-        assert_says(&output, 0, &["accepted"]);
+    for (request, mode) in [
+        ("cdcrctl stop", Mode::Stopped),
+        ("cdcrctl reset", Mode::Holding),
+    ] {
+        daemon.place().says(request, 0, &["accepted"]);
         wait_status(&connection, |status| status.mode == mode.code());
     }
 }
@@ -164,11 +161,7 @@ fn a_file_in_the_place_of_the_root_folder_keeps_the_daemon_out_with_words() {
     let place = Place::new();
     let root = place.location().root();
     as_stranger(r#": > "$1""#, &[root.to_str().unwrap().to_owned()]);
-    assert_says(
-        &ended(&place),
-        EXIT_ROOT,
-        &[root.to_str().unwrap(), "--root"],
-    );
+    place.says("cdcrd run", EXIT_ROOT, &[root.to_str().unwrap(), "--root"]);
     assert_eq!(fs::metadata(root).unwrap().uid(), NOBODY);
     fs::remove_file(root).unwrap();
 }
@@ -196,9 +189,8 @@ fn a_name_that_another_user_has_taken_keeps_neither_the_daemon_nor_a_stop_out() 
     assert_eq!(location.name_holder(ROBOT), NameHolder::Foreign);
     daemon.restart();
     assert!(daemon.log().contains("another user holds the name"));
-    assert_says(&ended(daemon.place()), 69, &["runs already"]);
-    let stopped = daemon.place().cdcrctl(&["stop"]);
-    assert!(stopped.status.success(), "{}", text(&stopped));
+    daemon.place().says("cdcrd run", 69, &["runs already"]);
+    daemon.place().says("cdcrctl stop", 0, &[]);
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
 

@@ -9,13 +9,14 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome};
 use cdcr_shared_types::{Location, Status};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, binary, text, wait_status, wait_until,
+    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, assert_says, binary, text, wait_status,
+    wait_until,
 };
 use rustix::process::Signal;
 
 use super::stranger::{
-    EXIT_ROOT, NOBODY, assert_says, attempts, busy_daemon, everything, folder_of_stranger,
-    have_a_stranger, in_view, left_by_stranger, of_stranger, open_to_all, stranger,
+    EXIT_ROOT, NOBODY, attempts, busy_daemon, everything, folder_of_stranger, have_a_stranger,
+    in_view, left_by_stranger, of_stranger, open_to_all, stranger,
 };
 
 /// Everything that `cdcrctl` can ask of a daemon. PATH stands for a file that the other user can read.
@@ -287,8 +288,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     assert_eq!(after.process_id, before.process_id);
     assert_eq!(standing(&after), standing(&before));
     // And what we do does not reach it.
-    let said = text(&place.cdcrctl(&["stop"]));
-    assert!(said.contains("accepted"), "{said}");
+    place.says("cdcrctl stop", 0, &["accepted"]);
     assert_says(&ask(&["reset"]), 0, &["accepted"]);
     let status = wait_status(&connection, |status| status.mode == Mode::Stopped.code());
     assert_eq!(status.obstacle_count, 0);

@@ -5,7 +5,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Command, Stdio};
 
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::Interface;
@@ -139,14 +139,6 @@ pub(super) fn busy_daemon(place: &Place) -> impl Sized {
     );
     // In the order in which they go.
     (ports, obstacles, connection, daemon)
-}
-
-pub(super) fn assert_says(output: &Output, status: i32, parts: &[&str]) {
-    let said = text(output);
-    assert_eq!(output.status.code(), Some(status), "{said}");
-    for part in parts {
-        assert!(said.contains(part), "{part}: {said}");
-    }
 }
 
 /// Makes a folder that belongs to the other user.
