@@ -259,11 +259,6 @@ fn memory(count: usize) -> Result<Vec<BareCycle>> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::cell::Cell;
 
     use super::*;

@@ -200,10 +200,6 @@ impl RecentCosts {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use super::*;
 

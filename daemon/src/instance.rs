@@ -298,10 +298,6 @@ fn remove_if_there(path: &Path) {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use super::*;
 

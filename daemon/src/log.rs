@@ -266,11 +266,6 @@ impl<S: Subscriber> Layer<S> for RateLimit {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::process::Command;
 
     use tracing::Level;

@@ -242,11 +242,6 @@ impl Listener {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use tempfile::TempDir;
 

@@ -122,10 +122,6 @@ fn cut(config: &Config) -> Option<String> {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use super::*;
     use std::path::Path;

@@ -149,11 +149,6 @@ impl Percentiles {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
     use crate::bare::Interference;
     use crate::rt::schedule::Lateness;

@@ -176,11 +176,6 @@ fn write_latencies(out: &mut impl Write, summary: &Summary) -> io::Result<()> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::collections::BTreeMap;
 
     use super::*;

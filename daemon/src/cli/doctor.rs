@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use clap::{Args, ValueEnum};
 
 use super::Source;
-use crate::doctor::{Finding, Report, Verdict, examine};
+use crate::doctor::{DoctorReport, Finding, Severity, examine};
 
 /// What follows the options in the help.
 pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml --format json\n\
@@ -54,65 +54,57 @@ pub(super) fn run(options: &Options) -> Result<u8> {
     Ok(report.worst.exit_status())
 }
 
-fn style(verdict: Verdict) -> Style {
-    let color = match verdict {
-        Verdict::Ok => AnsiColor::Green,
-        Verdict::Unknown => AnsiColor::Cyan,
-        Verdict::Warning => AnsiColor::Yellow,
-        Verdict::Fault => AnsiColor::Red,
+fn style(severity: Severity) -> Style {
+    let color = match severity {
+        Severity::Ok => AnsiColor::Green,
+        Severity::Unknown => AnsiColor::Cyan,
+        Severity::Warning => AnsiColor::Yellow,
+        Severity::Fault => AnsiColor::Red,
     };
     color.on_default()
 }
 
-fn write_text(out: &mut impl Write, report: &Report) -> io::Result<()> {
+fn write_text(out: &mut impl Write, report: &DoctorReport) -> io::Result<()> {
     let title = |finding: &Finding| finding.title.chars().count();
     let width = report.findings.iter().map(title).max().unwrap_or(0);
     for finding in &report.findings {
-        let color = style(finding.verdict);
-        let word = finding.verdict.word();
+        let color = style(finding.severity);
+        let word = finding.severity.word();
         writeln!(
             out,
             "{color}{word:<7}{color:#}  {:<width$}  {}",
             finding.title, finding.value
         )?;
-        if finding.verdict != Verdict::Ok {
+        if finding.severity != Severity::Ok {
             writeln!(out, "         why   {}", finding.why)?;
             writeln!(out, "         fix   {}", finding.remedy)?;
         }
     }
-    let counts = [
-        (Verdict::Ok, "ok"),
-        (Verdict::Unknown, "unknown"),
-        (Verdict::Warning, "warnings"),
-        (Verdict::Fault, "faults"),
-    ];
-    let counts = counts.map(|(verdict, word)| format!("{} {word}", report.count(verdict)));
+    let words = ["ok", "unknown", "warnings", "faults"];
+    let counts = Severity::ALL.iter().zip(words);
+    let counts = counts.map(|(severity, word)| format!("{} {word}", report.count(*severity)));
+    let counts: Vec<_> = counts.collect();
     let color = style(report.worst);
     writeln!(out, "\n{color}{}{color:#}", counts.join(", "))
 }
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]
     fn columns_are_aligned_and_only_what_is_not_ok_is_explained() {
-        let finding = |title, verdict| Finding {
+        let finding = |title, severity| Finding {
             key: "key",
             title,
-            verdict,
+            severity,
             value: "seen".to_owned(),
             why: "Because.",
             remedy: "do it".to_owned(),
         };
-        let report = Report::new(vec![
-            finding("a", Verdict::Ok),
-            finding("longer", Verdict::Fault),
+        let report = DoctorReport::new(vec![
+            finding("a", Severity::Ok),
+            finding("longer", Severity::Fault),
         ]);
         let mut bytes = anstream::StripStream::new(Vec::new());
         write_text(&mut bytes, &report).unwrap();

@@ -221,10 +221,6 @@ fn offset(table: &dyn TableLike, name: &str) -> Option<usize> {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use super::*;
 

@@ -19,10 +19,6 @@ pub(super) fn node<'a>(schema: &'a Value, key: &str) -> Option<&'a Value> {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use std::path::Path;
 

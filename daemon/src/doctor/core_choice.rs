@@ -10,7 +10,7 @@ use crate::config::Validated;
 use super::cores::SIBLING_SHARE;
 use super::sample::busy_between;
 use super::system::field_of;
-use super::{CoreSet, System, daemon_process};
+use super::{CPU, CoreSet, System, daemon_process};
 
 /// How long hyper-threads are watched, where there are some.
 const WATCHED: Duration = Duration::from_millis(100);
@@ -20,7 +20,7 @@ const LOOP: (&str, &str) = ("cdcr-cycle", "cdcrd");
 /// The configuration with the core that was chosen, where it leaves that open and the system tells which there are. The
 /// daemon of this robot keeps the core that it has.
 #[must_use]
-pub fn with_core(validated: &Validated) -> Validated {
+pub(crate) fn with_core(validated: &Validated) -> Validated {
     let mut validated = validated.clone();
     if validated.config.realtime.core < 0 {
         let system = System::at(Path::new("/"));
@@ -50,9 +50,8 @@ fn choose(
     if let Some((_, core)) = loops.iter().find(|(process, _)| Some(*process) == ours) {
         return Some(*core);
     }
-    let list = |path: &str| CoreSet::parse(&system.read(path).unwrap_or_default());
-    let isolated = list("/sys/devices/system/cpu/isolated");
-    let allowed = CoreSet::parse(&system.own_status("Cpus_allowed_list").ok()?);
+    let isolated = system.cores("isolated").unwrap_or_default();
+    let allowed = system.allowed().ok()?;
     let online = system.online().unwrap_or_else(|_| allowed.clone());
     let candidates: Vec<usize> = online
         .iter()
@@ -101,10 +100,7 @@ fn loops(system: &System) -> Vec<(u32, usize)> {
 fn slow_cores(system: &System, cores: &[usize]) -> Vec<usize> {
     let efficient = system.read("/sys/devices/cpu_atom/cpus");
     let efficient = CoreSet::parse(&efficient.unwrap_or_default());
-    let capacity = |core: usize| {
-        let path = format!("/sys/devices/system/cpu/cpu{core}/cpu_capacity");
-        system.number(&path).ok()
-    };
+    let capacity = |core: usize| system.number(&format!("{CPU}/cpu{core}/cpu_capacity")).ok();
     let largest = cores.iter().filter_map(|core| capacity(*core)).max();
     let is_slow = |core: &usize| efficient.contains(*core) || capacity(*core) < largest;
     cores.iter().copied().filter(is_slow).collect()
@@ -112,12 +108,8 @@ fn slow_cores(system: &System, cores: &[usize]) -> Vec<usize> {
 
 /// Those of `cores` that share their hardware with a core that is at work.
 fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
-    let siblings = |core: usize| {
-        let path = format!("/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list");
-        CoreSet::parse(&system.read(&path).unwrap_or_default()).without(core)
-    };
-    let siblings: BTreeMap<usize, CoreSet> =
-        cores.iter().map(|core| (*core, siblings(*core))).collect();
+    let siblings = |core: &usize| (*core, system.siblings(*core).unwrap_or_default());
+    let siblings: BTreeMap<usize, CoreSet> = cores.iter().map(siblings).collect();
     if siblings.values().all(|others| others.count() == 0) {
         return Vec::new();
     }
@@ -133,15 +125,9 @@ fn busy_siblings(system: &System, cores: &[usize]) -> Vec<usize> {
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use super::super::fake::Fake;
     use super::*;
-
-    const CPU: &str = "/sys/devices/system/cpu";
 
     /// A machine with cores 0 to 3, all of which the process may use.
     fn machine() -> Fake {

@@ -6,36 +6,33 @@ use std::fmt;
 /// No machine has more cores. A bound for lists that say `all`, or nonsense.
 const CORES_MAX: usize = 8192;
 
-/// A set of cores.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct CoreSet(BTreeSet<usize>);
+pub(crate) struct CoreSet(BTreeSet<usize>);
 
 impl CoreSet {
     /// Reads a list such as `0-3,8`. `all` is every core; parts that are no numbers (`(null)`, the flags of
     /// `isolcpus=`) are left out.
-    pub fn parse(list: &str) -> Self {
+    pub(crate) fn parse(list: &str) -> Self {
         let parts = list.split(',').map(str::trim);
         Self(parts.flat_map(range_of).collect())
     }
 
-    /// Whether `core` is in it.
-    pub fn contains(&self, core: usize) -> bool {
+    pub(crate) fn contains(&self, core: usize) -> bool {
         self.0.contains(&core)
     }
 
-    /// How many.
-    pub fn count(&self) -> usize {
+    pub(crate) fn count(&self) -> usize {
         self.0.len()
     }
 
     /// The set without `core`.
     #[must_use]
-    pub fn without(&self, core: usize) -> Self {
+    pub(crate) fn without(&self, core: usize) -> Self {
         Self(self.iter().filter(|other| *other != core).collect())
     }
 
     /// The cores, smallest first.
-    pub fn iter(&self) -> impl Iterator<Item = usize> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = usize> {
         self.0.iter().copied()
     }
 }

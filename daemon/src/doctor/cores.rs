@@ -1,6 +1,6 @@
 //! The core of the real-time threads: whom it is kept from, with whom it shares, how fast it wakes up.
 
-use super::{CoreSet, Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, CPU, CoreSet, Scene, Unreadable};
 
 checks! {
     RealTime cores, "number of cores",
@@ -17,6 +17,7 @@ checks! {
         "Out of a deep sleep a core needs up to hundreds of microseconds to wake up.";
 }
 
+pub(super) const TWO_CORES: &str = "use a machine with two cores or more";
 /// From this period on, the tick is small beside the period.
 const PERIOD_MS_TICK: f64 = 1.0;
 /// A sibling with less load is idle.
@@ -24,40 +25,33 @@ pub(super) const SIBLING_SHARE: f64 = 0.05;
 /// A sleep with a shorter way out is not deep \[µs\].
 const EXIT_US: i64 = 20;
 
-fn cores(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn cores(scene: &Scene) -> Assessed {
     let online = scene.system.online()?;
-    let allowed = CoreSet::parse(&scene.system.own_status("Cpus_allowed_list")?);
-    let value = format!("{} online, {} allowed", online.count(), allowed.count());
-    Ok(if online.count().min(allowed.count()) > 1 {
-        Judgement::ok(value)
-    } else {
-        Judgement::warning(
-            value,
-            "use a machine, or a control group, with two cores or more",
-        )
-    })
+    let [online, allowed] = [online.count(), scene.system.allowed()?.count()];
+    Ok(Assessment::good_if(
+        online.min(allowed) > 1,
+        format!("{online} online, {allowed} allowed"),
+        "use a machine, or a control group, with two cores or more",
+    ))
 }
 
-fn isolation(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn isolation(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let isolated = CoreSet::parse(&scene.system.read("/sys/devices/system/cpu/isolated")?);
+    let isolated = scene.system.cores("isolated")?;
     if isolated.contains(core) {
-        return Ok(Judgement::ok(format!("core {core} is isolated")));
+        return Ok(Assessment::ok(format!("core {core} is isolated")));
     }
     if let Some(better) = isolated.iter().next() {
-        return Ok(Judgement::warning(
+        return Ok(Assessment::warning(
             format!("core {core} is not isolated, but {isolated} is"),
             format!("set realtime.core = {better}"),
         ));
     }
     if scene.system.online()?.count() < 2 {
         let value = "the only core cannot be isolated";
-        return Ok(Judgement::warning(
-            value,
-            "use a machine with two cores or more",
-        ));
+        return Ok(Assessment::warning(value, TWO_CORES));
     }
-    Ok(Judgement::warning(
+    Ok(Assessment::warning(
         format!("core {core} is open to everybody"),
         format!(
             "boot with isolcpus=managed_irq,domain,{core} nohz_full={core} rcu_nocbs={core}, and set \
@@ -66,12 +60,9 @@ fn isolation(scene: &Scene) -> Result<Judgement, Unreadable> {
     ))
 }
 
-fn tick(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn tick(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let quiet = scene
-        .system
-        .read_if_there("/sys/devices/system/cpu/nohz_full")?;
-    let has_no_tick = CoreSet::parse(&quiet.unwrap_or_default()).contains(core);
+    let has_no_tick = scene.has_no_tick()?;
     let callbacks = scene.system.boot_option("rcu_nocbs")?;
     // A core without the tick is freed from callbacks, too.
     let has_no_callbacks =
@@ -82,25 +73,24 @@ fn tick(scene: &Scene) -> Result<Judgement, Unreadable> {
         word(has_no_tick),
         if has_no_callbacks { "gone" } else { "stay" }
     );
-    Ok(if has_no_tick || scene.plan.period_ms >= PERIOD_MS_TICK {
-        Judgement::ok(value)
-    } else {
-        let value = format!("{value}; the period is {} ms", scene.plan.period_ms);
-        Judgement::warning(
-            value,
-            format!(
-                "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
-            ),
-        )
-    })
+    if has_no_tick || scene.plan.period_ms >= PERIOD_MS_TICK {
+        return Ok(Assessment::ok(value));
+    }
+    Ok(Assessment::warning(
+        format!("{value}; the period is {} ms", scene.plan.period_ms),
+        format!(
+            "boot with nohz_full={core} rcu_nocbs={core}, and set kernel.timer_migration=0 in /etc/sysctl.d/"
+        ),
+    ))
 }
 
-fn siblings(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn siblings(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let path = format!("/sys/devices/system/cpu/cpu{core}/topology/thread_siblings_list");
-    let siblings = CoreSet::parse(&scene.system.read(&path)?).without(core);
+    let siblings = scene.system.siblings(core)?;
     if siblings.count() == 0 {
-        return Ok(Judgement::ok(format!("core {core} has its hardware alone")));
+        return Ok(Assessment::ok(format!(
+            "core {core} has its hardware alone"
+        )));
     }
     let loads = &scene.load()?.cores;
     let busy = siblings.iter().filter_map(|core| loads.get(&core));
@@ -110,9 +100,9 @@ fn siblings(scene: &Scene) -> Result<Judgement, Unreadable> {
         100.0 * busy
     );
     Ok(if busy < SIBLING_SHARE {
-        Judgement::ok(value)
+        Assessment::ok(value)
     } else {
-        Judgement::warning(value, rest_alone(scene, &siblings)?)
+        Assessment::warning(value, rest_alone(scene, &siblings)?)
     })
 }
 
@@ -129,40 +119,39 @@ fn rest_alone(scene: &Scene, siblings: &CoreSet) -> Result<String, Unreadable> {
     if siblings.contains(0) {
         return Ok(format!("set realtime.core to one of {apart}"));
     }
-    let file = |core| format!("/sys/devices/system/cpu/cpu{core}/online");
+    let file = |core| format!("{CPU}/cpu{core}/online");
     let files: Vec<_> = siblings.iter().map(file).collect();
     Ok(format!("echo 0 | sudo tee {}", files.join(" ")))
 }
 
-fn governor(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn governor(scene: &Scene) -> Assessed {
     let core = scene.core()?;
-    let path = format!("/sys/devices/system/cpu/cpu{core}/cpufreq/scaling_governor");
+    let path = format!("{CPU}/cpu{core}/cpufreq/scaling_governor");
     Ok(match scene.system.read_if_there(&path)?.as_deref() {
-        None => Judgement::ok("none: the system does not choose the frequency"),
-        Some("performance") => Judgement::ok("performance"),
-        Some(other) => Judgement::warning(other, format!("echo performance | sudo tee {path}")),
+        None => Assessment::ok("none: the system does not choose the frequency"),
+        Some("performance") => Assessment::ok("performance"),
+        Some(other) => Assessment::warning(other, format!("echo performance | sudo tee {path}")),
     })
 }
 
-fn deep_sleep(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn deep_sleep(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let Some((name, exit_us)) = deepest_sleep(scene, core)? else {
-        return Ok(Judgement::ok(
-            "none: the system does not choose how to sleep",
-        ));
+        let value = "none: the system does not choose how to sleep";
+        return Ok(Assessment::ok(value));
     };
     let value = format!("{name}, {exit_us} µs to wake up");
     if exit_us <= EXIT_US {
-        return Ok(Judgement::ok(value));
+        return Ok(Assessment::ok(value));
     }
     Ok(
         match (&scene.probe.deep_sleep_lock, scene.plan.no_deep_sleep) {
-            (Ok(()), true) => Judgement::ok(format!("{value}; the daemon keeps it away")),
-            (_, false) => Judgement::warning(
+            (Ok(()), true) => Assessment::ok(format!("{value}; the daemon keeps it away")),
+            (_, false) => Assessment::warning(
                 format!("{value}; realtime.no_deep_sleep is false"),
                 "set realtime.no_deep_sleep = true",
             ),
-            (Err(refusal), true) => Judgement::warning(
+            (Err(refusal), true) => Assessment::warning(
                 format!("{value}; /dev/cpu_dma_latency cannot be opened: {refusal}"),
                 "sudo chgrp \"$(id -gn)\" /dev/cpu_dma_latency && sudo chmod g+w /dev/cpu_dma_latency",
             ),
@@ -172,7 +161,7 @@ fn deep_sleep(scene: &Scene) -> Result<Judgement, Unreadable> {
 
 /// Name and longest way out \[µs\] of the deepest sleep that is allowed.
 fn deepest_sleep(scene: &Scene, core: usize) -> Result<Option<(String, i64)>, Unreadable> {
-    let folder = format!("/sys/devices/system/cpu/cpu{core}/cpuidle");
+    let folder = format!("{CPU}/cpu{core}/cpuidle");
     let mut deepest: Option<(String, i64)> = None;
     for state in scene.system.names(&folder) {
         let path = |file: &str| format!("{folder}/{state}/{file}");
@@ -190,17 +179,16 @@ fn deepest_sleep(scene: &Scene, core: usize) -> Result<Option<(String, i64)>, Un
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
-    use super::super::{CoreLoad, Load};
-
-    const CPU: &str = "/sys/devices/system/cpu";
+    use super::super::sample::CoreLoad;
+    use super::super::{CPU, Load};
 
     #[test]
     fn one_core_is_too_few() {
         let fake = |online: &str, allowed: &str| {
             Fake::new(&[
-                ("/sys/devices/system/cpu/online", online),
+                (&format!("{CPU}/online"), online),
                 (
                     "/proc/self/status",
                     &format!("Cpus_allowed_list: {allowed}"),
@@ -276,8 +264,8 @@ mod tests {
                 load.cores.insert(core, busy);
             }
             fake.scene.load = Ok(load);
-            assert_eq!(fake.verdict("siblings"), Warning);
-            fake.judge("siblings").remedy
+            assert_eq!(fake.severity("siblings"), Warning);
+            fake.assess("siblings").remedy
         };
         let file = |core| format!("{CPU}/cpu{core}/online");
         assert_eq!(

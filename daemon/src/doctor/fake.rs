@@ -1,13 +1,8 @@
 //! A scene of its own for each test.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
-
 use tempfile::TempDir;
 
-use super::{Judgement, Load, Plan, Probe, Scene, System, Verdict, checks};
+use super::{Assessment, Load, Plan, Probe, Scene, Severity, System, checks};
 use crate::config::{Config, RealtimeMode};
 use crate::core_budget::CoreBudget;
 
@@ -70,22 +65,21 @@ impl Fake {
     }
 
     /// What the check with this key says.
-    pub(super) fn judge(&self, key: &str) -> Judgement {
+    pub(super) fn assess(&self, key: &str) -> Assessment {
         let check = checks().find(|check| check.key == key).unwrap();
         let finding = check.finding(&self.scene);
-        Judgement::new(finding.verdict, finding.value, finding.remedy)
+        Assessment::new(finding.severity, finding.value, finding.remedy)
     }
 
-    /// How bad it is.
-    pub(super) fn verdict(&self, key: &str) -> Verdict {
-        self.judge(key).verdict
+    pub(super) fn severity(&self, key: &str) -> Severity {
+        self.assess(key).severity
     }
 
-    /// Asserts a verdict, and that what was seen and its remedy hold these words.
-    pub(super) fn expect(&self, key: &str, verdict: Verdict, words: &[&str]) {
-        let judgement = self.judge(key);
-        assert_eq!(judgement.verdict, verdict, "{key}: {judgement:?}");
-        let text = format!("{} | {}", judgement.value, judgement.remedy);
+    /// Asserts a severity, and that what was seen and its remedy hold these words.
+    pub(super) fn expect(&self, key: &str, severity: Severity, words: &[&str]) {
+        let assessment = self.assess(key);
+        assert_eq!(assessment.severity, severity, "{key}: {assessment:?}");
+        let text = format!("{} | {}", assessment.value, assessment.remedy);
         for word in words {
             assert!(text.contains(word), "{key}: {word:?} is not in {text:?}");
         }

@@ -1,14 +1,14 @@
-//! What was found: one judged line for each thing that matters.
+//! What was found: one assessed line for each thing that matters.
 
 use serde::Serialize;
 
 /// The remedy of what is well.
-pub const NOTHING_TO_DO: &str = "nothing to do";
+pub(crate) const NOTHING_TO_DO: &str = "nothing to do";
 
 /// How bad it is. The order is that of badness.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Verdict {
+pub(crate) enum Severity {
     /// As it should be.
     Ok,
     /// It could not be read, so that nobody can call it good.
@@ -19,12 +19,11 @@ pub enum Verdict {
     Fault,
 }
 
-impl Verdict {
-    /// Every verdict, best first.
-    pub const ALL: [Self; 4] = [Self::Ok, Self::Unknown, Self::Warning, Self::Fault];
+impl Severity {
+    /// Every severity, best first.
+    pub(crate) const ALL: [Self; 4] = [Self::Ok, Self::Unknown, Self::Warning, Self::Fault];
 
-    /// The word that is shown.
-    pub const fn word(self) -> &'static str {
+    pub(crate) const fn word(self) -> &'static str {
         match self {
             Self::Ok => "ok",
             Self::Unknown => "unknown",
@@ -33,9 +32,9 @@ impl Verdict {
         }
     }
 
-    /// Exit status of a report whose worst verdict this is. The numbers stay clear of 1 (any other error),
+    /// Exit status of a report whose worst severity this is. The numbers stay clear of 1 (any other error),
     /// 2 (wrong command line) and those from 64 on.
-    pub const fn exit_status(self) -> u8 {
+    pub(crate) const fn exit_status(self) -> u8 {
         match self {
             Self::Ok => 0,
             Self::Unknown | Self::Warning => 10,
@@ -46,40 +45,56 @@ impl Verdict {
 
 /// What a check says about its subject.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Judgement {
-    /// How bad.
-    pub verdict: Verdict,
+pub(crate) struct Assessment {
+    pub(crate) severity: Severity,
     /// What was seen.
-    pub value: String,
+    pub(crate) value: String,
     /// What to do about it.
-    pub remedy: String,
+    pub(crate) remedy: String,
 }
 
-impl Judgement {
+impl Assessment {
     /// As it should be.
-    pub fn ok(value: impl Into<String>) -> Self {
-        Self::new(Verdict::Ok, value, NOTHING_TO_DO)
+    pub(crate) fn ok(value: impl Into<String>) -> Self {
+        Self::new(Severity::Ok, value, NOTHING_TO_DO)
     }
 
     /// Bad for timing.
-    pub fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Verdict::Warning, value, remedy)
+    pub(crate) fn warning(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Severity::Warning, value, remedy)
     }
 
     /// It keeps the daemon from starting.
-    pub fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Verdict::Fault, value, remedy)
+    pub(crate) fn fault(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Severity::Fault, value, remedy)
     }
 
     /// Not to be read; `remedy` makes it readable.
-    pub fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Self {
-        Self::new(Verdict::Unknown, value, remedy)
+    pub(crate) fn unknown(value: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self::new(Severity::Unknown, value, remedy)
     }
 
-    /// Any verdict.
-    pub fn new(verdict: Verdict, value: impl Into<String>, remedy: impl Into<String>) -> Self {
+    /// As it should be where `is_good`, bad for timing where not.
+    pub(crate) fn good_if(
+        is_good: bool,
+        value: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
+        let severity = if is_good {
+            Severity::Ok
+        } else {
+            Severity::Warning
+        };
+        Self::new(severity, value, remedy)
+    }
+
+    pub(crate) fn new(
+        severity: Severity,
+        value: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Self {
         Self {
-            verdict,
+            severity,
             value: value.into(),
             remedy: remedy.into(),
         }
@@ -88,43 +103,39 @@ impl Judgement {
 
 /// One thing that matters, and how it is.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Finding {
+pub(crate) struct Finding {
     /// Name for programs; it stays the same from version to version.
-    pub key: &'static str,
+    pub(crate) key: &'static str,
     /// Name for people.
-    pub title: &'static str,
-    /// How bad.
-    pub verdict: Verdict,
+    pub(crate) title: &'static str,
+    #[serde(rename = "verdict")]
+    pub(crate) severity: Severity,
     /// What was seen.
-    pub value: String,
+    pub(crate) value: String,
     /// Why it matters, in one sentence.
-    pub why: &'static str,
+    pub(crate) why: &'static str,
     /// The command that corrects it, or [`NOTHING_TO_DO`].
-    pub remedy: String,
+    pub(crate) remedy: String,
 }
 
-/// Every finding.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Report {
-    /// The worst verdict.
-    pub worst: Verdict,
+pub(crate) struct DoctorReport {
+    pub(crate) worst: Severity,
     /// In the order of the checks.
-    pub findings: Vec<Finding>,
+    pub(crate) findings: Vec<Finding>,
 }
 
-impl Report {
-    /// A report of `findings`.
-    pub fn new(findings: Vec<Finding>) -> Self {
-        let worst = findings.iter().map(|finding| finding.verdict).max();
+impl DoctorReport {
+    pub(crate) fn new(findings: Vec<Finding>) -> Self {
+        let worst = findings.iter().map(|finding| finding.severity).max();
         Self {
-            worst: worst.unwrap_or(Verdict::Ok),
+            worst: worst.unwrap_or(Severity::Ok),
             findings,
         }
     }
 
-    /// How many findings have this verdict.
-    pub fn count(&self, verdict: Verdict) -> usize {
-        let same = |finding: &&Finding| finding.verdict == verdict;
+    pub(crate) fn count(&self, severity: Severity) -> usize {
+        let same = |finding: &&Finding| finding.severity == severity;
         self.findings.iter().filter(same).count()
     }
 }
@@ -133,11 +144,11 @@ impl Report {
 mod tests {
     use super::*;
 
-    fn finding(verdict: Verdict) -> Finding {
+    fn finding(severity: Severity) -> Finding {
         Finding {
             key: "key",
             title: "title",
-            verdict,
+            severity,
             value: String::new(),
             why: "",
             remedy: String::new(),
@@ -146,16 +157,16 @@ mod tests {
 
     #[test]
     fn the_worst_finding_is_the_worst_of_the_report() {
-        assert_eq!(Report::new(Vec::new()).worst, Verdict::Ok);
-        for (index, worst) in Verdict::ALL.into_iter().enumerate() {
-            let mut findings: Vec<_> = Verdict::ALL[..=index]
+        assert_eq!(DoctorReport::new(Vec::new()).worst, Severity::Ok);
+        for (index, worst) in Severity::ALL.into_iter().enumerate() {
+            let mut findings: Vec<_> = Severity::ALL[..=index]
                 .iter()
                 .copied()
                 .map(finding)
                 .collect();
-            assert_eq!(Report::new(findings.clone()).worst, worst);
+            assert_eq!(DoctorReport::new(findings.clone()).worst, worst);
             findings.reverse();
-            let report = Report::new(findings);
+            let report = DoctorReport::new(findings);
             assert_eq!(report.worst, worst);
             assert_eq!(report.count(worst), 1);
         }
@@ -163,7 +174,7 @@ mod tests {
 
     #[test]
     fn a_worse_verdict_never_has_a_smaller_exit_status() {
-        let statuses = Verdict::ALL.map(Verdict::exit_status);
+        let statuses = Severity::ALL.map(Severity::exit_status);
         assert!(statuses.is_sorted());
         assert!(!statuses.contains(&1) && !statuses.contains(&2));
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use rustix::fs::{Access, access};
 
-use super::{Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, Scene};
 
 checks! {
     Always root_folder, "root folder",
@@ -17,11 +17,11 @@ const IN_MEMORY: &str =
 const ANOTHER: &str = "choose a folder of your own: --root DIR, or transport.root";
 
 #[allow(clippy::unnecessary_wraps, reason = "every check has this signature")]
-fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn root_folder(scene: &Scene) -> Assessed {
     let shown = scene.plan.root.display().to_string();
     if let Ok(false) = scene.probe.root_in_memory {
         let value = format!("{shown} lies on a disk");
-        return Ok(Judgement::fault(value, IN_MEMORY));
+        return Ok(Assessment::fault(value, IN_MEMORY));
     }
     let path = scene.system.path(&shown);
     let folder = match std::fs::metadata(&path) {
@@ -30,16 +30,16 @@ fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
             return Ok(not_there_yet(&shown, &path));
         }
         Err(cause) => {
-            return Ok(Judgement::fault(format!("{shown}: {cause}"), ANOTHER));
+            return Ok(Assessment::fault(format!("{shown}: {cause}"), ANOTHER));
         }
     };
     if !folder.is_dir() {
-        return Ok(Judgement::fault(format!("{shown} is no folder"), ANOTHER));
+        return Ok(Assessment::fault(format!("{shown} is no folder"), ANOTHER));
     }
     let (owner, user) = (folder.uid(), scene.probe.user_id);
     if owner != user {
         let value = format!("{shown} belongs to user id {owner}, not to {user}");
-        return Ok(Judgement::fault(value, ANOTHER));
+        return Ok(Assessment::fault(value, ANOTHER));
     }
     let mode = folder.permissions().mode() & 0o7777;
     let value = format!("{shown}, owner {owner}, mode {mode:o}");
@@ -48,24 +48,23 @@ fn root_folder(scene: &Scene) -> Result<Judgement, Unreadable> {
     } else {
         0o022
     };
-    Ok(if mode & foreign == 0 {
-        Judgement::ok(value)
-    } else {
-        let value = format!("{value}: others may write");
-        Judgement::warning(value, format!("chmod 700 '{shown}'"))
-    })
+    if mode & foreign == 0 {
+        return Ok(Assessment::ok(value));
+    }
+    let value = format!("{value}: others may write");
+    Ok(Assessment::warning(value, format!("chmod 700 '{shown}'")))
 }
 
 /// The daemon creates the folder, with all above it, if the first one that is there lets it.
-fn not_there_yet(shown: &str, path: &Path) -> Judgement {
+fn not_there_yet(shown: &str, path: &Path) -> Assessment {
     let above = path.ancestors().skip(1).find(|folder| folder.exists());
     let is_writable = above.is_some_and(|folder| {
         folder.is_dir() && access(folder, Access::WRITE_OK | Access::EXEC_OK).is_ok()
     });
     if is_writable {
-        Judgement::ok(format!("{shown}, created at the first start"))
+        Assessment::ok(format!("{shown}, created at the first start"))
     } else {
-        Judgement::fault(
+        Assessment::fault(
             format!("{shown} is not there and cannot be created"),
             ANOTHER,
         )
@@ -74,14 +73,9 @@ fn not_there_yet(shown: &str, path: &Path) -> Judgement {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::fs::{Permissions, set_permissions};
 
-    use super::super::Verdict::{Fault, Ok as Good, Warning};
+    use super::super::Severity::{Fault, Ok as Good, Warning};
     use super::super::fake::Fake;
     use super::*;
 
@@ -91,7 +85,7 @@ mod tests {
         fake.expect("root_folder", Good, &["/run/cdcr", "created"]);
         // A file where a folder would have to be.
         fake.write("/run", "");
-        assert_eq!(fake.verdict("root_folder"), Fault);
+        assert_eq!(fake.severity("root_folder"), Fault);
     }
 
     #[test]

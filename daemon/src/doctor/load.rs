@@ -1,7 +1,8 @@
 //! Who else uses the core.
 
+use super::cores::TWO_CORES;
 use super::sample::{Load, Thread};
-use super::{CoreSet, Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, CoreSet, Scene, Unreadable};
 
 checks! {
     RealTime steal, "stolen time",
@@ -25,7 +26,7 @@ const INTERRUPT_HZ: f64 = 100.0;
 /// How many of the largest are named.
 const NAMED: usize = 3;
 
-fn steal(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn steal(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let load = scene.load()?.cores.get(&core);
     let load =
@@ -35,17 +36,14 @@ fn steal(scene: &Scene) -> Result<Judgement, Unreadable> {
         100.0 * load.steal,
         100.0 * load.steal_since_start
     );
-    Ok(if load.steal.max(load.steal_since_start) < STEAL_SHARE {
-        Judgement::ok(value)
-    } else {
-        Judgement::warning(
-            value,
-            "ask for dedicated (pinned) cores for this virtual machine",
-        )
-    })
+    Ok(Assessment::good_if(
+        load.steal.max(load.steal_since_start) < STEAL_SHARE,
+        value,
+        "ask for dedicated (pinned) cores for this virtual machine",
+    ))
 }
 
-fn neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let neighbours = &scene.load()?.neighbours;
     let sum: f64 = neighbours.iter().map(|neighbour| neighbour.share).sum();
@@ -55,16 +53,11 @@ fn neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
     });
     let named: Vec<_> = named.collect();
     if named.is_empty() {
-        return Ok(Judgement::ok(format!("nobody else on core {core}")));
+        return Ok(Assessment::ok(format!("nobody else on core {core}")));
     }
     let value = format!("{:.0} % of core {core}: {}", 100.0 * sum, named.join(", "));
-    if sum < NEIGHBOUR_SHARE {
-        return Ok(Judgement::ok(value));
-    }
-    Ok(Judgement::warning(
-        value,
-        away(scene, &neighbours[0].thread),
-    ))
+    let remedy = away(scene, &neighbours[0].thread);
+    Ok(Assessment::good_if(sum < NEIGHBOUR_SHARE, value, remedy))
 }
 
 /// The command that moves a thread to other cores.
@@ -95,7 +88,7 @@ fn apart(others: &CoreSet) -> String {
     format!("set another realtime.core (of {others}) for this cdcrd or for the other one")
 }
 
-fn realtime_neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn realtime_neighbours(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let limit = scene.plan.exchange_priority;
     let (kernel, programs): (Vec<_>, Vec<_>) = rivals(scene.load()?, core, limit)
@@ -106,7 +99,7 @@ fn realtime_neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
         words.join(", ")
     };
     let Some(first) = programs.first() else {
-        return Ok(Judgement::ok(if kernel.is_empty() {
+        return Ok(Assessment::ok(if kernel.is_empty() {
             "none that could go before the loop".to_owned()
         } else {
             format!("only {} of the kernel's: {}", kernel.len(), named(&kernel))
@@ -117,7 +110,7 @@ fn realtime_neighbours(scene: &Scene) -> Result<Judgement, Unreadable> {
         programs.len(),
         named(&programs)
     );
-    Ok(Judgement::warning(value, stood_back(scene, first)))
+    Ok(Assessment::warning(value, stood_back(scene, first)))
 }
 
 /// The command after which a program's real-time thread does not go before the loop.
@@ -173,7 +166,7 @@ fn rivals(load: &Load, core: usize, exchange_priority: i32) -> Vec<&Thread> {
     load.realtime.iter().filter(is_rival).collect()
 }
 
-fn interrupts(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn interrupts(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     let rates = &scene.load()?.interrupts;
     let named = rates.iter().take(NAMED).map(|rate| {
@@ -184,43 +177,42 @@ fn interrupts(scene: &Scene) -> Result<Judgement, Unreadable> {
     });
     let named: Vec<_> = named.collect();
     if named.is_empty() {
-        return Ok(Judgement::ok(format!("none on core {core}")));
+        return Ok(Assessment::ok(format!("none on core {core}")));
     }
     let devices = || rates.iter().filter(|rate| rate.is_device());
     let device_hz: f64 = devices().map(|rate| rate.rate_hz).sum();
     let value = format!("{device_hz:.0}/s of devices; largest {}", named.join(", "));
     let Some(worst) = devices().next().filter(|_| device_hz >= INTERRUPT_HZ) else {
-        return Ok(Judgement::ok(value));
+        return Ok(Assessment::ok(value));
     };
     let others = scene.other_cores()?;
     let remedy = if others.count() == 0 {
-        "use a machine with two cores or more".to_owned()
+        TWO_CORES.to_owned()
     } else {
         format!(
             "echo {others} | sudo tee /proc/irq/{}/smp_affinity_list",
             worst.label
         )
     };
-    Ok(Judgement::warning(value, remedy))
+    Ok(Assessment::warning(value, remedy))
 }
 
-fn irqbalance(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn irqbalance(scene: &Scene) -> Assessed {
     let Some(process) = scene.load()?.irqbalance else {
-        return Ok(Judgement::ok("does not run"));
+        return Ok(Assessment::ok("does not run"));
     };
     let core = scene.core()?;
-    let isolated = scene.system.read("/sys/devices/system/cpu/isolated")?;
-    if CoreSet::parse(&isolated).contains(core) {
-        return Ok(Judgement::ok("runs, and spares isolated cores"));
+    if scene.system.cores("isolated")?.contains(core) {
+        return Ok(Assessment::ok("runs, and spares isolated cores"));
     }
     let environment = scene.system.read(&format!("/proc/{process}/environ"))?;
     let banned = environment
         .split('\0')
         .find_map(|variable| variable.strip_prefix("IRQBALANCE_BANNED_CPULIST="));
     if CoreSet::parse(banned.unwrap_or_default()).contains(core) {
-        return Ok(Judgement::ok(format!("runs, and spares core {core}")));
+        return Ok(Assessment::ok(format!("runs, and spares core {core}")));
     }
-    Ok(Judgement::warning(
+    Ok(Assessment::warning(
         "runs, and does not spare the core",
         format!(
             "echo IRQBALANCE_BANNED_CPULIST={core} | sudo tee -a /etc/default/irqbalance && sudo systemctl \
@@ -231,9 +223,9 @@ fn irqbalance(scene: &Scene) -> Result<Judgement, Unreadable> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
-    use super::super::{CoreLoad, InterruptRate, Neighbour};
+    use super::super::sample::{CoreLoad, InterruptRate, Neighbour};
     use super::*;
 
     fn fake(change: impl FnOnce(&mut Load)) -> Fake {
@@ -300,23 +292,23 @@ mod tests {
     #[test]
     fn real_time_threads_that_go_first_are_named() {
         let of = |thread: Thread| fake(|load| load.realtime.push(thread));
-        let verdict = |thread| of(thread).verdict("realtime_neighbours");
+        let severity = |thread| of(thread).severity("realtime_neighbours");
         fake(|_| ()).expect("realtime_neighbours", Good, &["none"]);
         of(thread("audio", 88, "0-1")).expect(
             "realtime_neighbours",
             Warning,
             &["audio (77) priority 88", "taskset -pc 0 77"],
         );
-        assert_eq!(verdict(thread("audio", 88, "0")), Good);
-        assert_eq!(verdict(thread("audio", 10, "0-1")), Good);
-        assert_eq!(verdict(thread("other loop", 10, "1")), Warning);
+        assert_eq!(severity(thread("audio", 88, "0")), Good);
+        assert_eq!(severity(thread("audio", 10, "0-1")), Good);
+        assert_eq!(severity(thread("other loop", 10, "1")), Warning);
         // A program may call itself as it likes.
-        assert_eq!(verdict(thread("migration/1", 99, "1")), Warning);
+        assert_eq!(severity(thread("migration/1", 99, "1")), Warning);
         let deadline = Thread {
             is_deadline: true,
             ..thread("camera", 0, "0-1")
         };
-        assert_eq!(verdict(deadline), Warning);
+        assert_eq!(severity(deadline), Warning);
         let alone = of(thread("audio", 88, "1"));
         alone.write("/sys/devices/system/cpu/online", "1");
         alone.expect("realtime_neighbours", Warning, &["chrt -f -p 1 77"]);
@@ -361,7 +353,7 @@ mod tests {
             });
             for key in ["neighbours", "realtime_neighbours"] {
                 fake.expect(key, Warning, &["another realtime.core (of 0)"]);
-                let remedy = fake.judge(key).remedy;
+                let remedy = fake.assess(key).remedy;
                 assert!(
                     !remedy.contains("taskset") && !remedy.contains("chrt"),
                     "{remedy}"

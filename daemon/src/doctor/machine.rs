@@ -1,6 +1,6 @@
 //! What kind of machine this is.
 
-use super::{Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, Scene};
 
 checks! {
     RealTime clock_source, "clock source",
@@ -31,18 +31,18 @@ const SLOW: [&str; 6] = [
     "hyperv_clocksource_msr",
 ];
 
-fn clock_source(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn clock_source(scene: &Scene) -> Assessed {
     let folder = "/sys/devices/system/clocksource/clocksource0";
     let current = scene
         .system
         .read(&format!("{folder}/current_clocksource"))?;
     if FAST.contains(&&*current) {
-        return Ok(Judgement::ok(current));
+        return Ok(Assessment::ok(current));
     }
     if !SLOW.contains(&&*current) {
         let value = format!("{current}: its speed is not known here");
         let remedy = format!("cat {folder}/available_clocksource");
-        return Ok(Judgement::unknown(value, remedy));
+        return Ok(Assessment::unknown(value, remedy));
     }
     let available = scene
         .system
@@ -51,18 +51,18 @@ fn clock_source(scene: &Scene) -> Result<Judgement, Unreadable> {
         .split_whitespace()
         .find(|name| FAST.contains(name));
     Ok(match better {
-        Some(better) => Judgement::warning(
+        Some(better) => Assessment::warning(
             format!("{current}, though {better} is there"),
             format!("echo {better} | sudo tee {folder}/current_clocksource"),
         ),
-        None => Judgement::warning(
+        None => Assessment::warning(
             format!("{current}; there is no fast one"),
             "look for `clocksource` in dmesg; if only the kernel's doubt is in the way, boot with tsc=reliable",
         ),
     })
 }
 
-fn virtual_machine(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn virtual_machine(scene: &Scene) -> Assessed {
     let system = &scene.system;
     let processor = system.read("/proc/cpuinfo")?;
     let has_flag = processor
@@ -87,14 +87,14 @@ fn virtual_machine(scene: &Scene) -> Result<Judgement, Unreadable> {
         "Xen",
     ];
     if !has_flag && !known.iter().any(|name| product.contains(name)) {
-        return Ok(Judgement::ok("no"));
+        return Ok(Assessment::ok("no"));
     }
     let kind = if product.is_empty() {
         "of unknown make".to_owned()
     } else {
         product
     };
-    Ok(Judgement::warning(
+    Ok(Assessment::warning(
         format!("yes, {kind}"),
         "run on the machine itself, or pin this virtual machine to cores of its own",
     ))
@@ -102,7 +102,7 @@ fn virtual_machine(scene: &Scene) -> Result<Judgement, Unreadable> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
 
     #[test]

@@ -3,7 +3,7 @@
 use cdcr_shared_types::{Measurement, ObstacleUpdate, ReferenceChunk, Service};
 
 use super::system::chosen_of;
-use super::{Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, Scene, Unreadable};
 use crate::services::daemon_bytes;
 
 checks! {
@@ -25,7 +25,7 @@ const fn client_bytes() -> u64 {
         + measurement.writer_bytes(size_of::<Measurement>())
 }
 
-fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn shared_memory(scene: &Scene) -> Assessed {
     let (size, free) = scene
         .probe
         .shared_memory_bytes
@@ -51,34 +51,34 @@ fn shared_memory(scene: &Scene) -> Result<Judgement, Unreadable> {
         "sudo mount -o remount,size={enough_bytes}M {mount}   (a container: --shm-size={enough_bytes}m)"
     );
     Ok(if free < daemon {
-        Judgement::fault(value, remedy)
+        Assessment::fault(value, remedy)
     } else if free < both {
-        Judgement::warning(value, remedy)
+        Assessment::warning(value, remedy)
     } else {
-        Judgement::ok(value)
+        Assessment::ok(value)
     })
 }
 
-fn huge_pages(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn huge_pages(scene: &Scene) -> Assessed {
     let path = "/sys/kernel/mm/transparent_hugepage/enabled";
     let Some(text) = scene.system.read_if_there(path)? else {
-        return Ok(Judgement::ok("the kernel has none"));
+        return Ok(Assessment::ok("the kernel has none"));
     };
     let chosen = chosen_of(&text, ['[', ']'])
         .ok_or_else(|| Unreadable::new(path, format!("{text:?} has no choice in brackets")))?;
     if chosen != "always" {
-        return Ok(Judgement::ok(chosen));
+        return Ok(Assessment::ok(chosen));
     }
     Ok(match &scene.probe.no_huge_pages {
-        Ok(()) => Judgement::ok("always, but not for the daemon: it exempts itself"),
-        Err(refusal) => Judgement::warning(
+        Ok(()) => Assessment::ok("always, but not for the daemon: it exempts itself"),
+        Err(refusal) => Assessment::warning(
             format!("always, also for the daemon: PR_SET_THP_DISABLE is refused ({refusal})"),
             format!("echo madvise | sudo tee {path}"),
         ),
     })
 }
 
-fn swap(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn swap(scene: &Scene) -> Assessed {
     let areas = scene
         .system
         .read_if_there("/proc/swaps")?
@@ -89,19 +89,19 @@ fn swap(scene: &Scene) -> Result<Judgement, Unreadable> {
         .skip(1)
         .filter(|line| !line.trim().is_empty())
         .count();
-    Ok(if count == 0 {
-        Judgement::ok("none")
-    } else if scene.probe.memory_lock.is_ok() {
-        Judgement::ok(format!("{count} in use, and memory can be locked"))
-    } else {
-        let value = format!("{count} in use, and memory is not locked");
-        Judgement::warning(value, "sudo swapoff -a, or let the daemon lock its memory")
-    })
+    if count == 0 {
+        return Ok(Assessment::ok("none"));
+    }
+    let is_locked = scene.probe.memory_lock.is_ok();
+    let word = if is_locked { "can be" } else { "is not" };
+    let value = format!("{count} in use, and memory {word} locked");
+    let remedy = "sudo swapoff -a, or let the daemon lock its memory";
+    Ok(Assessment::good_if(is_locked, value, remedy))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
     use super::*;
 
@@ -110,7 +110,7 @@ mod tests {
         let mut fake = Fake::new(&[]);
         let mut with_free = |bytes: u64| {
             fake.scene.probe.shared_memory_bytes = Ok((1 << 26, bytes));
-            fake.judge("shared_memory").verdict
+            fake.assess("shared_memory").severity
         };
         assert_eq!(with_free(daemon_bytes() - 1), Fault);
         assert_eq!(with_free(daemon_bytes()), Warning);
@@ -129,9 +129,9 @@ mod tests {
     fn a_daemon_that_runs_has_taken_its_part() {
         let mut fake = Fake::new(&[("/run/cdcr/cdcr_cdcr.lock", "12\n")]);
         fake.scene.probe.shared_memory_bytes = Ok((1 << 26, client_bytes()));
-        assert_eq!(fake.verdict("shared_memory"), Fault);
+        assert_eq!(fake.severity("shared_memory"), Fault);
         fake.write("/proc/12/stat", "");
-        assert_eq!(fake.verdict("shared_memory"), Good);
+        assert_eq!(fake.severity("shared_memory"), Good);
     }
 
     #[test]

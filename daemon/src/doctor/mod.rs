@@ -2,20 +2,20 @@
 //! about it.
 //!
 //! A [`Scene`] holds all that was seen: files ([`System`]), trials ([`Probe`]), one second of counters
-//! ([`Load`]), and what the configuration asks ([`Plan`]). Each check judges one thing of it and changes
-//! nothing, so that tests judge scenes of their own.
+//! ([`Load`]), and what the configuration asks ([`Plan`]). Each check assesses one thing of it and changes
+//! nothing, so that tests assess scenes of their own.
 //!
-//! Where the configuration asks for no real time, what matters only to real time is shown and judged good.
+//! Where the configuration asks for no real time, what matters only to real time is shown and assessed good.
 
-/// The checks of a file: whom each concerns, the function that judges it (its name is the key), title, and why it matters.
+/// The checks of a file: whom each concerns, the function that assesses it (its name is the key), title, and why it matters.
 macro_rules! checks {
-    ($($concern:ident $judge:ident, $title:literal, $why:literal;)+) => {
+    ($($concern:ident $assess:ident, $title:literal, $why:literal;)+) => {
         pub(super) const CHECKS: &[super::Check] = &[$(super::Check {
-            key: stringify!($judge),
+            key: stringify!($assess),
             title: $title,
             why: $why,
             concern: super::Concern::$concern,
-            judge: $judge,
+            assess: $assess,
         }),+];
     };
 }
@@ -41,32 +41,34 @@ mod system;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-pub use core_choice::with_core;
-pub use core_set::CoreSet;
-pub use finding::{Finding, Judgement, NOTHING_TO_DO, Report, Verdict};
-pub use plan::Plan;
-pub use probe::Probe;
-pub use sample::{CoreLoad, InterruptRate, Load, Neighbour, Snapshot, Thread};
-pub use scheduler::kernel_share;
-pub use system::{System, Unreadable};
+pub(crate) use core_choice::with_core;
+pub(crate) use core_set::CoreSet;
+pub(crate) use finding::{Assessment, DoctorReport, Finding, NOTHING_TO_DO, Severity};
+pub(crate) use plan::Plan;
+pub(crate) use probe::Probe;
+pub(crate) use sample::{Load, Snapshot};
+pub(crate) use scheduler::kernel_share;
+pub(crate) use system::{System, Unreadable};
 
 use crate::config::{RealtimeMode, Validated};
 
+/// The kernel's folder of the cores.
+const CPU: &str = "/sys/devices/system/cpu";
 /// How long the counters are watched.
 const WATCHED: Duration = Duration::from_secs(1);
 
 /// All that was seen.
 #[derive(Debug, Clone)]
-pub struct Scene {
-    /// The files of the system.
-    pub system: System,
-    /// What the configuration asks.
-    pub plan: Plan,
-    /// What was tried.
-    pub probe: Probe,
+pub(crate) struct Scene {
+    pub(crate) system: System,
+    pub(crate) plan: Plan,
+    pub(crate) probe: Probe,
     /// What happened on the core meanwhile.
-    pub load: Result<Load, Unreadable>,
+    pub(crate) load: Result<Load, Unreadable>,
 }
+
+/// What a check finds, or what it could not read.
+type Assessed = Result<Assessment, Unreadable>;
 
 /// To whom a thing matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,7 +85,7 @@ struct Check {
     title: &'static str,
     why: &'static str,
     concern: Concern,
-    judge: fn(&Scene) -> Result<Judgement, Unreadable>,
+    assess: fn(&Scene) -> Assessed,
 }
 
 /// Every check, in the order of the report.
@@ -102,13 +104,13 @@ fn checks() -> impl Iterator<Item = &'static Check> {
 }
 
 /// Looks at this machine with the eyes of a daemon of this configuration. Takes a second.
-pub fn examine(validated: &Validated) -> Report {
+pub(crate) fn examine(validated: &Validated) -> DoctorReport {
     Scene::here(validated).report()
 }
 
 impl Scene {
     /// This machine, for a daemon of this configuration.
-    pub fn here(validated: &Validated) -> Self {
+    pub(crate) fn here(validated: &Validated) -> Self {
         let system = System::at(Path::new("/"));
         let plan = Plan::new(&with_core(validated));
         let load = watch(&system, &plan);
@@ -121,15 +123,20 @@ impl Scene {
         }
     }
 
-    /// Judges everything.
-    pub fn report(&self) -> Report {
-        Report::new(checks().map(|check| check.finding(self)).collect())
+    pub(crate) fn report(&self) -> DoctorReport {
+        DoctorReport::new(checks().map(|check| check.finding(self)).collect())
     }
 
     /// The core of the real-time threads.
     fn core(&self) -> Result<usize, Unreadable> {
         let none = || Unreadable::new("the core", "the system does not tell which cores it has");
         self.plan.core.ok_or_else(none)
+    }
+
+    /// Whether the core has no tick.
+    fn has_no_tick(&self) -> Result<bool, Unreadable> {
+        let quiet = self.system.read_if_there(&format!("{CPU}/nohz_full"))?;
+        Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(self.core()?))
     }
 
     fn load(&self) -> Result<&Load, Unreadable> {
@@ -150,25 +157,25 @@ impl Scene {
 
 impl Check {
     fn finding(&self, scene: &Scene) -> Finding {
-        let judged = (self.judge)(scene);
-        let Judgement {
-            mut verdict,
+        let assessed = (self.assess)(scene);
+        let Assessment {
+            mut severity,
             value,
             mut remedy,
-        } = judged.unwrap_or_else(|unreadable| {
+        } = assessed.unwrap_or_else(|unreadable| {
             let remedy = "run `cdcrd doctor` as root, or look by hand";
-            Judgement::unknown(unreadable.to_string(), remedy)
+            Assessment::unknown(unreadable.to_string(), remedy)
         });
         if self.concern == Concern::RealTime && scene.plan.mode == RealtimeMode::Off {
-            verdict = Verdict::Ok;
+            severity = Severity::Ok;
         }
-        if verdict == Verdict::Ok {
+        if severity == Severity::Ok {
             NOTHING_TO_DO.clone_into(&mut remedy);
         }
         Finding {
             key: self.key,
             title: self.title,
-            verdict,
+            severity,
             value,
             why: self.why,
             remedy,
@@ -219,8 +226,8 @@ mod tests {
         fake.scene.load = Err(Unreadable::new("/proc/stat", "gone"));
         fake.scene.probe.fifo = Err("no".to_owned());
         let report = fake.scene.report();
-        assert!(report.count(Verdict::Unknown) > 5, "{report:#?}");
-        assert!(report.worst >= Verdict::Warning);
+        assert!(report.count(Severity::Unknown) > 5, "{report:#?}");
+        assert!(report.worst >= Severity::Warning);
         let unknown = report.findings.iter().find(|f| f.key == "steal");
         assert!(unknown.is_some_and(|f| f.value.contains("/proc/stat") && !f.remedy.is_empty()));
     }
@@ -232,7 +239,7 @@ mod tests {
         fake.scene.probe.fifo = Err("no".to_owned());
         fake.scene.probe.memory_lock = Err("no".to_owned());
         let report = fake.scene.report();
-        let bad = report.findings.iter().filter(|f| f.verdict > Verdict::Ok);
+        let bad = report.findings.iter().filter(|f| f.severity > Severity::Ok);
         let keys: Vec<_> = bad.map(|finding| finding.key).collect();
         assert_eq!(keys, Vec::<&str>::new());
     }
@@ -240,7 +247,7 @@ mod tests {
     #[test]
     fn what_is_ok_needs_no_mending() {
         for finding in Fake::new(&[]).scene.report().findings {
-            let is_ok = finding.verdict == Verdict::Ok;
+            let is_ok = finding.severity == Severity::Ok;
             assert_eq!(is_ok, finding.remedy == NOTHING_TO_DO, "{finding:?}");
         }
     }

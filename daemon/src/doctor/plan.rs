@@ -2,38 +2,30 @@
 
 use std::path::PathBuf;
 
-use super::finding::{Judgement, Verdict};
+use super::finding::{Assessment, Severity};
 use crate::config::{RealtimeMode, Validated};
 use crate::core_budget::CoreBudget;
 
 /// What the configuration asks of the machine.
 #[derive(Debug, Clone)]
-pub struct Plan {
-    /// How much real time is asked for.
-    pub mode: RealtimeMode,
+pub(crate) struct Plan {
+    pub(crate) mode: RealtimeMode,
     /// Core of the real-time threads; none when the system does not tell which there are.
-    pub core: Option<usize>,
-    /// `SCHED_FIFO` priority of the cycle thread.
-    pub cycle_priority: i32,
-    /// `SCHED_FIFO` priority of the exchange thread.
-    pub exchange_priority: i32,
-    /// Period \[ms\].
-    pub period_ms: f64,
+    pub(crate) core: Option<usize>,
+    pub(crate) cycle_priority: i32,
+    pub(crate) exchange_priority: i32,
+    pub(crate) period_ms: f64,
     /// How the real-time threads share out the core, by what the kernel leaves to them by default.
-    pub core_budget: CoreBudget,
-    /// Whether deep sleep is to be kept away.
-    pub no_deep_sleep: bool,
-    /// Root folder of the shared-memory services.
-    pub root: PathBuf,
-    /// Whether the root folder is for a group, too.
-    pub is_for_group: bool,
+    pub(crate) core_budget: CoreBudget,
+    pub(crate) no_deep_sleep: bool,
+    pub(crate) root: PathBuf,
+    pub(crate) is_for_group: bool,
     /// File that the daemon of this robot locks.
-    pub lock_file: PathBuf,
+    pub(crate) lock_file: PathBuf,
 }
 
 impl Plan {
-    /// The plan of a configuration.
-    pub fn new(validated: &Validated) -> Self {
+    pub(crate) fn new(validated: &Validated) -> Self {
         let Validated {
             config,
             location,
@@ -55,13 +47,17 @@ impl Plan {
         }
     }
 
-    /// The judgement of a privilege that is not granted: a fault where real time is required.
-    pub fn missing(&self, value: impl Into<String>, remedy: impl Into<String>) -> Judgement {
-        let verdict = match self.mode {
-            RealtimeMode::Require => Verdict::Fault,
-            RealtimeMode::Prefer | RealtimeMode::Auto => Verdict::Warning,
-            RealtimeMode::Off => Verdict::Ok,
+    /// The assessment of a privilege that is not granted: a fault where real time is required.
+    pub(crate) fn missing(
+        &self,
+        value: impl Into<String>,
+        remedy: impl Into<String>,
+    ) -> Assessment {
+        let severity = match self.mode {
+            RealtimeMode::Require => Severity::Fault,
+            RealtimeMode::Prefer | RealtimeMode::Auto => Severity::Warning,
+            RealtimeMode::Off => Severity::Ok,
         };
-        Judgement::new(verdict, value, remedy)
+        Assessment::new(severity, value, remedy)
     }
 }

@@ -1,6 +1,6 @@
 //! Privileges: priority, core, locked memory.
 
-use super::{Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, Scene, Unreadable};
 
 checks! {
     RealTime fifo, "SCHED_FIFO",
@@ -46,10 +46,10 @@ pub(super) fn may_have_priority(scene: &Scene) -> Result<bool, Unreadable> {
     Ok(limit_is_enough || is_capable(scene, CAP_SYS_NICE)?)
 }
 
-fn fifo(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn fifo(scene: &Scene) -> Assessed {
     let priority = scene.plan.cycle_priority;
     let refusal = match &scene.probe.fifo {
-        Ok(()) => return Ok(Judgement::ok(format!("granted at priority {priority}"))),
+        Ok(()) => return Ok(Assessment::ok(format!("granted at priority {priority}"))),
         Err(refusal) => refusal,
     };
     if may_have_priority(scene)? {
@@ -70,10 +70,10 @@ fn fifo(scene: &Scene) -> Result<Judgement, Unreadable> {
     ))
 }
 
-fn pin(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn pin(scene: &Scene) -> Assessed {
     let core = scene.core()?;
     if scene.probe.pinned {
-        return Ok(Judgement::ok(format!("core {core}")));
+        return Ok(Assessment::ok(format!("core {core}")));
     }
     let allowed = scene.system.own_status("Cpus_allowed_list")?;
     let online = scene.system.online()?;
@@ -93,7 +93,7 @@ fn pin(scene: &Scene) -> Result<Judgement, Unreadable> {
     ))
 }
 
-fn memory_lock(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn memory_lock(scene: &Scene) -> Assessed {
     let limit = scene.probe.memlock_max_bytes;
     let limit_text = limit.map_or("unlimited".to_owned(), |limit| {
         format!("{:.1} MB", limit as f64 * 1e-6)
@@ -105,7 +105,7 @@ fn memory_lock(scene: &Scene) -> Result<Judgement, Unreadable> {
     }
     let is_enough = limit.is_none_or(|limit| limit >= LOCKED_BYTES);
     if is_enough || is_capable(scene, CAP_IPC_LOCK)? {
-        return Ok(Judgement::ok("granted"));
+        return Ok(Assessment::ok("granted"));
     }
     let value = format!("RLIMIT_MEMLOCK is {limit_text}; a daemon with clients may need 512 MiB");
     Ok(scene.plan.missing(value, remedy))
@@ -113,7 +113,7 @@ fn memory_lock(scene: &Scene) -> Result<Judgement, Unreadable> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
+    use super::super::Severity;
     use super::super::fake::Fake;
     use crate::config::RealtimeMode;
 
@@ -122,8 +122,8 @@ mod tests {
         "CapEff:\t0000000000000000\nCpus_allowed_list:\t0-1\n",
     );
 
-    /// The verdict in each mode: require, prefer, off.
-    fn verdicts(fake: &mut Fake, key: &str) -> [Verdict; 3] {
+    /// The severity in each mode: require, prefer, off.
+    fn severities(fake: &mut Fake, key: &str) -> [Severity; 3] {
         [
             RealtimeMode::Require,
             RealtimeMode::Prefer,
@@ -131,23 +131,23 @@ mod tests {
         ]
         .map(|mode| {
             fake.scene.plan.mode = mode;
-            fake.verdict(key)
+            fake.severity(key)
         })
     }
 
-    const MISSING: [Verdict; 3] = [Verdict::Fault, Verdict::Warning, Verdict::Ok];
+    const MISSING: [Severity; 3] = [Severity::Fault, Severity::Warning, Severity::Ok];
 
     #[test]
     fn a_priority_that_is_refused_is_as_bad_as_it_was_asked_for() {
         let mut fake = Fake::new(&[NO_CAPABILITY]);
-        assert_eq!(verdicts(&mut fake, "fifo"), [Verdict::Ok; 3]);
+        assert_eq!(severities(&mut fake, "fifo"), [Severity::Ok; 3]);
         fake.scene.probe.fifo = Err("not permitted".to_owned());
         fake.scene.probe.rtprio_max = Some(0);
-        assert_eq!(verdicts(&mut fake, "fifo"), MISSING);
+        assert_eq!(severities(&mut fake, "fifo"), MISSING);
         fake.scene.plan.mode = RealtimeMode::Prefer;
         fake.expect(
             "fifo",
-            Verdict::Warning,
+            Severity::Warning,
             &[
                 "RLIMIT_RTPRIO is 0",
                 "systemctl start cdcrd",
@@ -157,7 +157,7 @@ mod tests {
             ],
         );
         fake.scene.plan.cycle_priority = 95;
-        fake.expect("fifo", Verdict::Warning, &["@cdcr - rtprio 95"]);
+        fake.expect("fifo", Severity::Warning, &["@cdcr - rtprio 95"]);
     }
 
     #[test]
@@ -167,7 +167,7 @@ mod tests {
         fake.scene.probe.rtprio_max = Some(0);
         fake.scene.probe.memory_lock = Err("not permitted".to_owned());
         for key in ["fifo", "memory_lock"] {
-            let remedy = fake.judge(key).remedy;
+            let remedy = fake.assess(key).remedy;
             assert!(remedy.contains("limits.d"), "{key}: {remedy}");
             assert!(!remedy.contains("setcap"), "{key}: {remedy}");
         }
@@ -178,43 +178,43 @@ mod tests {
         let mut fake = Fake::new(&[("/proc/self/status", "CapEff:\t0000000000800000\n")]);
         fake.scene.probe.fifo = Err("not permitted".to_owned());
         fake.scene.probe.rtprio_max = Some(0);
-        fake.expect("fifo", Verdict::Warning, &["in spite", "RestrictRealtime"]);
+        fake.expect("fifo", Severity::Warning, &["in spite", "RestrictRealtime"]);
         fake.write("/proc/self/status", "CapEff:\tnonsense\n");
-        fake.expect("fifo", Verdict::Unknown, &["nonsense"]);
+        fake.expect("fifo", Severity::Unknown, &["nonsense"]);
     }
 
     #[test]
     fn a_core_that_is_refused_is_named() {
         let mut fake = Fake::new(&[NO_CAPABILITY, ("/sys/devices/system/cpu/online", "0-7")]);
-        assert_eq!(verdicts(&mut fake, "pin"), [Verdict::Ok; 3]);
+        assert_eq!(severities(&mut fake, "pin"), [Severity::Ok; 3]);
         fake.scene.probe.pinned = false;
         fake.scene.plan.core = Some(7);
-        assert_eq!(verdicts(&mut fake, "pin"), MISSING);
+        assert_eq!(severities(&mut fake, "pin"), MISSING);
         fake.scene.plan.mode = RealtimeMode::Prefer;
         let words = ["core 7", "realtime.core to one of 0-1", "AllowedCPUs"];
-        fake.expect("pin", Verdict::Warning, &words);
+        fake.expect("pin", Severity::Warning, &words);
         // It would confine every thread to the core of the real-time ones.
-        assert!(!fake.judge("pin").remedy.contains("taskset"));
+        assert!(!fake.assess("pin").remedy.contains("taskset"));
         fake.write("/sys/devices/system/cpu/online", "0-3");
         let words = ["core 7 does not run", "0-3", "realtime.core to one of 0-1"];
-        fake.expect("pin", Verdict::Warning, &words);
-        assert!(!fake.judge("pin").remedy.contains("AllowedCPUs"));
+        fake.expect("pin", Severity::Warning, &words);
+        assert!(!fake.assess("pin").remedy.contains("AllowedCPUs"));
     }
 
     #[test]
     fn memory_needs_a_grant_that_suffices() {
         let mut fake = Fake::new(&[NO_CAPABILITY]);
-        assert_eq!(verdicts(&mut fake, "memory_lock"), [Verdict::Ok; 3]);
+        assert_eq!(severities(&mut fake, "memory_lock"), [Severity::Ok; 3]);
         fake.scene.probe.memlock_max_bytes = Some(8 << 20);
-        assert_eq!(verdicts(&mut fake, "memory_lock"), MISSING);
+        assert_eq!(severities(&mut fake, "memory_lock"), MISSING);
         fake.write("/proc/self/status", "CapEff:\t0000000000004000\n");
-        assert_eq!(verdicts(&mut fake, "memory_lock"), [Verdict::Ok; 3]);
+        assert_eq!(severities(&mut fake, "memory_lock"), [Severity::Ok; 3]);
         fake.scene.probe.memory_lock = Err("cannot allocate memory".to_owned());
-        assert_eq!(verdicts(&mut fake, "memory_lock"), MISSING);
+        assert_eq!(severities(&mut fake, "memory_lock"), MISSING);
         fake.scene.plan.mode = RealtimeMode::Prefer;
         fake.expect(
             "memory_lock",
-            Verdict::Warning,
+            Severity::Warning,
             &["8.4 MB", "@cdcr - memlock unlimited", "--ulimit memlock=-1"],
         );
     }

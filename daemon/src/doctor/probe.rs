@@ -13,36 +13,32 @@ use crate::instance::is_in_memory;
 use crate::rt::sys;
 use crate::services::mount_point;
 
-/// What was tried.
 #[derive(Debug, Clone)]
-pub struct Probe {
+pub(crate) struct Probe {
     /// `SCHED_FIFO` at the cycle's priority, on a thread that ended at once; what the kernel said.
-    pub fifo: Result<(), String>,
+    pub(crate) fifo: Result<(), String>,
     /// Whether that thread could be pinned to the core.
-    pub pinned: bool,
+    pub(crate) pinned: bool,
     /// All memory of this process locked, and unlocked again; what the kernel said.
-    pub memory_lock: Result<(), String>,
+    pub(crate) memory_lock: Result<(), String>,
     /// This process exempted from transparent huge pages, and put back; what the kernel said.
-    pub no_huge_pages: Result<(), String>,
+    pub(crate) no_huge_pages: Result<(), String>,
     /// `RLIMIT_RTPRIO`; none: unlimited.
-    pub rtprio_max: Option<u64>,
+    pub(crate) rtprio_max: Option<u64>,
     /// `RLIMIT_MEMLOCK` \[bytes\]; none: unlimited.
-    pub memlock_max_bytes: Option<u64>,
+    pub(crate) memlock_max_bytes: Option<u64>,
     /// `/dev/cpu_dma_latency` opened for writing, without a request.
-    pub deep_sleep_lock: Result<(), String>,
+    pub(crate) deep_sleep_lock: Result<(), String>,
     /// Where the file system of the root folder begins, or of the folder that it will be made in.
-    pub shared_memory_mount: PathBuf,
+    pub(crate) shared_memory_mount: PathBuf,
     /// Its size and free space \[bytes\].
-    pub shared_memory_bytes: Result<(u64, u64), String>,
-    /// Whether it is in memory.
-    pub root_in_memory: Result<bool, String>,
-    /// Effective user id.
+    pub(crate) shared_memory_bytes: Result<(u64, u64), String>,
+    pub(crate) root_in_memory: Result<bool, String>,
     pub user_id: u32,
 }
 
 impl Probe {
-    /// Tries everything.
-    pub fn new(system: &System, plan: &Plan) -> Self {
+    pub(crate) fn new(system: &System, plan: &Plan) -> Self {
         let (fifo, pinned) = try_thread(plan);
         let folder = first_that_exists(&system.path(&plan.root.display().to_string()));
         Self {

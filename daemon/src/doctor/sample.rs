@@ -7,7 +7,7 @@ use super::system::{System, Unreadable, field_of};
 
 /// Counters at one moment.
 #[derive(Debug, Clone, Default)]
-pub struct Snapshot {
+pub(crate) struct Snapshot {
     cores: BTreeMap<usize, Ticks>,
     threads: HashMap<u32, Thread>,
     interrupts: BTreeMap<String, Interrupt>,
@@ -21,29 +21,26 @@ struct Ticks {
     total: u64,
 }
 
-/// A thread of any process.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Thread {
-    /// Its process.
-    pub process: u32,
-    /// Its own id.
-    pub id: u32,
+pub(crate) struct Thread {
+    pub(crate) process: u32,
+    pub(crate) id: u32,
     /// Its name, without control characters.
-    pub name: String,
+    pub(crate) name: String,
     /// Whether it is one of the kernel's.
-    pub is_kernel: bool,
+    pub(crate) is_kernel: bool,
     /// Whether its policy is `SCHED_FIFO` or `SCHED_RR`.
-    pub is_realtime: bool,
+    pub(crate) is_realtime: bool,
     /// Whether its policy is `SCHED_DEADLINE`, which goes before every priority.
-    pub is_deadline: bool,
+    pub(crate) is_deadline: bool,
     /// Real-time priority; 0 for other threads.
-    pub priority: i32,
+    pub(crate) priority: i32,
     /// Cores that it may run on; read for real-time threads only.
-    pub allowed: CoreSet,
+    pub(crate) allowed: CoreSet,
     /// Core on which it was seen last.
-    pub core: usize,
+    pub(crate) core: usize,
     /// Time that it has used, in the kernel's ticks.
-    pub ticks: u64,
+    pub(crate) ticks: u64,
 }
 
 #[cfg(test)]
@@ -73,10 +70,7 @@ struct Interrupt {
 
 impl Snapshot {
     /// The counters now; those of interrupts on `core`.
-    ///
-    /// # Errors
-    /// [`Unreadable`] when the kernel shows no times of its cores.
-    pub fn take(system: &System, core: usize) -> Result<Self, Unreadable> {
+    pub(crate) fn take(system: &System, core: usize) -> Result<Self, Unreadable> {
         let cores = cores(&system.read("/proc/stat")?);
         if cores.is_empty() {
             return Err(Unreadable::new("/proc/stat", "it has no line of a core"));
@@ -186,53 +180,50 @@ fn interrupts_of(text: &str, core: usize) -> BTreeMap<String, Interrupt> {
 
 /// What happened between two snapshots.
 #[derive(Debug, Clone, Default)]
-pub struct Load {
-    /// Every core.
-    pub cores: BTreeMap<usize, CoreLoad>,
+pub(crate) struct Load {
+    pub(crate) cores: BTreeMap<usize, CoreLoad>,
     /// Threads that used time and were last seen on our core, the busiest first.
-    pub neighbours: Vec<Neighbour>,
+    pub(crate) neighbours: Vec<Neighbour>,
     /// Every real-time thread of other processes.
-    pub realtime: Vec<Thread>,
+    pub(crate) realtime: Vec<Thread>,
     /// Interrupts on our core, the most frequent first.
-    pub interrupts: Vec<InterruptRate>,
+    pub(crate) interrupts: Vec<InterruptRate>,
     /// Process id of irqbalance, when it runs.
-    pub irqbalance: Option<u32>,
+    pub(crate) irqbalance: Option<u32>,
 }
 
 /// Shares of one core's time, 0 to 1.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct CoreLoad {
+pub(crate) struct CoreLoad {
     /// Used for something, between the snapshots.
-    pub busy: f64,
+    pub(crate) busy: f64,
     /// Given to somebody else by the hypervisor, between the snapshots.
-    pub steal: f64,
+    pub(crate) steal: f64,
     /// The same since the machine started.
-    pub steal_since_start: f64,
+    pub(crate) steal_since_start: f64,
 }
 
 /// A thread that used time and was last seen on our core.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Neighbour {
-    /// The thread.
-    pub thread: Thread,
+pub(crate) struct Neighbour {
+    pub(crate) thread: Thread,
     /// Its share of the core's time, 0 to 1.
-    pub share: f64,
+    pub(crate) share: f64,
 }
 
-/// How often an interrupt came.
 #[derive(Debug, Clone, PartialEq)]
-pub struct InterruptRate {
+pub(crate) struct InterruptRate {
     /// Number, or the kernel's abbreviation.
-    pub label: String,
+    pub(crate) label: String,
     /// Device, or what it is.
-    pub description: String,
+    pub(crate) description: String,
     /// How often on our core \[1/s\].
-    pub rate_hz: f64,
+    pub(crate) rate_hz: f64,
 }
 
 impl InterruptRate {
     /// Whether a device sends it: those have numbers, and can be moved.
-    pub fn is_device(&self) -> bool {
+    pub(crate) fn is_device(&self) -> bool {
         self.label.parse::<u32>().is_ok()
     }
 }
@@ -240,7 +231,7 @@ impl InterruptRate {
 impl Load {
     /// The difference of two snapshots that were taken `seconds` apart. `ours` are the processes that are
     /// no neighbours: this one, and the daemon of this robot when it runs.
-    pub fn between(
+    pub(crate) fn between(
         before: &Snapshot,
         after: &Snapshot,
         core: usize,
@@ -343,11 +334,6 @@ fn interrupt_rates(before: &Snapshot, after: &Snapshot, seconds: f64) -> Vec<Int
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::super::fake::Fake;
     use super::*;
 

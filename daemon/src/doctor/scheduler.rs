@@ -4,17 +4,14 @@ use crate::core_budget::{Costs, KERNEL_SHARE};
 
 use super::privileges::may_have_priority;
 use super::system::chosen_of;
-use super::{Judgement, Scene, System, Unreadable};
+use super::{Assessed, Assessment, Scene, System, Unreadable};
 
 /// How long real-time threads may run in a second of [`kernel_share`]; -1: there is no limit.
 pub(super) const RT_RUNTIME_US: &str = "/proc/sys/kernel/sched_rt_runtime_us";
 
 /// The share of a core that the kernel leaves to real-time threads. Without a limit (-1) the default one is kept:
 /// ordinary tasks of the core starve otherwise, those of the kernel among them.
-///
-/// # Errors
-/// The system does not tell.
-pub fn kernel_share(system: &System) -> Result<f64, Unreadable> {
+pub(crate) fn kernel_share(system: &System) -> Result<f64, Unreadable> {
     let runtime_us = system.number(RT_RUNTIME_US)?;
     let period_us = system.number("/proc/sys/kernel/sched_rt_period_us")?;
     Ok(if runtime_us < 0 {
@@ -36,12 +33,12 @@ checks! {
 /// From this period on, a kernel that can be interrupted everywhere is good enough without `PREEMPT_RT`.
 const PERIOD_MS_FULL: f64 = 1.0;
 
-fn preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn preemption(scene: &Scene) -> Assessed {
     let system = &scene.system;
     let version = system.read("/proc/sys/kernel/version")?;
     let flag = system.read_if_there("/sys/kernel/realtime")?;
     if version.contains("PREEMPT_RT") || flag.as_deref() == Some("1") {
-        return Ok(Judgement::ok("PREEMPT_RT"));
+        return Ok(Assessment::ok("PREEMPT_RT"));
     }
     if version.contains("PREEMPT_DYNAMIC") {
         return dynamic_preemption(scene);
@@ -58,7 +55,7 @@ fn preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
 }
 
 /// The model can be chosen at run time; the file that tells it is readable for root only.
-fn dynamic_preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn dynamic_preemption(scene: &Scene) -> Assessed {
     let told = scene.system.read("/sys/kernel/debug/sched/preempt");
     let chosen = told
         .as_deref()
@@ -71,35 +68,35 @@ fn dynamic_preemption(scene: &Scene) -> Result<Judgement, Unreadable> {
         let value = format!("dynamic, {model} at boot");
         return Ok(of_model(scene, &model, &value));
     }
-    Ok(Judgement::unknown(
+    Ok(Assessment::unknown(
         "dynamic, the model in force cannot be read",
         "sudo mount -t debugfs none /sys/kernel/debug; sudo cat /sys/kernel/debug/sched/preempt",
     ))
 }
 
-fn of_model(scene: &Scene, model: &str, value: &str) -> Judgement {
+fn of_model(scene: &Scene, model: &str, value: &str) -> Assessment {
     // A lazy kernel is lazy towards ordinary threads only.
     let is_full = matches!(model, "full" | "lazy");
     if is_full && scene.plan.period_ms >= PERIOD_MS_FULL {
-        return Judgement::ok(value);
+        return Assessment::ok(value);
     }
     if is_full {
-        return Judgement::warning(
+        return Assessment::warning(
             format!("{value}; the period is {} ms", scene.plan.period_ms),
             "install a kernel with PREEMPT_RT",
         );
     }
-    Judgement::warning(
+    Assessment::warning(
         value,
         "boot with preempt=full, or at once: echo full | sudo tee /sys/kernel/debug/sched/preempt; best is a \
          kernel with PREEMPT_RT",
     )
 }
 
-fn rt_throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn rt_throttling(scene: &Scene) -> Assessed {
     let share = kernel_share(&scene.system)?;
     if scene.system.number(RT_RUNTIME_US)? < 0 {
-        return Ok(Judgement::warning(
+        return Ok(Assessment::warning(
             "off: nothing guards the core from a hung loop",
             "sudo sysctl kernel.sched_rt_runtime_us=950000",
         ));
@@ -114,14 +111,12 @@ fn rt_throttling(scene: &Scene) -> Result<Judgement, Unreadable> {
         100.0 * budget.share_max(),
         budget.describe(costs)
     );
-    Ok(if budget.solve_ns(costs) == usual.solve_ns(costs) {
-        Judgement::ok(value)
-    } else {
-        Judgement::warning(value, "sudo sysctl kernel.sched_rt_runtime_us=950000")
-    })
+    let is_enough = budget.solve_ns(costs) == usual.solve_ns(costs);
+    let remedy = "sudo sysctl kernel.sched_rt_runtime_us=950000";
+    Ok(Assessment::good_if(is_enough, value, remedy))
 }
 
-fn rt_group(scene: &Scene) -> Result<Judgement, Unreadable> {
+fn rt_group(scene: &Scene) -> Assessed {
     if let Some((file, runtime_us)) = group_runtime_us(scene)? {
         return Ok(if runtime_us == 0 {
             scene.plan.missing(
@@ -129,7 +124,7 @@ fn rt_group(scene: &Scene) -> Result<Judgement, Unreadable> {
                 format!("echo 950000 | sudo tee {file}   (and first in the groups above it)"),
             )
         } else {
-            Judgement::ok(format!("{runtime_us} µs"))
+            Assessment::ok(format!("{runtime_us} µs"))
         });
     }
     if scene.probe.fifo.is_err() && may_have_priority(scene)? {
@@ -138,7 +133,7 @@ fn rt_group(scene: &Scene) -> Result<Judgement, Unreadable> {
             "boot with rt_group_sched=0, or start cdcrd in the root control group",
         ));
     }
-    Ok(Judgement::ok("no limit of a group"))
+    Ok(Assessment::ok("no limit of a group"))
 }
 
 /// The file and the real-time runtime of this process's group, where the kernel has version 1 of control
@@ -186,7 +181,7 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Fault, Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
     use super::super::{System, kernel_share};
     use crate::config::{Config, RealtimeMode};

@@ -1,6 +1,6 @@
 //! Settings of the running kernel that let it disturb a core or memory in use.
 
-use super::{CoreSet, Judgement, Scene, Unreadable};
+use super::{Assessed, Assessment, Scene};
 
 checks! {
     RealTime sysctls, "kernel settings",
@@ -53,11 +53,8 @@ const SETTINGS: [(&str, i64, Matters, &str); 5] = [
 /// Below this period, microseconds count \[ms\].
 const PERIOD_MS_FINE: f64 = 1.0;
 
-fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
-    let quiet = scene
-        .system
-        .read_if_there("/sys/devices/system/cpu/nohz_full")?;
-    let has_no_tick = CoreSet::parse(&quiet.unwrap_or_default()).contains(scene.core()?);
+fn sysctls(scene: &Scene) -> Assessed {
+    let has_no_tick = scene.has_no_tick()?;
     let is_fine = has_no_tick || scene.plan.period_ms < PERIOD_MS_FINE;
     let (mut values, mut remedies) = (Vec::new(), Vec::new());
     for (name, good, matters, does) in SETTINGS {
@@ -78,22 +75,17 @@ fn sysctls(scene: &Scene) -> Result<Judgement, Unreadable> {
             remedies.push(format!("{name}={good}"));
         }
     }
-    Ok(if values.is_empty() {
-        Judgement::ok("none that disturbs the loop")
-    } else {
-        Judgement::warning(
-            values.join("; "),
-            format!(
-                "sudo sysctl {}   (and for good in /etc/sysctl.d/)",
-                remedies.join(" ")
-            ),
-        )
-    })
+    if values.is_empty() {
+        return Ok(Assessment::ok("none that disturbs the loop"));
+    }
+    let settings = remedies.join(" ");
+    let remedy = format!("sudo sysctl {settings}   (and for good in /etc/sysctl.d/)");
+    Ok(Assessment::warning(values.join("; "), remedy))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict::{Ok as Good, Unknown, Warning};
+    use super::super::Severity::{Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
 
     #[test]

@@ -6,6 +6,7 @@ use std::fs::File;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
 
+use super::CPU;
 use super::core_set::CoreSet;
 
 /// No file that is read here is longer: the longest, `/proc/interrupts`, has 5 MB on a machine with 512 cores.
@@ -13,23 +14,21 @@ const FILE_BYTES_MAX: u64 = 64 << 20;
 
 /// The system, as its files show it.
 #[derive(Debug, Clone)]
-pub struct System {
+pub(crate) struct System {
     root: PathBuf,
 }
 
 /// Something that could not be read, and why.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{what} cannot be read: {cause}")]
-pub struct Unreadable {
+pub(crate) struct Unreadable {
     /// File, or what stands in it.
-    pub what: String,
-    /// Why.
-    pub cause: String,
+    pub(crate) what: String,
+    pub(crate) cause: String,
 }
 
 impl Unreadable {
-    /// Something that cannot be read, and why.
-    pub fn new(what: impl Into<String>, cause: impl Into<String>) -> Self {
+    pub(crate) fn new(what: impl Into<String>, cause: impl Into<String>) -> Self {
         Self {
             what: what.into(),
             cause: cause.into(),
@@ -39,31 +38,25 @@ impl Unreadable {
 
 impl System {
     /// The system whose files are below `root`: `/` for the real one.
-    pub fn at(root: &Path) -> Self {
+    pub(crate) fn at(root: &Path) -> Self {
         Self {
             root: root.to_owned(),
         }
     }
 
     /// Where the file `path` of the system is.
-    pub fn path(&self, path: &str) -> PathBuf {
+    pub(crate) fn path(&self, path: &str) -> PathBuf {
         self.root.join(path.trim_start_matches('/'))
     }
 
     /// The text of a file without the white space around it. Bytes that are no UTF-8 are replaced.
-    ///
-    /// # Errors
-    /// [`Unreadable`], also when there is no such file.
-    pub fn read(&self, path: &str) -> Result<String, Unreadable> {
+    pub(crate) fn read(&self, path: &str) -> Result<String, Unreadable> {
         self.text(path)
             .map_err(|cause| Unreadable::new(path, cause.to_string()))
     }
 
     /// As [`System::read`]; none when there is no such file.
-    ///
-    /// # Errors
-    /// [`Unreadable`].
-    pub fn read_if_there(&self, path: &str) -> Result<Option<String>, Unreadable> {
+    pub(crate) fn read_if_there(&self, path: &str) -> Result<Option<String>, Unreadable> {
         match self.text(path) {
             Ok(text) => Ok(Some(text)),
             Err(cause) if cause.kind() == ErrorKind::NotFound => Ok(None),
@@ -72,17 +65,14 @@ impl System {
     }
 
     /// A number that stands alone in a file.
-    ///
-    /// # Errors
-    /// [`Unreadable`], also when it is no number.
-    pub fn number(&self, path: &str) -> Result<i64, Unreadable> {
+    pub(crate) fn number(&self, path: &str) -> Result<i64, Unreadable> {
         let text = self.read(path)?;
         text.parse()
             .map_err(|_| Unreadable::new(path, format!("{text:?} is no number")))
     }
 
     /// The names in a folder, in order; none when there is no such folder.
-    pub fn names(&self, folder: &str) -> Vec<String> {
+    pub(crate) fn names(&self, folder: &str) -> Vec<String> {
         let entries = std::fs::read_dir(self.path(folder));
         let names = entries.into_iter().flatten().flatten();
         let mut names: Vec<_> = names
@@ -93,26 +83,33 @@ impl System {
     }
 
     /// The names in a folder that are numbers: processes, threads.
-    pub fn numbers(&self, folder: &str) -> Vec<u32> {
+    pub(crate) fn numbers(&self, folder: &str) -> Vec<u32> {
         let names = self.names(folder);
         names.iter().filter_map(|name| name.parse().ok()).collect()
     }
 
-    /// The cores that run.
-    ///
-    /// # Errors
-    /// [`Unreadable`].
-    pub fn online(&self) -> Result<CoreSet, Unreadable> {
-        Ok(CoreSet::parse(
-            &self.read("/sys/devices/system/cpu/online")?,
-        ))
+    /// The cores that a file below the folder of the cores lists.
+    pub(crate) fn cores(&self, file: &str) -> Result<CoreSet, Unreadable> {
+        Ok(CoreSet::parse(&self.read(&format!("{CPU}/{file}"))?))
+    }
+
+    pub(crate) fn online(&self) -> Result<CoreSet, Unreadable> {
+        self.cores("online")
+    }
+
+    /// The other cores on the hardware of `core`.
+    pub(crate) fn siblings(&self, core: usize) -> Result<CoreSet, Unreadable> {
+        let siblings = self.cores(&format!("cpu{core}/topology/thread_siblings_list"));
+        Ok(siblings?.without(core))
+    }
+
+    /// The cores that this process may use.
+    pub(crate) fn allowed(&self) -> Result<CoreSet, Unreadable> {
+        Ok(CoreSet::parse(&self.own_status("Cpus_allowed_list")?))
     }
 
     /// The last value of `key=value` on the kernel's command line.
-    ///
-    /// # Errors
-    /// [`Unreadable`].
-    pub fn boot_option(&self, key: &str) -> Result<Option<String>, Unreadable> {
+    pub(crate) fn boot_option(&self, key: &str) -> Result<Option<String>, Unreadable> {
         let line = self.read("/proc/cmdline")?;
         let mut values = line.split_whitespace().filter_map(|word| {
             let value = word.strip_prefix(key)?.strip_prefix('=')?;
@@ -122,10 +119,7 @@ impl System {
     }
 
     /// A field of `/proc/self/status`.
-    ///
-    /// # Errors
-    /// [`Unreadable`], also when there is no such field.
-    pub fn own_status(&self, field: &str) -> Result<String, Unreadable> {
+    pub(crate) fn own_status(&self, field: &str) -> Result<String, Unreadable> {
         let path = "/proc/self/status";
         field_of(&self.read(path)?, field)
             .ok_or_else(|| Unreadable::new(path, format!("it has no {field}")))
@@ -157,11 +151,6 @@ pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use super::*;
 
     #[test]

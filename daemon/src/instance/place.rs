@@ -147,10 +147,6 @@ fn service_files(location: &Location, robot: &str) -> impl Iterator<Item = PathB
 }
 
 #[cfg(test)]
-#[allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
 mod tests {
     use std::fs::Permissions;
     use std::os::unix::fs::PermissionsExt;

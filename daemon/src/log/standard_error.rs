@@ -147,11 +147,6 @@ impl TextGuard {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use std::sync::Mutex;
     use std::time::Instant;
 

@@ -112,11 +112,6 @@ pub fn mount_point(folder: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    #![allow(
-        clippy::unwrap_used,
-        reason = "in a test a panic is the report, in its helpers, too"
-    )]
-
     use cdcr_shared_types::Location;
 
     use super::super::{Ports, ServiceError, incidents, node, publisher, telemetry};

@@ -1,10 +1,5 @@
 //! Texts, variables and options that make a configuration, and the messages of those that make none.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
-
 mod defaults;
 mod explanation;
 mod layers;
