@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail, ensure};
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::budget::BudgetOptions;
-use cdcr_bench::compare::{Comparison, Input, Verdict};
+use cdcr_bench::compare::{ChangeClass, Comparison, Input};
 use cdcr_bench::deadline::DeadlineOptions;
 use cdcr_bench::environment::RunOptions;
 use cdcr_bench::footprint::FootprintOptions;
@@ -321,7 +321,7 @@ impl CompareArguments {
             ComparisonFormat::Text => comparison.text()?,
             ComparisonFormat::Json => serde_json::to_string(&comparison)? + "\n",
         })?;
-        let worse = comparison.count(Verdict::Worse);
+        let worse = comparison.count(ChangeClass::Worse);
         let by_chance = comparison.worse_by_chance();
         if self.fail_on_worse && worse > by_chance {
             bail!(

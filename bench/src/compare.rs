@@ -44,7 +44,7 @@ const COLUMNS: [Column; 9] = [
 
 named! {
     /// What became of a number. One value: each run has a single one, and no chance can be told.
-    pub enum Verdict {
+    pub enum ChangeClass {
         Worse = "worse",
         Better = "better",
         OneValueWorse = "one-value-worse",
@@ -136,7 +136,7 @@ impl Comparison {
         (self.changed_by_chance / 2.0).ceil() as usize + WORSE_MARGIN
     }
 
-    pub fn count(&self, verdict: Verdict) -> usize {
+    pub fn count(&self, verdict: ChangeClass) -> usize {
         self.metrics
             .iter()
             .filter(|change| change.verdict == verdict)
@@ -153,7 +153,7 @@ impl Comparison {
         let changed = self
             .metrics
             .iter()
-            .filter(|change| change.verdict < Verdict::WithinNoise);
+            .filter(|change| change.verdict < ChangeClass::WithinNoise);
         let rows: Vec<Value> = changed.map(|change| json!(change)).collect();
         if rows.iter().all(|change| change["chance"].is_null()) {
             text.push_str("\nNothing changed beyond noise.\n");
@@ -166,7 +166,7 @@ impl Comparison {
             write!(text, "\n{}", Sheet::of(&title, &COLUMNS, rows).text())?;
         }
         let counts =
-            Verdict::ALL.map(|verdict| format!("{} {}", self.count(verdict), verdict.name()));
+            ChangeClass::ALL.map(|verdict| format!("{} {}", self.count(verdict), verdict.name()));
         writeln!(
             text,
             "\n{}.\nWithout any change up to {:.1} of these would be called worse or better, by chance alone; more \
@@ -219,7 +219,7 @@ pub struct Change {
     /// Of the median \[%\]; none from zero.
     #[serde(rename = "change_percent")]
     percent: Option<f64>,
-    pub verdict: Verdict,
+    pub verdict: ChangeClass,
     /// When the rounds of the two runs are apart: how probable that is if nothing changed.
     chance: Option<f64>,
     /// How probable it is that this number is called changed though nothing changed.
@@ -244,12 +244,16 @@ impl Change {
         let is_one_value = (old_count, new_count) == (1, 1);
         let [same, better, worse] = match old_count.min(new_count) {
             _ if is_one_value => [
-                Verdict::OneValueAlike,
-                Verdict::OneValueBetter,
-                Verdict::OneValueWorse,
+                ChangeClass::OneValueAlike,
+                ChangeClass::OneValueBetter,
+                ChangeClass::OneValueWorse,
             ],
-            ..ROUNDS_MIN => [Verdict::TooFewRounds; 3],
-            _ => [Verdict::WithinNoise, Verdict::Better, Verdict::Worse],
+            ..ROUNDS_MIN => [ChangeClass::TooFewRounds; 3],
+            _ => [
+                ChangeClass::WithinNoise,
+                ChangeClass::Better,
+                ChangeClass::Worse,
+            ],
         };
         let verdict = match is_apart && !is_small {
             false => same,
@@ -257,7 +261,7 @@ impl Change {
             true => worse,
         };
         let chance = chance_apart(old_count, new_count);
-        let may_change = !is_one_value && verdict != Verdict::TooFewRounds;
+        let may_change = !is_one_value && verdict != ChangeClass::TooFewRounds;
         let spread = |median: f64, range, rounds: usize| json!({ "median": median, "range": range, "rounds": rounds });
         Some(Self {
             name: new.name.clone(),
@@ -294,7 +298,7 @@ mod tests {
     #[rustfmt::skip]
     fn what_became_of_a_number_is_told_from_its_rounds() {
         use Better::{Higher, Lower};
-        use Verdict::{Better as Improved, OneValueAlike, OneValueBetter, OneValueWorse, TooFewRounds, WithinNoise, Worse};
+        use ChangeClass::{Better as Improved, OneValueAlike, OneValueBetter, OneValueWorse, TooFewRounds, WithinNoise, Worse};
         let (low, high): (&[f64], &[f64]) = (&[1.0, 2.0, 3.0], &[3.1, 4.0, 5.0]);
         for (better, before, after, verdict) in [
             (Lower, low, high, Worse),

@@ -70,8 +70,8 @@ mod clock;
 mod connect_error;
 mod connection;
 mod driver;
+mod events;
 mod feeder;
-mod judgement;
 mod lease;
 mod link_error;
 mod message;
@@ -98,8 +98,8 @@ pub use connection::Connection;
 pub use driver::{
     CommandFollower, CommandRefusal, CommandedPosition, CommandedRates, Driver, DriverUpdate,
 };
+pub use events::{events, obstacles};
 pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
-pub use judgement::{events, obstacles};
 pub use lease::Lease;
 pub use link_error::LinkError;
 pub use message::Message;

@@ -9,7 +9,7 @@ use crate::services::Channel;
 
 /// Tells the daemon about obstacles. Any client may; ids are shared among all.
 ///
-/// [`TelemetryStream::verdict_on`](crate::TelemetryStream::verdict_on) tells what became of a message.
+/// [`TelemetryStream::outcome_on`](crate::TelemetryStream::outcome_on) tells what became of a message.
 /// Keep the sender until then: with it goes what the daemon has not yet taken in.
 ///
 /// A daemon that is started again knows no obstacle; the sender reaches it as it is.

@@ -143,7 +143,7 @@ impl Control {
             if let Some(response) = answer
                 && (is_over || !comes_too_early(&response, was_unanswered))
             {
-                return judge(kind, response);
+                return evaluate(kind, response);
             }
             was_unanswered |= answer.is_none();
             if is_over {
@@ -194,7 +194,7 @@ fn comes_too_early(response: &Response, was_unanswered: bool) -> bool {
     is(Outcome::Stale) || (was_unanswered && is_starting && is(Outcome::WrongMode))
 }
 
-fn judge(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
+fn evaluate(kind: RequestKind, response: Response) -> Result<Response, RequestError> {
     match Outcome::try_from(response.outcome) {
         Ok(Outcome::Accepted) => Ok(response),
         Ok(outcome) => Err(match Mode::try_from(response.mode) {
@@ -220,7 +220,7 @@ mod tests {
             mode: Mode::Tracking.code(),
             ..Response::default()
         };
-        let text = judge(RequestKind::AcquireLease, response)
+        let text = evaluate(RequestKind::AcquireLease, response)
             .expect_err("refused")
             .to_string();
         assert!(text.contains("acquire the lease"), "{text}");
@@ -247,7 +247,7 @@ mod tests {
                 mode: mode.code(),
                 ..Response::default()
             };
-            let error = judge(kind, response).expect_err("refused");
+            let error = evaluate(kind, response).expect_err("refused");
             assert!(error.to_string().contains(remedy), "{error}");
         }
     }
@@ -283,7 +283,7 @@ mod tests {
             ..Response::default()
         };
         assert!(matches!(
-            judge(RequestKind::Hold, response),
+            evaluate(RequestKind::Hold, response),
             Err(RequestError::Answer { .. })
         ));
     }

@@ -19,10 +19,10 @@
 //! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
 //! | [`estimator`] | configuration from measurements | commands to come |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
-//! | [`safety`] | mode machine, limits, clearance guard: the last word before the cables | optimisation |
+//! | [`safety`] | mode machine, limits, clearance guard: the safety checks before the cables | optimisation |
 //! | [`calibration`] | the geometry that explains measured cables and tips | time, files |
 //! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
-//! | [`closed_loop`] | solver, last word and ideal robot, period by period: for simulations | clocks |
+//! | [`closed_loop`] | solver, safety checks and ideal robot, period by period: for simulations | clocks |
 //!
 //! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
 //! periods and as the closure of a [`Budget`](optimizer::Budget).

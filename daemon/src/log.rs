@@ -194,7 +194,7 @@ struct Place {
 
 /// What happens to a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Verdict {
+enum Decision {
     Pass,
     /// It passes, as the first one after some that did not.
     PassAfter {
@@ -214,7 +214,7 @@ impl RateLimit {
         }
     }
 
-    fn judge(&self, place: Identifier, now: Instant) -> Verdict {
+    fn decide(&self, place: Identifier, now: Instant) -> Decision {
         // The counts are right even if a thread panicked while it held them.
         let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
         let place = places.entry(place).or_insert_with(|| Place::since(now));
@@ -231,20 +231,20 @@ impl Place {
         }
     }
 
-    fn count(&mut self, limit: Limit, now: Instant) -> Verdict {
+    fn count(&mut self, limit: Limit, now: Instant) -> Decision {
         let left_out = self.left_out;
         if now.duration_since(self.since) >= limit.interval {
             *self = Self::since(now);
         }
         if self.lines == limit.lines_max {
             self.left_out += 1;
-            return Verdict::LeaveOut;
+            return Decision::LeaveOut;
         }
         self.lines += 1;
         if self.lines == 1 && left_out > 0 {
-            Verdict::PassAfter { left_out }
+            Decision::PassAfter { left_out }
         } else {
-            Verdict::Pass
+            Decision::Pass
         }
     }
 }
@@ -255,12 +255,12 @@ impl<S: Subscriber> Layer<S> for RateLimit {
         if metadata.module_path() == Some(module_path!()) {
             return true;
         }
-        let verdict = self.judge(metadata.callsite(), Instant::now());
-        if let Verdict::PassAfter { left_out } = verdict {
+        let decision = self.decide(metadata.callsite(), Instant::now());
+        if let Decision::PassAfter { left_out } = decision {
             // The lock is free again: this line comes through here, too.
             tracing::warn!(left_out, "suppressed {left_out} similar messages");
         }
-        verdict != Verdict::LeaveOut
+        decision != Decision::LeaveOut
     }
 }
 
@@ -295,15 +295,15 @@ mod tests {
         let mut place = Place::since(begin);
         let mut count = |now| place.count(limit, now);
         for line in 0..20 {
-            assert_eq!(count(begin + INTERVAL / 20 * line), Verdict::Pass);
+            assert_eq!(count(begin + INTERVAL / 20 * line), Decision::Pass);
         }
         let end = begin + INTERVAL;
         for _ in 0..1000 {
-            assert_eq!(count(begin + INTERVAL / 20 * 19), Verdict::LeaveOut);
+            assert_eq!(count(begin + INTERVAL / 20 * 19), Decision::LeaveOut);
         }
-        assert_eq!(count(end), Verdict::PassAfter { left_out: 1000 });
-        assert_eq!(count(end), Verdict::Pass, "it is said once");
-        assert_eq!(count(end + INTERVAL), Verdict::Pass);
+        assert_eq!(count(end), Decision::PassAfter { left_out: 1000 });
+        assert_eq!(count(end), Decision::Pass, "it is said once");
+        assert_eq!(count(end + INTERVAL), Decision::Pass);
     }
 
     /// The test runs itself: a process has one log.

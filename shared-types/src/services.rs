@@ -290,7 +290,7 @@ impl Location {
         let root = IoxPath::new(self.root.as_os_str().as_encoded_bytes())
             .map_err(|_| LocationError::Root(self.root.clone()))?;
         config.global.set_root_path(&root);
-        // A service is made within a millisecond; one that takes longer was left half made.
+        // A service is made within a millisecond; one that takes longer was left unfinished.
         config.global.creation_timeout = Duration::from_millis(250);
         Ok(config)
     }

@@ -30,7 +30,7 @@ use rustix::process::{Pid, Signal, kill_process};
 pub const ROBOT: &str = "cdcr";
 /// How long anything may take before a test gives up. Generous, because machines stall; only a test that fails
 /// takes so long.
-pub const PATIENCE: Duration = Duration::from_secs(60);
+pub const TIMEOUT: Duration = Duration::from_secs(60);
 /// Configuration where timing is not the subject: on a machine that stalls no lease expires, and no
 /// missed deadline stops the robot.
 pub const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
@@ -121,12 +121,12 @@ pub fn text(output: &Output) -> String {
 
 /// Fails unless a program ended with `status` and printed all of `parts`; everything that it printed.
 pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
-    let said = text(output);
-    assert_eq!(output.status.code(), Some(status), "{said}");
+    let printed = text(output);
+    assert_eq!(output.status.code(), Some(status), "{printed}");
     for part in parts {
-        assert!(said.contains(part), "{part}: {said}");
+        assert!(printed.contains(part), "{part}: {printed}");
     }
-    said
+    printed
 }
 
 /// A reference that begins in a second and is tracked.
@@ -195,7 +195,7 @@ impl Daemon {
         let begin = Instant::now();
         while Connection::open(self.place.location(), ROBOT).is_err() {
             assert!(
-                begin.elapsed() < PATIENCE,
+                begin.elapsed() < TIMEOUT,
                 "the daemon did not come up:\n{}",
                 self.log()
             );
@@ -244,7 +244,7 @@ impl Daemon {
                 return status;
             }
             assert!(
-                begin.elapsed() < PATIENCE,
+                begin.elapsed() < TIMEOUT,
                 "the daemon does not end:\n{}",
                 self.log()
             );
@@ -322,7 +322,7 @@ impl Program {
     pub fn output(&mut self) -> Output {
         let begin = Instant::now();
         while self.runs() {
-            assert!(begin.elapsed() < PATIENCE, "the program does not end");
+            assert!(begin.elapsed() < TIMEOUT, "the program does not end");
             std::thread::sleep(Duration::from_millis(5));
         }
         Output {
@@ -394,7 +394,7 @@ fn spawn(place: &Place, configuration: &str, log: &Path) -> Child {
 pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !is_it() {
-        assert!(begin.elapsed() < PATIENCE, "it never came: {what}");
+        assert!(begin.elapsed() < TIMEOUT, "it never came: {what}");
         std::thread::sleep(Duration::from_millis(10));
     }
 }
@@ -411,7 +411,7 @@ pub fn wait_record(
         {
             return record;
         }
-        assert!(begin.elapsed() < PATIENCE, "no such record");
+        assert!(begin.elapsed() < TIMEOUT, "no such record");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
@@ -435,11 +435,11 @@ pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
 pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> Status {
     let begin = Instant::now();
     loop {
-        let status = connection.status(PATIENCE).expect("a status");
+        let status = connection.status(TIMEOUT).expect("a status");
         if is_it(&status) {
             return status;
         }
-        assert!(begin.elapsed() < PATIENCE, "no such status: {status:?}");
+        assert!(begin.elapsed() < TIMEOUT, "no such status: {status:?}");
         std::thread::sleep(Duration::from_millis(10));
     }
 }

@@ -17,7 +17,7 @@ use cdcr_shared_types::codes::{
 use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
 
 use crate::robot::DrivenRobot;
-use crate::{PATIENCE, Place, ROBOT};
+use crate::{Place, ROBOT, TIMEOUT};
 
 /// What the load did, so that a test can say that there was one.
 #[derive(Debug, Default)]
@@ -63,7 +63,7 @@ impl Done {
 
 /// Connects as soon as the daemon is up.
 pub fn connect(place: &Place) -> Connection {
-    Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap()
+    Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap()
 }
 
 /// Runs `work` every `period` until the end.
@@ -204,7 +204,7 @@ impl Busy {
     pub fn new(place: &Place) -> Self {
         let connection = connect(place);
         Self {
-            settings: connection.status(PATIENCE).unwrap().settings,
+            settings: connection.status(TIMEOUT).unwrap().settings,
             obstacles: connection.obstacle_sender().unwrap(),
             connection,
             tracked: 0,
@@ -255,7 +255,7 @@ impl Busy {
 
     /// Cycles that the daemon has run.
     pub fn cycles(&self) -> u64 {
-        self.connection.status(PATIENCE).unwrap().cycles
+        self.connection.status(TIMEOUT).unwrap().cycles
     }
 }
 
@@ -268,7 +268,7 @@ pub fn keep_busy(place: &Place, cycles: u64, least: &Done, done: &Done) -> (u64,
         busy.turn(2.0, done);
         let (ran, tracked) = (busy.cycles(), busy.tracked);
         assert!(
-            begin.elapsed() < 5 * PATIENCE,
+            begin.elapsed() < 5 * TIMEOUT,
             "{tracked} of {ran} cycles tracked, beside {done:?} instead of {least:?}"
         );
     }

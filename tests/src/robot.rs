@@ -12,7 +12,7 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::COORDINATES_MAX;
 use cdcr_shared_types::{Command, Measurement};
 
-use crate::PATIENCE;
+use crate::TIMEOUT;
 use crate::record::robot_of;
 
 /// Of its noise, where the test does not ask for another.
@@ -43,7 +43,7 @@ impl DrivenRobot {
         bend_rad: [f64; COORDINATES_MAX],
         flaws: Flaws,
     ) -> Self {
-        let model = robot_of(&connection.status(PATIENCE).unwrap().robot);
+        let model = robot_of(&connection.status(TIMEOUT).unwrap().robot);
         let at = Configuration::from_slice(&bend_rad[..model.coordinate_count()]).unwrap();
         Self {
             driver: PlantDriver::new(connection, interface, Some(&at), flaws, SEED).unwrap(),

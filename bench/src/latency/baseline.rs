@@ -33,7 +33,7 @@ use crate::system::thread::pin;
 
 const WARM_UP: usize = 200;
 const GAP_NS: u64 = 200_000;
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 /// Looks of the peer between two looks whether it shall end.
 const LOOKS: u32 = 4096;
 
@@ -193,7 +193,7 @@ impl Near {
 
     /// Waits until the peer answers: what was sent before it came is lost.
     fn wait(&self) -> Result<()> {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         while Instant::now() < deadline {
             interrupt::check()?;
             self.send(0)?;
@@ -205,7 +205,7 @@ impl Near {
                 return Ok(());
             }
         }
-        bail!("the peer of the bare measurement did not answer within {PATIENCE:?}")
+        bail!("the peer of the bare measurement did not answer within {TIMEOUT:?}")
     }
 
     fn send(&self, sequence: u64) -> Result<u64> {
@@ -233,13 +233,13 @@ impl Near {
     /// Looks until `look` finds something, without a rest.
     fn wait_for<T>(&self, mut look: impl FnMut() -> Result<Option<T>>) -> Result<(T, u64)> {
         let begin = Instant::now();
-        while begin.elapsed() < PATIENCE {
+        while begin.elapsed() < TIMEOUT {
             if let Some(found) = look()? {
                 return Ok((found, monotonic_ns()));
             }
             self.pause()?;
         }
-        bail!("the peer of the bare measurement is silent for {PATIENCE:?}")
+        bail!("the peer of the bare measurement is silent for {TIMEOUT:?}")
     }
 
     fn pause(&self) -> Result<()> {

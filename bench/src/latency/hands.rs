@@ -19,7 +19,7 @@ use crate::metric::median;
 use crate::subject::place::ROBOT;
 use crate::system::thread::sleep_until;
 
-const PATIENCE: Duration = Duration::from_secs(5);
+const TIMEOUT: Duration = Duration::from_secs(5);
 /// The client is awake this long before what it waits for \[ns\]; on a short period a quarter of that.
 const EARLY_NS: u64 = 200_000;
 /// So long after the release it looks without a rest \[ns\]: a thread that never rests is halted.
@@ -106,8 +106,8 @@ pub(super) struct Hands {
 impl Hands {
     /// Connects. To be called on the thread that watches.
     pub(super) fn open(location: &Location) -> Result<Self> {
-        let connection = Connection::open_within(location, ROBOT, PATIENCE)?;
-        let status = connection.status(PATIENCE)?;
+        let connection = Connection::open_within(location, ROBOT, TIMEOUT)?;
+        let status = connection.status(TIMEOUT)?;
         let mut telemetry = connection.telemetry()?;
         let lead_ns = learn_lead_ns(&mut telemetry)?;
         let grid = Grid {
@@ -242,7 +242,7 @@ fn learn_lead_ns(telemetry: &mut TelemetryStream) -> Result<u64> {
     for _ in 0..LEAD_RECORDS {
         interrupt::check()?;
         let record = telemetry
-            .next_within(PATIENCE)?
+            .next_within(TIMEOUT)?
             .context("the daemon sends no telemetry")?;
         leads_ns.extend(lead_ns(&record).map(|lead_ns| lead_ns as f64));
     }

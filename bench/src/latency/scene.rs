@@ -15,7 +15,7 @@ use crate::interrupt;
 /// When a reference begins after it was sent \[ns\]: until then its first point counts.
 const BEGINS_NS: u64 = 500_000_000;
 /// How long the reference may take to be there, and how often the robot is asked to follow it.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the daemon may take to know the robot of its driver.
 const PATIENCE_AWAKE: Duration = Duration::from_secs(10);
 const ASK_AGAIN: Duration = Duration::from_millis(5);
@@ -49,7 +49,7 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 /// Measures until the daemon knows the robot behind its driver, and holds it.
 pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
     let deadline = Instant::now() + PATIENCE_AWAKE;
-    while hands.connection.status(PATIENCE)?.mode != Mode::Holding.code() {
+    while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
         ensure!(
             Instant::now() < deadline,
             "the daemon does not see the robot of its driver"
@@ -66,7 +66,7 @@ pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
     connection.request(RequestKind::AcquireLease)?;
     let feed = connection.reference_feed()?;
     send(&feed, on_circle(0, hands.length_m()))?;
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         match connection.request(RequestKind::Track) {
             // The last look before a release takes requests alone: the reference comes with the next gather.

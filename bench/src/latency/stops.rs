@@ -146,7 +146,7 @@ impl<'a> Stops<'a> {
 
     fn end(&mut self, round: &mut Round) {
         let records = mem::take(&mut self.records);
-        match judge(&records, self.sent_ns) {
+        match evaluate(&records, self.sent_ns) {
             Some(stop) if self.turn as usize >= WARM_UP => {
                 self.recorded += 1;
                 stop.record(round);
@@ -267,7 +267,7 @@ impl Stopped {
 
 /// From the records of one stop, the last of which is at rest. None when one is missing, a command never
 /// came, or the robot was hardly moving any more.
-fn judge(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
+fn evaluate(records: &[Kept], sent_ns: u64) -> Option<Stopped> {
     let is_stopped = |record: &Kept| record.mode == Mode::Stopped.code();
     let at = records.iter().position(is_stopped)?;
     let first = records[at];
@@ -340,7 +340,7 @@ mod tests {
     #[test]
     fn a_stop_is_counted_without_its_ramp() {
         let sent_ns = 5_300_000;
-        let stopped = judge(&stop(), sent_ns).expect("all records are there");
+        let stopped = evaluate(&stop(), sent_ns).expect("all records are there");
         assert_eq!(stopped.first.gather_ns, 9_800_000);
         assert_eq!(stopped.first.received_ns, 10_060_000);
         // Ten steps: zero in the tenth stopped command, nine periods after the first.
@@ -355,7 +355,7 @@ mod tests {
             record.handed_over_ns += 5_000_000;
             record.received_ns = record.received_ns.map(|at_ns| at_ns + 5_000_000);
         }
-        let stopped = judge(&records, 5_300_000).expect("all records are there");
+        let stopped = evaluate(&records, 5_300_000).expect("all records are there");
         assert_eq!(stopped.zero_handover_ns, 4_750_000 + 5_000_000);
     }
 
@@ -364,7 +364,7 @@ mod tests {
         let changed = |change: fn(&mut Vec<Kept>)| {
             let mut records = stop();
             change(&mut records);
-            judge(&records, 5_300_000)
+            evaluate(&records, 5_300_000)
         };
         let missing: [(Change, &str); 5] = [
             (|records| _ = records.remove(4), "a record is missing"),

@@ -6,7 +6,7 @@
 //! share, and the distance from the reference, stand beside it.
 //!
 //! An own miss decides at once. A trial that only lost releases is repeated once; twice where the machine lost
-//! them ([`Verdict::Machine`]). Every trial stays in the report.
+//! them ([`TrialOutcome::Machine`]). Every trial stays in the report.
 
 mod case;
 mod report;
@@ -15,7 +15,7 @@ mod trial;
 use anyhow::Result;
 
 pub use case::Case;
-pub use trial::{Length, Trial, TrialMetrics, Verdict};
+pub use trial::{Length, Trial, TrialMetrics, TrialOutcome};
 
 use crate::benchmark::{Benchmark, defaults};
 use crate::dataset::Dataset;
@@ -234,19 +234,19 @@ mod tests {
     use trial::tests::{lossy, quiet};
 
     /// A trial that holds, or in which the machine or the loop lost releases.
-    pub(super) fn trial(period_ms: f64, verdict: Verdict) -> Trial {
-        let metrics = match verdict {
-            Verdict::Holds => quiet(),
-            Verdict::Machine => lossy(0, 40, [3, 0, 0, 0, 0]),
-            Verdict::Own => lossy(0, 40, [0, 0, 3, 0, 0]),
-            Verdict::Slow => lossy(0, 40, [0; 5]),
+    pub(super) fn trial(period_ms: f64, outcome: TrialOutcome) -> Trial {
+        let metrics = match outcome {
+            TrialOutcome::Holds => quiet(),
+            TrialOutcome::Machine => lossy(0, 40, [3, 0, 0, 0, 0]),
+            TrialOutcome::Own => lossy(0, 40, [0, 0, 3, 0, 0]),
+            TrialOutcome::Slow => lossy(0, 40, [0; 5]),
         };
-        assert_eq!(metrics.verdict(period_ms), verdict);
+        assert_eq!(metrics.outcome(period_ms), outcome);
         Trial {
             case: Case::DEFAULT,
             period_ms,
             spin_us: 0.0,
-            holds: verdict == Verdict::Holds,
+            holds: outcome == TrialOutcome::Holds,
             remarks: metrics.remarks(period_ms),
             metrics: Some(metrics),
             responses: histogram().unwrap(),
@@ -254,13 +254,13 @@ mod tests {
         }
     }
 
-    /// Searches where `verdict` says what the trial of a period ends like, the how many-th of that period.
-    fn find(guess: usize, verdict: impl Fn(usize, usize) -> Verdict) -> Shortest {
+    /// Searches where `outcome` says what the trial of a period ends like, the how many-th of that period.
+    fn find(guess: usize, outcome: impl Fn(usize, usize) -> TrialOutcome) -> Shortest {
         let mut counts = [0; PERIODS_MS.len()];
         let found = search(Case::DEFAULT, &PERIODS_MS, guess, |period_ms| {
             let index = PERIODS_MS.iter().position(|ms| *ms == period_ms).unwrap();
             counts[index] += 1;
-            Ok(trial(period_ms, verdict(index, counts[index])))
+            Ok(trial(period_ms, outcome(index, counts[index])))
         });
         found.unwrap().1
     }
@@ -272,13 +272,13 @@ mod tests {
 
     #[test]
     fn the_border_lies_between_what_held_and_what_failed() {
-        for failing in [Verdict::Machine, Verdict::Own, Verdict::Slow] {
+        for failing in [TrialOutcome::Machine, TrialOutcome::Own, TrialOutcome::Slow] {
             for (holding, guess) in
                 (0..=7).flat_map(|holding| (0..9).map(move |first| (holding, first)))
             {
                 let found = find(guess, |index, _| {
                     if index < holding {
-                        Verdict::Holds
+                        TrialOutcome::Holds
                     } else {
                         failing
                     }
@@ -309,12 +309,12 @@ mod tests {
 
     #[test]
     fn a_period_that_the_machine_spoilt_holds_when_it_is_tried_again() {
-        for spoilt in 0..Verdict::Machine.trials() {
+        for spoilt in 0..TrialOutcome::Machine.trials() {
             let machine = |count| {
                 if count > spoilt {
-                    Verdict::Holds
+                    TrialOutcome::Holds
                 } else {
-                    Verdict::Machine
+                    TrialOutcome::Machine
                 }
             };
             let found = find(2, |_, count| machine(count));

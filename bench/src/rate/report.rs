@@ -248,7 +248,7 @@ fn held_in(trials: &[Trial]) -> String {
 fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Result<Value> {
     // Those of the first round that did not hold, or else of the last one.
     let failed = trials.iter().find(|trial| !trial.holds);
-    let told = failed.or(trials.last());
+    let shown = failed.or(trials.last());
     let all = together(rounds, &COUNTS);
     let sum = |keys: &[&str]| keys.iter().filter_map(|key| all[key].as_f64()).sum::<f64>();
     let own = json!({
@@ -262,14 +262,14 @@ fn step_row(period_ms: f64, trials: &[Trial], rounds: &[Value]) -> Result<Value>
         "held_in": held_in(trials),
         "lost_share": sum(&["deadline_misses", "skipped_periods"]) / sum(&["cycles", "skipped_periods"]).max(1.0),
         "tracking_share_least": each(rounds, "tracking_share").reduce(f64::min).unwrap_or(0.0),
-        "remarks": told.map_or("", |trial| &trial.remarks),
+        "remarks": shown.map_or("", |trial| &trial.remarks),
     });
     joined([all, own])
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
+    use super::super::TrialOutcome;
     use super::super::tests::trial;
     use super::*;
 
@@ -277,10 +277,12 @@ mod tests {
     fn what_failed_is_told_and_is_no_value_of_a_metric() {
         let tried = |period_ms, holds: &[bool]| {
             let of_round = |holds: &bool| Trial {
-                metrics: trial(period_ms, Verdict::Holds).metrics.filter(|_| *holds),
+                metrics: trial(period_ms, TrialOutcome::Holds)
+                    .metrics
+                    .filter(|_| *holds),
                 holds: *holds,
                 remarks: if *holds { "" } else { "too short" }.to_owned(),
-                ..trial(period_ms, Verdict::Holds)
+                ..trial(period_ms, TrialOutcome::Holds)
             };
             holds.iter().map(of_round).collect::<Vec<_>>()
         };

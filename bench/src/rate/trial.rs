@@ -92,7 +92,7 @@ impl Trial {
         };
         match observed {
             Ok((metrics, records)) => {
-                trial.holds = metrics.verdict(period_ms) == Verdict::Holds;
+                trial.holds = metrics.outcome(period_ms) == TrialOutcome::Holds;
                 trial.remarks = metrics.remarks(period_ms);
                 trial.metrics = Some(metrics);
                 trial.responses = records.responses;
@@ -112,7 +112,7 @@ impl Trial {
     /// no second trial.
     pub fn decides(&self, count: usize) -> bool {
         let metrics = self.metrics.as_ref();
-        let trials = metrics.map_or(1, |metrics| metrics.verdict(self.period_ms).trials());
+        let trials = metrics.map_or(1, |metrics| metrics.outcome(self.period_ms).trials());
         count >= trials
     }
 
@@ -153,7 +153,7 @@ pub struct TrialMetrics {
 
 /// What a trial says about its period.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Verdict {
+pub enum TrialOutcome {
     Holds,
     /// A cycle was late by the daemon's own doing. Nothing excuses that.
     Own,
@@ -164,7 +164,7 @@ pub enum Verdict {
     Slow,
 }
 
-impl Verdict {
+impl TrialOutcome {
     /// How many trials a period may have when one of them ends like this.
     pub fn trials(self) -> usize {
         match self {
@@ -177,17 +177,17 @@ impl Verdict {
 
 impl TrialMetrics {
     /// Whether the period held, and if not, by whose doing.
-    pub fn verdict(&self, period_ms: f64) -> Verdict {
+    pub fn outcome(&self, period_ms: f64) -> TrialOutcome {
         // What a release takes when the machine only does its usual part.
         let work_ns = self.counted.wake.p50_ns + self.counted.compute.p999_ns;
         if self.causes().own() > 0 {
-            Verdict::Own
+            TrialOutcome::Own
         } else if self.lost_share() <= LOST_MAX {
-            Verdict::Holds
+            TrialOutcome::Holds
         } else if self.causes().all() > 0 && work_ns as f64 <= period_ms * 1e6 {
-            Verdict::Machine
+            TrialOutcome::Machine
         } else {
-            Verdict::Slow
+            TrialOutcome::Slow
         }
     }
 
@@ -243,8 +243,8 @@ impl TrialMetrics {
     pub fn remarks(&self, period_ms: f64) -> String {
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let (counted, causes) = (&self.counted, self.causes());
-        let whose = match self.verdict(period_ms) {
-            Verdict::Machine => "the machine: ",
+        let whose = match self.outcome(period_ms) {
+            TrialOutcome::Machine => "the machine: ",
             _ => "",
         };
         let (late, skipped) = (counted.deadline_misses, counted.skipped_periods);
@@ -267,8 +267,11 @@ impl TrialMetrics {
             (dropped > 0, format!("{dropped} records dropped")),
             (self.tracking_share < 1.0, format!("followed in {followed:.1} %")),
         ];
-        let told = remarks.into_iter().filter(|(is_so, _)| *is_so);
-        told.map(|(_, words)| words).collect::<Vec<_>>().join("; ")
+        let notable = remarks.into_iter().filter(|(is_so, _)| *is_so);
+        notable
+            .map(|(_, words)| words)
+            .collect::<Vec<_>>()
+            .join("; ")
     }
 }
 
@@ -418,25 +421,39 @@ pub(super) mod tests {
         let words = "3 late, 40 skipped (2 platform, 1 stall)";
         let excused = format!("the machine: {words}");
         let fault = "1 own misses; 0 late, 1000 skipped (10 platform, 1 page fault)";
-        for (misses, skipped, causes, period_ms, verdict, remarks) in [
-            (0, 0, none, 0.5, Verdict::Holds, ""),
-            (4, 0, none, 0.5, Verdict::Holds, ""),
-            (2, 2, none, 0.5, Verdict::Holds, ""),
+        for (misses, skipped, causes, period_ms, outcome, remarks) in [
+            (0, 0, none, 0.5, TrialOutcome::Holds, ""),
+            (4, 0, none, 0.5, TrialOutcome::Holds, ""),
+            (2, 2, none, 0.5, TrialOutcome::Holds, ""),
             // No evidence that it was the machine.
-            (5, 0, none, 0.5, Verdict::Slow, "5 late, 0 skipped"),
-            (1, 1000, none, 0.5, Verdict::Slow, "1 late, 1000 skipped"),
-            (3, 40, stalls, 0.5, Verdict::Machine, &*excused),
+            (5, 0, none, 0.5, TrialOutcome::Slow, "5 late, 0 skipped"),
+            (
+                1,
+                1000,
+                none,
+                0.5,
+                TrialOutcome::Slow,
+                "1 late, 1000 skipped",
+            ),
+            (3, 40, stalls, 0.5, TrialOutcome::Machine, &*excused),
             // Wake-up 10 µs and compute 66 µs do not fit.
-            (3, 40, stalls, 0.07, Verdict::Slow, words),
+            (3, 40, stalls, 0.07, TrialOutcome::Slow, words),
             // Nothing excuses an own miss.
-            (0, 0, [0, 0, 1, 0, 0], 0.5, Verdict::Own, "1 own misses"),
-            (0, 1000, [10, 0, 0, 1, 0], 0.5, Verdict::Own, fault),
+            (
+                0,
+                0,
+                [0, 0, 1, 0, 0],
+                0.5,
+                TrialOutcome::Own,
+                "1 own misses",
+            ),
+            (0, 1000, [10, 0, 0, 1, 0], 0.5, TrialOutcome::Own, fault),
         ] {
             let metrics = lossy(misses, skipped, causes);
-            assert_eq!(metrics.verdict(period_ms), verdict, "{metrics:?}");
+            assert_eq!(metrics.outcome(period_ms), outcome, "{metrics:?}");
             assert_eq!(metrics.remarks(period_ms), remarks);
         }
-        assert!(Verdict::Machine.trials() > Verdict::Slow.trials());
+        assert!(TrialOutcome::Machine.trials() > TrialOutcome::Slow.trials());
     }
 
     #[test]
@@ -444,7 +461,7 @@ pub(super) mod tests {
         let mut cut = quiet();
         cut.counted.budget_hits = 1600;
         (cut.core_shares, cut.tracking_share) = ([0.9, 0.1], 0.5);
-        assert_eq!(cut.verdict(0.5), Verdict::Holds);
+        assert_eq!(cut.outcome(0.5), TrialOutcome::Holds);
         let expected = "core full (100 %): the system halts its threads; 40 % of the solves cut short; followed in 50.0 %";
         assert_eq!(cut.remarks(0.5), expected);
     }

@@ -275,8 +275,8 @@ mod tests {
     }
 
     fn says(target: &Value, found: f64, of: &str, reached: bool) {
-        let told = ["found", "of", "reached"].map(|key| &target[key]);
-        assert_eq!(told, [&json!(found), &json!(of), &json!(reached)]);
+        let shown = ["found", "of", "reached"].map(|key| &target[key]);
+        assert_eq!(shown, [&json!(found), &json!(of), &json!(reached)]);
     }
 
     #[test]

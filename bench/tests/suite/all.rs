@@ -7,7 +7,7 @@ use std::process::{Command, Output, Stdio};
 use std::thread;
 use std::time::Duration;
 
-use cdcr_bench::compare::{Comparison, Input, Verdict};
+use cdcr_bench::compare::{ChangeClass, Comparison, Input};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -43,7 +43,7 @@ fn is_compared_with_itself(file: &Path) {
     let comparison = Comparison::of(&input, &input);
     assert!(!comparison.metrics.is_empty());
     assert_eq!(
-        comparison.count(Verdict::Worse) + comparison.count(Verdict::Better),
+        comparison.count(ChangeClass::Worse) + comparison.count(ChangeClass::Better),
         0
     );
     assert!(comparison.warnings.is_empty(), "{:?}", comparison.warnings);

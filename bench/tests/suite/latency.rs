@@ -13,7 +13,7 @@ use cdcr_testbed::subject::place::Place;
 use serde_json::Value;
 
 /// How long a process may take: machines stall.
-const PATIENCE: Duration = Duration::from_secs(20);
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 fn program() -> Command {
     Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
@@ -103,7 +103,7 @@ fn start_peer(place: &Place, parent: &str) -> Child {
 fn wait_until(what: &str, mut is_true: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !is_true() {
-        assert!(begin.elapsed() < PATIENCE, "{what} takes too long");
+        assert!(begin.elapsed() < TIMEOUT, "{what} takes too long");
         thread::sleep(Duration::from_millis(5));
     }
 }

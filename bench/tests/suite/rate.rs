@@ -2,7 +2,7 @@
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::experiment::Solver;
 use cdcr_bench::progress::Progress;
-use cdcr_bench::rate::{self, Case, Length, Measured, RateOptions, Trial, Verdict};
+use cdcr_bench::rate::{self, Case, Length, Measured, RateOptions, Trial, TrialOutcome};
 
 fn short(cases: Vec<Case>, periods_ms: &[f64], steps_ms: &[f64]) -> Measured {
     let options = RateOptions {
@@ -28,8 +28,8 @@ fn assert_consistent(trial: &Trial) {
         counted.cycles > 0 && metrics.duration_s >= 0.2,
         "{metrics:?}"
     );
-    let verdict = metrics.verdict(trial.period_ms);
-    assert_eq!(trial.holds, verdict == Verdict::Holds);
+    let outcome = metrics.outcome(trial.period_ms);
+    assert_eq!(trial.holds, outcome == TrialOutcome::Holds);
     assert!(!trial.holds || metrics.lost_share() <= 1e-3);
     assert!(trial.holds || !trial.remarks.is_empty());
     assert!(

@@ -62,7 +62,7 @@ impl CommandFollower {
     /// Why it is not followed; it is counted, too. The one before stays in force until it runs out.
     pub fn take(&mut self, command: &Command, now_ns: u64) -> Result<(), CommandRefusal> {
         let begin = self.position_at(command.release_ns);
-        if let Err(refusal) = self.judge(command, begin.as_ref(), now_ns) {
+        if let Err(refusal) = self.check(command, begin.as_ref(), now_ns) {
             self.refusals += 1;
             return Err(refusal);
         }
@@ -81,7 +81,7 @@ impl CommandFollower {
         Ok(())
     }
 
-    fn judge(
+    fn check(
         &self,
         command: &Command,
         standing: Option<&CommandedPosition>,

@@ -1,4 +1,4 @@
-//! A simulation of what a daemon does: plan, last word, move, once a period.
+//! A simulation of what a daemon does: plan, safety check, move, once a period.
 //!
 //! Nothing is late, and modes and faults are left out. The robot is the ideal one, exactly where its commands bring it, or one that is
 //! not its model ([`Driven`]), with a driver and an estimate.
@@ -17,7 +17,7 @@ use driven::DrivenRobot;
 pub use driven::{Driven, Sensor};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRun};
 
-/// The robot, the obstacles and the reference around it, and the last word on its commands.
+/// The robot, the obstacles and the reference around it, and the safety checks of its commands.
 ///
 /// One period is [`Self::step`]; who solves otherwise takes [`Self::input`] and hands the rates to [`Self::advance`].
 #[derive(Debug, Clone)]

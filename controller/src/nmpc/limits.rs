@@ -15,7 +15,7 @@ const BEND_WEIGHT: f64 = 1e6;
 const STROKE_WEIGHT: f64 = 1e10;
 /// Weight of the squared excess of a cable's speed, per (m/s)² and position weight.
 const SPEED_WEIGHT: f64 = 1e6;
-/// How far inside its limits the plan aims, in rad, m and m/s: what a penalty leaves is far less, so the last word need
+/// How far inside its limits the plan aims, in rad, m and m/s: what a penalty leaves is far less, so the safety check need
 /// not change what ends there.
 const INSIDE: f64 = 1e-6;
 /// Index of the limits among the violations.

@@ -1,4 +1,4 @@
-//! The last word about obstacles: a command, and the ramp to rest after it, never brings the body nearer to one than is
+//! The clearance guard: a command, and the ramp to rest after it, never brings the body nearer to one than is
 //! allowed.
 
 mod near;

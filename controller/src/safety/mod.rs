@@ -1,4 +1,4 @@
-//! The last word before the cables: which mode we are in, and what a command may be.
+//! The safety checks before the cables: which mode we are in, and what a command may be.
 //!
 //! Invariant: nothing here optimises, and nothing looks further than the robot moves by one command and the ramp to rest
 //! after it. It sees the state, the obstacles, what the solver would like, and what happened; it answers with a mode

@@ -148,7 +148,7 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     assert!(frozen < 20 && mean_mm < 15.0);
 }
 
-/// The plan ends inside its limits: where they hold the robot back from its goal, the last word changes nothing for good.
+/// The plan ends inside its limits: where they hold the robot back from its goal, the safety check changes nothing for good.
 #[test]
 fn a_plan_that_rests_at_a_limit_is_not_cut() {
     let limited: [fn(&mut RobotParameters); 2] = [

@@ -111,7 +111,7 @@ impl Exchange {
 }
 
 /// A command that has run out does not leave: the driver rests since then, and must not be told to move, not even by
-/// a command that it would have to refuse. Rest is rest at any time, and the last word of a daemon that ends.
+/// a command that it would have to refuse. Rest is rest at any time, and the last command of a daemon that ends.
 fn is_worth_sending(command: &wire::Command, now_ns: u64) -> bool {
     now_ns < command.valid_until_ns || !moves(command)
 }

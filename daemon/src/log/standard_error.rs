@@ -152,7 +152,7 @@ mod tests {
 
     use super::*;
 
-    const PATIENCE: Duration = Duration::from_secs(30);
+    const TIMEOUT: Duration = Duration::from_secs(30);
 
     /// Nobody reads it until the other end of the channel goes.
     struct Unread {
@@ -201,7 +201,7 @@ mod tests {
         let (mut text, guard) = Text::onto(writer, LINES_MAX, "test", lost_text);
         put(&mut text, "line 0");
         // In the hands of the thread, which waits: one that came later would make room, and a first loss would be said.
-        takes.recv_timeout(PATIENCE).unwrap();
+        takes.recv_timeout(TIMEOUT).unwrap();
         for line in 1..LINES {
             put(&mut text, &format!("line {line}"));
         }
@@ -211,7 +211,7 @@ mod tests {
         let read = || String::from_utf8(written.lock().unwrap().clone()).unwrap();
         let begin = Instant::now();
         while read().matches("line ").count() < LINES - lost {
-            assert!(begin.elapsed() < PATIENCE, "never written: {}", read());
+            assert!(begin.elapsed() < TIMEOUT, "never written: {}", read());
             std::thread::sleep(Duration::from_millis(1));
         }
         put(&mut text, "after");

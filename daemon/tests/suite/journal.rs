@@ -14,7 +14,7 @@ use cdcr_test_skip::{Need, skip};
 use crate::place::Place;
 
 /// How long anything may take before the test gives up. Generous: machines stall.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// Puts the folder of the test where the journal's socket is, and becomes the program.
 const SCRIPT: &str = "mount -t tmpfs none /run && mkdir -p /run/systemd/journal \
     && mount --bind \"$0\" /run/systemd/journal && exec \"$@\"";
@@ -78,9 +78,9 @@ fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
     if !may_have_a_journal(place.path()) {
         return None;
     }
-    journal.set_read_timeout(Some(PATIENCE)).unwrap();
+    journal.set_read_timeout(Some(TIMEOUT)).unwrap();
     let (theirs, mut ours) = UnixStream::pair().unwrap();
-    ours.set_read_timeout(Some(PATIENCE)).unwrap();
+    ours.set_read_timeout(Some(TIMEOUT)).unwrap();
     let file = rustix::fs::fstat(&theirs).unwrap();
     let inode = if named { file.st_ino } else { file.st_ino + 1 };
     let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
@@ -161,7 +161,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
     if !may_have_a_journal(place.path()) {
         return;
     }
-    journal.set_read_timeout(Some(PATIENCE)).unwrap();
+    journal.set_read_timeout(Some(TIMEOUT)).unwrap();
     let (theirs, _ours) = UnixStream::pair().unwrap();
     let file = rustix::fs::fstat(&theirs).unwrap();
     let mut child = with_journal(place.path(), env!("CARGO_BIN_EXE_cdcrd"))
@@ -188,7 +188,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
     let is_full = || filler.send_to(b"MESSAGE=full\n", &socket).is_err();
     let begin = Instant::now();
     while !is_full() {
-        assert!(begin.elapsed() < PATIENCE, "it is never full");
+        assert!(begin.elapsed() < TIMEOUT, "it is never full");
     }
     let id = rustix::process::Pid::from_child(&child);
     let signal = |signal| rustix::process::kill_process(id, signal).unwrap();
@@ -203,7 +203,7 @@ fn a_journal_that_stands_still_holds_nobody_up() {
         if let Some(status) = child.try_wait().unwrap() {
             break status;
         }
-        if begin.elapsed() > PATIENCE {
+        if begin.elapsed() > TIMEOUT {
             child.kill().unwrap();
             child.wait().unwrap();
             panic!("it waits for the journal");

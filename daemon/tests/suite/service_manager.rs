@@ -13,7 +13,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use crate::place::Place;
 
 /// How long anything may take before the test gives up. Generous: machines stall.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// A stalled machine must not stop the robot.
 const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n";
 
@@ -34,7 +34,7 @@ impl Manager {
         let place = Place::new(name);
         let path = place.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
-        socket.set_read_timeout(Some(PATIENCE)).unwrap();
+        socket.set_read_timeout(Some(TIMEOUT)).unwrap();
         let daemon = cdcrd(&place)
             .env("NOTIFY_SOCKET", &path)
             .env("WATCHDOG_USEC", "200000")
@@ -55,7 +55,7 @@ impl Manager {
         let begin = Instant::now();
         let mut heard = Vec::new();
         let mut buffer = [0; 4096];
-        while begin.elapsed() < PATIENCE {
+        while begin.elapsed() < TIMEOUT {
             let length = self.socket.recv(&mut buffer);
             let length = length.unwrap_or_else(|error| panic!("{what}: {error}; heard {heard:?}"));
             let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
@@ -77,7 +77,7 @@ impl Manager {
             state.trim_start().starts_with('T')
         };
         while !std::fs::read_dir(&folder).unwrap().all(stands) {
-            assert!(begin.elapsed() < PATIENCE, "it does not stand still");
+            assert!(begin.elapsed() < TIMEOUT, "it does not stand still");
             std::thread::sleep(Duration::from_millis(5));
         }
     }
@@ -94,7 +94,7 @@ fn wait(daemon: &mut Child) -> ExitStatus {
         if let Some(status) = daemon.try_wait().unwrap() {
             return status;
         }
-        if begin.elapsed() > PATIENCE {
+        if begin.elapsed() > TIMEOUT {
             let _ = daemon.kill();
             panic!("the daemon does not end");
         }

@@ -10,7 +10,7 @@ use super::*;
 use crate::subject::daemon::{Daemon, Launch};
 
 const MOMENT: Duration = Duration::from_millis(500);
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 
 fn daemon(cores: &Cores) -> Daemon {
     Daemon::start(&Launch::patient(None).placed(cores, false), cores).unwrap()
@@ -30,7 +30,7 @@ fn prove(load: Load, cores: &Cores, target: Option<&Location>) -> Done {
                 assert!(done.seconds >= moment.as_secs_f64(), "{done:?}");
                 return done;
             }
-            Err(error) => assert!(moment < PATIENCE, "{error:#}"),
+            Err(error) => assert!(moment < TIMEOUT, "{error:#}"),
         }
         moment *= 4;
     }
@@ -72,7 +72,7 @@ fn loads_on_a_daemon_do_their_work_and_leave_nothing() {
 
 /// The daemon, which lives, removes what only it can remove when it looks the next time.
 fn nothing_new(daemon: &Daemon, before: &BTreeSet<PathBuf>) {
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     loop {
         let after = files(daemon);
         let left: Vec<_> = after.difference(before).collect();
@@ -124,19 +124,19 @@ fn the_flood_is_refused_or_far_away_as_it_should_be() {
 }
 
 /// Looks at what the daemon says of the flood, until it knows half of the obstacles.
-fn watch(connection: &Connection, mut judge: impl FnMut(EventKind, Outcome)) {
+fn watch(connection: &Connection, mut take: impl FnMut(EventKind, Outcome)) {
     let mut telemetry = connection.telemetry().unwrap();
-    let deadline = Instant::now() + PATIENCE;
+    let deadline = Instant::now() + TIMEOUT;
     let mut records = 0;
     loop {
         assert!(
             Instant::now() < deadline,
             "the obstacles do not become known"
         );
-        let record = telemetry.next_within(PATIENCE).unwrap().unwrap();
+        let record = telemetry.next_within(TIMEOUT).unwrap().unwrap();
         for event in cdcr_client::events(&record) {
             let (kind, outcome) = (event.kind.try_into(), event.outcome.try_into());
-            judge(kind.unwrap(), outcome.unwrap());
+            take(kind.unwrap(), outcome.unwrap());
         }
         records += 1;
         if record.obstacle_count >= 2 && records >= 20 {

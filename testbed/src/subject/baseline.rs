@@ -13,7 +13,7 @@ use crate::system::cores::Cores;
 use crate::system::process::Process;
 
 /// What start, end and a slow machine may add to the duration.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 
 /// A running bare loop. Dropping it ends it.
 #[derive(Debug)]
@@ -31,7 +31,7 @@ impl Baseline {
     }
 
     pub fn wait(mut self) -> Result<Vec<Cycle>> {
-        let cycles = cycles(&self.process.wait(2 * self.duration + PATIENCE)?)?;
+        let cycles = cycles(&self.process.wait(2 * self.duration + TIMEOUT)?)?;
         let words = || self.process.stderr_tail();
         ensure!(!cycles.is_empty(), "cdcrd bare told of no cycle{}", words());
         Ok(cycles)

@@ -11,7 +11,7 @@ use rustix::thread::{sched_getaffinity, sched_setaffinity};
 use crate::system::process::{Process, on_path, that_ends_with_us};
 
 /// What start, end and a slow machine may add to the duration.
-const PATIENCE: Duration = Duration::from_secs(30);
+const TIMEOUT: Duration = Duration::from_secs(30);
 /// Its main thread prints what there is and then looks for the end, so cycles that come in between are never
 /// printed. So much longer than asked for it runs, for a main thread that is held up just there.
 const SPARE: Duration = Duration::from_millis(100);
@@ -110,9 +110,9 @@ pub struct Running {
 impl Running {
     pub fn wait(mut self) -> Result<Latencies> {
         let duration_s = self.period.as_secs_f64() * self.cycles as f64;
-        let limit = Duration::from_secs_f64(2.0 * duration_s) + PATIENCE;
-        let said = self.process.wait(limit)?;
-        let mut each_ns = latencies_in(&said)
+        let limit = Duration::from_secs_f64(2.0 * duration_s) + TIMEOUT;
+        let printed = self.process.wait(limit)?;
+        let mut each_ns = latencies_in(&printed)
             .with_context(|| format!("what cyclictest printed{}", self.process.stderr_tail()))?;
         let (made, asked) = (each_ns.len(), self.cycles);
         ensure!(
@@ -185,9 +185,9 @@ impl Latencies {
 
 /// The lines `thread: cycle: latency` among all that `-v` prints. A cycle that is not the next one shows
 /// that we read something else.
-fn latencies_in(said: &str) -> Result<Vec<u64>> {
+fn latencies_in(printed: &str) -> Result<Vec<u64>> {
     let mut each_ns = Vec::new();
-    for line in said.lines() {
+    for line in printed.lines() {
         let Some((cycle, latency_ns)) = latency(line) else {
             continue;
         };

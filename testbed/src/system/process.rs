@@ -202,7 +202,7 @@ mod tests {
 
     use super::*;
 
-    const PATIENCE: Duration = Duration::from_secs(30);
+    const TIMEOUT: Duration = Duration::from_secs(30);
 
     fn shell(script: &str) -> Process {
         let mut command = that_ends_with_us(&on_path("sh").unwrap());
@@ -212,7 +212,7 @@ mod tests {
 
     fn until_it_speaks(process: &Process) {
         let said = process.folder().join(STDOUT);
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         while fs::read_to_string(&said).unwrap().is_empty() {
             assert!(Instant::now() < deadline, "it says nothing");
             thread::sleep(LOOK);
@@ -222,11 +222,11 @@ mod tests {
     #[test]
     fn what_a_program_says_is_kept() {
         assert_eq!(
-            shell("echo one; echo two >&2").wait(PATIENCE).unwrap(),
+            shell("echo one; echo two >&2").wait(TIMEOUT).unwrap(),
             "one\n"
         );
         let error = shell("echo why >&2; exit 3")
-            .wait(PATIENCE)
+            .wait(TIMEOUT)
             .unwrap_err()
             .to_string();
         assert!(
@@ -252,9 +252,9 @@ mod tests {
     #[test]
     fn what_a_program_leaves_in_its_group_ends_when_it_has_ended() {
         let mut process = shell("sleep 100 & echo $!");
-        let left = process.wait(PATIENCE).unwrap();
+        let left = process.wait(TIMEOUT).unwrap();
         let stat = Path::new("/proc").join(left.trim()).join("stat");
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + TIMEOUT;
         // It is gone, or dead and not yet waited for by whoever has inherited it.
         while fs::read_to_string(&stat).is_ok_and(|stat| !stat.contains(") Z ")) {
             assert!(Instant::now() < deadline, "{left} still runs");
@@ -275,7 +275,7 @@ mod tests {
             until_it_speaks(&process);
             process
         });
-        let error = starter.join().unwrap().wait(PATIENCE).unwrap_err();
+        let error = starter.join().unwrap().wait(TIMEOUT).unwrap_err();
         assert!(error.to_string().contains("signal: 15"), "{error}");
     }
 

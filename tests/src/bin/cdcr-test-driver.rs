@@ -15,7 +15,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Location, Measurement};
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{PATIENCE, ROBOT};
+use cdcr_tests::{ROBOT, TIMEOUT};
 
 /// How old a late measurement is: beyond the timeout of the default configuration, or not.
 const LATE_NS: [u64; 2] = [20_000_000, 90_000_000];
@@ -26,7 +26,7 @@ fn main() {
         panic!("prefix and root are missing");
     };
     let location = Location::new(prefix, root.as_ref()).unwrap();
-    let connection = Connection::open_within(&location, ROBOT, PATIENCE).unwrap();
+    let connection = Connection::open_within(&location, ROBOT, TIMEOUT).unwrap();
     let bend_rad = bend.first().map(|bend| bend.parse().unwrap());
     let mut robot = RobotBehindDriver::new(&connection, bend_rad);
     let orders = orders();

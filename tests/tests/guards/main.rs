@@ -126,11 +126,11 @@ fn guarded(what: &str) -> Output {
 #[test]
 fn a_broken_cycle_ends_the_process() {
     let heap = guarded("use-the-heap");
-    let said = String::from_utf8_lossy(&heap.stderr);
-    assert_eq!(heap.status.signal(), Some(libc::SIGABRT), "{said}");
+    let printed = String::from_utf8_lossy(&heap.stderr);
+    assert_eq!(heap.status.signal(), Some(libc::SIGABRT), "{printed}");
     assert!(
-        said.contains("the heap was used where it is forbidden"),
-        "{said}"
+        printed.contains("the heap was used where it is forbidden"),
+        "{printed}"
     );
     let call = guarded("print");
     assert_eq!(call.status.signal(), Some(libc::SIGSYS));

@@ -13,7 +13,7 @@ use cdcr_shared_types::{Command, Telemetry};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, EndWhenDropped, PATIENCE, PATIENT, Place, wait_mode, wait_record, wait_until,
+    Daemon, EndWhenDropped, PATIENT, Place, TIMEOUT, wait_mode, wait_record, wait_until,
 };
 
 /// Motors with a lag of 20 ms are as near as that to where they go after so many cycles of 5 ms.
@@ -76,7 +76,7 @@ fn rest(interface: Interface, mode: Mode) {
         let first = settled(&mut telemetry, mode);
         let bend = || {
             robot.asked.store(true, Ordering::Relaxed);
-            bends.recv_timeout(PATIENCE).unwrap()
+            bends.recv_timeout(TIMEOUT).unwrap()
         };
         let stood = bend();
         assert!(
@@ -98,7 +98,7 @@ fn bring_to(mode: Mode, connection: &Connection, robot: &RobotThread) {
             // A sensor that is out of its mind for as long as it takes.
             robot.is_mad.store(true, Ordering::Relaxed);
             wait_until("the fault", || {
-                connection.status(PATIENCE).unwrap().mode == Mode::Faulted.code()
+                connection.status(TIMEOUT).unwrap().mode == Mode::Faulted.code()
             });
             robot.is_mad.store(false, Ordering::Relaxed);
         }

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::Connection;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_tests::load::{self, Busy, Done};
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, Place, Program, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, Place, Program, TIMEOUT, wait_until};
 use rustix::process::Signal;
 
 /// Timing is not the subject. Everything else is as in service.
@@ -110,7 +110,7 @@ fn soak(link: &str) {
             || !done.reaches(&least)
         {
             let passed = begin.elapsed();
-            assert!(passed < duration + 2 * PATIENCE, "{done:?}, not {least:?}");
+            assert!(passed < duration + 2 * TIMEOUT, "{done:?}, not {least:?}");
             let mut victim = echo(place);
             busy.turn(TURN_S, &done);
             // One that is killed while it connects leaves more; see below.
@@ -188,7 +188,7 @@ fn settle(daemon: &Daemon) {
         std::thread::sleep(SETTLED);
         let now = counts();
         // One that never settles grows, and the samples say so.
-        if now == before || begin.elapsed() > PATIENCE {
+        if now == before || begin.elapsed() > TIMEOUT {
             return;
         }
         before = now;
@@ -224,7 +224,7 @@ impl Sample {
             files_below(place.location().root()),
             living,
             dead,
-            connection.status(PATIENCE).unwrap().cycles,
+            connection.status(TIMEOUT).unwrap().cycles,
         ];
         Self { time_s, values }
     }
@@ -396,7 +396,7 @@ fn clients_killed_while_they_connect_take_no_place_from_others() {
     let clients: Vec<_> = (0..6).map(|_| daemon.connect()).collect();
     for client in &clients {
         let mut telemetry = client.telemetry().unwrap();
-        assert!(telemetry.next_within(PATIENCE).unwrap().is_some());
+        assert!(telemetry.next_within(TIMEOUT).unwrap().is_some());
     }
     drop(clients);
     let after = inventory(place);

@@ -23,7 +23,7 @@ use cdcr_shared_types::codes::{EventKind, Interface, Mode, Outcome, Reason, Requ
 use cdcr_shared_types::{Header, Request, Response, Service, Telemetry, ipc};
 use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, Place, ROBOT, wait_record};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, wait_record};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::Node;
 
@@ -133,7 +133,7 @@ impl Stopper {
                     response,
                 };
             }
-            assert!(begin.elapsed() < PATIENCE, "a stop was not answered");
+            assert!(begin.elapsed() < TIMEOUT, "a stop was not answered");
             std::thread::sleep(Duration::from_micros(200));
         }
     }
@@ -164,7 +164,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
             taken.len()
         );
         connection
-            .request_within(RequestKind::Reset, PATIENCE)
+            .request_within(RequestKind::Reset, TIMEOUT)
             .unwrap();
         // The golden ratio spreads the moments evenly over the period.
         let phase = (turns as f64 * 0.618_034).fract();
@@ -173,7 +173,7 @@ fn measure_stops(link: &str, daemon: &Daemon) {
             records.push(*record);
         }) {
             follow_to_rest(&mut telemetry, &mut records, asked.response.cycle);
-            taken.extend(judge(&records, &asked));
+            taken.extend(evaluate(&records, &asked));
         }
         while telemetry.try_next().unwrap().is_some() {}
     }
@@ -231,7 +231,7 @@ fn follow_to_rest(telemetry: &mut TelemetryStream, records: &mut Vec<Telemetry>,
 
 /// Holds a stop to its promise. None when records are missing, or the robot was hardly moving or not tracking any more
 /// when the request came.
-fn judge(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
+fn evaluate(records: &[Telemetry], asked: &Asked) -> Option<Taken> {
     let neighbours = |pair: &[Telemetry]| pair[0].header.sequence + 1 == pair[1].header.sequence;
     let is_stopped = |record: &Telemetry| record.mode == Mode::Stopped.code();
     let at = records.iter().position(is_stopped)?;

@@ -1,7 +1,7 @@
 //! Every setting with its key, its range and its place in the message: the fields of the message, and what is declared of
 //! the table `[controller]` of the configuration.
 //!
-//! The ranges are checked here so that a typing error is told at once; the daemon has the last word.
+//! The ranges are checked here so that a typing error is told at once; the daemon checks them again.
 
 use std::ops::RangeInclusive;
 

@@ -1,4 +1,4 @@
-//! The last word beside an independent oracle: its own kinematics, distances, limits, way to rest and quadratic program, from
+//! The safety checks beside an independent oracle: its own kinematics, distances, limits, way to rest and quadratic program, from
 //! the formulas of docs/model.md and the words of [`safe_command`](cdcr_controller::safety::safe_command) alone.
 //!
 //! A moment is a robot, its surroundings and desired rates, drawn from a number that a failed test prints.

@@ -9,10 +9,10 @@ use cdcr_client::{CommandStream, Connection, Stream, TelemetryStream};
 use cdcr_shared_types::codes::Outcome;
 use cdcr_shared_types::{Command, Status, Telemetry};
 use cdcr_tests::record::robot_of;
-use cdcr_tests::{PATIENCE, wait_status};
+use cdcr_tests::{TIMEOUT, wait_status};
 
 use crate::chaos::records::{Records, Seen};
-use crate::chaos::{Verdict, ensure};
+use crate::chaos::{CheckResult, ensure};
 
 /// The newest record, for those who want to know where the robot is; and whether the run has seen all that it must.
 #[derive(Debug)]
@@ -98,7 +98,7 @@ impl<'a> Checker<'a> {
         Ok(self.records.seen)
     }
 
-    fn drain(&mut self) -> Verdict {
+    fn drain(&mut self) -> CheckResult {
         let lost = |error: cdcr_client::LinkError| error.to_string();
         while let Some(record) = self.telemetry.try_next().map_err(lost)? {
             self.records.check(&record)?;
@@ -115,7 +115,7 @@ impl<'a> Checker<'a> {
         Ok(())
     }
 
-    fn check_command(&mut self, command: &Command) -> Verdict {
+    fn check_command(&mut self, command: &Command) -> CheckResult {
         self.records.seen.commands += 1;
         if let Some(before) = &self.command {
             let forward = command.header.sequence > before.header.sequence
@@ -126,7 +126,7 @@ impl<'a> Checker<'a> {
         self.records.check_command(command)
     }
 
-    fn check_status(&mut self, status: &Status) -> Verdict {
+    fn check_status(&mut self, status: &Status) -> CheckResult {
         self.records.seen.statuses += 1;
         let before = &self.status;
         for (what, before, now) in [
@@ -181,16 +181,16 @@ impl<'a> Checker<'a> {
 
     /// A fault that was seen is counted, as soon as a status tells. More may be counted: a reset in the cycle of a fault
     /// hides it.
-    fn compare_counts(&mut self) -> Verdict {
+    fn compare_counts(&mut self) -> CheckResult {
         let (seen, begin) = (self.records.seen.entered_faults, Instant::now());
         loop {
-            let status = self.connection.status(PATIENCE);
+            let status = self.connection.status(TIMEOUT);
             self.check_status(&status.map_err(|error| error.to_string())?)?;
             let counted = self.records.seen.counted_faults;
             if counted >= seen {
                 return Ok(());
             }
-            ensure(begin.elapsed() < PATIENCE, || {
+            ensure(begin.elapsed() < TIMEOUT, || {
                 format!("{seen} faults were seen, and {counted} are counted")
             })?;
             std::thread::sleep(Duration::from_millis(20));

@@ -5,7 +5,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode};
 use cdcr_tests::record::{configuration_of, obstacles_of};
 
-use crate::chaos::{Verdict, ensure};
+use crate::chaos::{CheckResult, ensure};
 
 /// What rounding may take from a clearance \[m\].
 const TOLERANCE_M: f64 = 1e-9;
@@ -17,7 +17,7 @@ const DIP_M: f64 = 1e-3;
 /// Checks cⱼ(command) ≥ min(D, cⱼ(standing still)) for each obstacle where it will be, and each section of the body, with
 /// exact clearances: after the period, and, to a millimetre, when no other command has followed and the robot has come
 /// to rest.
-pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
+pub(crate) fn check(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckResult {
     let rates = &record.command.bend_rate_rad_s[..robot.coordinate_count()];
     let rates = BendRates::from_slice(rates).ok_or("the rates have no shape")?;
     let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
@@ -58,7 +58,7 @@ fn check_at(
     [way_s, time_s]: [f64; 2],
     lack_m: f64,
     tolerance_m: f64,
-) -> Verdict {
+) -> CheckResult {
     let standing = configuration_of(record);
     let commanded = standing.advanced(rates, way_s);
     let standing = robot.body(&standing);

@@ -2,10 +2,10 @@
 
 use cdcr_shared_types::Telemetry;
 
-use crate::chaos::{Verdict, ensure};
+use crate::chaos::{CheckResult, ensure};
 
 /// Checks one record for itself: it lies on the grid of `origin_ns`, and its times follow each other.
-pub(crate) fn check(record: &Telemetry, origin_ns: u64) -> Verdict {
+pub(crate) fn check(record: &Telemetry, origin_ns: u64) -> CheckResult {
     let due = origin_ns + record.cycle * record.period_ns;
     ensure(record.release_ns == due, || {
         format!("released at {} instead of {due} ns", record.release_ns)

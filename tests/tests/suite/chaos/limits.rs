@@ -4,13 +4,13 @@ use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::{Command, Telemetry};
 
-use crate::chaos::{Verdict, ensure};
+use crate::chaos::{CheckResult, ensure};
 
 /// What rounding may add to a bend \[rad\], a stroke \[m\] or a speed \[m/s\].
 const TOLERANCE: f64 = 1e-9;
 
 /// Checks one command by itself: rates in the box, speeds inside their limit, and, where a driver obeys them, positions.
-pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> Verdict {
+pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> CheckResult {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
     let rates = &command.bend_rate_rad_s[..width];
     check_finite(command)?;
@@ -38,7 +38,7 @@ pub(crate) fn check(robot: &Robot, command: &Command, period_s: f64) -> Verdict 
 }
 
 /// A move of one period. Whoever is beyond a limit already, because a measurement says so, may not go farther.
-fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> Verdict {
+fn check_move(robot: &Robot, from: &[f64], target: &[f64]) -> CheckResult {
     for (j, section) in robot.sections().iter().enumerate() {
         let (u, v) = (2 * j, 2 * j + 1);
         let (bend, before) = (target[u].hypot(target[v]), from[u].hypot(from[v]));
@@ -65,7 +65,7 @@ fn turning(rad_s: &[f64]) -> BendRates {
 }
 
 /// Cables say the same as bends.
-fn check_cables(robot: &Robot, command: &Command) -> Verdict {
+fn check_cables(robot: &Robot, command: &Command) -> CheckResult {
     let (width, cables) = (robot.coordinate_count(), robot.cable_count());
     let lengths = robot.cable_lengths(&bent(&command.bend_target_rad[..width]));
     let speeds = robot.cable_speeds(&turning(&command.bend_rate_rad_s[..width]));
@@ -76,7 +76,7 @@ fn check_cables(robot: &Robot, command: &Command) -> Verdict {
     )
 }
 
-fn check_finite(command: &Command) -> Verdict {
+fn check_finite(command: &Command) -> CheckResult {
     let numbers = command.bend_rate_rad_s.iter();
     let numbers = numbers
         .chain(&command.bend_target_rad)
@@ -87,7 +87,7 @@ fn check_finite(command: &Command) -> Verdict {
 }
 
 /// Checks that the command of a record is the one that its cycle made.
-pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> Verdict {
+pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> CheckResult {
     let command = &record.command;
     let same = (command.cycle, command.release_ns, command.mode)
         == (record.cycle, record.release_ns, record.mode);
@@ -108,7 +108,7 @@ pub(crate) fn check_record(robot: &Robot, record: &Telemetry, period_s: f64) -> 
 }
 
 /// No rate grows faster than the acceleration; slowing down is free.
-fn check_acceleration(record: &Telemetry, width: usize, period_s: f64) -> Verdict {
+fn check_acceleration(record: &Telemetry, width: usize, period_s: f64) -> CheckResult {
     let most = record.acceleration_rad_s2 * period_s;
     let rates = record
         .command

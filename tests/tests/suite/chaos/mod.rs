@@ -10,13 +10,13 @@ mod dice;
 mod director;
 mod feeder;
 mod grid;
-mod half_made;
 mod limits;
 mod modes;
 mod obstacles;
 mod ramp;
 mod records;
 mod tally;
+mod unfinished;
 
 use std::ops::ControlFlow;
 use std::path::PathBuf;
@@ -26,7 +26,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use cdcr_client::{FeedOptions, Line};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, wait_mode, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, View};
@@ -35,10 +35,10 @@ use director::Director;
 use tally::Tally;
 
 /// Whether an invariant holds, or how it is broken.
-pub(crate) type Verdict = Result<(), String>;
+pub(crate) type CheckResult = Result<(), String>;
 
 /// Holds when `condition` does; `broken` says what is wrong when it does not.
-pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> Verdict {
+pub(crate) fn ensure(condition: bool, broken: impl FnOnce() -> String) -> CheckResult {
     if condition { Ok(()) } else { Err(broken()) }
 }
 
@@ -101,7 +101,7 @@ fn run(link: &str) {
             let connection = cdcr_tests::load::connect(checking);
             Checker::new(connection, &view).run(&ending)
         });
-        let files = scope.spawn(|| half_made::watch(checking, &ending));
+        let files = scope.spawn(|| unfinished::watch(checking, &ending));
         let dice_of_feeder = dice.split();
         let feeder = scope.spawn(|| {
             let connection = cdcr_tests::load::connect(feeding);
@@ -155,7 +155,7 @@ fn come_back(daemon: &Daemon) {
     };
     // What the machine is still busy with may stop it once more.
     wait_until("it tracks again", || {
-        let reset = connection.request_within(RequestKind::Reset, PATIENCE);
+        let reset = connection.request_within(RequestKind::Reset, TIMEOUT);
         let feed = || connection.feed(&line, options);
         let track = || feed()?.run(|_| ControlFlow::Continue(()));
         reset.is_ok() && track().is_ok_and(|report| report.tracked)

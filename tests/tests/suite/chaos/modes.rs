@@ -7,7 +7,7 @@ use cdcr_client::events;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{EventKind, Mode, Outcome, Reason, RequestKind};
 
-use crate::chaos::Verdict;
+use crate::chaos::CheckResult;
 
 /// Who moves the mode.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -174,7 +174,7 @@ const PATIENCE_RECORDS: u64 = 100;
 
 impl ModeWatch {
     /// Takes a record; `is_neighbour`: nothing was lost before it.
-    pub(crate) fn look(&mut self, record: &Telemetry, is_neighbour: bool) -> Verdict {
+    pub(crate) fn look(&mut self, record: &Telemetry, is_neighbour: bool) -> CheckResult {
         self.records += 1;
         if !is_neighbour {
             self.gap = Some(self.records);
@@ -201,7 +201,7 @@ impl ModeWatch {
     }
 
     /// Judges what still waits.
-    pub(crate) fn finish(&mut self) -> Verdict {
+    pub(crate) fn finish(&mut self) -> CheckResult {
         while !self.waiting.is_empty() {
             self.judge_oldest()?;
         }
@@ -219,7 +219,7 @@ impl ModeWatch {
         }
     }
 
-    fn judge_oldest(&mut self) -> Verdict {
+    fn judge_oldest(&mut self) -> CheckResult {
         let Some(change) = self.waiting.pop_front() else {
             return Ok(());
         };

@@ -4,7 +4,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, guard};
 use cdcr_tests::record::largest;
 
-use crate::chaos::{Verdict, ensure};
+use crate::chaos::{CheckResult, ensure};
 
 /// What rounding may do to a rate \[rad/s\].
 const TOLERANCE_RAD_S: f64 = 1e-9;
@@ -15,7 +15,7 @@ const ARRIVED_RAD: f64 = 1e-3;
 /// Checks the rates of a record that holds, is stopped, faulted or starting against the ones before: all shrink
 /// by one factor, the fastest by deceleration · period. The clearance guard and the limits may shorten them more, and
 /// nothing makes a component larger.
-pub(crate) fn check(record: &Telemetry, period_s: f64) -> Verdict {
+pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     let mode = Mode::try_from(record.mode).map_err(|unknown| unknown.to_string())?;
     if matches!(mode, Mode::Tracking | Mode::Homing) {
         return Ok(());
@@ -43,7 +43,7 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> Verdict {
 }
 
 /// Checks that a robot that was at rest in both records is commanded to stay where it is, to the bit.
-pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> Verdict {
+pub(crate) fn check_rest(before: &Telemetry, record: &Telemetry) -> CheckResult {
     let rests = |record: &Telemetry| {
         let moves_on = [Mode::Tracking, Mode::Homing].map(Mode::code);
         !moves_on.contains(&record.mode) && largest(&record.previous_rate_rad_s) == 0.0

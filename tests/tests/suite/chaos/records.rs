@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, guard};
 use cdcr_shared_types::{Command, Telemetry};
 
 use crate::chaos::modes::{ModeWatch, place};
-use crate::chaos::{KINDS_TAKE, Verdict, clearance, ensure, grid, limits, ramp};
+use crate::chaos::{CheckResult, KINDS_TAKE, clearance, ensure, grid, limits, ramp};
 
 /// What was checked.
 #[derive(Debug, Default)]
@@ -118,7 +118,7 @@ impl Records {
     }
 
     /// Holds the next record to the invariants.
-    pub(crate) fn check(&mut self, record: &Telemetry) -> Verdict {
+    pub(crate) fn check(&mut self, record: &Telemetry) -> CheckResult {
         self.check_record(record)
             .map_err(|broken| format!("{broken}\nin {}", describe(record)))?;
         self.before = Some(Box::new(*record));
@@ -131,16 +131,16 @@ impl Records {
     }
 
     /// Holds one command to the invariants.
-    pub(crate) fn check_command(&self, command: &Command) -> Verdict {
+    pub(crate) fn check_command(&self, command: &Command) -> CheckResult {
         limits::check(&self.robot, command, self.period_s)
     }
 
     /// What still waits for its reason.
-    pub(crate) fn finish(&mut self) -> Verdict {
+    pub(crate) fn finish(&mut self) -> CheckResult {
         self.modes.finish()
     }
 
-    fn check_record(&mut self, record: &Telemetry) -> Verdict {
+    fn check_record(&mut self, record: &Telemetry) -> CheckResult {
         let is_neighbour = match &self.before {
             Some(before) => grid::check_pair(before, record)?,
             None => true,
@@ -160,7 +160,7 @@ impl Records {
         self.note(record, is_neighbour)
     }
 
-    fn note(&mut self, record: &Telemetry, is_neighbour: bool) -> Verdict {
+    fn note(&mut self, record: &Telemetry, is_neighbour: bool) -> CheckResult {
         let (mode, reason) = place(record)?;
         let seen = &mut self.seen;
         seen.records += 1;

@@ -8,7 +8,7 @@ use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, PATIENCE, wait_status, wait_until};
+use cdcr_tests::{Daemon, TIMEOUT, wait_status, wait_until};
 use rustix::process::Signal;
 
 use crate::faults::robot::Robot;
@@ -109,7 +109,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
     }
     // A pause inside the timeout: predicted, counted, no fault.
     let before = connection
-        .status(PATIENCE)
+        .status(TIMEOUT)
         .unwrap()
         .since_reset
         .stale_measurements;
@@ -123,7 +123,7 @@ fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
     trail.until_while("used", turned, |r| state(r) == MeasurementState::Used);
     wait_until("they are counted", || {
         turn(&mut robot);
-        let status = connection.status(PATIENCE).unwrap();
+        let status = connection.status(TIMEOUT).unwrap();
         assert_eq!(status.faults, 0);
         status.since_reset.stale_measurements >= before + 10
     });

@@ -49,8 +49,8 @@ impl SmallMemory {
             }
         };
         let mut line = String::new();
-        let said = holder.stdout.as_mut().unwrap();
-        let _ = BufReader::new(said).read_line(&mut line);
+        let printed = holder.stdout.as_mut().unwrap();
+        let _ = BufReader::new(printed).read_line(&mut line);
         let memory = Self {
             holder,
             place: Place::new(),

@@ -39,12 +39,12 @@ fn event(record: &Telemetry, header: &Header) -> Option<InputEvent> {
 /// Sends obstacles; the record that tells what became of them, and the event.
 fn tell(trail: &mut Trail, sender: &ObstacleSender, balls: &[Obstacle]) -> (Telemetry, InputEvent) {
     let header = sender.upsert(balls).unwrap();
-    let mut told = None;
+    let mut answer = None;
     let (_, record) = trail.until("the verdict", |record| {
-        told = event(record, &header);
-        told.is_some()
+        answer = event(record, &header);
+        answer.is_some()
     });
-    (record, told.unwrap())
+    (record, answer.unwrap())
 }
 
 /// A robot that goes slowly home, sideways, and what it would touch next.
@@ -75,9 +75,9 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     let ahead_m = homing(&connection, &mut trail);
-    let (first, told) = tell(&mut trail, &sender, &[ball(1, ahead_m)]);
+    let (first, answer) = tell(&mut trail, &sender, &[ball(1, ahead_m)]);
     assert_eq!(
-        (told.outcome, first.obstacle_count),
+        (answer.outcome, first.obstacle_count),
         (Outcome::Accepted.code(), 1)
     );
     let begin_m = first.clearance_m;
@@ -87,8 +87,8 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
         0,
         "in the first cycle that knows it"
     );
-    let detected_ns = first.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 2 * first.period_ns + trail.history().late_since_ns(told.judged_ns);
+    let detected_ns = first.release_ns.saturating_sub(answer.judged_ns);
+    let bound_ns = 2 * first.period_ns + trail.history().late_since_ns(answer.judged_ns);
     say("obstacle inside the safe distance", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     for _ in 0..100 {
@@ -110,16 +110,16 @@ fn contact_is_a_fault_in_the_next_cycle_and_not_reset_while_it_stands() {
     let sender = connection.obstacle_sender().unwrap();
     trail.until("holding", is(Mode::Holding));
     // Where the body is.
-    let (first, told) = tell(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
-    assert_eq!(told.outcome, Outcome::Accepted.code());
+    let (first, answer) = tell(&mut trail, &sender, &[ball(1, [0.0, 0.0, 0.5])]);
+    assert_eq!(answer.outcome, Outcome::Accepted.code());
     assert!(first.clearance_m < 0.0 && first.mode == Mode::Holding.code());
     let (_, now) = trail.until("the next record", |_| true);
     assert_eq!(
         (now.mode, now.reason),
         (Mode::Faulted.code(), Reason::ClearanceBroken.code())
     );
-    let detected_ns = now.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(told.judged_ns);
+    let detected_ns = now.release_ns.saturating_sub(answer.judged_ns);
+    let bound_ns = 3 * now.period_ns + trail.history().late_since_ns(answer.judged_ns);
     say("contact", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     match connection.request(RequestKind::Reset) {
@@ -139,13 +139,19 @@ fn one_obstacle_too_many_is_refused_with_its_whole_update_and_counted() {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     let all: Vec<_> = (0..64).map(|id| ball(id, [0.3, 0.0, 0.3])).collect();
-    let (_, told) = tell(&mut trail, &sender, &all);
-    assert_eq!((told.outcome, told.detail), (Outcome::Accepted.code(), 64));
+    let (_, answer) = tell(&mut trail, &sender, &all);
+    assert_eq!(
+        (answer.outcome, answer.detail),
+        (Outcome::Accepted.code(), 64)
+    );
     let nearer = ball(1, [0.1, 0.0, 0.3]);
-    let (record, told) = tell(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
-    assert_eq!((told.outcome, told.detail), (Outcome::BufferFull.code(), 1));
-    let detected_ns = record.release_ns.saturating_sub(told.judged_ns);
-    let bound_ns = 2 * record.period_ns + trail.history().late_since_ns(told.judged_ns);
+    let (record, answer) = tell(&mut trail, &sender, &[nearer, ball(64, [0.3, 0.0, 0.3])]);
+    assert_eq!(
+        (answer.outcome, answer.detail),
+        (Outcome::BufferFull.code(), 1)
+    );
+    let detected_ns = record.release_ns.saturating_sub(answer.judged_ns);
+    let bound_ns = 2 * record.period_ns + trail.history().late_since_ns(answer.judged_ns);
     say("too many obstacles", detected_ns, bound_ns);
     assert!(detected_ns <= bound_ns);
     assert_eq!(record.obstacle_count, 64);
@@ -191,8 +197,8 @@ fn floods_of_obstacles_keep_nobody_out_and_give_a_gather_no_more_work() {
         let sender = connection.obstacle_sender().unwrap();
         let mut judged = BTreeMap::new();
         for _ in 0..20 {
-            let (_, told) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
-            assert_eq!(told.outcome, Outcome::Accepted.code());
+            let (_, answer) = tell(&mut trail, &sender, &[ball(63, [0.3, 0.0, 0.3])]);
+            assert_eq!(answer.outcome, Outcome::Accepted.code());
             for _ in 0..20 {
                 let (_, record) = trail.until("the next record", |_| true);
                 count_updates(&record, &mut judged);
@@ -218,18 +224,18 @@ fn lose_source(rule: &str) {
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();
     homing(&connection, &mut trail);
-    let (seen, first, told) = loop {
+    let (seen, first, answer) = loop {
         let seen = Obstacle {
             lifetime_ns: 30_000_000,
             ..ball(1, [0.5, 0.5, 0.3])
         };
-        let (first, told) = tell(&mut trail, &sender, &[seen]);
+        let (first, answer) = tell(&mut trail, &sender, &[seen]);
         // A stall may use up its life on the way.
-        if told.outcome != Outcome::InThePast.code() {
-            break (seen, first, told);
+        if answer.outcome != Outcome::InThePast.code() {
+            break (seen, first, answer);
         }
     };
-    assert_eq!(told.outcome, Outcome::Accepted.code());
+    assert_eq!(answer.outcome, Outcome::Accepted.code());
     // Silence, longer than lifetime and timeout together.
     let mut held = None;
     let (_, last) = trail.until("silence", |record| {
@@ -246,9 +252,9 @@ fn lose_source(rule: &str) {
     } else {
         let held = held.unwrap();
         assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
-        let detected_ns = held.release_ns.saturating_sub(told.judged_ns);
+        let detected_ns = held.release_ns.saturating_sub(answer.judged_ns);
         let history = trail.history();
-        let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(told.judged_ns);
+        let bound_ns = 200_000_000 + 2 * held.period_ns + history.late_since_ns(answer.judged_ns);
         say("source of obstacles silent", detected_ns, bound_ns);
         assert!((200_000_000..=bound_ns).contains(&detected_ns));
         // It is still silent.

@@ -13,7 +13,7 @@ use cdcr_daemon::instance::is_in_memory;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENCE, Place, Program, ROBOT, binary, wait_status, wait_until};
+use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, binary, wait_status, wait_until};
 use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
@@ -49,7 +49,7 @@ fn a_second_daemon_ends_with_69_and_the_first_goes_on() {
     let parts = ["runs already", &process, "kill", ROBOT, prefix, "--prefix"];
     daemon.place().says("cdcrd run", 69, &parts);
     let connection = daemon.connect();
-    let before = connection.status(PATIENCE).unwrap();
+    let before = connection.status(TIMEOUT).unwrap();
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 10);
     assert_eq!((after.process_id, after.faults), (daemon.id(), 0));
     drop(connection);

@@ -9,7 +9,7 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::record::largest;
 use cdcr_tests::{
-    Daemon, PATIENCE, Place, Program, ROBOT, until_undisturbed, wait_status, wait_until,
+    Daemon, Place, Program, ROBOT, TIMEOUT, until_undisturbed, wait_status, wait_until,
 };
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
@@ -100,7 +100,7 @@ fn drive_until_end(daemon: &mut Daemon, robot: &mut Robot, hung: &Hung) {
         robot.turn();
         std::thread::sleep(Duration::from_millis(1));
         assert!(
-            begin.elapsed() < PATIENCE,
+            begin.elapsed() < TIMEOUT,
             "it does not end:\n{}",
             daemon.log()
         );
@@ -185,7 +185,7 @@ fn follow_while_held_up(
     let feeding = track(connection, POINTS_MAX, 40);
     let mut telemetry = connection.telemetry().unwrap();
     wait_until("it tracks", || {
-        let record = telemetry.next_within(PATIENCE).unwrap();
+        let record = telemetry.next_within(TIMEOUT).unwrap();
         record.unwrap().mode == Mode::Tracking.code()
     });
     let renewed_ns = monotonic_ns();
@@ -200,7 +200,7 @@ fn follow_while_held_up(
     drop(hung);
     loop {
         // Of a long time some are lost: the ring to the exchange is full.
-        let record = telemetry.next_within(PATIENCE).unwrap().unwrap();
+        let record = telemetry.next_within(TIMEOUT).unwrap().unwrap();
         let has_reference = record.cycle <= record.window_first_cycle + WINDOW_PERIODS
             && record.release_ns <= feeding.end_ns;
         if !is_held || !has_reference {
@@ -318,7 +318,7 @@ fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
 }
 
 /// Asked to end while the exchange is held up, after `held_up` of that.
-fn assert_last_word_is_rest(held_up: Duration) {
+fn assert_last_command_is_rest(held_up: Duration) {
     let mut it = Commanded::moving();
     let Some(hung) = Hung::new(it.daemon.id(), "cdcr-exchange") else {
         return;
@@ -343,10 +343,10 @@ fn assert_last_word_is_rest(held_up: Duration) {
 }
 
 #[test]
-fn the_last_word_of_a_daemon_that_ends_is_rest_also_when_its_exchange_was_held_up() {
-    assert_last_word_is_rest(Duration::from_millis(100));
+fn the_last_command_of_a_daemon_that_ends_is_rest_also_when_its_exchange_was_held_up() {
+    assert_last_command_is_rest(Duration::from_millis(100));
     // Longer than there is room for records.
-    assert_last_word_is_rest(Duration::from_millis(800));
+    assert_last_command_is_rest(Duration::from_millis(800));
 }
 
 #[test]
@@ -431,7 +431,7 @@ impl Managed {
 fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_watchdog() {
     let managed = Managed::start();
     let location = managed.place.location();
-    let connection = Connection::open_within(location, ROBOT, PATIENCE).unwrap();
+    let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
     let mut trail = Trail::new(&connection);
     trail.until("holding", is(Mode::Holding));
     wait_until("the watchdog is fed", || managed.fed() > 0);
@@ -441,7 +441,7 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     };
     managed.fed();
     trail.catch_up();
-    let mut last = connection.status(PATIENCE).unwrap();
+    let mut last = connection.status(TIMEOUT).unwrap();
     trail.until("the status is stale", |_| {
         match connection.status(Duration::ZERO) {
             Ok(status) => last = status,

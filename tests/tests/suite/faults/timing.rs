@@ -16,7 +16,7 @@ use cdcr_daemon::rt::suspend::SuspendWatch;
 use cdcr_daemon::rt::sys::set_fifo;
 use cdcr_shared_types::codes::{LateCause, Mode, Reason, RequestKind, timing};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENCE, wait_status};
+use cdcr_tests::{Daemon, TIMEOUT, wait_status};
 use rustix::process::Signal;
 use rustix::thread::{CpuSet, sched_setaffinity};
 use rustix::time::{ClockId, Timespec, clock_gettime, clock_settime};
@@ -173,12 +173,12 @@ fn a_wall_clock_that_jumps_is_not_noticed() {
             records += 1;
             records > 40
         });
-        assert!(connection.status(PATIENCE).is_ok(), "the status is fresh");
+        assert!(connection.status(TIMEOUT).is_ok(), "the status is fresh");
     };
     jump_wall_clock(25, &mut look);
     jump_wall_clock(-25, &mut look);
     look();
-    assert_eq!(connection.status(PATIENCE).unwrap().faults, 0);
+    assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
 }
 
 /// Every Rust file below a folder.

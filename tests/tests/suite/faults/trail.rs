@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, TelemetryStream};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::PATIENCE;
+use cdcr_tests::TIMEOUT;
 use cdcr_tests::record::largest;
 
 use crate::faults::history::History;
@@ -24,7 +24,7 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
             Err(TryLockError::Poisoned(guard)) => return guard.into_inner(),
             Err(TryLockError::WouldBlock) => {}
         }
-        assert!(begin.elapsed() < 5 * PATIENCE, "the core is never free");
+        assert!(begin.elapsed() < 5 * TIMEOUT, "the core is never free");
         std::thread::sleep(Duration::from_millis(10));
     }
 }
@@ -91,7 +91,7 @@ impl Trail {
                 None => std::thread::sleep(Duration::from_millis(1)),
             }
             assert!(
-                begin.elapsed() < PATIENCE,
+                begin.elapsed() < TIMEOUT,
                 "{what} never came; the last record is of cycle {:?} in mode {:?}",
                 self.before.map(|record| record.cycle),
                 self.before.map(|record| Mode::text_of(record.mode)),

@@ -5,7 +5,7 @@ use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{
     Header, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response, Service, Status, ipc,
 };
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_status, wait_until};
+use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, TIMEOUT, wait_status, wait_until};
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
 use iceoryx2::port::publisher::Publisher;
@@ -218,7 +218,7 @@ impl Watcher {
             self.records += 1;
             self.follows |= record.mode == Mode::Tracking.code();
         }
-        self.connection.status(PATIENCE).unwrap()
+        self.connection.status(TIMEOUT).unwrap()
     }
 
     /// How many messages were counted, those of the last moments included.

@@ -76,9 +76,9 @@ fn stop_in(
         Mode::Stopped
     };
     let parts = format!("the daemon is {}", goal.text());
-    let said = daemon.place().says("cdcrctl stop", 0, &[&parts]);
+    let printed = daemon.place().says("cdcrctl stop", 0, &[&parts]);
     println!("  took {:?}", begin.elapsed());
-    assert_rests_from(trail, accepted_in(&said), goal);
+    assert_rests_from(trail, accepted_in(&printed), goal);
     drop(hung);
     drop(feeding);
     if mode != Mode::Faulted {
@@ -88,8 +88,8 @@ fn stop_in(
 }
 
 /// The cycle that a client says its request was accepted in.
-fn accepted_in(said: &str) -> u64 {
-    let (_, cycle) = said.split_once("accepted in cycle ").unwrap();
+fn accepted_in(printed: &str) -> u64 {
+    let (_, cycle) = printed.split_once("accepted in cycle ").unwrap();
     cycle.split(',').next().unwrap().parse().unwrap()
 }
 

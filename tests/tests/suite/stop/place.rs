@@ -62,15 +62,18 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&std::path::Path)) {
     delete(&root);
     assert_none_starts_beside(&mut daemon);
     let output = daemon.place().cdcrctl(&["stop"]);
-    let said = text(&output);
+    let printed = text(&output);
     // The daemon may have ended meanwhile, where the machine stalls.
-    assert!(!output.status.success(), "{said}");
+    assert!(!output.status.success(), "{printed}");
     assert!(
-        said.contains("not confirmed") || !daemon.runs(),
-        "a stop that is not true: {said}"
+        printed.contains("not confirmed") || !daemon.runs(),
+        "a stop that is not true: {printed}"
     );
-    if daemon.runs() && said.contains("not confirmed") {
-        assert!(said.contains(&format!("process {}", daemon.id())), "{said}");
+    if daemon.runs() && printed.contains("not confirmed") {
+        assert!(
+            printed.contains(&format!("process {}", daemon.id())),
+            "{printed}"
+        );
     }
     let ended = daemon.stop_after_signal();
     assert_eq!(ended.code(), Some(83), "{}", daemon.log());
@@ -164,12 +167,15 @@ fn a_second_daemon_that_finds_neither_lock_nor_name_is_refused_by_the_services()
     });
     fs::remove_file(location.lock_file(ROBOT)).unwrap();
     let output = daemon.place().command("cdcrd").arg("run").output().unwrap();
-    let said = text(&output);
+    let printed = text(&output);
     // Where the machine stalls, the first has made its lock file again.
     let status = output.status.code();
-    assert!(matches!(status, Some(71 | 69)), "{status:?}: {said}");
+    assert!(matches!(status, Some(71 | 69)), "{status:?}: {printed}");
     let words = ["writes to the service", "runs already"];
-    assert!(words.iter().any(|words| said.contains(words)), "{said}");
+    assert!(
+        words.iter().any(|words| printed.contains(words)),
+        "{printed}"
+    );
     drop(flood);
     // Two never lived at a time: the first has its lock file again, or saw another's there and came to rest.
     wait_until("it has mended its place, or ended", || {

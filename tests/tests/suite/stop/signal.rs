@@ -5,7 +5,7 @@ use std::time::Duration;
 use cdcr_client::{RequestError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Program, text, until_undisturbed, wait_status, wait_until,
+    Daemon, PATIENT, Program, TIMEOUT, text, until_undisturbed, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -61,14 +61,14 @@ fn a_stop_that_is_not_answered_goes_as_a_signal_long_before_it_gives_up() {
         let output = daemon.place().cdcrctl(&["stop"]);
         let ended_ns = monotonic_ns();
         drop(hung);
-        let said = text(&output);
+        let printed = text(&output);
         assert!(
-            !output.status.success() && said.contains("not confirmed"),
-            "{said}"
+            !output.status.success() && printed.contains("not confirmed"),
+            "{printed}"
         );
         let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
         connection
-            .request_within(RequestKind::Reset, PATIENCE)
+            .request_within(RequestKind::Reset, TIMEOUT)
             .unwrap();
         let is_first = before.cycle + 1 == stopped.cycle;
         (is_first && stopped.release_ns + LONG_BEFORE_NS < ended_ns).then_some(())
@@ -90,11 +90,14 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
         drop(hung);
         let output = stop.output();
         connection
-            .request_within(RequestKind::Reset, PATIENCE)
+            .request_within(RequestKind::Reset, TIMEOUT)
             .unwrap();
-        let said = text(&output);
-        let is_confirmed = output.status.success() && said.contains("the daemon is stopped");
-        assert!(is_confirmed || said.contains("not confirmed"), "{said}");
+        let printed = text(&output);
+        let is_confirmed = output.status.success() && printed.contains("the daemon is stopped");
+        assert!(
+            is_confirmed || printed.contains("not confirmed"),
+            "{printed}"
+        );
         (is_asking && is_confirmed).then_some(())
     });
 }
@@ -105,7 +108,7 @@ fn a_terminal_that_hangs_up_does_not_end_the_daemon() {
     let connection = daemon.connect();
     daemon.signal(Signal::HUP);
     wait_until("it says so", || daemon.log().contains("SIGHUP"));
-    let before = connection.status(PATIENCE).unwrap();
+    let before = connection.status(TIMEOUT).unwrap();
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 20);
     assert_eq!(after.mode, Mode::Holding.code());
     assert!(daemon.stop().success(), "{}", daemon.log());

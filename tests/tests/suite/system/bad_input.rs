@@ -3,7 +3,7 @@
 use cdcr_client::{Connection, ReferenceFeed, TelemetryStream, monotonic_ns};
 use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{ChunkMode, EventKind, Interpolation, Outcome};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Place, TIMEOUT, wait_status};
 
 fn point(offset_ms: i64, position_m: [f64; 3]) -> ReferencePoint {
     ReferencePoint {
@@ -25,7 +25,7 @@ impl Client<'_> {
         let header = self.feed.send(mode, Interpolation::Cubic, points).unwrap();
         let verdict = self
             .telemetry
-            .verdict_on(EventKind::Reference, &header, PATIENCE);
+            .outcome_on(EventKind::Reference, &header, TIMEOUT);
         std::mem::forget(lease);
         verdict.unwrap()
     }
@@ -112,8 +112,8 @@ fn a_bad_configuration_is_named_by_file_line_key_and_range() {
         let path = place.write("bad.toml", text);
         for (command, status) in [("check", 78), ("run", 78)] {
             let line = format!("cdcrd {command} --config {}", path.display());
-            let said = place.says(&line, status, &expected);
-            assert!(said.contains("bad.toml"), "{said}");
+            let printed = place.says(&line, status, &expected);
+            assert!(printed.contains("bad.toml"), "{printed}");
         }
     }
     let parts = ["/no/such.toml", "config default"];

@@ -47,8 +47,8 @@ fn line(line: &str) -> Line {
     };
     // Both are there, or neither where the kernel does not tell.
     assert_eq!(columns[7].is_empty(), columns[8].is_empty(), "{line}");
-    for told in [columns[7], columns[8]] {
-        assert!(told.is_empty() || told.parse::<u64>().is_ok(), "{line}");
+    for count in [columns[7], columns[8]] {
+        assert!(count.is_empty() || count.parse::<u64>().is_ok(), "{line}");
     }
     Line {
         cycle: number(0),

@@ -84,7 +84,7 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
     let folder = folder.path();
     let mut recorder = None;
     let mut configuration = blocks("toml")[0].to_owned();
-    let (mut daemon, mut said, mut errors_mm) = (None::<Daemon>, String::new(), Vec::new());
+    let (mut daemon, mut printed, mut errors_mm) = (None::<Daemon>, String::new(), Vec::new());
     // Three minutes; the half of it, three times as fast, without.
     let is_whole = std::env::var_os("CDCR_CALIBRATION_WHOLE").is_some();
     if !is_whole {
@@ -97,7 +97,7 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
                 if let Some(mut before) = daemon.take() {
                     // Between the two the page has the paste.
                     assert_eq!(before.stop().code(), Some(0));
-                    let sections = said.split("# Instead of").nth(1).unwrap();
+                    let sections = printed.split("# Instead of").nth(1).unwrap();
                     configuration = [configuration.as_str(), "\n# Instead of", sections].concat();
                 }
                 daemon = Some(Daemon::start(&configuration));
@@ -114,7 +114,7 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
             ["wait"] => assert!(recorder.take().unwrap().wait().unwrap().success()),
             ["cdcrctl", ref arguments @ ..] => {
                 let place = daemon.as_ref().unwrap().place();
-                said = run(place, folder, arguments);
+                printed = run(place, folder, arguments);
                 if let ["calibrate", "geometry", file, ..] = arguments {
                     let found = geometry(place, folder, file);
                     errors_mm.push((

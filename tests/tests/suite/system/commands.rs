@@ -9,7 +9,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, text, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, text, wait_mode, wait_status};
 
 /// What a command that fails says.
 fn refused(daemon: &Daemon, line: &str) -> String {
@@ -26,7 +26,7 @@ fn errors_say_what_is_so_and_what_to_do() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[obstacles]\nsource_timeout_ms = 500.0\n"
     ));
-    for (line, said) in [
+    for (line, printed) in [
         (
             "status --robot other",
             &format!("the robot that runs there: {ROBOT}")[..],
@@ -56,7 +56,7 @@ fn errors_say_what_is_so_and_what_to_do() {
         ),
     ] {
         let text = refused(&daemon, line);
-        assert!(text.contains(said), "{line}: {text}");
+        assert!(text.contains(printed), "{line}: {text}");
         assert!(!text.contains("Error"), "a name of a type: {text}");
     }
     done(
@@ -101,29 +101,32 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\n"
     ));
-    let said = done(
+    let printed = done(
         &daemon,
         "ref line --duration 200ms --track --max-error 0.9m",
     );
-    let error = said.lines().last().unwrap_or_default();
+    let error = printed.lines().last().unwrap_or_default();
     let numbers: Vec<f64> = error
         .split([' ', ','])
         .filter_map(|word| word.parse().ok())
         .collect();
     let [mean, max, last, cycles] = numbers[..] else {
-        panic!("{said}");
+        panic!("{printed}");
     };
-    assert!(error.starts_with("tip error: mean"), "{said}");
+    assert!(error.starts_with("tip error: mean"), "{printed}");
     assert!(
         mean <= max && last <= max && max > 100.0 && cycles > 0.0,
-        "{said}"
+        "{printed}"
     );
-    let said = refused(
+    let printed = refused(
         &daemon,
         "ref line --duration 200ms --track --max-error 100mm",
     );
-    assert!(said.contains("more than --max-error, 100.000 mm"), "{said}");
-    assert!(said.contains("tip error: mean"), "{said}");
+    assert!(
+        printed.contains("more than --max-error, 100.000 mm"),
+        "{printed}"
+    );
+    assert!(printed.contains("tip error: mean"), "{printed}");
 }
 
 #[test]
@@ -135,20 +138,20 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     let mut telemetry = connection.telemetry().unwrap();
     let too_short = "cdcrctl home --wait=290ms";
     daemon.place().says(too_short, 2, &["must be 0.3 s to"]);
-    let said = refused(&daemon, "home --wait=300ms");
+    let printed = refused(&daemon, "home --wait=300ms");
     assert!(
-        said.contains("not done within 300ms; the robot goes on"),
-        "{said}"
+        printed.contains("not done within 300ms; the robot goes on"),
+        "{printed}"
     );
     wait_status(&connection, |status| status.mode == Mode::Homing.code());
     done(&daemon, "hold --wait");
-    let said = done(&daemon, "home --wait");
+    let printed = done(&daemon, "home --wait");
     assert!(
-        said.contains("home: done, commanded to rest since cycle"),
-        "{said}"
+        printed.contains("home: done, commanded to rest since cycle"),
+        "{printed}"
     );
     // The cycle that it names is at rest, at home.
-    let cycle = said
+    let cycle = printed
         .split("since cycle ")
         .nth(1)
         .and_then(|rest| rest.split(',').next());
@@ -167,7 +170,7 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     );
     done(&daemon, "stop");
     done(&daemon, "reset --wait");
-    let status = connection.status(PATIENCE).unwrap();
+    let status = connection.status(TIMEOUT).unwrap();
     assert!(
         status.tip_position_m[0].abs() < 1e-3,
         "{:?}",

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use cdcr_client::Connection;
 use cdcr_shared_types::Location;
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{PATIENCE, Place, Program, in_public_memory, text, wait_status, wait_until};
+use cdcr_tests::{Place, Program, TIMEOUT, in_public_memory, text, wait_status, wait_until};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -227,7 +227,7 @@ impl RunningDemo {
         };
         let root = Path::new(Location::MEMORY).join(folder);
         let location = Location::new(&format!("{folder}_"), &root).unwrap();
-        let connection = Connection::open_within(&location, "demo", PATIENCE).unwrap();
+        let connection = Connection::open_within(&location, "demo", TIMEOUT).unwrap();
         wait_status(&connection, |status| status.mode == Mode::Tracking.code());
     }
 }

@@ -10,7 +10,7 @@ use cdcr_shared_types::codes::{
     Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
 };
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENCE, tracked, wait_mode, wait_record, wait_status, wait_until};
+use cdcr_tests::{Daemon, TIMEOUT, tracked, wait_mode, wait_record, wait_status, wait_until};
 
 use super::freeze;
 
@@ -38,7 +38,7 @@ impl Robot {
     fn run_until(&mut self, mut done: impl FnMut() -> bool) {
         let begin = Instant::now();
         while !done() {
-            assert!(begin.elapsed() < PATIENCE, "it did not happen");
+            assert!(begin.elapsed() < TIMEOUT, "it did not happen");
             self.turn();
         }
     }
@@ -158,7 +158,7 @@ fn no_command_comes_before_the_first_measurement() {
     // A stop before that is taken, and is no fault; a reset has to wait.
     connection.request(RequestKind::Stop).unwrap();
     assert!(connection.request(RequestKind::Reset).is_err());
-    assert_eq!(connection.status(PATIENCE).unwrap().faults, 0);
+    assert_eq!(connection.status(TIMEOUT).unwrap().faults, 0);
     let mut robot = Robot::new(&connection);
     robot.run_until(|| commands.try_next().unwrap().is_some());
     connection.request(RequestKind::Reset).unwrap();
@@ -239,9 +239,9 @@ fn a_driver_of_the_other_interface_is_refused_and_moves_nothing() {
     let code = Outcome::WrongInterface.code() as usize;
     wait_until("it is refused", || {
         robot.turn();
-        connection.status(PATIENCE).unwrap().outcomes[code] > 0
+        connection.status(TIMEOUT).unwrap().outcomes[code] > 0
     });
-    let status = connection.status(PATIENCE).unwrap();
+    let status = connection.status(TIMEOUT).unwrap();
     assert_eq!(status.mode, Mode::Starting.code());
     assert_eq!(robot.bend_rad(), stood);
 }
@@ -255,14 +255,14 @@ fn a_bad_measurement_is_refused_and_counted() {
     bad.bend_rad[3] = f64::NAN;
     let code = Outcome::NotFinite.code() as usize;
     let begin = Instant::now();
-    while connection.status(PATIENCE).unwrap().outcomes[code] == 0 {
-        assert!(begin.elapsed() < PATIENCE);
+    while connection.status(TIMEOUT).unwrap().outcomes[code] == 0 {
+        assert!(begin.elapsed() < TIMEOUT);
         bad.measured_ns = monotonic_ns();
         robot.send(&bad);
         std::thread::sleep(Duration::from_millis(20));
     }
     assert_eq!(
-        connection.status(PATIENCE).unwrap().mode,
+        connection.status(TIMEOUT).unwrap().mode,
         Mode::Starting.code()
     );
 }
@@ -273,7 +273,7 @@ fn a_tip_sensor_is_a_sender_of_its_own_beside_the_driver() {
     let daemon = Daemon::start(&separate);
     let (connection, beside, other) = (daemon.connect(), daemon.connect(), daemon.connect());
     let mut telemetry = connection.telemetry().unwrap();
-    let length_m: f64 = section_lengths_m(&connection.status(PATIENCE).unwrap().robot)
+    let length_m: f64 = section_lengths_m(&connection.status(TIMEOUT).unwrap().robot)
         .iter()
         .sum();
     let (sensor, second) = (beside.tip_sensor().unwrap(), other.tip_sensor().unwrap());

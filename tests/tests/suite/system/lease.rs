@@ -7,7 +7,7 @@ use cdcr_shared_types::ReferencePoint;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interpolation, Mode, Outcome, Reason, RequestKind,
 };
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, wait_mode, wait_status};
 
 /// The same point again and again, from `lead` after now, 0.3 s apart.
 fn points(lead: Duration, count: u64) -> Vec<ReferencePoint> {
@@ -43,7 +43,7 @@ fn two_clients_one_lease() {
         let feed = connection.reference_feed().unwrap();
         // The daemon finds a new writer at its next look; what it sent meanwhile waits for it.
         std::thread::sleep(Duration::from_millis(50));
-        let points = points(PATIENCE, 20);
+        let points = points(TIMEOUT, 20);
         let header = feed
             .send(ChunkMode::Replace, Interpolation::Cubic, &points)
             .unwrap();
@@ -51,7 +51,7 @@ fn two_clients_one_lease() {
     };
     let (_feed, header) = send(&second);
     let verdict = telemetry
-        .verdict_on(EventKind::Reference, &header, PATIENCE)
+        .outcome_on(EventKind::Reference, &header, TIMEOUT)
         .unwrap();
     assert_eq!(verdict, Outcome::NoLease);
     let code = Outcome::NoLease.code() as usize;
@@ -60,7 +60,7 @@ fn two_clients_one_lease() {
     lease.renew().unwrap();
     let (_feed, header) = send(&first);
     let verdict = telemetry
-        .verdict_on(EventKind::Reference, &header, PATIENCE)
+        .outcome_on(EventKind::Reference, &header, TIMEOUT)
         .unwrap();
     assert_eq!(verdict, Outcome::Accepted);
 

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use cdcr_client::{ConnectError, Connection};
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, ROBOT, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, TIMEOUT, wait_mode, wait_status};
 use rustix::process::Signal;
 
 #[test]
@@ -13,7 +13,7 @@ fn a_late_joiner_sees_the_status_at_once() {
     let early = daemon.connect();
     wait_status(&early, |status| status.cycles > 20);
     let late = daemon.connect();
-    let status = late.status(PATIENCE).unwrap();
+    let status = late.status(TIMEOUT).unwrap();
     assert!(status.cycles > 20);
     assert_eq!(status.mode, Mode::Holding.code());
     assert_eq!(

@@ -6,7 +6,7 @@ use cdcr_client::{Connection, FeedEnd, FeedEvent, Line, RequestError, Spiral};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind, SolverStatus};
 use cdcr_shared_types::{SolverSettings, Telemetry};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, tracked, wait_mode, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, tracked, wait_mode, wait_record, wait_status};
 
 use super::error_max_m;
 
@@ -172,7 +172,7 @@ fn home_moves_to_the_straight_robot() {
 fn settings_change_between_two_cycles_and_bad_ones_are_refused() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
-    let before = connection.status(PATIENCE).unwrap().settings;
+    let before = connection.status(TIMEOUT).unwrap().settings;
     let wanted = SolverSettings {
         swarm_size: 12,
         horizon_steps: 5,
@@ -200,5 +200,5 @@ fn settings_change_between_two_cycles_and_bad_ones_are_refused() {
             other => panic!("{other:?}"),
         }
     }
-    assert_eq!(connection.status(PATIENCE).unwrap().settings, wanted);
+    assert_eq!(connection.status(TIMEOUT).unwrap().settings, wanted);
 }

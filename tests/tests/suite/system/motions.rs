@@ -77,8 +77,8 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
 fn a_daemon_that_simulates_its_robot_itself_has_no_place_for_another() {
     let daemon = Daemon::start(PATIENT);
     assert!(says(&daemon, "plant", 1).contains("measured already"));
-    let said = says(&daemon, "plant --force", 1);
-    assert!(said.contains("link.kind"), "{said}");
+    let printed = says(&daemon, "plant --force", 1);
+    assert!(printed.contains("link.kind"), "{printed}");
 }
 
 #[test]
@@ -115,7 +115,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     let refused = says(&daemon, "jog 0.01,0,0.01 --max-error 0.1mm", 1);
     let reason = "the tip moved while the way was computed; nothing was sent";
     assert!(refused.contains(reason), "{refused}");
-    let status = daemon.connect().status(cdcr_tests::PATIENCE).unwrap();
+    let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!((status.mode, status.lease_holder), (Mode::Homing.code(), 0));
 }
 
@@ -166,6 +166,6 @@ fn a_simulated_robot_is_refused_beside_a_driver() {
         "{refused}"
     );
     // The driver's robot is measured and commanded as before.
-    let status = daemon.connect().status(cdcr_tests::PATIENCE).unwrap();
+    let status = daemon.connect().status(cdcr_tests::TIMEOUT).unwrap();
     assert_eq!((status.mode, status.faults), (Mode::Holding.code(), 0));
 }

@@ -7,7 +7,7 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{EventKind, Mode, ObstacleShape, Outcome, RequestKind, guard};
 use cdcr_shared_types::{Header, Obstacle, ObstacleUpdate, Service, Telemetry, ipc};
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, ROBOT, tracked, wait_record, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, tracked, wait_record, wait_status};
 use iceoryx2::prelude::Node;
 
 /// The safe distance of the default configuration.
@@ -38,17 +38,17 @@ impl Client {
     }
 
     /// What the daemon says of a message, and with which detail.
-    fn judged(&mut self, header: &Header) -> (Outcome, u32) {
+    fn outcome_of(&mut self, header: &Header) -> (Outcome, u32) {
         let event = self
             .telemetry
-            .event_on(EventKind::Obstacles, header, PATIENCE)
+            .event_on(EventKind::Obstacles, header, TIMEOUT)
             .unwrap();
         (Outcome::try_from(event.outcome).unwrap(), event.detail)
     }
 
     fn upsert(&mut self, obstacles: &[Obstacle]) -> (Outcome, u32) {
         let header = self.sender.upsert(obstacles).unwrap();
-        self.judged(&header)
+        self.outcome_of(&header)
     }
 
     /// Waits for a record with exactly these obstacles.
@@ -84,10 +84,10 @@ fn obstacles_of_all_clients_come_and_go_by_their_ids() {
     let record = wait_record(&mut client.telemetry, |r| r.clearance_m < 0.2);
     assert_eq!(obstacles(&record)[1].start_m, nearer.start_m);
     let header = second.sender.remove(&[1, 99]).unwrap();
-    assert_eq!(second.judged(&header), (Outcome::Accepted, 2));
+    assert_eq!(second.outcome_of(&header), (Outcome::Accepted, 2));
     client.wait_ids(&[2, 3]);
     let header = client.sender.clear().unwrap();
-    assert_eq!(client.judged(&header), (Outcome::Accepted, 0));
+    assert_eq!(client.outcome_of(&header), (Outcome::Accepted, 0));
     client.wait_ids(&[]);
     wait_status(&connection, |status| {
         status.obstacle_count == 0 && status.clearance_m == f64::INFINITY
@@ -202,7 +202,7 @@ fn a_bad_update_is_refused_whole_and_counted() {
             ..ObstacleUpdate::default()
         };
         publisher.send_copy(update).unwrap();
-        assert_eq!(client.judged(&header), (outcome, 0));
+        assert_eq!(client.outcome_of(&header), (outcome, 0));
     }
     let status = wait_status(&connection, |status| status.obstacles_refused == 5);
     assert_eq!(status.outcomes[Outcome::UnknownCode.code() as usize], 2);
@@ -352,7 +352,7 @@ fn the_way_home_is_guarded_too() {
     wait_status(&connection, |status| status.clearance_guarded > 100);
     // It is free to go on when the way is.
     let header = client.sender.clear().unwrap();
-    assert_eq!(client.judged(&header).0, Outcome::Accepted);
+    assert_eq!(client.outcome_of(&header).0, Outcome::Accepted);
     wait_record(&mut client.telemetry, |record| {
         record.mode == Mode::Holding.code()
     });

@@ -6,7 +6,7 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wait_until};
+use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, text, wait_status, wait_until};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -136,8 +136,8 @@ fn every_request_is_answered() {
         let parts = [": accepted in cycle ", &format!("daemon is {mode}")];
         place.says(&format!("cdcrctl {request}"), 0, &parts);
     }
-    let said = place.says("cdcrctl track", 1, &["cdcrctl ref"]);
-    assert!(said.starts_with("error: cannot track"), "{said}");
+    let printed = place.says("cdcrctl track", 1, &["cdcrctl ref"]);
+    assert!(printed.starts_with("error: cannot track"), "{printed}");
 }
 
 #[test]
@@ -206,8 +206,8 @@ fn the_statistics_are_reset_for_all_and_the_stop_stays() {
     let place = daemon.place();
     good(place, "stop");
     let before = status(place);
-    let said = good(place, "status --reset-statistics");
-    assert!(said.contains("reset after cycle"), "{said}");
+    let printed = good(place, "status --reset-statistics");
+    assert!(printed.contains("reset after cycle"), "{printed}");
     let since = |status: &Value| status["statistics_since_ns"].as_u64().unwrap();
     wait_until("the reset", || since(&status(place)) > since(&before));
     let after = status(place);
@@ -260,14 +260,18 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
             && record["scheduling"]["late_cause"] != "in time"
     };
     wait_until("the incident", || {
-        let said = good(place, "incidents --format json");
-        said.lines().any(frozen)
+        let printed = good(place, "incidents --format json");
+        printed.lines().any(frozen)
     });
-    let said = good(place, "incidents --count 1");
-    assert_eq!(said.lines().count(), 2, "a heading and one line: {said}");
-    let said = good(place, "incidents");
-    assert!(said.contains("late start, "), "{said}");
-    assert!(said.contains("skipped "), "{said}");
+    let printed = good(place, "incidents --count 1");
+    assert_eq!(
+        printed.lines().count(),
+        2,
+        "a heading and one line: {printed}"
+    );
+    let printed = good(place, "incidents");
+    assert!(printed.contains("late start, "), "{printed}");
+    assert!(printed.contains("skipped "), "{printed}");
 
     let line = "incidents --follow --count 0 --format json";
     let path = place.folder().join("follow.jsonl");
@@ -280,11 +284,12 @@ fn bad_cycles_are_kept_for_whoever_asks_later() {
     follow.signal(Signal::INT);
     let output = follow.output();
     assert_eq!(output.status.code(), Some(0), "{}", text(&output));
-    let said = fs::read_to_string(&path).unwrap();
+    let printed = fs::read_to_string(&path).unwrap();
     assert!(
-        said.lines()
+        printed
+            .lines()
             .all(|line| serde_json::from_str::<Value>(line).is_ok()),
-        "{said}"
+        "{printed}"
     );
 }
 
@@ -375,5 +380,5 @@ fn every_topic_is_echoed_as_text_and_as_json() {
             assert!(message["header"]["sequence"].is_u64(), "{line}");
         }
     }
-    assert!(connection.status(PATIENCE).is_ok());
+    assert!(connection.status(TIMEOUT).is_ok());
 }

@@ -15,7 +15,7 @@ use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outc
 use cdcr_shared_types::{Measurement, Obstacle};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENCE, PATIENT, Place, ROBOT, tracked, wait_record, wait_status, wait_until,
+    EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, tracked, wait_record, wait_status, wait_until,
 };
 
 /// Kills of a daemon that held; others are killed while they start.
@@ -46,7 +46,7 @@ impl Life {
 
     /// A connection to it, or what it says instead.
     fn connect(&mut self, place: &Place) -> Connection {
-        Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap_or_else(|error| {
+        Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap_or_else(|error| {
             let ended = self.0.try_wait().expect("it is our child");
             let log = std::fs::read_to_string(Self::log(place)).unwrap_or_default();
             panic!("{error}\nits end: {ended:?}\nits log: {log}")
@@ -114,7 +114,7 @@ impl<'c> Old<'c> {
     fn use_everything(&mut self, process: u32) {
         let answer = self
             .connection
-            .request_within(RequestKind::Hold, PATIENCE)
+            .request_within(RequestKind::Hold, TIMEOUT)
             .unwrap();
         assert_eq!(answer.header.sender_id, self.daemon);
         wait_status(self.connection, |status| status.process_id == process);
@@ -128,7 +128,7 @@ impl<'c> Old<'c> {
         let sent = self.obstacles.upsert(&[ball]).unwrap();
         let event = self
             .telemetry
-            .event_on(EventKind::Obstacles, &sent, PATIENCE)
+            .event_on(EventKind::Obstacles, &sent, TIMEOUT)
             .unwrap();
         assert_eq!(event.outcome, Outcome::Accepted.code());
         assert_eq!(event.detail, 1, "a new daemon begins without obstacles");
@@ -195,8 +195,8 @@ const SLOW_STARTS_MAX: usize = 10;
 
 #[test]
 fn a_feeder_is_told_and_feeds_again_on_the_same_connection() {
-    let told = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
-    assert!(told, "every start of a daemon took more than a second");
+    let is_told = (0..SLOW_STARTS_MAX).any(|_| is_told_of_the_restart_and_feeds_again());
+    assert!(is_told, "every start of a daemon took more than a second");
 }
 
 /// False: the start took so long that the feeder was told of silence.
@@ -300,7 +300,7 @@ fn a_stop_reaches_the_next_daemon_or_is_told_to_be_lost() {
             thread::sleep(short);
             Life::begin(&place)
         });
-        let answer = connection.request_within(RequestKind::Stop, PATIENCE);
+        let answer = connection.request_within(RequestKind::Stop, TIMEOUT);
         assert_eq!(answer.unwrap().mode, Mode::Stopped.code());
         old.wait_mode(Mode::Stopped, begin_ns);
         next.join().unwrap()
@@ -355,7 +355,7 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
             thread::sleep(Duration::from_millis(100));
             Life::begin(&place)
         });
-        let answer = connection.request_within(RequestKind::Home, PATIENCE);
+        let answer = connection.request_within(RequestKind::Home, TIMEOUT);
         assert_eq!(answer.unwrap().mode, Mode::Homing.code());
         old.wait_mode(Mode::Homing, begin_ns);
         next.join().unwrap()
@@ -379,7 +379,7 @@ fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
             wait_until("the first daemon is dead", || {
                 is_dead.load(Ordering::Relaxed)
             });
-            let answer = client.request_within(RequestKind::Home, PATIENCE);
+            let answer = client.request_within(RequestKind::Home, TIMEOUT);
             answer.unwrap().mode
         });
         wait_until("the client is there", || {

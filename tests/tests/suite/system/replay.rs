@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 
 use cdcr_tests::record::{configuration_of, largest, obstacles_of, robot_of};
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENCE, PATIENT, tracked, wait_mode};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, TIMEOUT, tracked, wait_mode};
 
 /// The events of a recording by the gather that they took effect with, in order.
 fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
@@ -207,7 +207,7 @@ impl Recording {
         let mut telemetry = connection.telemetry().unwrap();
         let sender = connection.obstacle_sender().unwrap();
         let header = sender.upsert(known).unwrap();
-        let verdict = telemetry.verdict_on(EventKind::Obstacles, &header, PATIENCE);
+        let verdict = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
         assert_eq!(verdict.unwrap(), Outcome::Accepted);
         let mut sent = connection.references().unwrap();
         let mut recording = Self::default();

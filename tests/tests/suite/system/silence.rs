@@ -8,7 +8,7 @@ use cdcr_client::{
 };
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, ROBOT, text, tracked, wait_mode, wait_status, wait_until,
+    Daemon, PATIENT, ROBOT, TIMEOUT, text, tracked, wait_mode, wait_status, wait_until,
 };
 use rustix::process::Signal;
 
@@ -115,7 +115,7 @@ fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
             std::thread::sleep(Duration::from_millis(1300));
             daemon.signal(Signal::CONT);
         });
-        let answer = connection.request_within(RequestKind::Home, PATIENCE);
+        let answer = connection.request_within(RequestKind::Home, TIMEOUT);
         // A straight robot is at home at once.
         let mode = answer.unwrap().mode;
         assert!(

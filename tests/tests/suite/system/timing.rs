@@ -10,7 +10,7 @@ use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, tracked, wait_mode, wait_record, wait_status, wait_until,
+    Daemon, PATIENT, TIMEOUT, tracked, wait_mode, wait_record, wait_status, wait_until,
 };
 
 use super::{error_max_m, freeze};
@@ -44,7 +44,7 @@ fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
         ));
         let connection = daemon.connect();
         let records = track(&connection, duration_s);
-        let status = connection.status(PATIENCE).unwrap();
+        let status = connection.status(TIMEOUT).unwrap();
         let period_ns = (period_ms * 1e6) as u64;
         assert_eq!(status.period_ns, period_ns);
         assert!(
@@ -77,7 +77,7 @@ fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
 fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan() {
     let daemon = Daemon::start(PATIENT);
     let (connection, feeding) = (daemon.connect(), daemon.connect());
-    let settings = connection.status(PATIENCE).unwrap().settings;
+    let settings = connection.status(TIMEOUT).unwrap().settings;
     assert_eq!(settings.budget_ns, 0);
     let tight = SolverSettings {
         budget_ns: 1_000,
@@ -148,7 +148,7 @@ fn kept(connection: &Connection) -> Vec<Incident> {
         let mut stream = connection.incidents().unwrap();
         kept.clear();
         while kept.len() < INCIDENTS_MAX
-            && let Some(incident) = stream.next_within(PATIENCE).unwrap()
+            && let Some(incident) = stream.next_within(TIMEOUT).unwrap()
         {
             kept.push(incident);
         }
@@ -175,7 +175,7 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
             let late = daemon.connect();
             let mut stream = late.incidents().unwrap();
             loop {
-                let incident = stream.next_within(PATIENCE).unwrap().expect("it is kept");
+                let incident = stream.next_within(TIMEOUT).unwrap().expect("it is kept");
                 if incident.telemetry.cycle == bad.cycle {
                     break Some((bad, incident, late));
                 } else if incident.telemetry.cycle > bad.cycle {
@@ -264,7 +264,7 @@ fn every_thread_runs_before_those_that_may_wait() {
     const SCHED_OTHER: u32 = 0;
     const SCHED_FIFO: u32 = 1;
     let daemon = Daemon::start(PATIENT);
-    let status = daemon.connect().status(PATIENCE).unwrap();
+    let status = daemon.connect().status(TIMEOUT).unwrap();
     if status.realtime_missing & realtime::FIFO != 0 {
         skip(Need::Realtime, "the daemon is not granted SCHED_FIFO");
         return;

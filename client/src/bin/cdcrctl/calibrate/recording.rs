@@ -176,7 +176,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_told_with_line_and_column() {
         const HEADER: &str = "t_s,cable_1_m,cable_2_m,cable_3_m,x_m,y_m,z_m";
-        for (text, told) in [
+        for (text, words) in [
             (
                 format!("{HEADER}\n0,1,1,1,0,0,0\n1,1,nan,1,0,0,0\n"),
                 "a.csv:3: cable_2_m is \"nan\"",
@@ -204,7 +204,7 @@ mod tests {
             ),
         ] {
             let error = format!("{:#}", parse(&text).expect_err("it is wrong"));
-            assert!(error.contains(told), "{error}");
+            assert!(error.contains(words), "{error}");
         }
     }
 }

@@ -79,7 +79,7 @@ pub(super) fn text(
             format!("  {name}")
         )?;
     }
-    judgement(&mut out, found)?;
+    evaluation(&mut out, found)?;
     write!(out, "\n{}", fragment(robot, found)?)?;
     Ok(out)
 }
@@ -102,7 +102,7 @@ fn parameter(out: &mut String, estimate: &Estimate) -> Result<(), Error> {
 }
 
 /// What to think of it.
-fn judgement(out: &mut String, found: &Calibration) -> Result<(), Error> {
+fn evaluation(out: &mut String, found: &Calibration) -> Result<(), Error> {
     let noise = &found.noise;
     writeln!(
         out,

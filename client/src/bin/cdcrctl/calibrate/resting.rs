@@ -8,7 +8,7 @@ use cdcr_shared_types::codes::{MeasurementKind, Mode};
 use crate::standstill::Standstill;
 
 /// A robot that rests is seen to rest within this.
-const PATIENCE: Duration = Duration::from_secs(2);
+const TIMEOUT: Duration = Duration::from_secs(2);
 /// After this long without a record the daemon counts as silent.
 const QUIET: Duration = Duration::from_secs(1);
 
@@ -35,7 +35,7 @@ pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry
         if standstill.is_at_rest() {
             return Ok(record);
         }
-        if begun.elapsed() > PATIENCE {
+        if begun.elapsed() > TIMEOUT {
             bail!("the robot is held, but not measured to rest; see cdcrctl status");
         }
     }

@@ -19,51 +19,51 @@ pub(super) struct MissCauses {
 
 /// The causes that the daemon put into its incidents, by cycle: it knows the steal, which the records do not.
 #[derive(Debug, Default)]
-pub(super) struct JudgedCycles {
-    cycles: HashMap<u64, JudgedCycle>,
+pub(super) struct IncidentCauses {
+    cycles: HashMap<u64, IncidentCause>,
 }
 
 #[derive(Debug)]
-struct JudgedCycle {
+struct IncidentCause {
     cause: LateCause,
     /// The hypervisor had the core for at least half of the time by which the cycle was late.
     is_stolen: bool,
 }
 
-impl JudgedCycles {
+impl IncidentCauses {
     pub(super) fn take(&mut self, incident: &Incident) {
         let record = &incident.telemetry;
         if let Ok(cause) = LateCause::try_from(record.scheduling.late_cause) {
             let late_ns = record.handed_over_ns.saturating_sub(record.due_ns);
             let is_stolen = incident.steal_ns > 0 && incident.steal_ns >= late_ns / 2;
-            let judged = JudgedCycle { cause, is_stolen };
-            self.cycles.insert(record.cycle, judged);
+            let known = IncidentCause { cause, is_stolen };
+            self.cycles.insert(record.cycle, known);
         }
     }
 
     fn cause(&self, cycle: &Cycle) -> LateCause {
-        let judged = self.cycles.get(&cycle.number);
-        judged.map_or(cycle.late_cause, |judged| judged.cause)
+        let incident = self.cycles.get(&cycle.number);
+        incident.map_or(cycle.late_cause, |incident| incident.cause)
     }
 
     fn is_stolen(&self, cycle: &Cycle) -> bool {
-        let judged = self.cycles.get(&cycle.number);
-        judged.is_some_and(|judged| judged.is_stolen)
+        let incident = self.cycles.get(&cycle.number);
+        incident.is_some_and(|incident| incident.is_stolen)
     }
 }
 
 impl MissCauses {
-    /// Counts the misses of `cycles` by the daemon's judgement, and without one by the cause in the record.
-    pub(super) fn new(cycles: &[Cycle], judged: &JudgedCycles) -> Self {
+    /// Counts the misses of `cycles` by the daemon's incidents, and without one by the cause in the record.
+    pub(super) fn new(cycles: &[Cycle], incidents: &IncidentCauses) -> Self {
         let known = LateCause::ALL
             .iter()
             .filter(|cause| **cause != LateCause::None);
         let mut counts: BTreeMap<_, _> = known.map(|cause| (words(*cause), 0)).collect();
         let missed = || cycles.iter().filter(|cycle| cycle.deadline_miss);
         for cycle in missed() {
-            *counts.entry(words(judged.cause(cycle))).or_default() += 1;
+            *counts.entry(words(incidents.cause(cycle))).or_default() += 1;
         }
-        let stolen = missed().filter(|cycle| judged.is_stolen(cycle)).count();
+        let stolen = missed().filter(|cycle| incidents.is_stolen(cycle)).count();
         Self { counts, stolen }
     }
 
@@ -112,12 +112,12 @@ pub(super) mod tests {
         cycles
     }
 
-    /// The judgement of a platform miss that came `late_ns` after its release.
+    /// The incident of a platform miss that came `late_ns` after its release.
     pub(in crate::demo) fn stolen_cycle(
         cycle: &Cycle,
         steal_ns: u64,
         late_ns: u64,
-    ) -> JudgedCycles {
+    ) -> IncidentCauses {
         let mut incident = Incident {
             steal_ns,
             ..Incident::default()
@@ -126,9 +126,9 @@ pub(super) mod tests {
         record.cycle = cycle.number;
         record.handed_over_ns = record.due_ns + late_ns;
         record.scheduling.late_cause = LateCause::Platform.code();
-        let mut judged = JudgedCycles::default();
-        judged.take(&incident);
-        judged
+        let mut incidents = IncidentCauses::default();
+        incidents.take(&incident);
+        incidents
     }
 
     #[test]
@@ -136,7 +136,7 @@ pub(super) mod tests {
         use LateCause::{Load, None, Platform, Stall};
         let mut cycles = missed(&[Load, Platform, Platform, None]);
         cycles[50].late_cause = Stall;
-        let causes = MissCauses::new(&cycles, &JudgedCycles::default());
+        let causes = MissCauses::new(&cycles, &IncidentCauses::default());
         assert_eq!(
             causes.ranked(),
             [
@@ -154,12 +154,12 @@ pub(super) mod tests {
     #[test]
     fn the_incident_of_a_cycle_wins_over_its_record() {
         let cycles = missed(&[LateCause::Load, LateCause::Load]);
-        let mut judged = JudgedCycles::default();
+        let mut incidents = IncidentCauses::default();
         let mut incident = Incident::default();
         incident.telemetry.cycle = cycles[1].number;
         incident.telemetry.scheduling.late_cause = LateCause::Platform.code();
-        judged.take(&incident);
-        let causes = MissCauses::new(&cycles, &judged);
+        incidents.take(&incident);
+        let causes = MissCauses::new(&cycles, &incidents);
         assert_eq!(causes.count(LateCause::Load), 1);
         assert_eq!(causes.count(LateCause::Platform), 1);
     }
@@ -168,8 +168,8 @@ pub(super) mod tests {
     fn a_miss_is_stolen_where_the_steal_is_half_of_its_lateness() {
         for (steal_ns, stolen) in [(0, 0), (10_000_000, 0), (20_000_000, 1)] {
             let cycles = missed(&[LateCause::Platform, LateCause::Platform]);
-            let judged = stolen_cycle(&cycles[0], steal_ns, 40_000_000);
-            let causes = MissCauses::new(&cycles, &judged);
+            let incidents = stolen_cycle(&cycles[0], steal_ns, 40_000_000);
+            let causes = MissCauses::new(&cycles, &incidents);
             assert_eq!(causes.stolen(), stolen, "{steal_ns} ns");
             assert_eq!(causes.count(LateCause::Platform), 2);
         }
@@ -177,7 +177,7 @@ pub(super) mod tests {
 
     #[test]
     fn without_misses_there_is_no_cause() {
-        let causes = MissCauses::new(&missed(&[]), &JudgedCycles::default());
+        let causes = MissCauses::new(&missed(&[]), &IncidentCauses::default());
         assert_eq!(causes.ranked(), []);
     }
 }

@@ -31,7 +31,7 @@ use crate::bar::Bar;
 use crate::incidents;
 use crate::interrupt::Interrupt;
 use baseline::Baseline;
-use causes::JudgedCycles;
+use causes::IncidentCauses;
 use cycle::Cycle;
 use daemon::DemoDaemon;
 use place::PrivatePlace;
@@ -43,7 +43,7 @@ use steal::{Steal, StealReading};
 /// What came of feeding the spiral.
 struct Fed {
     cycles: Vec<Cycle>,
-    judged: JudgedCycles,
+    incidents: IncidentCauses,
     steal: Option<Steal>,
     status: Status,
     lost_records: u64,
@@ -107,7 +107,7 @@ fn measure(sections: usize, spiral: &Spiral, interrupt: &Interrupt) -> anyhow::R
     Ok(fed?.map(|fed| Run {
         baseline,
         cycles: fed.cycles,
-        judged: fed.judged,
+        incidents: fed.incidents,
         steal: fed.steal,
         status: fed.status,
         lost_records: fed.lost_records,
@@ -125,7 +125,7 @@ fn feed(
     };
     let bar = Bar::new("spiral");
     let mut cycles = Vec::new();
-    let mut judged = JudgedCycles::default();
+    let mut attributed = IncidentCauses::default();
     let mut origin_ns = 0;
     let mut incidents = connection.incidents()?;
     let core = connection.status(Duration::from_secs(1))?.core;
@@ -139,7 +139,7 @@ fn feed(
         }
         // More of them than the queue holds may come in five seconds.
         while let Ok(Some(incident)) = incidents.try_next() {
-            judged.take(&incident);
+            attributed.take(&incident);
         }
         if interrupt.is_raised() {
             ControlFlow::Break(())
@@ -152,11 +152,11 @@ fn feed(
     }
     let steal = steal.and_then(|reading| reading.since());
     for incident in incidents::kept(connection, &mut incidents)? {
-        judged.take(&incident);
+        attributed.take(&incident);
     }
     Ok(Some(Fed {
         cycles,
-        judged,
+        incidents: attributed,
         steal,
         status: connection.status(Duration::from_secs(1))?,
         lost_records: feed.lost_records,

@@ -4,7 +4,7 @@ use cdcr_shared_types::Status;
 use serde::Serialize;
 
 use super::baseline::Baseline;
-use super::causes::{JudgedCycles, MissCauses};
+use super::causes::{IncidentCauses, MissCauses};
 use super::cycle::Cycle;
 use super::steal::Steal;
 use super::verdict::Verdict;
@@ -20,7 +20,7 @@ pub(super) struct Run {
     pub(super) baseline: Result<Baseline, String>,
     /// The cycles that tracked and whose release lay inside the reference.
     pub(super) cycles: Vec<Cycle>,
-    pub(super) judged: JudgedCycles,
+    pub(super) incidents: IncidentCauses,
     pub(super) steal: Option<Steal>,
     pub(super) status: Status,
     pub(super) lost_records: u64,
@@ -78,7 +78,7 @@ impl Report {
         let duration_s = options.duration.as_secs_f64();
         let count = |is: fn(&Cycle) -> bool| cycles.iter().filter(|cycle| is(cycle)).count();
         let (deadline_misses, late_starts) = (count(|c| c.deadline_miss), count(|c| c.late_start));
-        let causes = MissCauses::new(cycles, &run.judged);
+        let causes = MissCauses::new(cycles, &run.incidents);
         let baseline = run.baseline.as_ref().ok();
         let verdict = Verdict::new(&causes, baseline, run.steal, status.realtime_missing);
         Ok(Self {
@@ -150,7 +150,7 @@ pub(super) mod tests {
         Run {
             baseline: Ok(baseline(3, 4)),
             cycles: cycles.to_vec(),
-            judged: JudgedCycles::default(),
+            incidents: IncidentCauses::default(),
             steal: Some(Steal {
                 steal_s: 1.3,
                 window_s: 5.0,

@@ -171,7 +171,7 @@ fn grant(is_root: bool) -> &'static str {
 mod tests {
     use super::super::baseline::tests::baseline;
     use super::super::causes::tests::{missed, stolen_cycle};
-    use super::super::causes::{JudgedCycles, MissCauses};
+    use super::super::causes::{IncidentCauses, MissCauses};
     use super::*;
 
     const TAKEN: Steal = Steal {
@@ -180,7 +180,7 @@ mod tests {
     };
 
     fn causes(causes: &[LateCause]) -> MissCauses {
-        MissCauses::new(&missed(causes), &JudgedCycles::default())
+        MissCauses::new(&missed(causes), &IncidentCauses::default())
     }
 
     fn verdict(of: &[LateCause], missing: u32) -> Verdict {

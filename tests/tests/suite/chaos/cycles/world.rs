@@ -23,7 +23,7 @@ use nalgebra::Vector3;
 use super::driver::Driver;
 use crate::chaos::dice::Dice;
 use crate::chaos::records::{Records, Seen};
-use crate::chaos::{Verdict, obstacles};
+use crate::chaos::{CheckResult, obstacles};
 
 /// Release of cycle 0 \[ns\].
 const ORIGIN_NS: u64 = 10_000_000_000;
@@ -109,7 +109,7 @@ impl World {
         Ok(self.records.seen)
     }
 
-    fn turn(&mut self) -> Verdict {
+    fn turn(&mut self) -> CheckResult {
         let mut skipped = if self.dice.chance(2) {
             self.dice.below(12)
         } else {
@@ -133,7 +133,7 @@ impl World {
         self.run(release_ns, skipped)
     }
 
-    fn run(&mut self, release_ns: u64, skipped: u32) -> Verdict {
+    fn run(&mut self, release_ns: u64, skipped: u32) -> CheckResult {
         let start_ns = release_ns
             + if self.dice.chance(5) {
                 self.dice.duration_ms(0, 4).as_nanos() as u64

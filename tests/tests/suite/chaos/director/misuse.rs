@@ -8,7 +8,7 @@ use cdcr_shared_types::{ReferencePoint, SolverSettings};
 
 use super::Director;
 use crate::chaos::dice::Dice;
-use crate::chaos::{Verdict, ensure, obstacles};
+use crate::chaos::{CheckResult, ensure, obstacles};
 
 /// How long it is tried to get the lease from those who hold it.
 const LEASE_PATIENCE: Duration = Duration::from_millis(500);
@@ -89,7 +89,7 @@ impl Director<'_> {
         }
     }
 
-    pub(super) fn bad_settings(&mut self) -> Verdict {
+    pub(super) fn bad_settings(&mut self) -> CheckResult {
         let first = self.first_settings;
         let bad = match self.next_turn(2) % 4 {
             0 => SolverSettings {

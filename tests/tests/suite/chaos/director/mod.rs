@@ -9,7 +9,7 @@ use cdcr_client::{Connection, ObstacleSender, ReferenceFeed, monotonic_ns};
 use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
 use cdcr_shared_types::{Obstacle, ReferencePoint, SolverSettings, Telemetry};
 use cdcr_tests::driver::{DriverProcess, FAULTS};
-use cdcr_tests::{Daemon, PATIENCE, ROBOT, text, wait_until};
+use cdcr_tests::{Daemon, ROBOT, TIMEOUT, text, wait_until};
 use rustix::process::Signal;
 
 use crate::chaos::action::{Action, ROUND};
@@ -17,7 +17,7 @@ use crate::chaos::checker::View;
 use crate::chaos::crowd::Crowd;
 use crate::chaos::dice::Dice;
 use crate::chaos::tally::Tally;
-use crate::chaos::{Verdict, ensure, obstacles};
+use crate::chaos::{CheckResult, ensure, obstacles};
 
 /// How long a request may wait: no stall and no freeze of the daemon lasts as long.
 const ANSWER: Duration = Duration::from_secs(5);
@@ -51,7 +51,7 @@ impl<'a> Director<'a> {
         Self {
             obstacles: connection.obstacle_sender().unwrap(),
             feed: connection.reference_feed().unwrap(),
-            first_settings: connection.status(PATIENCE).unwrap().settings,
+            first_settings: connection.status(TIMEOUT).unwrap().settings,
             connection,
             daemon,
             driver,
@@ -77,7 +77,7 @@ impl<'a> Director<'a> {
             let passed = begin.elapsed();
             is_broken()
                 || dealt && passed >= duration && self.view.has_seen_enough()
-                || passed >= duration + PATIENCE
+                || passed >= duration + TIMEOUT
         };
         self.go_home();
         let mut rounds = 0;
@@ -130,7 +130,7 @@ impl<'a> Director<'a> {
         actions
     }
 
-    fn perform(&mut self, action: Action) -> Verdict {
+    fn perform(&mut self, action: Action) -> CheckResult {
         match action {
             Action::FeedByProcess => self.feed_by_process(),
             Action::Request(kind) => self.request(kind),
@@ -320,16 +320,16 @@ impl<'a> Director<'a> {
     }
 
     /// Another daemon for the same robot refuses to start, and says why.
-    fn second_daemon(&mut self) -> Verdict {
+    fn second_daemon(&mut self) -> CheckResult {
         let place = self.daemon.place();
         let mut command = place.command("cdcrd");
         command
             .args(["run", "--config"])
             .arg(place.folder().join("robot.toml"));
         let output = command.output().unwrap();
-        let said = text(&output);
-        let refused = !output.status.success() && said.contains("runs already");
-        ensure(refused, || format!("a second daemon started: {said}"))
+        let printed = text(&output);
+        let refused = !output.status.success() && printed.contains("runs already");
+        ensure(refused, || format!("a second daemon started: {printed}"))
     }
 
     fn reader(&mut self) {
@@ -382,7 +382,7 @@ impl<'a> Director<'a> {
             .change_settings(self.first_settings)
             .is_err()
         {
-            assert!(begin.elapsed() < PATIENCE, "the settings cannot be changed");
+            assert!(begin.elapsed() < TIMEOUT, "the settings cannot be changed");
         }
         let cleared_ns = self.obstacles.clear().unwrap().sent_ns;
         // A sender that leaves takes with it what the daemon has not yet taken in. A run that failed shows no more records.

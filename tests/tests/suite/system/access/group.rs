@@ -124,7 +124,7 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
     }
     let shared = Shared::new();
     let mut daemon = shared.started();
-    for (words, said) in [
+    for (words, printed) in [
         ("echo telemetry --count 1", "holding"),
         (
             "obstacle add --id 7 --at 5,5,5 --radius 0.01",
@@ -140,7 +140,7 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
     ] {
         let refusal = shared.asked(NOBODY, words);
         assert_says(&refusal, 1, &["belongs to user 64320", "transport.group"]);
-        assert_says(&shared.asked(GROUP, words), 0, &[said]);
+        assert_says(&shared.asked(GROUP, words), 0, &[printed]);
     }
     // Root could be led out of the folder, too.
     let refusal = shared.cdcrctl(GROUP, "status").uid(0).output().unwrap();

@@ -12,7 +12,7 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, NameHolder};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, assert_says, binary, in_public_memory, text,
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, binary, in_public_memory, text,
     wait_status, wait_until,
 };
 use rustix::process::{Signal, Uid};
@@ -76,10 +76,10 @@ fn as_stranger(script: &str, arguments: &[String]) {
 /// A daemon that is disturbed by nothing: it publishes, takes clients that read and feed, and stops when asked.
 fn assert_serves(daemon: &Daemon) {
     let connection = daemon.connect();
-    let before = connection.status(PATIENCE).unwrap();
+    let before = connection.status(TIMEOUT).unwrap();
     assert_eq!(before.process_id, daemon.id());
     let mut telemetry = connection.telemetry().unwrap();
-    assert!(telemetry.next_within(PATIENCE).unwrap().is_some());
+    assert!(telemetry.next_within(TIMEOUT).unwrap().is_some());
     connection.obstacle_sender().unwrap().clear().unwrap();
     wait_status(&connection, |status| status.cycles > before.cycles);
     for (request, mode) in [

@@ -9,7 +9,7 @@ use cdcr_client::Connection;
 use cdcr_shared_types::codes::{Mode, Outcome};
 use cdcr_shared_types::{Location, Status};
 use cdcr_tests::{
-    Daemon, PATIENCE, PATIENT, Place, Program, ROBOT, assert_says, binary, text, wait_status,
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, binary, text, wait_status,
     wait_until,
 };
 use rustix::process::Signal;
@@ -205,7 +205,7 @@ fn another_user_cannot_end_the_daemon_or_look_into_it() {
     }
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
-    let id = connection.status(PATIENCE).unwrap().process_id;
+    let id = connection.status(TIMEOUT).unwrap().process_id;
     for attempt in [
         format!("kill -TERM {id}"),
         format!("kill -KILL {id}"),
@@ -218,7 +218,7 @@ fn another_user_cannot_end_the_daemon_or_look_into_it() {
         assert!(!output.status.success(), "{attempt}");
         assert!(output.stdout.is_empty(), "{attempt}");
     }
-    let cycles = connection.status(PATIENCE).unwrap().cycles;
+    let cycles = connection.status(TIMEOUT).unwrap().cycles;
     wait_status(&connection, |status| status.cycles > cycles);
 }
 
@@ -248,7 +248,7 @@ fn another_user_has_a_daemon_beside_ours_and_neither_sees_the_other() {
     let place = daemon.place();
     in_view(place);
     let connection = daemon.connect();
-    let before = connection.status(PATIENCE).unwrap();
+    let before = connection.status(TIMEOUT).unwrap();
     let prefix = place.location().prefix();
     let cdcrd = open_to_all(place, &binary("cdcrd"));
     let cdcrctl = open_to_all(place, &binary("cdcrctl"));

@@ -11,7 +11,7 @@ use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::Interface;
 use cdcr_shared_types::{Obstacle, Service};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{PATIENCE, PATIENT, Place, Program, ROBOT, text, wait_status, wait_until};
+use cdcr_tests::{PATIENT, Place, Program, ROBOT, TIMEOUT, text, wait_status, wait_until};
 
 /// User and group `nobody`.
 pub(super) const NOBODY: u32 = 65_534;
@@ -110,7 +110,7 @@ pub(super) fn start(place: &Place, cdcrd: &mut Command) -> (Program, Connection)
     wait_until("the services", || {
         fs::read_dir(&services).is_ok_and(|all| all.count() == Service::ALL.len())
     });
-    let connection = Connection::open_within(place.location(), ROBOT, PATIENCE).unwrap();
+    let connection = Connection::open_within(place.location(), ROBOT, TIMEOUT).unwrap();
     (daemon, connection)
 }
 
@@ -171,9 +171,13 @@ pub(super) fn attempts(files: &BTreeSet<PathBuf>, group: u32) -> Vec<String> {
         .args(files)
         .output()
         .unwrap();
-    let said = text(&output);
-    assert!(said.contains(&format!("tried {}", files.len())), "{said}");
-    said.lines()
+    let printed = text(&output);
+    assert!(
+        printed.contains(&format!("tried {}", files.len())),
+        "{printed}"
+    );
+    printed
+        .lines()
         .filter(|line| !line.starts_with("tried "))
         .map(str::to_owned)
         .collect()

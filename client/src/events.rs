@@ -19,12 +19,12 @@ pub fn events(record: &Telemetry) -> &[InputEvent] {
 }
 
 impl TelemetryStream {
-    /// Waits until the daemon has judged the message with this header, at most `timeout`. The stream
+    /// Waits until the daemon has decided on the message with this header, at most `timeout`. The stream
     /// must have been opened before the message was sent.
     ///
     /// # Errors
     /// [`LinkError::Silent`] when no verdict came.
-    pub fn verdict_on(
+    pub fn outcome_on(
         &mut self,
         kind: EventKind,
         header: &Header,
@@ -34,11 +34,11 @@ impl TelemetryStream {
         Ok(Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode))
     }
 
-    /// As [`verdict_on`](Self::verdict_on), with all that the daemon says of the message: at which of its
+    /// As [`outcome_on`](Self::outcome_on), with all that the daemon says of the message: at which of its
     /// points or obstacles it was refused, or how many obstacles are known since.
     ///
     /// # Errors
-    /// As [`verdict_on`](Self::verdict_on).
+    /// As [`outcome_on`](Self::outcome_on).
     pub fn event_on(
         &mut self,
         kind: EventKind,

@@ -10,14 +10,14 @@ use std::time::Duration;
 
 use cdcr_tests::Place;
 
-use crate::chaos::Verdict;
+use crate::chaos::CheckResult;
 
 /// How old a file without bytes may become: far longer than any process is stopped in a run.
 const AGE_MAX: Duration = Duration::from_secs(10);
 
-/// Looks at the files of a place until `ending`. One that is half made for too long ends the run, and is removed so
+/// Looks at the files of a place until `ending`. One that is unfinished for too long ends the run, and is removed so
 /// that those who wait for it can end.
-pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> Verdict {
+pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> CheckResult {
     while !ending.load(Ordering::Relaxed) {
         for path in place.shared_memory_files() {
             if is_half_made(&path) {
