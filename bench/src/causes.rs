@@ -1,63 +1,60 @@
 //! Late cycles by what made them late.
 
 use cdcr_shared_types::Statistics;
-use cdcr_shared_types::codes::LateCause;
-use serde::Serialize;
+use cdcr_shared_types::codes::LateCause::{self, Compute, Load, PageFault, Platform, Stall};
+use serde::{Serialize, Serializer};
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct Causes {
-    /// The timer or the processor itself came late: hypervisor, firmware.
-    pub platform: u64,
-    pub load: u64,
-    /// The computation took too long: ours.
-    pub compute: u64,
-    /// A page of memory was not there: ours.
-    pub fault: u64,
-    /// The processor stood still in the middle of a computation, or nothing is known.
-    pub other: u64,
-}
+/// Of each cause its key in results, and its words.
+const NAMES: [(LateCause, &str, &str); 5] = [
+    (Platform, "platform", "platform"),
+    (Load, "load", "another task"),
+    (PageFault, "fault", "page fault"),
+    (Stall, "other", "stall"),
+    (Compute, "compute", "compute"),
+];
+
+/// Counts by the code of the cause.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Causes([u64; LateCause::COUNT]);
 
 impl Causes {
     pub fn reported(statistics: &Statistics) -> Self {
-        let of = |cause: LateCause| statistics.causes[cause.code() as usize];
-        Self {
-            platform: of(LateCause::Platform),
-            load: of(LateCause::Load),
-            compute: of(LateCause::Compute),
-            fault: of(LateCause::PageFault),
-            other: of(LateCause::Stall),
-        }
+        Self(statistics.causes)
     }
 
+    /// One of which nothing is known stood still in the middle of a computation, as far as anybody can tell.
     pub fn count(&mut self, cause: LateCause) {
-        *match cause {
-            LateCause::Platform => &mut self.platform,
-            LateCause::Load => &mut self.load,
-            LateCause::Compute => &mut self.compute,
-            LateCause::PageFault => &mut self.fault,
-            LateCause::Stall | LateCause::None => &mut self.other,
-        } += 1;
+        let cause = if cause == LateCause::None {
+            Stall
+        } else {
+            cause
+        };
+        self.0[cause.code() as usize] += 1;
     }
 
+    fn of(&self, cause: LateCause) -> u64 {
+        self.0[cause.code() as usize]
+    }
+
+    /// Those that are ours: the computation took too long, or a page of memory was not there.
     pub fn own(&self) -> u64 {
-        self.fault + self.compute
+        self.of(PageFault) + self.of(Compute)
     }
 
     pub fn all(&self) -> u64 {
-        self.own() + self.platform + self.load + self.other
+        NAMES.iter().map(|(cause, ..)| self.of(*cause)).sum()
     }
 
     /// Without those that did not happen.
     pub fn words(self) -> String {
-        let all = [
-            (self.platform, "platform"),
-            (self.load, "another task"),
-            (self.fault, "page fault"),
-            (self.other, "stall"),
-            (self.compute, "compute"),
-        ];
-        let there = all.iter().filter(|(count, _)| *count > 0);
-        let words = there.map(|(count, name)| format!("{count} {name}"));
+        let there = NAMES.iter().filter(|(cause, ..)| self.of(*cause) > 0);
+        let words = there.map(|(cause, _, words)| format!("{} {words}", self.of(*cause)));
         words.collect::<Vec<_>>().join(", ")
+    }
+}
+
+impl Serialize for Causes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(NAMES.map(|(cause, key, _)| (key, self.of(cause))))
     }
 }

@@ -14,9 +14,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use crate::dataset::{Column, Sheet, fixed, shorted, signed, word};
-use crate::environment::{Environment, RunOptions};
+use crate::environment::Environment;
 use crate::metric::{Better, Metric, range};
 use crate::named::named;
+use crate::run_options::RunOptions;
 
 /// Rounds that each run needs: with fewer, two ranges are apart too often by chance.
 const ROUNDS_MIN: usize = 3;

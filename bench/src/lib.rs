@@ -16,7 +16,7 @@
 //! | [`benchmark`] | what every benchmark is: options, about how long it takes, a run |
 //! | [`dataset`], [`metric`], [`quantiles`], [`causes`] | what every benchmark hands over, and every format of it |
 //! | [`report`], `chart`, [`hlog`] | results as documents and one page, plots, raw latencies |
-//! | [`environment`] | the machine that a result comes from |
+//! | [`environment`], [`run_options`] | the machine that a result comes from, and what was asked for |
 //! | [`compare`] | what changed between two runs beyond noise |
 //!
 //! `deadline`, `latency`, `rate` and `footprint` measure the program `cdcrd` as a process, with real time where it is
@@ -60,6 +60,7 @@ pub mod quantiles;
 pub mod rate;
 pub mod report;
 pub mod robustness;
+pub mod run_options;
 pub mod scene;
 pub mod simulation;
 pub mod solver;

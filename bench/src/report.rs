@@ -15,11 +15,12 @@ use serde_json::{Map, Value, json};
 
 use crate::benchmark::Benchmark;
 use crate::dataset::Dataset;
-use crate::environment::{Environment, RunOptions};
+use crate::environment::Environment;
 use crate::hlog;
 use crate::interrupt;
 use crate::metric::Metric;
 use crate::progress::Progress;
+use crate::run_options::RunOptions;
 
 /// Said of a report of `--quick`.
 const QUICK: &str =

@@ -13,6 +13,7 @@ pub mod robot;
 pub mod system_calls;
 
 use std::io::{ErrorKind, Read};
+use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -20,7 +21,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, FeedOptions, TelemetryStream};
+use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, Line, TelemetryStream, Trajectory};
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
@@ -136,6 +137,31 @@ pub fn tracked() -> FeedOptions {
         track: true,
         ..FeedOptions::default()
     }
+}
+
+/// The paper's line of three sections, that takes this long.
+pub fn paper_line(duration_s: f64) -> Line {
+    Line {
+        duration_s,
+        ..Line::for_sections(&[0.3; 3])
+    }
+}
+
+/// Tracks a trajectory to its end; the records of the cycles that did.
+pub fn track(connection: &Connection, trajectory: &dyn Trajectory) -> Vec<Telemetry> {
+    let mut records = Vec::new();
+    let feeder = connection.feed(trajectory, tracked()).expect("a lease");
+    let report = feeder.run(|event| {
+        if let FeedEvent::Record(record) = event
+            && record.mode == Mode::Tracking.code()
+        {
+            records.push(*record);
+        }
+        ControlFlow::Continue(())
+    });
+    let report = report.expect("the daemon lives");
+    assert!(report.tracked && report.end == FeedEnd::Played);
+    records
 }
 
 impl Default for Place {

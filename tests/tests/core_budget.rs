@@ -7,18 +7,17 @@
 )]
 
 use std::fmt::Write as _;
-use std::ops::ControlFlow;
 use std::slice;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use cdcr_client::{Connection, FeedEvent, Spiral, monotonic_ns};
-use cdcr_shared_types::codes::{LateCause, Mode, ObstacleShape, timing};
+use cdcr_client::{Connection, Spiral, monotonic_ns};
+use cdcr_shared_types::codes::{LateCause, ObstacleShape, timing};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, PATIENT, tracked, wait_status};
+use cdcr_tests::{Daemon, PATIENT, wait_status};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 /// Two daemons on one core would be each other's load.
@@ -105,19 +104,7 @@ fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
         duration_s,
         ..Spiral::for_sections(&[0.15; 6])
     };
-    let options = tracked();
-    let mut records = Vec::new();
-    let feed = connection.feed(&spiral, options).unwrap();
-    let report = feed.run(|event| {
-        if let FeedEvent::Record(record) = event
-            && record.mode == Mode::Tracking.code()
-        {
-            records.push(*record);
-        }
-        ControlFlow::Continue(())
-    });
-    assert!(report.unwrap().tracked);
-    records
+    cdcr_tests::track(connection, &spiral)
 }
 
 /// The kernel took the core from the highest priority there is on it, and gave it to an ordinary task.

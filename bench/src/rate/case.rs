@@ -117,7 +117,6 @@ fn robot(sections: usize) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::subject::daemon::program;
 
     #[test]
     fn the_daemon_accepts_every_robot_and_what_the_period_bounds() {
@@ -138,19 +137,7 @@ mod tests {
                 let value: f64 = set.unwrap().1.parse().unwrap();
                 assert!((value - bound).abs() < 1e-9, "{key}: {value}");
             }
-            let mut command = std::process::Command::new(program("cdcrd").unwrap());
-            command
-                .arg("check")
-                .arg("--config")
-                .arg(launch.config.unwrap());
-            let settings = launch
-                .settings
-                .iter()
-                .map(|(key, value)| format!("{key}={value}"));
-            let output = command
-                .args(settings.flat_map(|set| ["--set".to_owned(), set]))
-                .output()
-                .unwrap();
+            let output = launch.command("check").unwrap().output().unwrap();
             assert!(
                 output.status.success(),
                 "{}",

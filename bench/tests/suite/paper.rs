@@ -5,10 +5,10 @@ use std::path::Path;
 
 use cdcr_bench::benchmark::Benchmark;
 use cdcr_bench::dataset::Dataset;
-use cdcr_bench::environment::RunOptions;
 use cdcr_bench::experiment::{Experiment, Solver, Task};
 use cdcr_bench::progress::Progress;
 use cdcr_bench::report::Start;
+use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::{Effort, run};
 use cdcr_controller::nmpc::Coordinates;
 use serde_json::Value;

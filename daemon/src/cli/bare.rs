@@ -19,9 +19,8 @@ pub(super) const AFTER_HELP: &str = "Example: cdcrd bare --duration 1min --forma
     tell them. cause: 0 none, 1 platform, 2 another task had the core, 3 page fault, 4 stall of the\n\
     processor, 5 compute. The log goes to the standard error.";
 
-/// Options of `bare`.
 #[derive(Debug, Args)]
-pub(super) struct Options {
+pub(super) struct BareOptions {
     #[command(flatten)]
     source: Source,
     /// How long: at least one period, at most 10 million.
@@ -46,7 +45,7 @@ enum Format {
 }
 
 /// Runs the loop, and prints what became of it.
-pub(super) fn run(options: &Options) -> Result<()> {
+pub(super) fn run(options: &BareOptions) -> Result<()> {
     end_with_process(options.end_with_parent)?;
     let outcome = bare::run(&options.source.load()?, options.duration)?;
     let mut out = BufWriter::new(io::stdout().lock());

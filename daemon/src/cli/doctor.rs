@@ -16,9 +16,8 @@ pub(super) const AFTER_HELP: &str = "Example: cdcrd doctor --config robot.toml -
     does not start, or lacks what realtime.mode = \"require\" asks for. With realtime.mode = \"off\",\n\
     what matters only to real time is shown and never bad.";
 
-/// Options of `doctor`.
 #[derive(Debug, Args)]
-pub(super) struct Options {
+pub(super) struct DoctorOptions {
     #[command(flatten)]
     source: Source,
     /// How to print it.
@@ -35,7 +34,7 @@ enum Format {
 }
 
 /// Examines this machine, prints the report, and returns its exit status.
-pub(super) fn run(options: &Options) -> Result<u8> {
+pub(super) fn run(options: &DoctorOptions) -> Result<u8> {
     let report = examine(&options.source.load()?);
     // Colours only on a terminal, and not where NO_COLOR is set.
     let mut out = anstream::stdout().lock();

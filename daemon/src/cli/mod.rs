@@ -45,13 +45,13 @@ enum Command {
     },
     /// Run the real-time loop of a configuration without work: the baseline of this machine.
     #[command(after_help = bare::AFTER_HELP)]
-    Bare(bare::Options),
+    Bare(bare::BareOptions),
     /// Check a configuration and show what would run.
     #[command(after_help = "Example: cdcrd check --config robot.toml --set cycle.period_ms=2")]
     Check(Source),
     /// Examine this machine: what delays a real-time loop, and the remedy.
     #[command(after_help = doctor::AFTER_HELP)]
-    Doctor(doctor::Options),
+    Doctor(doctor::DoctorOptions),
     /// Print configurations.
     #[command(subcommand)]
     Config(ConfigCommand),

@@ -39,7 +39,7 @@ impl Baseline {
 }
 
 fn command(launch: &Launch, duration: Duration) -> Result<Command> {
-    let mut command = launch.command("bare")?;
+    let mut command = launch.command_that_ends_with_us("bare")?;
     let duration = format!("{}us", duration.as_micros());
     command.args(["--format", "csv", "--duration", &duration]);
     Ok(command)

@@ -74,16 +74,20 @@ impl Launch {
         for name in ["NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID"] {
             command.env_remove(name);
         }
-        command
-            .arg(subcommand)
-            // Whatever ends us, SIGKILL too, ends the daemon.
-            .args(["--end-with-parent", &std::process::id().to_string()]);
+        command.arg(subcommand);
         if let Some(config) = &self.config {
             command.arg("--config").arg(config);
         }
         for (key, value) in &self.settings {
             command.arg("--set").arg(format!("{key}={value}"));
         }
+        Ok(command)
+    }
+
+    /// The same of a subcommand that runs on: whatever ends us, SIGKILL too, ends it.
+    pub(super) fn command_that_ends_with_us(&self, subcommand: &str) -> Result<Command> {
+        let mut command = self.command(subcommand)?;
+        command.args(["--end-with-parent", &std::process::id().to_string()]);
         Ok(command)
     }
 }
@@ -128,7 +132,7 @@ impl Daemon {
         change: impl FnOnce(&mut Command),
     ) -> Result<Self> {
         let place = Place::new()?;
-        let mut command = launch.command("run")?;
+        let mut command = launch.command_that_ends_with_us("run")?;
         command
             .args(["--robot", ROBOT, "--prefix", place.location().prefix()])
             .arg("--root")

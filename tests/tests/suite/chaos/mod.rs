@@ -23,10 +23,10 @@ use std::path::PathBuf;
 use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use cdcr_client::{FeedOptions, Line};
+use cdcr_client::FeedOptions;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, wait_mode, wait_until};
+use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, paper_line, wait_mode, wait_until};
 
 use action::ROUND;
 use checker::{Checker, View};
@@ -145,10 +145,7 @@ fn assert_it_happened(tally: &Tally, has_driver: bool, duration: Duration) {
 fn come_back(daemon: &Daemon) {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
-    let line = Line {
-        duration_s: 0.3,
-        ..Line::for_sections(&[0.3; 3])
-    };
+    let line = paper_line(0.3);
     let options = FeedOptions {
         track: true,
         ..FeedOptions::default()

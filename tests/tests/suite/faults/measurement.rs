@@ -40,6 +40,12 @@ fn state(record: &Telemetry) -> MeasurementState {
     MeasurementState::try_from(record.measurement_state).unwrap()
 }
 
+/// Measures until a measurement is used.
+fn until_used(trail: &mut Trail, robot: &mut Robot) -> (Telemetry, Telemetry) {
+    let is_used = |record: &Telemetry| state(record) == MeasurementState::Used;
+    trail.until_while("used", || robot.turn(), is_used)
+}
+
 /// How long the robot moved by the command before this record \[ns\]: a command is valid for three periods.
 fn moved_ns(record: &Telemetry) -> u64 {
     record.elapsed_ns.min(3 * record.period_ns)
@@ -142,11 +148,7 @@ fn a_lost_measurement_is_a_fault_after_the_timeout() {
         "it still stands"
     );
     // Back again: the reset is granted.
-    trail.until_while(
-        "used",
-        || robot.turn(),
-        |r| state(r) == MeasurementState::Used,
-    );
+    until_used(&mut trail, &mut robot);
     connection.request(RequestKind::Reset).unwrap();
 }
 
@@ -254,11 +256,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
     // Two are left out, and nothing else happens.
     let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
     assert_eq!(two.mode, Mode::Holding.code());
-    trail.until_while(
-        "used",
-        || robot.turn(),
-        |r| state(r) == MeasurementState::Used,
-    );
+    until_used(&mut trail, &mut robot);
     // The third in a row is a fault.
     let mut counted = 0;
     let (before, now) = jump_until(&mut trail, &mut robot, |record, jumps| {
@@ -275,11 +273,7 @@ fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
     println!("measurement jumping: in the cycle of number {counted} in a row");
     assert_ramps_to_rest(&mut trail, &now, || robot.turn());
     // The next measurement is believed.
-    trail.until_while(
-        "used",
-        || robot.turn(),
-        |r| state(r) == MeasurementState::Used,
-    );
+    until_used(&mut trail, &mut robot);
     connection.request(RequestKind::Reset).unwrap();
     trail.until_while("holding", || robot.turn(), is(Mode::Holding));
 }
@@ -293,11 +287,7 @@ fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
     let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::default());
     let mut trail = Trail::new(&connection);
     robot.until_held(&mut trail);
-    let rest = trail.until_while(
-        "used",
-        || robot.turn(),
-        |r| state(r) == MeasurementState::Used,
-    );
+    let rest = until_used(&mut trail, &mut robot);
     // Half as fast again as the robot can move, from its last measurement at rest, each step a small one.
     let rest_ns = rest.1.measurement.measured_ns;
     let after_s = |measured_ns: u64| (measured_ns - rest_ns) as f64 * 1e-9;

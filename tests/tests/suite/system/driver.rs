@@ -10,7 +10,9 @@ use cdcr_shared_types::codes::{
     Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
 };
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, TIMEOUT, tracked, wait_mode, wait_record, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, TIMEOUT, paper_line, tracked, wait_mode, wait_record, wait_status, wait_until,
+};
 
 use super::freeze;
 
@@ -83,10 +85,7 @@ fn a_driver_is_commanded_along_the_reference() {
     let mut robot = Robot::new(&connection);
     robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
 
-    let line = Line {
-        duration_s: 0.5,
-        ..Line::for_sections(&[0.3; 3])
-    };
+    let line = paper_line(0.5);
     let options = tracked();
     let mut moved = 0.0_f64;
     let report = feeding.feed(&line, options).unwrap().run(|_| {

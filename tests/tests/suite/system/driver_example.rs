@@ -1,12 +1,10 @@
 //! The example of the client library, `client/examples/driver.rs`, as somebody runs it who writes a driver.
 
-use std::ops::ControlFlow;
 use std::path::PathBuf;
 
-use cdcr_client::{FeedEvent, Line};
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{MeasurementState, Mode};
-use cdcr_tests::{Daemon, PATIENT, Program, text, tracked, wait_mode, wait_record};
+use cdcr_tests::{Daemon, PATIENT, Program, paper_line, text, track, wait_mode, wait_record};
 use rustix::process::Signal;
 
 use super::error_max_m;
@@ -36,23 +34,13 @@ fn run_example(interface: &str) {
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
 
-    let line = Line {
-        duration_s: 1.0,
-        ..Line::for_sections(&[0.3; 3])
-    };
-    let options = tracked();
-    let (mut cycles, mut last) = (Vec::new(), Telemetry::default());
-    let report = connection.feed(&line, options).unwrap().run(|event| {
-        if let FeedEvent::Record(record) = event
-            && record.mode == Mode::Tracking.code()
-        {
-            let period_s = record.period_ns as f64 * 1e-9;
-            cycles.push((f64::from(record.skipped_periods) * period_s, period_s));
-            last = *record;
-        }
-        ControlFlow::Continue(())
+    let records = track(&connection, &paper_line(1.0));
+    assert!(records.len() > 20, "{}", records.len());
+    let cycles = records.iter().map(|record| {
+        let period_s = record.period_ns as f64 * 1e-9;
+        (f64::from(record.skipped_periods) * period_s, period_s)
     });
-    assert!(report.unwrap().tracked && cycles.len() > 20, "{cycles:?}");
+    let last = records.last().unwrap();
     let error_m = last.position_error_m;
     assert!(error_m < error_max_m(EXACT_M, cycles), "{error_m} m");
 

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedError, FeedEvent, FeedOptions, FeedReport, Line};
 use cdcr_shared_types::codes::{LeaseState, Outcome, RequestKind};
-use cdcr_tests::{Daemon, PATIENT, tracked, wait_status};
+use cdcr_tests::{Daemon, PATIENT, paper_line, tracked, wait_status};
 
 fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport, FeedError> {
     let options = FeedOptions { track, ..tracked() };
@@ -18,10 +18,7 @@ fn feed(connection: &Connection, line: &Line, track: bool) -> Result<FeedReport,
 fn a_refused_chunk_ends_the_feed_with_the_reason_and_the_point() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
-    let reachable = Line {
-        duration_s: 0.3,
-        ..Line::for_sections(&[0.3; 3])
-    };
+    let reachable = paper_line(0.3);
     let beyond = Line {
         start_m: [0.0, 0.0, 5.0],
         ..reachable
@@ -99,10 +96,7 @@ fn renewed_in_time(lease: Duration) {
         lease.as_millis()
     ));
     let connection = daemon.connect();
-    let line = Line {
-        duration_s: 0.5,
-        ..Line::for_sections(&[0.3; 3])
-    };
+    let line = paper_line(0.5);
     // The chunks renew the lease too: one that reaches to the end leaves it to the renewals alone.
     let options = FeedOptions {
         lead: Duration::from_millis(500),

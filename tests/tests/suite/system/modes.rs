@@ -2,11 +2,13 @@
 
 use std::ops::ControlFlow;
 
-use cdcr_client::{Connection, FeedEnd, FeedEvent, Line, RequestError, Spiral};
+use cdcr_client::{Connection, FeedEnd, FeedEvent, RequestError, Spiral};
 use cdcr_shared_types::codes::{Mode, Outcome, Reason, ReferenceState, RequestKind, SolverStatus};
 use cdcr_shared_types::{SolverSettings, Telemetry};
 use cdcr_tests::record::largest;
-use cdcr_tests::{Daemon, PATIENT, TIMEOUT, tracked, wait_mode, wait_record, wait_status};
+use cdcr_tests::{
+    Daemon, PATIENT, TIMEOUT, paper_line, track, tracked, wait_mode, wait_record, wait_status,
+};
 
 use super::error_max_m;
 
@@ -79,35 +81,18 @@ fn feed_track_hold_stop_reset() {
 fn tracking_follows_and_ends_with_the_reference() {
     let daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
-    let line = Line {
-        duration_s: 0.5,
-        ..Line::for_sections(&[0.3; 3])
-    };
-    let options = tracked();
-    let (mut reasons, mut solved, mut last_error_m) = (Vec::new(), 0, f64::NAN);
-    let mut cycles = Vec::new();
-    let report = connection
-        .feed(&line, options)
-        .unwrap()
-        .run(|event| {
-            if let FeedEvent::Record(record) = event {
-                if record.mode == Mode::Tracking.code() {
-                    assert_ne!(record.report.status, SolverStatus::Idle.code());
-                    assert!(record.report.cost <= record.report.warm_cost);
-                    solved += 1;
-                    last_error_m = record.position_error_m;
-                    let lost_ns = record.elapsed_ns.saturating_sub(record.period_ns);
-                    cycles.push([lost_ns, record.period_ns].map(|time_ns| time_ns as f64 * 1e-9));
-                } else {
-                    reasons.push(record.reason);
-                }
-            }
-            ControlFlow::Continue(())
-        })
-        .unwrap();
-    assert_eq!(report.end, FeedEnd::Played);
-    assert!(report.tracked && solved > 10, "{solved} cycles were solved");
-    let error_max_m = error_max_m(1e-3, cycles.into_iter().map(<(f64, f64)>::from));
+    let records = track(&connection, &paper_line(0.5));
+    assert!(records.len() > 10, "{} cycles were solved", records.len());
+    for record in &records {
+        assert_ne!(record.report.status, SolverStatus::Idle.code());
+        assert!(record.report.cost <= record.report.warm_cost);
+    }
+    let cycles = records.iter().map(|record| {
+        let lost_ns = record.elapsed_ns.saturating_sub(record.period_ns);
+        (lost_ns as f64 * 1e-9, record.period_ns as f64 * 1e-9)
+    });
+    let error_max_m = error_max_m(1e-3, cycles);
+    let last_error_m = records.last().unwrap().position_error_m;
     assert!(
         last_error_m < error_max_m,
         "the tip is {last_error_m} m from the end of the line, {error_max_m} m are accounted for"

@@ -15,7 +15,8 @@ use cdcr_shared_types::codes::{EventKind, Interface, MeasurementKind, Mode, Outc
 use cdcr_shared_types::{Measurement, Obstacle};
 use cdcr_tests::load::connect;
 use cdcr_tests::{
-    EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, tracked, wait_record, wait_status, wait_until,
+    EndWhenDropped, PATIENT, Place, ROBOT, TIMEOUT, paper_line, tracked, wait_record, wait_status,
+    wait_until,
 };
 
 /// Kills of a daemon that held; others are killed while they start.
@@ -204,10 +205,7 @@ fn is_told_of_the_restart_and_feeds_again() -> bool {
     let place = place(PATIENT);
     let mut daemon = Some(Life::begin(&place));
     let connection = connect(&place);
-    let line = Line {
-        duration_s: 0.3,
-        ..Line::for_sections(&[0.3; 3])
-    };
+    let line = paper_line(0.3);
     let long = Line {
         duration_s: 120.0,
         velocity_m_s: [0.001, 0.0, -0.001],

@@ -1,39 +1,18 @@
 //! Periods, budgets, statistics and bad cycles of a running daemon.
 
 use std::collections::BTreeMap;
-use std::ops::ControlFlow;
 use std::time::Duration;
 
-use cdcr_client::{Connection, FeedEvent, Line};
+use cdcr_client::Connection;
 use cdcr_shared_types::codes::{LateCause, Mode, RequestKind, realtime, timing};
 use cdcr_shared_types::limits::INCIDENTS_MAX;
 use cdcr_shared_types::{Incident, SolverSettings, Telemetry};
 use cdcr_test_skip::{Need, skip};
 use cdcr_tests::{
-    Daemon, PATIENT, TIMEOUT, tracked, wait_mode, wait_record, wait_status, wait_until,
+    Daemon, PATIENT, TIMEOUT, paper_line, track, wait_mode, wait_record, wait_status, wait_until,
 };
 
 use super::{error_max_m, freeze};
-
-/// Tracks a short line; the records in which it was tracked.
-fn track(connection: &Connection, duration_s: f64) -> Vec<Telemetry> {
-    let line = Line {
-        duration_s,
-        ..Line::for_sections(&[0.3; 3])
-    };
-    let options = tracked();
-    let mut records = Vec::new();
-    let report = connection.feed(&line, options).unwrap().run(|event| {
-        if let FeedEvent::Record(record) = event
-            && record.mode == Mode::Tracking.code()
-        {
-            records.push(*record);
-        }
-        ControlFlow::Continue(())
-    });
-    assert!(report.unwrap().tracked);
-    records
-}
 
 #[test]
 fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
@@ -43,7 +22,7 @@ fn periods_from_half_a_millisecond_to_a_tenth_of_a_second_keep_their_grid() {
              watchdog_ms = 20000.0\n[reference]\nlease_ms = 60000.0\n"
         ));
         let connection = daemon.connect();
-        let records = track(&connection, duration_s);
+        let records = track(&connection, &paper_line(duration_s));
         let status = connection.status(TIMEOUT).unwrap();
         let period_ns = (period_ms * 1e6) as u64;
         assert_eq!(status.period_ns, period_ns);
@@ -85,7 +64,7 @@ fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan(
         ..settings
     };
     connection.change_settings(tight).unwrap();
-    let records = track(&feeding, 0.5);
+    let records = track(&feeding, &paper_line(0.5));
     assert!(records.iter().all(|record| record.settings == tight));
     let solved: Vec<_> = records
         .iter()
@@ -102,7 +81,7 @@ fn a_budget_that_changes_while_it_tracks_ends_solves_and_never_worsens_the_plan(
         assert!(record.report.cost <= record.report.warm_cost);
     }
     connection.change_settings(settings).unwrap();
-    let free = track(&feeding, 0.5);
+    let free = track(&feeding, &paper_line(0.5));
     let quanta = |records: &[Telemetry]| records.iter().map(|r| u64::from(r.report.quanta)).max();
     assert!(quanta(&free) > quanta(&records));
     wait_status(&connection, |status| {

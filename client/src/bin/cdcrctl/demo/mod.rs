@@ -35,7 +35,7 @@ use causes::IncidentCauses;
 use cycle::Cycle;
 use daemon::DemoDaemon;
 use place::PrivatePlace;
-use report::{Report, Run};
+use report::{DemoReport, Run};
 use shape::Backbone;
 use sketch::Sketch;
 use steal::{Steal, StealReading};
@@ -66,7 +66,7 @@ pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
         eprintln!("interrupted: the demo's daemon is stopped");
         return Ok(Done::Interrupted);
     };
-    let report = Report::new(options, &run)?;
+    let report = DemoReport::new(options, &run)?;
     let backbone = Backbone::new(sections)?;
     match options.format {
         Format::Text => {
@@ -181,7 +181,7 @@ fn write_files(
     cycles: &[Cycle],
     spiral: &Spiral,
     backbone: &Backbone,
-    report: &Report,
+    report: &DemoReport,
 ) -> anyhow::Result<()> {
     let sections = report.sections as usize;
     cycle::write_csv(&out.join("telemetry.csv"), cycles, sections)?;

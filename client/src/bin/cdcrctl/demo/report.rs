@@ -28,7 +28,7 @@ pub(super) struct Run {
 
 /// What the demo found. The fields are those of `--format json`, where they are explained: `cdcrctl demo --help`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(super) struct Report {
+pub(super) struct DemoReport {
     pub(super) sections: u32,
     /// Cycles that tracked and whose release lay inside the reference: all below is counted over them.
     pub(super) cycles: usize,
@@ -66,7 +66,7 @@ pub(super) struct Spread {
     pub(super) max: f64,
 }
 
-impl Report {
+impl DemoReport {
     pub(super) fn new(options: &DemoOptions, run: &Run) -> anyhow::Result<Self> {
         let Run { cycles, status, .. } = run;
         let lost_records = run.lost_records;
@@ -160,8 +160,8 @@ pub(super) mod tests {
         }
     }
 
-    pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> Report {
-        Report::new(&options(), &run(cycles, status)).expect("cycles were tracked")
+    pub(in crate::demo) fn report(cycles: &[Cycle], status: &Status) -> DemoReport {
+        DemoReport::new(&options(), &run(cycles, status)).expect("cycles were tracked")
     }
 
     #[test]
@@ -229,7 +229,7 @@ pub(super) mod tests {
 
     #[test]
     fn a_run_without_tracking_is_an_error() {
-        assert!(Report::new(&options(), &run(&[], &Status::default())).is_err());
+        assert!(DemoReport::new(&options(), &run(&[], &Status::default())).is_err());
     }
 
     #[test]
@@ -275,7 +275,7 @@ pub(super) mod tests {
             baseline: Err("cdcrd bare failed (exit status: 1)".to_owned()),
             ..run(&cycles, &Status::default())
         };
-        let report = Report::new(&options(), &run).expect("cycles were tracked");
+        let report = DemoReport::new(&options(), &run).expect("cycles were tracked");
         let json = serde_json::to_value(report).expect("JSON");
         assert!(json["baseline"].is_null());
         assert_eq!(json["baseline_error"], "cdcrd bare failed (exit status: 1)");

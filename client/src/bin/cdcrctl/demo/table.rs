@@ -4,7 +4,7 @@ use cdcr_client::realtime_missing;
 use cdcr_shared_types::Status;
 use cdcr_shared_types::codes::LateCause;
 
-use super::report::{Report, Spread};
+use super::report::{DemoReport, Spread};
 use super::steal::Steal;
 use super::verdict::Verdict;
 
@@ -12,7 +12,7 @@ use super::verdict::Verdict;
 const WIDTH: usize = 80;
 
 /// The report for people.
-pub(super) fn text(report: &Report, status: &Status) -> Result<String, Error> {
+pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error> {
     let mut out = String::new();
     let plural = if report.sections == 1 { "" } else { "s" };
     writeln!(
@@ -65,7 +65,7 @@ fn row(out: &mut String, name: &str, spread: &Spread) -> Result<(), Error> {
     )
 }
 
-fn counts(out: &mut String, report: &Report, status: &Status) -> Result<(), Error> {
+fn counts(out: &mut String, report: &DemoReport, status: &Status) -> Result<(), Error> {
     let deadline_ms = status.deadline_ns as f64 * 1e-6;
     writeln!(
         out,
@@ -86,7 +86,7 @@ fn counts(out: &mut String, report: &Report, status: &Status) -> Result<(), Erro
 }
 
 /// What made the misses; without a miss, nothing.
-fn causes(out: &mut String, report: &Report) -> Result<(), Error> {
+fn causes(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     for (cause, count) in report.misses_by_cause.ranked() {
         write!(out, "{:<24}{count:>12}   {cause}", "  caused by")?;
         let is_platform = cause == LateCause::Platform.text();
@@ -104,7 +104,7 @@ fn causes(out: &mut String, report: &Report) -> Result<(), Error> {
 }
 
 /// The loop of the daemon beside the same loop without work.
-fn beside(out: &mut String, report: &Report) -> Result<(), Error> {
+fn beside(out: &mut String, report: &DemoReport) -> Result<(), Error> {
     let Some(bare) = &report.baseline else {
         let error = report.baseline_error.as_deref().unwrap_or_default();
         return writeln!(out, "\nno bare loop to compare with: {error}");

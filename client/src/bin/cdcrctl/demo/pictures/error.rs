@@ -4,7 +4,7 @@ use plotters::prelude::*;
 
 use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, PURPLE, TICK, TITLE, section_words};
 use crate::demo::cycle::Cycle;
-use crate::demo::report::Report;
+use crate::demo::report::DemoReport;
 
 /// Errors below this are drawn here: a logarithm knows no zero \[mm\].
 const FLOOR_MM: f64 = 1e-13;
@@ -16,7 +16,11 @@ type Point = (f64, f64);
 
 /// Draws the tracking error over time, beside its mean and the paper's. The line breaks where cycles are
 /// missing; skipped periods have a mark.
-pub(in crate::demo) fn error(file: &Path, cycles: &[Cycle], report: &Report) -> anyhow::Result<()> {
+pub(in crate::demo) fn error(
+    file: &Path,
+    cycles: &[Cycle],
+    report: &DemoReport,
+) -> anyhow::Result<()> {
     let errors: Vec<Point> = cycles.iter().map(point).collect();
     let mean = report.mean_error_mm.max(FLOOR_MM);
     let paper = report.paper_mean_error_mm;

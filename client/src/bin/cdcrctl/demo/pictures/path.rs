@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
 use super::{GREY, ORANGE, TICK, TITLE, section_words};
 use crate::demo::cycle::Cycle;
-use crate::demo::report::Report;
+use crate::demo::report::DemoReport;
 use crate::demo::shape::curve;
 
 /// Draws the tip's path over the exact curve, from above and from the side, in equal scale.
@@ -14,7 +14,7 @@ pub(in crate::demo) fn path(
     file: &Path,
     cycles: &[Cycle],
     spiral: &Spiral,
-    report: &Report,
+    report: &DemoReport,
 ) -> anyhow::Result<()> {
     let size = (2 * PANEL.0, PANEL.1 + HEAD);
     let root = SVGBackend::new(file, size).into_drawing_area();

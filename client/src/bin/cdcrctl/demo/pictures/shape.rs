@@ -6,7 +6,7 @@ use plotters::prelude::*;
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
 use super::{BLUE, GREY, ORANGE, TICK, TITLE, section_words};
 use crate::demo::cycle::Cycle;
-use crate::demo::report::Report;
+use crate::demo::report::DemoReport;
 use crate::demo::shape::{Backbone, Position, curve, moments};
 
 /// Time between two shapes \[s\].
@@ -20,7 +20,7 @@ pub(in crate::demo) fn shape(
     cycles: &[Cycle],
     spiral: &Spiral,
     backbone: &Backbone,
-    report: &Report,
+    report: &DemoReport,
 ) -> anyhow::Result<()> {
     let size = (2 * PANEL.0, PANEL.1 + HEAD);
     let root = SVGBackend::new(file, size).into_drawing_area();

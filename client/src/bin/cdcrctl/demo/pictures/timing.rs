@@ -6,7 +6,7 @@ use plotters::prelude::*;
 
 use super::{BLUE, GREEN, GREY, LABEL, ORANGE, PALE, TICK, TITLE, section_words};
 use crate::demo::cycle::Cycle;
-use crate::demo::report::{Report, Spread};
+use crate::demo::report::{DemoReport, Spread};
 
 /// Bars in each factor of ten.
 const BARS_PER_DECADE: f64 = 10.0;
@@ -25,7 +25,7 @@ struct Panel<'a> {
 pub(in crate::demo) fn timing(
     file: &Path,
     cycles: &[Cycle],
-    report: &Report,
+    report: &DemoReport,
 ) -> anyhow::Result<()> {
     let values = |value: fn(&Cycle) -> f64| cycles.iter().map(value).collect::<Vec<_>>();
     let panels = [

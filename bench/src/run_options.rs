@@ -1,0 +1,120 @@
+//! What a run was asked for: two runs that were asked for different things are no measure of each other.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::hash::{DefaultHasher, Hasher};
+use std::path::Path;
+
+use clap::ArgMatches;
+use clap::parser::ValueSource;
+use serde::{Deserialize, Serialize};
+
+/// The command and the options of a command line, by name.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct RunOptions(BTreeMap<String, String>);
+
+impl RunOptions {
+    /// What was given on a command line of this program, but for where and how the result is written.
+    pub fn of(command: &clap::Command, matches: &ArgMatches) -> Self {
+        let mut options = BTreeMap::new();
+        let Some((name, matches)) = matches.subcommand() else {
+            return Self(options);
+        };
+        options.insert("command".to_owned(), name.to_owned());
+        let arguments = command
+            .find_subcommand(name)
+            .into_iter()
+            .flat_map(clap::Command::get_arguments);
+        for argument in arguments {
+            let (Some(long), id) = (argument.get_long(), argument.get_id().as_str()) else {
+                continue;
+            };
+            let is_given = matches.value_source(id) == Some(ValueSource::CommandLine);
+            if !is_given || ["out", "format"].contains(&long) {
+                continue;
+            }
+            let values = matches.get_raw(id).into_iter().flatten();
+            let text = |value: &std::ffi::OsStr| match long {
+                // The content of a file is told, not its place.
+                "config" => hash(Path::new(value)),
+                _ => value.to_string_lossy().into_owned(),
+            };
+            options.insert(
+                long.to_owned(),
+                values.map(text).collect::<Vec<_>>().join(","),
+            );
+        }
+        Self(options)
+    }
+
+    /// Names and values of the options that differ, `none` where an option was not given.
+    pub fn differing<'a>(&'a self, other: &'a Self) -> Vec<(&'a str, &'a str, &'a str)> {
+        let value = |options: &'a Self, name| options.0.get(name).map_or("none", String::as_str);
+        let names: BTreeSet<&String> = self.0.keys().chain(other.0.keys()).collect();
+        let all = names
+            .into_iter()
+            .map(|name| (name.as_str(), value(self, name), value(other, name)));
+        all.filter(|(_, ours, theirs)| ours != theirs).collect()
+    }
+}
+
+/// Of the text of a file, in hexadecimal digits.
+fn hash(file: &Path) -> String {
+    let Ok(text) = std::fs::read(file) else {
+        return "not readable".to_owned();
+    };
+    let mut hasher = DefaultHasher::new();
+    hasher.write(&text);
+    format!("{:016x}", hasher.finish())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs;
+
+    use super::*;
+
+    #[test]
+    fn the_options_of_a_run_are_what_it_was_asked_for() {
+        let argument = |name: &'static str| clap::Arg::new(name).long(name);
+        let rounds = argument("rounds").default_value("6");
+        let load = argument("load")
+            .value_delimiter(',')
+            .action(clap::ArgAction::Append);
+        let quick = argument("quick").action(clap::ArgAction::SetTrue);
+        let all = clap::Command::new("deadline").args([
+            rounds,
+            load,
+            quick,
+            argument("out"),
+            argument("config"),
+        ]);
+        let command = clap::Command::new("bench").subcommand(all);
+        let of = |words: &str| {
+            let words = ["bench", "deadline"]
+                .into_iter()
+                .chain(words.split_ascii_whitespace());
+            RunOptions::of(&command, &command.clone().get_matches_from(words))
+        };
+        let one = of("--load=none --load cpu --rounds 3 --quick --out a");
+        assert_eq!(one, of("--quick --rounds=3 --load none,cpu"));
+        let json = r#"{"command":"deadline","load":"none,cpu","quick":"true","rounds":"3"}"#;
+        assert_eq!(serde_json::to_string(&one).expect("JSON"), json);
+        assert_eq!(
+            one.differing(&of("--load none,cpu --quick")),
+            [("rounds", "3", "none")]
+        );
+
+        // A configuration is known by its text and not by its place.
+        let folder = tempfile::tempdir().expect("a folder");
+        let with = |name: &str, text: &str| {
+            let file = folder.path().join(name);
+            fs::write(&file, text).expect("written");
+            of(&format!("--config {}", file.display()))
+        };
+        let one = with("a.toml", "x = 1");
+        assert_eq!(one, with("b.toml", "x = 1"));
+        assert_ne!(one, with("a.toml", "x = 2"));
+        assert!(!format!("{one:?}").contains("toml"));
+    }
+}
