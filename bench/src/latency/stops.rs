@@ -201,7 +201,10 @@ impl Errand for Stops<'_> {
         match self.step {
             Step::Reset | Step::Track => {}
             Step::SpeedUp(releases) => {
-                self.records.push(kept);
+                // Records come later than answers: the first ones may be of the stop before.
+                if kept.mode == Mode::Tracking.code() {
+                    self.records.push(kept);
+                }
                 self.speed_up(&kept, releases, round);
             }
             Step::Stop | Step::Rest => {

@@ -143,7 +143,7 @@ mod tests {
         }
         assert_eq!(looks.look(), None);
         assert!(looks.look().is_some());
-        let touched = std::hint::black_box(vec![1_u8; 1 << 22]);
+        let touched = std::hint::black_box(vec![1_u8; 1 << 26]);
         assert_eq!(looks.look_quickly().map(|told| told.page_faults), Some(0));
         let told = looks.look().expect("it has looked before");
         assert!(told.page_faults > 0, "those of {} bytes", touched.len());
