@@ -281,6 +281,6 @@ message! {
         /// 1 where a latched mode was left and the robot has not come to rest since: a following error is no fault then.
         control_begins: u32 [yes],
         /// Zero.
-        reserved: u32,
+        reserved: u32 [reserved],
     }
 }
