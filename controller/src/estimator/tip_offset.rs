@@ -21,6 +21,8 @@ pub(super) struct TipOffset {
     measured_m: Vector3<f64>,
     /// Since the last tip position (s).
     unmeasured_s: f64,
+    /// The same when it was measured (s).
+    interval_s: f64,
 }
 
 impl TipOffset {
@@ -32,6 +34,7 @@ impl TipOffset {
             still_m: STILL * noise_m,
             measured_m: Vector3::repeat(f64::NAN),
             unmeasured_s: 0.0,
+            interval_s: TIME_CONSTANT_S,
         }
     }
 
@@ -48,7 +51,6 @@ impl TipOffset {
     }
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
-        // A pause of the sensor does not make its next position count for more than one.
         self.unmeasured_s = (self.unmeasured_s + elapsed_s).min(TIME_CONSTANT_S);
     }
 
@@ -62,7 +64,10 @@ impl TipOffset {
         if !is_news || !is_near {
             return false;
         }
-        let gain = self.unmeasured_s / (self.unmeasured_s + TIME_CONSTANT_S);
+        // A pause of the sensor does not make its next position count for more than the one before: the offset must not jump.
+        let since_s = self.unmeasured_s.min(self.interval_s);
+        self.interval_s = self.unmeasured_s;
+        let gain = since_s / (since_s + TIME_CONSTANT_S);
         self.learnt_m += gain * (beside_m - self.learnt_m);
         let missing_m = self.learnt_m - self.offset_m;
         let far_m = missing_m.norm();

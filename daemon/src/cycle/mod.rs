@@ -173,7 +173,10 @@ impl Cycle {
         self.state.move_on(&self.rates, elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
-        let tip_use = self.state.measure_tip(tip_measurement, release.release_ns);
+        let (tip_sensors, release_ns) = (inputs.tip_sensors, release.release_ns);
+        let tip_use = self
+            .state
+            .measure_tip(tip_measurement, tip_sensors, release_ns);
         self.state.locate(elapsed_ns);
         self.place_obstacles(inputs, &release);
 

@@ -33,6 +33,8 @@ pub(super) struct RobotState {
     /// Of the tip beside bends or cables.
     tip_plausibility: MeasurementWatch,
     last_tip_ns: u64,
+    /// Sensors that measured it so far.
+    tip_sensors: u64,
     /// The tip froze or jumped until nobody could say where it is: it is not used before control begins anew.
     tip_is_wrong: bool,
     /// Where the robot was last measured, as far as that tells its configuration.
@@ -71,6 +73,7 @@ impl RobotState {
             plausibility: MeasurementWatch::new(policy.plausibility),
             tip_plausibility: MeasurementWatch::new(policy.plausibility),
             last_tip_ns: 0,
+            tip_sensors: 0,
             tip_is_wrong: false,
             measured: None,
             last_measured_ns: 0,
@@ -190,12 +193,17 @@ impl RobotState {
     }
 
     /// Takes in a tip that was measured beside bends or cables: it says how far the model is off there. One that cannot be is
-    /// left out; that is no fault, since the bends are measured.
+    /// left out; that is no fault, since the bends are measured. What one sensor said is no reason to doubt the next one, of `tip_sensors` so far;
+    /// the offset stays until that has told otherwise: it is the model that is off, and the tip must not jump.
     pub(super) fn measure_tip(
         &mut self,
         measurement: Option<TimedMeasurement>,
+        tip_sensors: u64,
         release_ns: u64,
     ) -> MeasurementUse {
+        if core::mem::replace(&mut self.tip_sensors, tip_sensors) != tip_sensors {
+            self.trust_tip();
+        }
         let Some(timed) = measurement else {
             return MeasurementUse::None;
         };
@@ -274,6 +282,11 @@ impl RobotState {
     fn begin_at(&mut self, at: Configuration) {
         self.commanded = at;
         self.present = self.estimator.present();
+        self.trust_tip();
+    }
+
+    /// Whatever is measured of the tip next may be right.
+    fn trust_tip(&mut self) {
         self.tip_plausibility = MeasurementWatch::new(self.policy.plausibility);
         self.tip_is_wrong = false;
     }

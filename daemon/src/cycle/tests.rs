@@ -206,9 +206,12 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         (MeasurementUse::Repeated, before_m)
     );
     assert!(matches!(after.mode, Mode::Tracking { .. }));
-    // It stands still while the robot goes on: what it says is no news.
+    // It comes back after a second in which the robot went on: the offset goes there, and does not jump.
     trial.measures_tip = true;
-    trial.turn();
+    let back_m = trial.turn().tip_offset_m;
+    assert!((back_m - before_m).norm() < 2e-3, "{back_m} {before_m}");
+    trial.turns(100);
+    // It stands still while the robot goes on: what it says is no news.
     let before_m = trial.turn().tip_offset_m;
     trial.frozen_tip_m = Some(trial.plant.tip_m());
     let frozen = trial.turns(200);
@@ -219,8 +222,18 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
         frozen.tip_offset_m
     );
     trial.frozen_tip_m = None;
-    // It jumps for good: not used before a reset.
+    // It jumps for good: not used before another sensor, whose tip goes on from the offset as it is, or a reset.
     trial.measures_tip = true;
+    trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
+    trial.turns(5);
+    trial.tip_error_m = Vector3::zeros();
+    let wrong = trial.turns(5);
+    assert_eq!(wrong.tip_use, MeasurementUse::Implausible);
+    trial.inputs.tip_sensors += 1;
+    let other = trial.turn();
+    assert_eq!(other.tip_use, MeasurementUse::Used);
+    let stepped_m = (other.tip_offset_m - wrong.tip_offset_m).norm();
+    assert!(stepped_m < 2e-3, "{stepped_m} m");
     trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
     trial.turns(5);
     trial.tip_error_m = Vector3::zeros();

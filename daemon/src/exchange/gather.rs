@@ -70,6 +70,7 @@ impl Exchange {
         inputs.interruptions = self.interruptions;
         inputs.measurement = self.measurements.newest();
         inputs.tip = self.measurements.newest_tip();
+        inputs.tip_sensors = self.measurements.tip_sensors();
         inputs.obstacles = self.obstacles.handed_over(now_ns);
         inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);
         inputs.stops = self.requests.stops();

@@ -22,6 +22,8 @@ pub(super) struct Measurements {
     newest: Option<TimedMeasurement>,
     /// Of the tip, beside the bends or cables.
     newest_tip: Option<TimedMeasurement>,
+    /// Processes that measured it so far.
+    tip_sensors: u64,
 }
 
 /// A tip sensor that is silent for this long may be replaced by another one \[ns\]: some pictures of a slow camera.
@@ -51,6 +53,7 @@ impl Measurements {
                 .then(|| BoundSender::new(TIP_SENSOR_LOST_NS.max(timeout_ns))),
             newest: None,
             newest_tip: None,
+            tip_sensors: 0,
         }
     }
 
@@ -65,6 +68,11 @@ impl Measurements {
     /// The newest one of the tip beside the bends or cables.
     pub(super) fn newest_tip(&self) -> Option<TimedMeasurement> {
         self.newest_tip
+    }
+
+    /// Processes of their own that have measured the tip so far.
+    pub(super) fn tip_sensors(&self) -> u64 {
+        self.tip_sensors
     }
 
     /// The newest one of what tells where the robot is.
@@ -90,6 +98,7 @@ impl Measurements {
             let timed = self.checked(message, tip_sensor, true, robot, arrival)?;
             let outcome = keep(&mut self.newest_tip, timed, is_newer);
             if outcome == Outcome::Accepted {
+                self.tip_sensors += u64::from(!tip_sensor.is_bound_to(sender));
                 tip_sensor.hear(sender, arrival.gather_ns);
                 self.tip_sensor = Some(tip_sensor);
             }
@@ -252,7 +261,9 @@ mod tests {
         assert_eq!(rig.newest(), (Some(bends), Some(tip)));
         // A silent tip sensor is replaced without a fault, a silent driver is not.
         rig.now_ns += TIP_SENSOR_LOST_NS;
+        assert_eq!(rig.desk.tip_sensors(), 1);
         let tip = rig.accept(3, TIP);
+        assert_eq!(rig.desk.tip_sensors(), 2);
         assert_eq!(rig.take(3, BENDS), Outcome::OtherDriver);
         assert_eq!(rig.newest(), (Some(bends), Some(tip)));
         // While nobody listens nobody is silent.

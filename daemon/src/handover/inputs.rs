@@ -35,6 +35,8 @@ pub struct CycleInputs {
     pub measurement: Option<TimedMeasurement>,
     /// Its newest measurement of the tip beside those.
     pub tip: Option<TimedMeasurement>,
+    /// Processes that measured the tip so far. When it has grown, another sensor does.
+    pub tip_sensors: u64,
     /// The obstacles, each at its own stamp.
     pub obstacles: ObstacleSet,
     /// What the exchange took of the core in a period, of late \[ns\].
@@ -61,6 +63,7 @@ impl CycleInputs {
             obstacle_source_silent: false,
             measurement: None,
             tip: None,
+            tip_sensors: 0,
             obstacles: ObstacleSet::default(),
             exchange_ns: 0,
             interruptions: 0,
