@@ -170,7 +170,7 @@ pub(crate) struct ModeWatch {
 }
 
 /// Records that a change waits for its events. A daemon that comes out of a stall reports at most 24 of each record.
-const PATIENCE_RECORDS: u64 = 100;
+const TIMEOUT_RECORDS: u64 = 100;
 
 impl ModeWatch {
     /// Takes a record; `is_neighbour`: nothing was lost before it.
@@ -193,7 +193,7 @@ impl ModeWatch {
             });
         }
         while let Some(change) = self.waiting.front()
-            && change.number + PATIENCE_RECORDS < self.records
+            && change.number + TIMEOUT_RECORDS < self.records
         {
             self.judge_oldest()?;
         }

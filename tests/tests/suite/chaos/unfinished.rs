@@ -20,7 +20,7 @@ const AGE_MAX: Duration = Duration::from_secs(10);
 pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> CheckResult {
     while !ending.load(Ordering::Relaxed) {
         for path in place.shared_memory_files() {
-            if is_half_made(&path) {
+            if is_unfinished(&path) {
                 ending.store(true, Ordering::Relaxed);
                 // Somebody may have been faster.
                 let _ = fs::remove_file(&path);
@@ -36,7 +36,7 @@ pub(crate) fn watch(place: &Place, ending: &AtomicBool) -> CheckResult {
     Ok(())
 }
 
-fn is_half_made(path: &Path) -> bool {
+fn is_unfinished(path: &Path) -> bool {
     let Ok(file) = fs::metadata(path) else {
         return false;
     };

@@ -4,7 +4,9 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use cdcr_client::{Connection, FeedEvent, Line, TipSensor, monotonic_ns, section_lengths_m};
+use cdcr_client::{
+    Connection, FeedEvent, Line, TelemetryStream, TipSensor, monotonic_ns, section_lengths_m,
+};
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{
     Interface, MeasurementKind, MeasurementState, Mode, Outcome, Reason, RequestKind,
@@ -30,6 +32,13 @@ struct Robot(DrivenRobot);
 impl Robot {
     fn new(connection: &Connection) -> Self {
         Self(DrivenRobot::new(connection, Interface::Velocity, [0.0; 12]))
+    }
+
+    /// One that its daemon holds, and what is published of it.
+    fn held(connection: &Connection) -> (Self, TelemetryStream) {
+        let (mut robot, mut telemetry) = (Self::new(connection), connection.telemetry().unwrap());
+        robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+        (robot, telemetry)
     }
 
     fn turn(&mut self) {
@@ -81,9 +90,7 @@ fn a_driver_is_commanded_along_the_reference() {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
     let feeding = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    let mut robot = Robot::new(&connection);
-    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+    let mut robot = Robot::held(&connection).0;
 
     let line = paper_line(0.5);
     let options = tracked();
@@ -106,9 +113,7 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
     let daemon = Daemon::start(CONFIGURATION);
     let connection = daemon.connect();
     let feeding = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    let mut robot = Robot::new(&connection);
-    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+    let mut robot = Robot::held(&connection).0;
 
     let line = Line {
         duration_s: 60.0,
@@ -199,9 +204,7 @@ fn a_machine_that_stands_still_is_not_the_drivers_fault() {
         .replace("= 1000000", "= 40");
     let daemon = Daemon::start(&configuration);
     let connection = daemon.connect();
-    let mut telemetry = connection.telemetry().unwrap();
-    let mut robot = Robot::new(&connection);
-    robot.run_until(|| wait_record(&mut telemetry, |_| true).mode == Mode::Holding.code());
+    let (mut robot, mut telemetry) = Robot::held(&connection);
     let ending = AtomicBool::new(false);
     let (mut last, mut silent) = (Instant::now(), Duration::ZERO);
     std::thread::scope(|scope| {

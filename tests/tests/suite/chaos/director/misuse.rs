@@ -11,7 +11,7 @@ use crate::chaos::dice::Dice;
 use crate::chaos::{CheckResult, ensure, obstacles};
 
 /// How long it is tried to get the lease from those who hold it.
-const LEASE_PATIENCE: Duration = Duration::from_millis(500);
+const LEASE_TIMEOUT: Duration = Duration::from_millis(500);
 
 impl Director<'_> {
     /// Sends ten good points that `spoil` has had a hand in, by index.
@@ -35,7 +35,7 @@ impl Director<'_> {
     /// Takes the lease as soon as it is free, so that points are judged for themselves. Whether it could.
     fn hold_lease(&self) -> bool {
         let begin = Instant::now();
-        while begin.elapsed() < LEASE_PATIENCE {
+        while begin.elapsed() < LEASE_TIMEOUT {
             if let Ok(lease) = self.connection.acquire_lease() {
                 std::mem::forget(lease);
                 return true;
