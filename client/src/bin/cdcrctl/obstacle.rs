@@ -15,7 +15,7 @@ use crate::known_obstacles::known;
 /// An obstacle so many times the length of the robot away is asked about. (The nearest that millimetres can be mistaken
 /// for is about a thousand times as far as meant.)
 const FAR: f64 = 10.0;
-/// How long the daemon may take to judge the message, or to run a cycle.
+/// How long the daemon may take to decide on the message, or to run a cycle.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
 /// `cdcrctl obstacle …`

@@ -169,7 +169,7 @@ fn insert(line: &mut String, at: usize, character: char) {
 }
 
 /// What is accepted runs: the simulated robot follows a reference for some cycles. Says whether it was.
-fn judge(text: &str) -> bool {
+fn evaluate(text: &str) -> bool {
     match Config::parse(text, Path::new("robot.toml")) {
         Ok(validated) => {
             follow(&validated);
@@ -212,7 +212,7 @@ fn follow(validated: &Validated) {
 #[test]
 fn any_text_is_a_configuration_or_an_error() {
     corpus::replay("config", |bytes| {
-        judge(&String::from_utf8_lossy(bytes));
+        evaluate(&String::from_utf8_lossy(bytes));
     });
     let any_bytes = vec(any::<u8>(), 0..400);
     let texts = prop_oneof![
@@ -222,7 +222,7 @@ fn any_text_is_a_configuration_or_an_error() {
         line(),
     ];
     try_cases(1024, texts, |text| {
-        judge(&text);
+        evaluate(&text);
     });
 }
 
@@ -230,7 +230,7 @@ fn any_text_is_a_configuration_or_an_error() {
 fn an_edited_configuration_is_refused_or_runs() {
     let tally = Tally::default();
     try_cases(1024, vec(edit(), 1..4), |edits| {
-        tally.count("configuration", judge(&edited(&edits)));
+        tally.count("configuration", evaluate(&edited(&edits)));
     });
     tally.both_at_least("configuration", 0.15);
 }

@@ -112,7 +112,7 @@ fn set(row: &mut [String], column: usize, cell: &str) {
 }
 
 /// A file that is accepted gives finite positions and unit orientations at any time. Says whether it was.
-fn judge(text: &str) -> bool {
+fn evaluate(text: &str) -> bool {
     let file = match FileTrajectory::parse(Path::new("path.csv"), text) {
         Ok(file) => file,
         Err(error) => {
@@ -148,7 +148,7 @@ fn judge(text: &str) -> bool {
 #[test]
 fn any_bytes_are_a_reference_file_or_an_error() {
     corpus::replay("csv", |bytes| {
-        judge(&String::from_utf8_lossy(bytes));
+        evaluate(&String::from_utf8_lossy(bytes));
     });
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("any.csv");
@@ -158,7 +158,7 @@ fn any_bytes_are_a_reference_file_or_an_error() {
         std::fs::write(&path, &bytes).unwrap();
         let read = FileTrajectory::read(&path);
         match std::str::from_utf8(&bytes) {
-            Ok(text) => assert_eq!(judge(text), read.is_ok()),
+            Ok(text) => assert_eq!(evaluate(text), read.is_ok()),
             Err(_) => assert!(read.is_err(), "no text, but a reference"),
         }
     });
@@ -171,7 +171,7 @@ fn an_edited_reference_file_is_refused_or_is_finite() {
         2048,
         (any::<bool>(), vec(edit(), 1..4)),
         |(turned, edits)| {
-            tally.count("reference file", judge(&edited(turned, &edits)));
+            tally.count("reference file", evaluate(&edited(turned, &edits)));
         },
     );
     tally.both_at_least("reference file", 0.15);

@@ -238,7 +238,7 @@ impl Rig {
         let (requests, clock) = (&mut self.requests, &self.clock);
         let next_request = || requests.pop_front();
         let record = self.cycle.run(release, &self.inputs, next_request, clock);
-        self.judge(&record);
+        self.evaluate(&record);
         self.real.command(&record.rates);
         self.real.advance(self.period_ns as f64 * 1e-9);
         record
@@ -261,7 +261,7 @@ impl Rig {
 
     /// Rates are finite and inside the limits, and so is what they lead to, unless the robot was measured
     /// outside before; and the message that a driver gets is finite.
-    fn judge(&self, record: &CycleRecord) {
+    fn evaluate(&self, record: &CycleRecord) {
         let rates = &record.rates;
         assert!(rates.is_finite(), "{rates:?} in {:?}", record.mode);
         let period_s = self.period_ns as f64 * 1e-9;

@@ -27,7 +27,7 @@ fn robot(sections: u32) -> Robot {
 }
 
 /// Judges a message at the begin of the script's clock; what is accepted must be usable. Says whether it was.
-fn judge(step: &Step, robot: &Robot) -> bool {
+fn evaluate(step: &Step, robot: &Robot) -> bool {
     match step {
         Step::Robot(_) | Step::Run(_) => true,
         Step::Chunk(chunk) => judge_chunk(chunk, robot),
@@ -144,7 +144,7 @@ fn try_bytes<T: Fields + Default + 'static>(to_step: impl Fn(T) -> Step) {
     let bytes = draft::bytes(size_of::<T>());
     let steps = bytes.prop_map(|bytes| Script(vec![to_step(T::from_bytes(&bytes))]));
     try_cases(512, steps, |script| {
-        judge(&script.0[0], &robot);
+        evaluate(&script.0[0], &robot);
     });
 }
 
@@ -170,7 +170,7 @@ fn try_drafts(kind: &'static str, share: f64, drafts: impl Strategy<Value = Draf
         let Step::Robot(script::Robot { sections, .. }) = script.0[0] else {
             panic!("a script begins with its robot");
         };
-        tally.count(kind, judge(&script.0[1], &robot(sections)));
+        tally.count(kind, evaluate(&script.0[1], &robot(sections)));
     });
     tally.both_at_least(kind, share);
 }
@@ -188,7 +188,7 @@ fn whatever_comes_the_commands_are_finite_and_inside_the_limits() {
     corpus::replay("wire", |bytes| {
         let script = Script::parse(std::str::from_utf8(bytes).unwrap()).unwrap();
         for step in &script.0 {
-            judge(step, &robot(3));
+            evaluate(step, &robot(3));
         }
         rig::play(&script, &Tally::default());
     });
