@@ -13,9 +13,9 @@
 //!
 //! | module | is | must not know |
 //! |---|---|---|
-//! | [`wide`] | numbers side by side, for the swarm | processors |
+//! | `wide` | numbers side by side, for the swarm | processors |
 //! | [`robot`] | validated parameters, arc of one section, chain, Jacobian, orientation, cables | time |
-//! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton | robots |
+//! | [`optimizer`] | minimisers over a box with a budget: KPSO (Eq. 6-7), Gauss-Newton; public is what a solve is given | robots |
 //! | [`mod@reference`] | time-stamped trajectory, interpolation, window of one solve | who sends it |
 //! | [`estimator`] | configuration from measurements | commands to come |
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
@@ -101,9 +101,6 @@
 //! # }
 //! ```
 //!
-//! What this page leaves out, the lanes that the swarm computes with (`wide`), is public for the tests of this crate alone, and may
-//! change at any time.
-
 #![forbid(unsafe_code)]
 
 pub mod calibration;
@@ -114,8 +111,7 @@ pub mod plant;
 pub mod reference;
 pub mod robot;
 pub mod safety;
-#[doc(hidden)]
-pub mod wide;
+mod wide;
 
 // The compiler puts all that is public into the program of the unit tests, called or not, and would compile the solver once more.
 // `tests/suite` tests it in the library.

@@ -11,10 +11,10 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 /// W double-precision numbers, lane by lane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[repr(transparent)]
-pub struct Wide<const W: usize>(pub [f64; W]);
+pub(crate) struct Wide<const W: usize>(pub(crate) [f64; W]);
 
 /// Lanes of the fast path: one AVX-512 register, two of AVX2.
-pub const LANES: usize = 8;
+pub(crate) const LANES: usize = 8;
 
 /// An expression for each lane. In `dev` the lanes are written out: LLVM takes half as long for a swarm without
 /// these loops, and makes slower code of it, so a release has the loops.
@@ -44,13 +44,13 @@ macro_rules! lanes {
 impl<const W: usize> Wide<W> {
     /// The same number in every lane.
     #[inline(always)]
-    pub fn splat(value: f64) -> Self {
+    pub(crate) fn splat(value: f64) -> Self {
         Self([value; W])
     }
 
     /// Lane by lane from its index.
     #[inline(always)]
-    pub fn from_fn(mut lane: impl FnMut(usize) -> f64) -> Self {
+    pub(crate) fn from_fn(mut lane: impl FnMut(usize) -> f64) -> Self {
         // A plain loop: `array::from_fn` is not inlined into a function with other instructions.
         let mut lanes = [0.0; W];
         lanes!(W, |i| lanes[i] = lane(i));
@@ -60,7 +60,7 @@ impl<const W: usize> Wide<W> {
     /// Each lane kept within `low` and `high`.
     #[inline(always)]
     #[must_use]
-    pub fn clamp(mut self, low: f64, high: f64) -> Self {
+    pub(crate) fn clamp(mut self, low: f64, high: f64) -> Self {
         lanes!(W, |i| {
             let above = if self.0[i] < low { low } else { self.0[i] };
             self.0[i] = if above > high { high } else { above };
@@ -71,7 +71,7 @@ impl<const W: usize> Wide<W> {
     /// The lane of `self` where `chosen`, that of `other` elsewhere.
     #[inline(always)]
     #[must_use]
-    pub fn select(self, other: Self, chosen: [bool; W]) -> Self {
+    pub(crate) fn select(self, other: Self, chosen: [bool; W]) -> Self {
         Self::from_fn(|lane| {
             if chosen[lane] {
                 self.0[lane]
@@ -84,7 +84,7 @@ impl<const W: usize> Wide<W> {
     /// Square root lane by lane, as IEEE 754 rounds it.
     #[inline(always)]
     #[must_use]
-    pub fn sqrt(mut self) -> Self {
+    pub(crate) fn sqrt(mut self) -> Self {
         lanes!(W, |i| self.0[i] = self.0[i].sqrt());
         self
     }
@@ -92,35 +92,28 @@ impl<const W: usize> Wide<W> {
     /// Absolute value lane by lane.
     #[inline(always)]
     #[must_use]
-    pub fn abs(mut self) -> Self {
+    pub(crate) fn abs(mut self) -> Self {
         lanes!(W, |i| self.0[i] = self.0[i].abs());
         self
-    }
-
-    /// The smaller of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
-    #[inline(always)]
-    #[must_use]
-    pub fn min(self, other: Self) -> Self {
-        other.select(self, other.less(self))
     }
 
     /// The smaller of two numbers in each lane, NaN where either is: what is unknown is not lost.
     #[inline(always)]
     #[must_use]
-    pub fn min_or_nan(self, other: Self) -> Self {
+    pub(crate) fn min_or_nan(self, other: Self) -> Self {
         other.select(self, either(other.less(self), other.is_nan()))
     }
 
     /// The larger of two numbers in each lane; a NaN in `other` is dropped, one in `self` stays.
     #[inline(always)]
     #[must_use]
-    pub fn max(self, other: Self) -> Self {
+    pub(crate) fn max(self, other: Self) -> Self {
         other.select(self, self.less(other))
     }
 
     /// Whether each lane is less than that of `other`; never with a NaN.
     #[inline(always)]
-    pub fn less(self, other: Self) -> [bool; W] {
+    pub(crate) fn less(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
         lanes!(W, |i| less[i] = self.0[i] < other.0[i]);
         less
@@ -128,7 +121,7 @@ impl<const W: usize> Wide<W> {
 
     /// Whether each lane is less than that of `other` or equal to it; never with a NaN.
     #[inline(always)]
-    pub fn less_or_equal(self, other: Self) -> [bool; W] {
+    pub(crate) fn less_or_equal(self, other: Self) -> [bool; W] {
         let mut less = [false; W];
         lanes!(W, |i| less[i] = self.0[i] <= other.0[i]);
         less
@@ -136,7 +129,7 @@ impl<const W: usize> Wide<W> {
 
     /// Whether each lane is NaN.
     #[inline(always)]
-    pub fn is_nan(self) -> [bool; W] {
+    pub(crate) fn is_nan(self) -> [bool; W] {
         let mut nan = [false; W];
         lanes!(W, |i| nan[i] = self.0[i].is_nan());
         nan
@@ -146,7 +139,7 @@ impl<const W: usize> Wide<W> {
 /// Lane by lane both.
 #[inline(always)]
 #[must_use]
-pub fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
+pub(crate) fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
     lanes!(W, |i| a[i] &= b[i]);
     a
 }
@@ -154,7 +147,7 @@ pub fn both<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
 /// Lane by lane at least one.
 #[inline(always)]
 #[must_use]
-pub fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
+pub(crate) fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
     lanes!(W, |i| a[i] |= b[i]);
     a
 }
@@ -162,14 +155,14 @@ pub fn either<const W: usize>(mut a: [bool; W], b: [bool; W]) -> [bool; W] {
 /// Lane by lane the opposite.
 #[inline(always)]
 #[must_use]
-pub fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
+pub(crate) fn not<const W: usize>(mut a: [bool; W]) -> [bool; W] {
     lanes!(W, |i| a[i] = !a[i]);
     a
 }
 
 /// Whether any lane is chosen.
 #[inline(always)]
-pub fn any<const W: usize>(chosen: [bool; W]) -> bool {
+pub(crate) fn any<const W: usize>(chosen: [bool; W]) -> bool {
     let mut any = false;
     lanes!(W, |i| any |= chosen[i]);
     any
@@ -177,7 +170,7 @@ pub fn any<const W: usize>(chosen: [bool; W]) -> bool {
 
 /// Whether every lane is chosen.
 #[inline(always)]
-pub fn all<const W: usize>(chosen: [bool; W]) -> bool {
+pub(crate) fn all<const W: usize>(chosen: [bool; W]) -> bool {
     let mut all = true;
     lanes!(W, |i| all &= chosen[i]);
     all
@@ -279,7 +272,6 @@ mod tests {
         let nan = f64::NAN;
         let (a, b) = (Wide([LOW, HIGH, nan, LOW]), Wide([HIGH, LOW, LOW, nan]));
         let bits = |wide: Wide<4>| wide.0.map(f64::to_bits);
-        assert_eq!(bits(a.min(b)), bits(Wide([LOW, LOW, nan, LOW])));
         assert_eq!(bits(a.max(b)), bits(Wide([HIGH, HIGH, nan, LOW])));
         assert_eq!(bits(a.min_or_nan(b)), bits(Wide([LOW, LOW, nan, nan])));
         assert_eq!(a.less(b), [true, false, false, false]);

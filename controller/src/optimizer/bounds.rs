@@ -1,13 +1,13 @@
 /// The box that a solution lies in: `lower[i] <= z[i] <= upper[i]`.
 #[derive(Debug, Clone)]
-pub struct Bounds {
+pub(crate) struct Bounds {
     lower: Vec<f64>,
     upper: Vec<f64>,
 }
 
 impl Bounds {
     /// An empty box with room for `capacity` unknowns.
-    pub fn with_capacity(capacity: usize) -> Self {
+    pub(crate) fn with_capacity(capacity: usize) -> Self {
         Self {
             lower: Vec::with_capacity(capacity),
             upper: Vec::with_capacity(capacity),
@@ -16,7 +16,7 @@ impl Bounds {
 
     /// Sets the box to `±half_width[i]`, repeated `repetitions` times. Does not allocate within the
     /// capacity.
-    pub fn set_symmetric(
+    pub(crate) fn set_symmetric(
         &mut self,
         half_width: &(impl Iterator<Item = f64> + Clone),
         repetitions: usize,
@@ -30,29 +30,30 @@ impl Bounds {
     }
 
     /// Number of unknowns.
-    pub fn dimension(&self) -> usize {
+    pub(crate) fn dimension(&self) -> usize {
         self.lower.len()
     }
 
     /// Lower bounds.
-    pub fn lower(&self) -> &[f64] {
+    pub(crate) fn lower(&self) -> &[f64] {
         &self.lower
     }
 
     /// Upper bounds.
-    pub fn upper(&self) -> &[f64] {
+    pub(crate) fn upper(&self) -> &[f64] {
         &self.upper
     }
 
     /// Moves every component of `z` into the box.
-    pub fn project(&self, z: &mut [f64]) {
+    pub(crate) fn project(&self, z: &mut [f64]) {
         for ((value, &low), &high) in z.iter_mut().zip(&self.lower).zip(&self.upper) {
             *value = value.clamp(low, high);
         }
     }
 
     /// Whether `z` lies in the box (NaN does not).
-    pub fn contains(&self, z: &[f64]) -> bool {
+    #[cfg(test)]
+    pub(crate) fn contains(&self, z: &[f64]) -> bool {
         z.len() == self.dimension()
             && z.iter()
                 .zip(self.lower.iter().zip(&self.upper))

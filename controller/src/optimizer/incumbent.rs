@@ -21,7 +21,7 @@ pub enum Candidate {
 
 /// The best solution so far. It only ever gets better.
 #[derive(Debug, Clone)]
-pub struct Incumbent {
+pub(crate) struct Incumbent {
     z: Vec<f64>,
     cost: f64,
     violations: [f64; VIOLATIONS],
@@ -32,7 +32,7 @@ pub struct Incumbent {
 
 impl Incumbent {
     /// No solution yet, room for `capacity` unknowns.
-    pub fn with_capacity(capacity: usize) -> Self {
+    pub(crate) fn with_capacity(capacity: usize) -> Self {
         Self {
             z: Vec::with_capacity(capacity),
             cost: f64::INFINITY,
@@ -45,7 +45,7 @@ impl Incumbent {
 
     /// Starts anew from the warm start `z`, and what is said of it; None when nothing is, because the
     /// budget was spent before.
-    pub fn restart(&mut self, z: &[f64], evaluation: Option<&Evaluation<1>>) {
+    pub(crate) fn restart(&mut self, z: &[f64], evaluation: Option<&Evaluation<1>>) {
         self.z.clear();
         self.z.extend_from_slice(z);
         self.cost = f64::INFINITY;
@@ -64,7 +64,7 @@ impl Incumbent {
     /// Counts one evaluation, and takes `z` (by its components) if lane `lane` of the `evaluation` is
     /// better. Says whether it was.
     #[inline(always)]
-    pub fn offer<const W: usize>(
+    pub(crate) fn offer<const W: usize>(
         &mut self,
         z: impl Fn(usize) -> f64,
         evaluation: &Evaluation<W>,
@@ -88,37 +88,37 @@ impl Incumbent {
 
     /// Counts evaluations that are known not to be better.
     #[inline(always)]
-    pub fn pass_over(&mut self, evaluations: usize) {
+    pub(crate) fn pass_over(&mut self, evaluations: usize) {
         self.evaluations += evaluations as u32;
     }
 
     /// The solution.
-    pub fn z(&self) -> &[f64] {
+    pub(crate) fn z(&self) -> &[f64] {
         &self.z
     }
 
     /// Its cost; infinite while no point of finite cost was seen.
-    pub fn cost(&self) -> f64 {
+    pub(crate) fn cost(&self) -> f64 {
         self.cost
     }
 
     /// How far it breaks each kind of constraint.
-    pub fn violations(&self) -> [f64; VIOLATIONS] {
+    pub(crate) fn violations(&self) -> [f64; VIOLATIONS] {
         self.violations
     }
 
     /// Whether anything was evaluated at all before the budget was spent.
-    pub fn is_evaluated(&self) -> bool {
+    pub(crate) fn is_evaluated(&self) -> bool {
         self.evaluated
     }
 
     /// The candidate that it descends from. A refinement keeps the origin of what it refined.
-    pub fn origin(&self) -> Candidate {
+    pub(crate) fn origin(&self) -> Candidate {
         self.origin
     }
 
     /// Cost evaluations since the restart.
-    pub fn evaluations(&self) -> u32 {
+    pub(crate) fn evaluations(&self) -> u32 {
         self.evaluations
     }
 }

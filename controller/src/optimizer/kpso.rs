@@ -23,28 +23,28 @@ pub enum VelocityRule {
 
 /// What tunes [`Kpso`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct KpsoSettings {
+pub(crate) struct KpsoSettings {
     /// Particles, the knowledge candidates among them.
-    pub size: usize,
+    pub(crate) size: usize,
     /// Iterations.
-    pub iterations: u32,
+    pub(crate) iterations: u32,
     /// Velocity rule.
-    pub rule: VelocityRule,
+    pub(crate) rule: VelocityRule,
     /// Inertia w of [`VelocityRule::Inertia`].
-    pub inertia: f64,
+    pub(crate) inertia: f64,
     /// Cognitive coefficient c₁.
-    pub cognitive: f64,
+    pub(crate) cognitive: f64,
     /// Social coefficient c₂.
-    pub social: f64,
+    pub(crate) social: f64,
     /// Iterations without improvement after which the swarm is regenerated; 0: never.
-    pub regenerate_after: u32,
+    pub(crate) regenerate_after: u32,
     /// A cost at or below this counts as zero and ends the search.
-    pub cost_tolerance: f64,
+    pub(crate) cost_tolerance: f64,
 }
 
 /// A swarm. Memory for the largest one is taken at construction.
 #[derive(Debug, Clone)]
-pub struct Kpso {
+pub(crate) struct Kpso {
     simd: Simd,
     layout: SwarmLayout,
 }
@@ -59,7 +59,7 @@ enum SwarmLayout {
 
 impl Kpso {
     /// Room for `size` particles of `dimension` unknowns, computed with `simd`.
-    pub fn with_capacity(simd: Simd, size: usize, dimension: usize) -> Self {
+    pub(crate) fn with_capacity(simd: Simd, size: usize, dimension: usize) -> Self {
         let layout = match simd {
             #[cfg(any(test, feature = "scalar"))]
             Simd::Scalar => SwarmLayout::Scalar(Swarm::with_capacity(size, dimension)),
@@ -68,13 +68,8 @@ impl Kpso {
         Self { simd, layout }
     }
 
-    /// How it is computed.
-    pub fn simd(&self) -> Simd {
-        self.simd
-    }
-
     /// Searches around the incumbent while the budget lasts, and returns the iterations begun.
-    pub fn search<C: Cost>(
+    pub(crate) fn search<C: Cost>(
         &mut self,
         task: &Task<C>,
         budget: &mut Budget<'_>,
@@ -101,19 +96,19 @@ impl Kpso {
 
 /// What a search is for.
 #[derive(Debug)]
-pub struct Task<'a, C> {
+pub(crate) struct Task<'a, C> {
     /// The cost.
-    pub cost: &'a C,
+    pub(crate) cost: &'a C,
     /// The box.
-    pub bounds: &'a Bounds,
+    pub(crate) bounds: &'a Bounds,
     /// The rules of the swarm.
-    pub settings: KpsoSettings,
+    pub(crate) settings: KpsoSettings,
     /// Candidates that become the first particles, `dimension` values each.
-    pub knowledge: &'a [f64],
+    pub(crate) knowledge: &'a [f64],
     /// Where each of them comes from.
-    pub origins: &'a [Candidate],
+    pub(crate) origins: &'a [Candidate],
     /// Seed of its random numbers.
-    pub seed: u64,
+    pub(crate) seed: u64,
 }
 
 /// One search, as work that is compiled for a set of instructions: everything it calls is inlined into it.

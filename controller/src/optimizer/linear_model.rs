@@ -9,7 +9,7 @@ use super::{Budget, VIOLATIONS};
 /// A constraint that a step would break becomes a residual of its own, so the step ends on it. Each is
 /// written by its problem in a scale in which it outweighs the residuals.
 #[derive(Debug, Clone)]
-pub struct LinearModel {
+pub(crate) struct LinearModel {
     columns: usize,
     residuals: Vec<f64>,
     jacobian: Vec<f64>,
@@ -50,7 +50,7 @@ impl LinearModel {
     }
 
     /// Adds a row with all derivatives zero, and returns the derivatives for the caller to fill in.
-    pub fn push(&mut self, residual: f64) -> &mut [f64] {
+    pub(crate) fn push(&mut self, residual: f64) -> &mut [f64] {
         let start = self.jacobian.len();
         self.residuals.push(residual);
         self.cost_rows += 1;
@@ -61,7 +61,12 @@ impl LinearModel {
     /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]) with all derivatives zero, and returns them for the caller
     /// to fill in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
     /// No kind takes more than its equal part of the room while another needs it.
-    pub fn push_constraint(&mut self, kind: usize, h: f64, slack: f64) -> Option<&mut [f64]> {
+    pub(crate) fn push_constraint(
+        &mut self,
+        kind: usize,
+        h: f64,
+        slack: f64,
+    ) -> Option<&mut [f64]> {
         let order = in_order(slack);
         let mut index = self.constraints.len();
         if index < self.constraints_max {

@@ -1,11 +1,11 @@
 //! Minimisers over a box, with a budget.
 //!
-//! Two algorithms that share one [`Incumbent`]: [`Kpso`] searches (Eq. 6-7 of the paper), and
-//! [`GaussNewton`] finishes. Both are *anytime*: they check a [`Budget`] between small pieces of work
+//! Two algorithms that share one `Incumbent`: `Kpso` searches (Eq. 6-7 of the paper), and
+//! `GaussNewton` finishes. Both are *anytime*: they check a [`Budget`] between small pieces of work
 //! and whatever is best when it is spent stays in the incumbent, which never gets worse.
 //!
-//! Invariant: nothing here knows a robot, a reference or a clock. A [`Cost`] is a function over a box, a
-//! [`Problem`] has derivatives, too; time comes in as the closure of the budget. Nothing allocates after construction.
+//! Invariant: nothing here knows a robot, a reference or a clock. A `Cost` is a function over a box, a
+//! `Problem` has derivatives, too; time comes in as the closure of the budget. Nothing allocates after construction.
 
 mod bounds;
 mod budget;
@@ -17,34 +17,36 @@ mod linear_model;
 mod random;
 mod simd;
 
-pub use bounds::Bounds;
+pub(crate) use bounds::Bounds;
 pub use budget::{Budget, QUANTUM_NS};
-pub use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
-pub use incumbent::{Candidate, Incumbent};
-pub use kpso::{Kpso, KpsoSettings, Task, VelocityRule, cycle_seed};
-pub use linear_model::LinearModel;
+pub(crate) use gauss_newton::{GaussNewton, GaussNewtonOutcome, GaussNewtonSettings};
+pub use incumbent::Candidate;
+pub(crate) use incumbent::Incumbent;
+pub(crate) use kpso::{Kpso, KpsoSettings, Task};
+pub use kpso::{VelocityRule, cycle_seed};
+pub(crate) use linear_model::LinearModel;
 pub use simd::Simd;
 pub(crate) use simd::apart;
 
 use crate::wide::Wide;
 
 /// Kinds of constraints that a problem may tell apart.
-pub const VIOLATIONS: usize = 2;
+pub(crate) const VIOLATIONS: usize = 2;
 
 /// What the evaluation of a problem gives for W points side by side.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Evaluation<const W: usize> {
+pub(crate) struct Evaluation<const W: usize> {
     /// The cost, penalties included; ≥ 0. It may be infinite or NaN where a point makes no sense; such
     /// a point never becomes the incumbent.
-    pub cost: Wide<W>,
+    pub(crate) cost: Wide<W>,
     /// How far each kind of constraint is broken, in units of the problem's; 0: it holds.
-    pub violations: [Wide<W>; VIOLATIONS],
+    pub(crate) violations: [Wide<W>; VIOLATIONS],
 }
 
 impl<const W: usize> Evaluation<W> {
     /// A cost without constraints.
     #[inline(always)]
-    pub fn from_cost(cost: Wide<W>) -> Self {
+    pub(crate) fn from_cost(cost: Wide<W>) -> Self {
         Self {
             cost,
             violations: [Wide::splat(0.0); VIOLATIONS],
@@ -53,7 +55,7 @@ impl<const W: usize> Evaluation<W> {
 }
 
 /// A cost over a box, for many points: what a swarm searches.
-pub trait Cost {
+pub(crate) trait Cost {
     /// Evaluates W points side by side, `z(i)` being the i-th unknown of each. None when `budget` was
     /// spent on the way.
     ///
@@ -68,7 +70,7 @@ pub trait Cost {
 }
 
 /// A cost over a box, point by point, and its least-squares structure.
-pub trait Problem {
+pub(crate) trait Problem {
     /// Number of unknowns d.
     fn dimension(&self) -> usize;
 

@@ -12,11 +12,9 @@ use core::f64::consts::PI;
 ///
 /// Lane by lane the bits are those of W = 1, whatever the other lanes hold.
 #[derive(Debug, Clone, Copy)]
-pub struct BodyWide<const W: usize> {
+pub(crate) struct BodyWide<const W: usize> {
     /// Base first, then `None`, which costs no time to write.
     sections: [Option<SectionWide<W>>; SECTIONS_MAX],
-    /// Zero where all bends are finite, NaN in the other lanes.
-    poison: Wide<W>,
 }
 
 /// One section, its frames and a ball around it.
@@ -78,29 +76,13 @@ impl<const W: usize> SectionWide<W> {
 }
 
 impl<const W: usize> BodyWide<W> {
-    /// Clearance (m) of each body from an obstacle, where it is below `enough_m` (m, finite), and exactly `enough_m` where it is
-    /// not. Only sections whose bit is set in `sections` count (bit 0 at the base; [`Body::sections_in_reach`] tells which).
+    /// Clearance (m) of one section of each body, counted from 0, from an obstacle, where it is below `enough_m` (m, finite), and
+    /// exactly `enough_m` where it is not; `None` where it is that in all lanes, or there is no such section.
     ///
-    /// Exact as [`Body::clearance_m`] is. A lane with a NaN or an infinity in its bends gives NaN. Sections that are too far in
-    /// all lanes, by balls around them, cost next to nothing.
+    /// Exact as [`Body::clearance_of`] is. A lane with a NaN or an infinity in its bends may give any number. A section that is
+    /// too far in all lanes, by balls around it, costs next to nothing.
     ///
-    /// [`Body::sections_in_reach`]: super::Body::sections_in_reach
-    /// [`Body::clearance_m`]: super::Body::clearance_m
-    #[inline(always)]
-    pub fn clearance_below(&self, obstacle: &Obstacle, enough_m: f64, sections: u8) -> Wide<W> {
-        let mut least_m = Wide::splat(enough_m) + self.poison;
-        for j in 0..SECTIONS_MAX {
-            if sections & (1 << j) != 0
-                && let Some(clearance_m) = self.section_clearance_below(j, obstacle, enough_m)
-            {
-                least_m = least_m.min_or_nan(clearance_m);
-            }
-        }
-        least_m
-    }
-
-    /// The same for one section, counted from 0; `None` where it is `enough_m` in all lanes, or there is no such section. A
-    /// lane with a NaN or an infinity in its bends may give any number.
+    /// [`Body::clearance_of`]: super::Body::clearance_of
     #[inline(always)]
     pub(crate) fn section_clearance_below(
         &self,
@@ -152,13 +134,14 @@ impl Robot {
     /// θ ≤ 2π.
     ///
     /// [`Body`]: super::Body
-    #[doc(hidden)]
     #[inline(always)]
-    pub fn body_wide<const W: usize>(&self, bend_rad: impl Fn(usize) -> Wide<W>) -> BodyWide<W> {
+    pub(crate) fn body_wide<const W: usize>(
+        &self,
+        bend_rad: impl Fn(usize) -> Wide<W>,
+    ) -> BodyWide<W> {
         // Filled in place: a copy would cost as much as the arithmetic.
         let mut body = BodyWide {
             sections: [None; SECTIONS_MAX],
-            poison: Wide::splat(0.0),
         };
         let mut end = Frame::base();
         for (j, parameters) in self.sections().iter().enumerate() {
@@ -167,8 +150,9 @@ impl Robot {
             end = section.end;
             body.sections[j] = Some(section);
         }
-        let [x, _, _] = end.position_m.0;
-        body.poison = x * 0.0;
         body
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -93,7 +93,7 @@ impl Robot {
     /// which cables are pulled (m/s). In the order of [`Self::cable_lengths`]; 3n are used, the rest are 0.
     #[doc(hidden)]
     #[inline(always)]
-    pub fn cable_shortening_wide<const W: usize>(
+    pub(crate) fn cable_shortening_wide<const W: usize>(
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> [Wide<W>; CABLES_MAX] {

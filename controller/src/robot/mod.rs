@@ -47,8 +47,6 @@ mod tube;
 mod wide;
 
 pub use body_motion::BodyMotion;
-#[doc(hidden)]
-pub use body_wide::BodyWide;
 pub use clearance::{Body, Nearest};
 pub use configuration::{BendRates, Configuration};
 pub use jacobian::Jacobian;
@@ -56,8 +54,7 @@ pub use kinematics::Pose;
 pub use obstacle::{OBSTACLE_COMPONENT, OBSTACLE_RADIUS_M, Obstacle, ObstacleError, Shape};
 pub use orientation::{ZyxAngles, quaternion_xyzw};
 pub use parameters::{Robot, RobotError, RobotParameters, SectionParameters, ranges};
-#[doc(hidden)]
-pub use section::rotate_wide;
+pub(crate) use section::rotate_wide;
 pub use section::{Arc, Coefficients};
 
 /// Six sections: the longest robot published has five. Every array of this crate is sized by it.

@@ -112,7 +112,10 @@ pub(super) fn series_coefficients_wide<const W: usize>(w: Wide<W>) -> (Wide<W>, 
 /// W directions (cos φ, sin φ) turned by `turn_rad` each, up to 2π: the series give cos δ = 1 - δ² g and
 /// sin δ = δ f without trigonometry.
 #[inline(always)]
-pub fn rotate_wide<const W: usize>([cos, sin]: [Wide<W>; 2], turn_rad: Wide<W>) -> [Wide<W>; 2] {
+pub(crate) fn rotate_wide<const W: usize>(
+    [cos, sin]: [Wide<W>; 2],
+    turn_rad: Wide<W>,
+) -> [Wide<W>; 2] {
     let w = turn_rad * turn_rad;
     let (f, g) = series_coefficients_wide(w);
     let (turn_cos, turn_sin) = (Wide::splat(1.0) - w * g, turn_rad * f);

@@ -10,9 +10,8 @@ impl Robot {
     ///
     /// Neither branches nor trigonometry: the series of the section's coefficients, good to 5e-16 for
     /// θ ≤ π, to 1e-12 for θ ≤ 2π. Lane by lane the bits are those of W = 1.
-    #[doc(hidden)]
     #[inline(always)]
-    pub fn tip_position_wide<const W: usize>(
+    pub(crate) fn tip_position_wide<const W: usize>(
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> [Wide<W>; 3] {
@@ -21,9 +20,8 @@ impl Robot {
     }
 
     /// The same, and the first `AXES` (up to 2) of the tip's z and x axis in the base frame.
-    #[doc(hidden)]
     #[inline(always)]
-    pub fn tip_frame_wide<const W: usize, const AXES: usize>(
+    pub(crate) fn tip_frame_wide<const W: usize, const AXES: usize>(
         &self,
         bend_rad: impl Fn(usize) -> Wide<W>,
     ) -> ([Wide<W>; 3], [[Wide<W>; 3]; AXES]) {

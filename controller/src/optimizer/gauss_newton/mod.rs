@@ -6,26 +6,26 @@ use super::{Bounds, Budget, Incumbent, LinearModel, Problem};
 
 /// What tunes [`GaussNewton`].
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GaussNewtonSettings {
+pub(crate) struct GaussNewtonSettings {
     /// Steps at most.
-    pub steps: u32,
+    pub(crate) steps: u32,
     /// Damping λ, in the scale of JᵀJ.
-    pub damping: f64,
+    pub(crate) damping: f64,
     /// A step whose largest component is below this counts as converged.
-    pub step_tolerance: f64,
+    pub(crate) step_tolerance: f64,
 }
 
 /// How a refinement ended.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
-pub struct GaussNewtonOutcome {
+pub(crate) struct GaussNewtonOutcome {
     /// Steps that made the incumbent better.
-    pub accepted: u32,
+    pub(crate) accepted: u32,
     /// Whether the last step was below the tolerance, or the projected gradient vanished.
-    pub converged: bool,
+    pub(crate) converged: bool,
     /// Norm of the projected gradient at the last point that was linearised.
-    pub gradient_norm: f64,
+    pub(crate) gradient_norm: f64,
     /// Whether that gradient nearly vanishes for what the residuals are: no step of first order helps.
-    pub stuck: bool,
+    pub(crate) stuck: bool,
 }
 
 /// Minimum-norm damped steps Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r, or the equal Δ = -(JᵀJ + λI)⁻¹ Jᵀ r when there
@@ -35,7 +35,7 @@ pub struct GaussNewtonOutcome {
 /// The minimum-norm form has no weight on the unknowns, so it leaves no floor under the cost, and it
 /// spreads the motion over all sections.
 #[derive(Debug, Clone)]
-pub struct GaussNewton {
+pub(crate) struct GaussNewton {
     model: LinearModel,
     gradient: Vec<f64>,
     /// Half the norm that the gradient would have if all residuals pulled one way.
@@ -65,7 +65,7 @@ const DAMPING_GROWTH: f64 = 1e3;
 
 impl GaussNewton {
     /// Room for problems of up to `dimension` unknowns, `rows` residuals and `constraints`.
-    pub fn with_capacity(dimension: usize, rows: usize, constraints: usize) -> Self {
+    pub(crate) fn with_capacity(dimension: usize, rows: usize, constraints: usize) -> Self {
         let all_rows = rows + constraints;
         let order = dimension.min(all_rows);
         Self {
@@ -86,7 +86,7 @@ impl GaussNewton {
     }
 
     /// Improves the incumbent by at most `settings.steps` steps while the budget lasts.
-    pub fn refine<P: Problem>(
+    pub(crate) fn refine<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
@@ -127,7 +127,7 @@ impl GaussNewton {
 
     /// One damped step from `z`, not evaluated: the least-squares particle of the swarm's knowledge.
     /// False, and `into` untouched, when the linear system is singular or the budget was spent.
-    pub fn propose<P: Problem>(
+    pub(crate) fn propose<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,
@@ -175,7 +175,7 @@ impl GaussNewton {
 
     /// Whether the gradient nearly vanishes at `z` for what the residuals are. False, too, when the
     /// budget was spent.
-    pub fn vanishes_at<P: Problem>(
+    pub(crate) fn vanishes_at<P: Problem>(
         &mut self,
         problem: &P,
         bounds: &Bounds,

@@ -2,25 +2,12 @@
 
 use core::f64::consts::PI;
 
-use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, SECTIONS_MAX};
-use cdcr_controller::wide::Wide;
+use cdcr_controller::robot::{Configuration, Robot, RobotParameters, SECTIONS_MAX};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use crate::clearance::oracle::axis_distance_m;
 use crate::clearance::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
-
-/// The clearance of one section alone (m), up to `enough_m`.
-fn section_below(
-    robot: &Robot,
-    shape: &Configuration,
-    obstacle: &Obstacle,
-    enough_m: f64,
-    section: usize,
-) -> f64 {
-    let body = robot.body_wide(|i| Wide([shape.as_slice()[i]]));
-    body.clearance_below(obstacle, enough_m, 1 << section).0[0]
-}
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
@@ -116,9 +103,10 @@ proptest! {
         prop_assume!(bend_max_rad(&shape) <= PI);
         let [start_m, end_m] = segment(&robot, &shape, place);
         for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.01)] {
-            let sections = robot.body(&shape).sections_in_reach(&obstacle, &travel_m);
+            let body = robot.body(&shape);
+            let sections = body.sections_in_reach(&obstacle, &travel_m);
             for j in 0..robot.section_count() {
-                let clearance_m = section_below(&robot, &shape, &obstacle, 1e3, j);
+                let clearance_m = body.clearance_of(j, &obstacle);
                 let is_in_reach = sections & (1 << j) != 0;
                 let beyond_m = clearance_m - travel_m[j];
                 prop_assert!((is_in_reach && beyond_m < 1e-11) || (!is_in_reach && beyond_m > 0.0));

@@ -2,9 +2,7 @@
 
 use core::f64::consts::PI;
 
-use cdcr_controller::robot::{
-    Configuration, Obstacle, Robot, RobotParameters, SECTIONS_MAX, Shape,
-};
+use super::robot::{Configuration, Obstacle, Robot, RobotParameters, SECTIONS_MAX, Shape};
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
