@@ -221,6 +221,7 @@ impl Recorder {
             skipped: release.skipped,
             timing: Timing {
                 early_ns: self.spin_ns,
+                woke_early: false,
                 wake_ns: release.start_ns - release.due_ns,
                 compute_ns,
                 planned_ns: 0,

@@ -102,7 +102,7 @@ impl CoreBudget {
         let ms = |ns: u64| ns as f64 / 1e6;
         format!(
             "of each period of {} ms, real-time threads may take {:.3} ms: {:.3} ms until the solver ends, {:.3} ms \
-             after it, {:.3} ms of exchange, {:.3} ms of spinning",
+             after it, {:.3} ms of exchange, {:.3} ms before the release",
             ms(self.period_ns),
             ms(self.real_time_ns),
             ms(self.solve_ns(costs)),

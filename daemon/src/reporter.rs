@@ -1,7 +1,7 @@
 //! Tells whoever watches what each cycle did: the reporter thread.
 //!
 //! ```text
-//! loop { sleep for two periods
+//! loop { sleep for two periods, 1 ms at least and 20 ms at most
 //!          judge:   was the cycle late, and why
 //!          publish: telemetry of every cycle
 //!          hand on: bad cycles and a summary to the supervisor }
@@ -230,6 +230,7 @@ fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
         skipped: release.skipped,
         timing: Timing {
             early_ns: spin_ns,
+            woke_early: record.rehearsed,
             wake_ns: release.start_ns - release.due_ns,
             compute_ns: record.handed_over_ns - release.start_ns,
             planned_ns: record

@@ -103,7 +103,8 @@ message! {
         /// Longest time between two looks at the clock \[ns\], from the start of the cycle to the end of the solve, work included. Far
         /// longer than a quantum of work (a few µs): the processor stood still.
         longest_gap_ns: u64,
-        /// Page faults, minor and major, since they were last read: in each late cycle, and in one of 16 others.
+        /// Page faults, minor and major, since they were last read: in each late cycle, while there
+        /// are some, and in one of 16 others.
         page_faults: u32,
         /// Times that it lost the core other than by its sleep.
         switches: u32,

@@ -1,9 +1,7 @@
 //! Something is sent → the first command that uses it, or the answer to it, is in the client's hands.
 //!
 //! The exchange answers a renewal of the lease in the gather that takes it; the cycle decides a request
-//! about the mode, and the exchange answers it after the command of that cycle has left. The daemon's last look,
-//! between the gather and the release, takes requests, too: then `grid` is 0 for a request to track, and
-//! `machinery` is the whole; a renewal of the lease has waited until that look.
+//! about the mode, and the exchange answers it after the command of that cycle has left.
 
 use std::collections::VecDeque;
 

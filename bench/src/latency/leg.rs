@@ -1,16 +1,8 @@
 //! The ways that are timed, each from one stamp to another.
-//!
-//! A request may also be taken by the daemon's last look, shortly before the release and after the gather
-//! (`LastLook` in `daemon/src/exchange/mod.rs`: 50 µs before its cycle thread wakes up). A stop or a request to
-//! track that it takes did not wait for a gather: its `grid` is 0, its `machinery` is the whole. A renewal of the
-//! lease is stamped by that look, so its `grid` ends there.
 
 use crate::named::named;
 
 const GATHER: &str = "start of the gather that takes it";
-// The last look, too, takes requests.
-const LOOK: &str = "start of the gather or last look that takes it";
-const CYCLE: &str = "start of the gather of its cycle; sending itself, if the last look takes it";
 const STOPPED: &str = "first command of mode stopped in the client's hands";
 const SENT: &str = "sent_ns of the message, read before it is sent";
 const MEASURED: &str = "measured_ns, read before it is sent";
@@ -52,14 +44,14 @@ legs! {
     MeasurementGrid = "measurement.grid": MEASURED => GATHER;
     MeasurementMachinery = "measurement.machinery": GATHER => FIRST;
     LeaseAnswer = "lease.answer": SENT => ANSWER;
-    LeaseGrid = "lease.grid": SENT => LOOK;
-    LeaseMachinery = "lease.machinery": LOOK => ANSWER;
+    LeaseGrid = "lease.grid": SENT => GATHER;
+    LeaseMachinery = "lease.machinery": GATHER => ANSWER;
     TrackAnswer = "track.answer": SENT => ANSWER;
-    TrackGrid = "track.grid": SENT => CYCLE;
-    TrackMachinery = "track.machinery": CYCLE => ANSWER;
+    TrackGrid = "track.grid": SENT => GATHER;
+    TrackMachinery = "track.machinery": GATHER => ANSWER;
     StopCommand = "stop.command": SENT => STOPPED;
-    StopGrid = "stop.grid": SENT => CYCLE;
-    StopMachinery = "stop.machinery": CYCLE => STOPPED;
+    StopGrid = "stop.grid": SENT => GATHER;
+    StopMachinery = "stop.machinery": GATHER => STOPPED;
     StopZeroHandover = "stop.zero_handover":
         SENT => "first zero rates handed over by the cycle thread, less the ramp";
     StopZeroCommand = "stop.zero_command":

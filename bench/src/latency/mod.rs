@@ -10,9 +10,7 @@
 //!
 //! Whatever a client sends waits for the next gather, shortly before a release: on the average half a period,
 //! by design. Each way is therefore told whole, and in two parts: `grid`, until the gather that takes it
-//! begins, and `machinery`, from there on. Sending times are spread evenly over the period. A request may also be
-//! taken by the daemon's last look, after the gather: a stop or a request to track then has no `grid`, and all of
-//! its way is `machinery`.
+//! begins, and `machinery`, from there on. Sending times are spread evenly over the period.
 //!
 //! "Request → answer" is measured with a port that looks without rest; `cdcr_client` looks for its answer each
 //! millisecond, so that a client of it may wait up to a millisecond more.

@@ -69,7 +69,7 @@ pub(super) fn follow(hands: &Hands) -> Result<ReferenceFeed> {
     let deadline = Instant::now() + TIMEOUT;
     loop {
         match connection.request(RequestKind::Track) {
-            // The last look before a release takes requests alone: the reference comes with the next gather.
+            // The reference comes with the next gather.
             Err(RequestError::Refused {
                 outcome: Outcome::NoReference,
                 ..

@@ -85,7 +85,7 @@ impl Summary {
             period_ns,
             deadline_ns: limits.deadline_ns,
             late_start_ns: limits.late_start_ns,
-            spin_ns: ns(config.realtime.spin_us * 1e-3),
+            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
             duration_s: (periods * period_ns) as f64 * 1e-9,
             cycles: totals.cycles,
             late_starts: totals.late_starts,

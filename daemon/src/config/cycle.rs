@@ -20,7 +20,8 @@ cdcr_controller::parameters! {
         /// Time that the solver leaves at least for what follows it, {range}, and at most half the period; 0: a tenth of the
         /// period, at least 0.04 ms. What guard and exchange are measured to take beyond that is left, too.
         budget_margin_ms: f64 = 0.0, in 0.0..=50.0, "at most half of cycle.period_ms";
-        /// How long before the release the inputs are gathered, {range}, and at most half the period.
+        /// How long before the cycle thread wakes up (realtime.spin_us before its release) the inputs are gathered, {range}, and at
+        /// most half the period.
         gather_lead_ms: f64 = 0.2, in 0.02..=50.0, "at most half of cycle.period_ms";
         /// Leaky bucket: +1 for each deadline miss, each skipped period and each cycle on stale inputs, -1/9 for each good
         /// cycle, so that more than one bad release in ten fills it. At this level the robot is stopped, {range}; 0: 40, which are 200 ms without control at 5 ms, and a simulated robot is not

@@ -43,7 +43,12 @@ fn check_times(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
             10.0 * period_ms,
             endless,
         ),
-        ("realtime.spin_us", realtime.spin_us, -1.0, 1e3 * half_ms),
+        (
+            "realtime.spin_us",
+            realtime.spin_us,
+            if realtime.spin_us == -1.0 { -1.0 } else { 0.0 },
+            1e3 * half_ms,
+        ),
         // The estimator remembers 128 periods, and measurements have an age.
         (
             "actuator.delay_ms",

@@ -43,6 +43,10 @@ pub struct Cycle {
     state: RobotState,
     /// Another, that rehearsals move on and nobody asks.
     rehearsed: RobotState,
+    /// The cycle to come was.
+    was_rehearsed: bool,
+    /// What rehearsals take that looks at no clock.
+    rehearsal_costs: RecentCosts,
     modes: ModeMachine,
     nmpc: Nmpc,
     budget_ns: u64,
@@ -104,6 +108,8 @@ impl Cycle {
             link,
             state: RobotState::new(robot.clone(), policy, period_ns, *initial),
             rehearsed: RobotState::new(robot.clone(), policy, period_ns, *initial),
+            was_rehearsed: false,
+            rehearsal_costs: RecentCosts::default(),
             control_begins: false,
             stale_ns: 0,
             suspends: 0,
@@ -173,10 +179,8 @@ impl Cycle {
         self.state.move_on(&self.rates, elapsed_ns);
         let measurement_use = self.state.measure(measurement, release.release_ns);
         let tip_measurement = self.link.measure_tip(release.release_ns, inputs);
-        let (tip_sensors, release_ns) = (inputs.tip_sensors, release.release_ns);
-        let tip_use = self
-            .state
-            .measure_tip(tip_measurement, tip_sensors, release_ns);
+        let sensors = inputs.tip_sensors;
+        let tip_use = (self.state).measure_tip(tip_measurement, sensors, release.release_ns);
         self.state.locate(elapsed_ns);
         self.place_obstacles(inputs, &release);
 
@@ -221,6 +225,7 @@ impl Cycle {
 
         let mut record = CycleRecord {
             release,
+            rehearsed: core::mem::take(&mut self.was_rehearsed),
             solve_start_ns,
             solve_end_ns,
             handed_over_ns,
@@ -375,6 +380,7 @@ impl Cycle {
         if self.is_at_rest() && self.state.has_arrived() {
             self.control_begins = false;
             self.state.take_control();
+            self.rehearsed.take_control();
         } else if matches!(mode, Mode::Tracking { .. } | Mode::Homing) {
             self.control_begins = false;
             // On the ramp the commanded position must not step back by what the motors lag.
@@ -468,7 +474,7 @@ impl Cycle {
         (rates, report)
     }
 
-    /// In every mode, the last word: limits, and the clearance guard.
+    /// Every command, in every mode: limits, and the clearance guard.
     fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
         let safe = safe_command_with_play(
             &self.situation(comes_to_rest),

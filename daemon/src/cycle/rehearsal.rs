@@ -25,26 +25,21 @@ impl Cycle {
         inputs: &CycleInputs,
         clock: &impl Clock,
     ) {
-        // Whatever looks at the clock may look this late.
-        let end_ns = release_ns.saturating_sub(self.longest_gap_ns);
-        let measurement = inputs.measurement.unwrap_or(TimedMeasurement {
-            measurement: Measurement::Configuration(*self.state.configuration()),
-            measured_ns: release_ns,
-        });
-        let state = &mut self.rehearsed;
-        state.count_silence(Some(measurement), inputs);
-        state.move_on(&self.rates, self.period_ns);
-        state.measure(Some(measurement), release_ns);
-        state.measure_tip(inputs.tip, inputs.tip_sensors, release_ns);
-        state.locate(self.period_ns);
-        black_box((state.tip(), inputs.window.get(cycle)));
-        if clock.now_ns() + self.costs_after_solve.high_by_clock_ns() < end_ns {
-            black_box(safe_command_with_play(
-                &self.situation(false),
-                self.state.slack_led(),
-                &self.rates,
-            ));
+        self.was_rehearsed = true;
+        let begin_ns = clock.now_ns();
+        if begin_ns + self.rehearsal_costs.high_by_clock_ns() >= release_ns {
+            return;
         }
+        self.rehearse_estimate(release_ns, inputs);
+        black_box(inputs.window.get(cycle));
+        black_box(safe_command_with_play(
+            &self.situation(false),
+            self.state.slack_led(),
+            &self.rates,
+        ));
+        self.rehearsal_costs.note(clock.now_ns() - begin_ns);
+        // Whoever looks at the clock may look this late.
+        let end_ns = release_ns.saturating_sub(self.longest_gap_ns);
         if matches!(self.modes.mode(), Mode::Tracking { .. }) && clock.now_ns() < end_ns {
             let settings = self.nmpc.settings();
             let input = SolveInput {
@@ -58,5 +53,20 @@ impl Cycle {
             let mut is_spent = || clock.now_ns() >= end_ns;
             self.nmpc.rehearse(&input, &mut Budget::new(&mut is_spent));
         }
+    }
+
+    /// Moves the estimate of rehearsals on by what was commanded and measured.
+    fn rehearse_estimate(&mut self, release_ns: u64, inputs: &CycleInputs) {
+        let measurement = inputs.measurement.unwrap_or(TimedMeasurement {
+            measurement: Measurement::Configuration(*self.state.configuration()),
+            measured_ns: release_ns,
+        });
+        let state = &mut self.rehearsed;
+        state.count_silence(Some(measurement), inputs);
+        state.move_on(&self.rates, self.period_ns);
+        state.measure(Some(measurement), release_ns);
+        state.measure_tip(inputs.tip, inputs.tip_sensors, release_ns);
+        state.locate(self.period_ns);
+        black_box(state.tip());
     }
 }

@@ -534,7 +534,7 @@ fn a_cycle_that_cannot_fit_is_refused_with_the_numbers() {
     for word in [
         "cycle.period_ms = 0.1",
         "3 sections",
-        "0.050 ms of spinning",
+        "0.050 ms before the release",
         "0.040 ms of exchange",
     ] {
         assert!(error.contains(word), "{error}");

@@ -244,7 +244,7 @@ mod tests {
         let parts = [
             "4.185 ms until",
             "0.040 ms of exchange",
-            "0.400 ms of spinning",
+            "0.400 ms before the release",
         ];
         spinning.expect("rt_throttling", Good, &parts);
     }

@@ -78,6 +78,8 @@ pub struct Exchange {
     last_cycle: u64,
     last_mode: Mode,
     scheduler: SchedulerLooks,
+    /// The cycle thread had some when they were last read.
+    page_faults: bool,
     /// Times that the cycle thread lost its core while it ran.
     interruptions: u64,
     own_costs: OwnCosts,
@@ -127,6 +129,7 @@ impl Exchange {
             last_cycle: 0,
             last_mode: Mode::Starting,
             scheduler: SchedulerLooks::default(),
+            page_faults: false,
             interruptions: 0,
             own_costs: OwnCosts::default(),
             suspend_watch: SuspendWatch::default(),

@@ -29,7 +29,8 @@ impl Exchange {
             self.last_cycle = record.release.cycle;
             self.last_mode = convert::mode(record.mode);
             // Records that wait together share one reading.
-            let scheduling = *scheduling.get_or_insert_with(|| self.look_at_cycle(&record));
+            let scheduling =
+                *scheduling.get_or_insert_with(|| self.look_at_cycle(&record, is_newest));
             self.reports += 1;
             // A reporter that is held up loses records, which its readers see by the gap; what clients did is told with
             // a later one.
@@ -56,12 +57,15 @@ impl Exchange {
         }
     }
 
-    /// What the scheduler did to the cycle thread since the look before. Page faults are dear to read: of a cycle that was late, and
-    /// else now and then, so that few are told of another.
-    fn look_at_cycle(&mut self, record: &CycleRecord) -> Option<Scheduling> {
+    /// What the scheduler did to the cycle thread since the look before. Page faults are dear to read: of a cycle that was late or waited
+    /// beside another, in each cycle while there are some, and else now and then, so that few are told of another cycle.
+    fn look_at_cycle(&mut self, record: &CycleRecord, is_newest: bool) -> Option<Scheduling> {
         let was_late = record.lateness != Lateness::default() || record.release.skipped > 0;
-        if was_late || self.reports.is_multiple_of(PAGE_FAULT_LOOKS) {
-            self.scheduler.look()
+        let by_turn = self.reports.is_multiple_of(PAGE_FAULT_LOOKS);
+        if was_late || !is_newest || by_turn || self.page_faults {
+            let told = self.scheduler.look();
+            self.page_faults = told.is_some_and(|told| told.page_faults > 0);
+            told
         } else {
             self.scheduler.look_quickly()
         }

@@ -31,6 +31,8 @@ pub enum MeasurementUse {
 pub struct CycleRecord {
     /// Its release.
     pub release: Release,
+    /// It was rehearsed: the thread woke up before the release.
+    pub rehearsed: bool,
     /// The solver began \[ns\].
     pub solve_start_ns: u64,
     /// The solver ended \[ns\].

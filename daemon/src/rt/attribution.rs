@@ -59,8 +59,10 @@ impl SchedulerCounts {
 /// The times of one cycle, as far as its lateness is concerned.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
-    /// How long before the release the thread asked to be woken, to spin until then \[ns\].
+    /// How long before the release the thread asked to be woken, to rehearse and spin until then \[ns\].
     pub early_ns: u64,
+    /// It woke up before the release and rehearsed: a late start is none of the timer's.
+    pub woke_early: bool,
     /// From the release that was due to the start \[ns\].
     pub wake_ns: u64,
     /// From the start to the hand-over \[ns\].
@@ -94,8 +96,14 @@ fn attribute(timing: &Timing, scheduling: Option<&Scheduling>) -> LateCause {
     } else {
         LateCause::Stall
     };
+    // A rehearsal that could be over by its release was.
+    let late_start = if timing.woke_early {
+        stall
+    } else {
+        LateCause::Platform
+    };
     let parts = [
-        (timing.wake_ns - waited_ns, LateCause::Platform),
+        (timing.wake_ns - waited_ns, late_start),
         (waited_ns + interrupted_ns, LateCause::Load),
         (stalled_ns, stall),
         (
@@ -206,6 +214,7 @@ mod tests {
     fn cause([wake, compute, gap]: [u64; 3], [delay, faults]: [u64; 2]) -> LateCause {
         let timing = Timing {
             early_ns: 0,
+            woke_early: false,
             wake_ns: wake * US,
             compute_ns: compute * US,
             planned_ns: 0,
@@ -236,9 +245,26 @@ mod tests {
         assert_eq!(cause([40, 6000, 4], [10, 1]), LateCause::Compute);
         assert_eq!(cause([40, 6000, 99], [0, 3]), LateCause::Compute);
         assert_eq!(cause([40, 6000, 200], [0, 3]), LateCause::Compute);
+        // It woke up in time, and started late: the timer was punctual.
+        let late = Timing {
+            early_ns: 75 * US,
+            woke_early: true,
+            wake_ns: 6000 * US,
+            compute_ns: 50 * US,
+            planned_ns: 0,
+            longest_gap_ns: 4 * US,
+            after_solve_ns: 20 * US,
+        };
+        assert_eq!(attribute(&late, None), LateCause::Stall);
+        let faulted = Scheduling {
+            page_faults: 1,
+            ..Scheduling::default()
+        };
+        assert_eq!(attribute(&late, Some(&faulted)), LateCause::PageFault);
         // A stall after the solver.
         let timing = Timing {
             early_ns: 0,
+            woke_early: false,
             wake_ns: 40 * US,
             compute_ns: 6000 * US,
             planned_ns: 0,
@@ -256,6 +282,7 @@ mod tests {
         let cause = |wake: u64, compute: u64, gap: u64, after: u64| {
             let timing = Timing {
                 early_ns: 0,
+                woke_early: false,
                 wake_ns: wake * US,
                 compute_ns: compute * US,
                 planned_ns: 4200 * US,
@@ -275,6 +302,7 @@ mod tests {
     fn without_the_schedulers_word_a_late_wake_up_is_the_platforms() {
         let timing = Timing {
             early_ns: 0,
+            woke_early: false,
             wake_ns: 9000 * US,
             compute_ns: 40 * US,
             planned_ns: 0,
@@ -291,6 +319,7 @@ mod tests {
                 for other in [0, 1, u64::MAX] {
                     let timing = Timing {
                         early_ns: other,
+                        woke_early: false,
                         wake_ns: wake,
                         compute_ns: compute,
                         planned_ns: other,
@@ -310,6 +339,7 @@ mod tests {
     fn spinning(wake: u64, compute: u64, gap: u64, delay: u64) -> LateCause {
         let timing = Timing {
             early_ns: 500 * US,
+            woke_early: false,
             wake_ns: wake * US,
             compute_ns: compute * US,
             planned_ns: 0,
@@ -347,6 +377,7 @@ mod tests {
             skipped,
             timing: Timing {
                 early_ns: 0,
+                woke_early: false,
                 wake_ns: 40 * US,
                 compute_ns: compute * US,
                 planned_ns: 0,

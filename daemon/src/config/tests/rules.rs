@@ -105,6 +105,7 @@ fn the_period_bounds_other_times_and_the_key_that_was_set_is_the_place() {
         "[cycle]\nbudget_margin_ms = 2.6\n",
         "[cycle]\nperiod_ms = 50\nwatchdog_ms = 400\n",
         "[cycle]\nperiod_ms = 1\n[realtime]\nspin_us = 501\n",
+        "[realtime]\nspin_us = -0.5\n",
         "[cycle]\nperiod_ms = 1\n[actuator]\ndelay_ms = 64.1\n",
     ] {
         let message = error_of(text);

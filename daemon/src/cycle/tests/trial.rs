@@ -43,6 +43,8 @@ pub(super) struct Trial {
     interface: Interface,
     /// Each cycle is rehearsed before its release.
     pub(super) rehearses: bool,
+    /// Looks at the clock of the longest rehearsal.
+    pub(super) rehearsal_looks: u64,
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
     lead_ns: u64,
@@ -105,6 +107,7 @@ impl Trial {
             interface,
             stands: false,
             rehearses: false,
+            rehearsal_looks: 0,
             measures_tip: false,
             tip_error_m: Vector3::zeros(),
             frozen_tip_m: None,
@@ -176,8 +179,34 @@ impl Trial {
 
     /// One cycle, and what the robot does until the next.
     pub(super) fn turn(&mut self) -> CycleRecord {
+        // With the inputs of the cycle, with older ones, or too late for anything.
+        let [early_ns, late_ns] = [75_000, 100];
+        match self.next % 3 {
+            0 => self.rehearse(early_ns),
+            1 => self.rehearse(late_ns),
+            _ => {}
+        }
         self.gather(BEGIN_NS + self.next * PERIOD_NS);
+        if self.next % 3 == 2 {
+            self.rehearse(early_ns);
+        }
         self.cycle(0)
+    }
+
+    /// The cycle to come, so long before its release.
+    fn rehearse(&mut self, before_ns: u64) {
+        if !self.rehearses {
+            return;
+        }
+        let release_ns = BEGIN_NS + self.next * PERIOD_NS;
+        self.clock.0.set(release_ns - before_ns);
+        self.cycle
+            .rehearse(self.next, release_ns, &self.inputs, &self.clock);
+        let now_ns = self.clock.0.get();
+        assert!(now_ns <= release_ns, "a rehearsal is over by the release");
+        self.rehearsal_looks = self
+            .rehearsal_looks
+            .max((now_ns + before_ns - release_ns) / 100);
     }
 
     /// A cycle with whatever inputs there are, after `skipped` releases without one.
@@ -191,15 +220,6 @@ impl Trial {
             start_ns: release_ns + 20_000,
             skipped,
         };
-        if self.rehearses {
-            self.clock.0.set(release_ns - 150_000);
-            self.cycle
-                .rehearse(self.next, release_ns, &self.inputs, &self.clock);
-            assert!(
-                self.clock.0.get() <= release_ns,
-                "a rehearsal is over by the release"
-            );
-        }
         self.clock.0.set(release.start_ns);
         let mut asked = self.asked.take();
         let next_request = || {

@@ -179,7 +179,11 @@ fn settings_into_which_no_cycle_fits_end_with_78() {
         "[cycle]\nperiod_ms = 0.1\ngather_lead_ms = 0.05\n[realtime]\nspin_us = 50.0\n\
          [controller]\nhorizon_steps = 50\n{sections}"
     );
-    let parts = ["6 sections", "horizon_steps = 50", "0.050 ms of spinning"];
+    let parts = [
+        "6 sections",
+        "horizon_steps = 50",
+        "0.050 ms before the release",
+    ];
     assert_configuration_refused(&configuration, 78, &parts);
 }
 
