@@ -16,9 +16,12 @@ impl Slack {
         Self::new(play_m, [0.0; CABLES_MAX])
     }
 
-    /// Cables that are `slack_m` (m) beside their motors, within ± half of the play `play_m` (m).
+    /// Cables that are `slack_m` (m) beside their motors, within ± half of the play `play_m` (m). A negative play and a NaN count as none.
     pub fn new(play_m: f64, slack_m: [f64; CABLES_MAX]) -> Self {
-        Self { play_m, slack_m }
+        Self {
+            play_m: play_m.max(0.0),
+            slack_m,
+        }
     }
 
     /// Cable minus motor (m), in the order of [`Robot::cable_lengths`].
@@ -35,6 +38,24 @@ impl Slack {
             *slack_m = (*slack_m - stroke_m).clamp(-half_m, half_m);
         }
         next
+    }
+
+    /// Whether between these two moves (rad) from here in one direction each cable either stands or goes with its motor all the time.
+    pub(crate) fn is_even_between(
+        &self,
+        robot: &Robot,
+        from: &Configuration,
+        to: &Configuration,
+    ) -> bool {
+        let half_m = 0.5 * self.play_m;
+        let strokes_m = robot.cable_strokes(from).into_iter();
+        let strokes_m = strokes_m.zip(robot.cable_strokes(to));
+        let mut cables = self.slack_m.iter().zip(strokes_m);
+        cables.all(|(slack_m, (from_m, to_m))| {
+            let (from_m, to_m) = (slack_m - from_m, slack_m - to_m);
+            let stands = from_m.abs() <= half_m && to_m.abs() <= half_m;
+            stands || (from_m >= half_m && to_m >= half_m) || (from_m.max(to_m) <= -half_m)
+        })
     }
 
     /// Bends of the robot minus those that its motors tell (rad).

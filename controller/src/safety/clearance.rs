@@ -2,9 +2,11 @@
 //! allowed.
 
 mod near;
+mod play;
 mod rows;
 mod way;
 
+use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
 use super::Limits;
@@ -81,6 +83,8 @@ pub(super) struct ClearanceGuard<'a> {
     pub(super) at: &'a Configuration,
     /// Where it is commanded to be, when it obeys positions: its motors are on their way there.
     pub(super) commanded: Option<&'a Configuration>,
+    /// What is taken of the play of its cables, where those are what moves by the commands.
+    pub(super) slack: Option<&'a Slack>,
     /// Where they are now.
     pub(super) obstacles: &'a [Obstacle],
     /// Distance D \[m\].
@@ -129,6 +133,11 @@ impl ClearanceGuard<'_> {
         self.guarded(ramp, true, |near| self.scaled(near, ramp))
     }
 
+    /// `rates`, scaled down to where the rule of [`Self::apply`] holds.
+    pub(super) fn shorten(&self, rates: &BendRates) -> Guarded {
+        self.guarded(rates, false, |near| self.scaled(near, rates))
+    }
+
     /// The rates where they hold the rule, and what `mend` makes of them elsewhere.
     fn guarded(
         &self,
@@ -156,7 +165,7 @@ impl ClearanceGuard<'_> {
         let stance = commanded.map(|commanded| Stance::new(self.robot, commanded));
         let commanded = stance
             .as_ref()
-            .map(|it| Near::find(self, it, rates, is_ramp));
+            .map(|it| Near::find(&self.without_play(), it, rates, is_ramp));
         let places = match &commanded {
             None => [Some(&measured), None],
             Some(Some(commanded)) => [Some(&measured), Some(commanded)],
@@ -232,6 +241,13 @@ impl ClearanceGuard<'_> {
         held
     }
 
+    fn without_play(&self) -> Self {
+        Self {
+            slack: None,
+            ..*self
+        }
+    }
+
     fn clearance_m(&self, stance: &Stance) -> f64 {
         let obstacles = self.obstacles.iter();
         stance.body.least_clearance_m(obstacles.copied())
@@ -261,8 +277,11 @@ impl Places<'_> {
     /// [`way::check`] of each.
     fn check(&self, guard: &ClearanceGuard<'_>, rates: &BendRates) -> Result<(), f64> {
         self.iter().for_each(Near::forget_lack);
+        // Motors have no play.
+        let guards = [guard, &guard.without_play()];
         self.iter()
-            .try_for_each(|near| way::check(near, guard, rates))
+            .zip(guards)
+            .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
     /// [`rows::bound`] of each.

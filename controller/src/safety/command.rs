@@ -1,6 +1,7 @@
+use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
-use super::clearance::{ClearanceGuard, Stopping, fastest, shortened_to};
+use super::clearance::{ClearanceGuard, Guarded, Stopping, fastest, shortened_to};
 use super::{Limited, Limits, LimitsHit};
 
 /// What a command is checked against.
@@ -40,7 +41,7 @@ impl<'a> Situation<'a> {
     }
 
     /// The limits of rates of which no component is faster than this, or than any may be.
-    fn limits(&self, fastest_rad_s: f64) -> Limits<'a> {
+    pub(super) fn limits(&self, fastest_rad_s: f64) -> Limits<'a> {
         let sections = self.robot.sections().iter();
         let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
         let way_s = self.stopping().way(fastest_rad_s.min(limit_rad_s)).way_s;
@@ -74,11 +75,22 @@ impl<'a> Situation<'a> {
         }
     }
 
-    fn guard(&self) -> ClearanceGuard<'a> {
+    /// A robot that comes to rest: `ramp` is only shortened. Its cables have play where there is a `slack`.
+    pub(super) fn shortened(&self, slack: Option<&'a Slack>, ramp: &BendRates) -> SafeCommand {
+        let limited = self.limits(fastest(ramp)).shorten(ramp);
+        let guard = ClearanceGuard {
+            slack,
+            ..self.guard()
+        };
+        SafeCommand::new(limited, guard.scale_down(&limited.rates))
+    }
+
+    pub(super) fn guard(&self) -> ClearanceGuard<'a> {
         ClearanceGuard {
             robot: self.robot,
             at: self.at,
             commanded: self.commanded,
+            slack: None,
             obstacles: self.obstacles,
             safe_distance_m: self.safe_distance_m,
             period_s: self.period_s,
@@ -104,21 +116,23 @@ pub struct SafeCommand {
 /// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
 /// hold at the end of the period and, when no other command follows, until the robot rests.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
-    let guard = situation.guard();
-    let (limited, guarded) = if situation.comes_to_rest {
-        let limited = situation.limits(fastest(desired)).shorten(desired);
-        (limited, guard.scale_down(&limited.rates))
-    } else {
-        let limited = situation.limited(desired);
-        // What the guard makes of them is not faster.
-        let limits = situation.limits_moving(fastest(&limited.rates));
-        (limited, guard.apply(&limits, &limited.rates))
-    };
-    SafeCommand {
-        rates: guarded.rates,
-        limits_hit: limited.hit,
-        clearance_hit: guarded.hit,
-        clearance_m: guarded.clearance_m,
+    if situation.comes_to_rest {
+        return situation.shortened(None, desired);
+    }
+    let limited = situation.limited(desired);
+    // What the guard makes of them is not faster.
+    let limits = situation.limits_moving(fastest(&limited.rates));
+    SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates))
+}
+
+impl SafeCommand {
+    fn new(limited: Limited, guarded: Guarded) -> Self {
+        Self {
+            rates: guarded.rates,
+            limits_hit: limited.hit,
+            clearance_hit: guarded.hit,
+            clearance_m: guarded.clearance_m,
+        }
     }
 }
 

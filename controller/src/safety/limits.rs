@@ -34,6 +34,18 @@ impl LimitsHit {
     fn any(self) -> bool {
         self != Self::default()
     }
+
+    /// What either of both changed.
+    pub(super) fn or(self, other: Self) -> Self {
+        Self {
+            rate: self.rate || other.rate,
+            bend: self.bend || other.bend,
+            cable_speed: self.cable_speed || other.cable_speed,
+            cable_stroke: self.cable_stroke || other.cable_stroke,
+            acceleration: self.acceleration || other.acceleration,
+            non_finite: self.non_finite || other.non_finite,
+        }
+    }
 }
 
 /// A command inside every limit.

@@ -218,7 +218,7 @@ impl<'a> Near<'a> {
     /// Where the robot is at s = `way_s`.
     pub(super) fn place(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, way_s: f64) -> Place {
         self.count(PLACE_LOOKS);
-        let stance = Stance::new(guard.robot, &self.still.at.advanced(rates, way_s));
+        let stance = Stance::new(guard.robot, &guard.after(&self.still.at, rates, way_s));
         Place {
             way_s,
             time_s: guard.stopping.way(fastest(rates)).time_s(way_s),
@@ -465,5 +465,5 @@ fn farthest_m(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; SECTIONS_M
         let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);
         *change_rad = way_s * core::f64::consts::SQRT_2 * largest_rad_s;
     }
-    guard.robot.travel_m(&change_rad)
+    guard.robot.travel_m(&guard.bent_most(change_rad))
 }

@@ -42,10 +42,10 @@ pub(super) fn check(
     if near.is_empty() {
         return Ok(());
     }
-    let turn_rad_s = core::array::from_fn(|j| {
+    let turn_rad_s = guard.bent_most(core::array::from_fn(|j| {
         let [u, v] = rates.section(j);
         (u * u + v * v).sqrt()
-    });
+    }));
     let way = Way {
         near,
         guard,
@@ -62,7 +62,7 @@ pub(super) fn check(
     let [period_s, end_s] = ends_s(guard, rates);
     let clear_at = |way_s| {
         let place = near.place(guard, rates, way_s);
-        let spare_m = near.spare_at(&place, &open, |_| 0.0)?;
+        let spare_m = near.spare_at(&place, &open, |_| guard.rounding_m())?;
         Ok::<_, f64>((place, spare_m))
     };
     let (end, period) = (clear_at(end_s)?, clear_at(period_s)?);
@@ -129,10 +129,12 @@ impl Way<'_> {
             0.0
         };
         let way_s = to.way_s - from.way_s;
+        let is_even = self.guard.is_even_between(self.rates, from.way_s, to.way_s);
         let chords_m = to.stance.displacement_m(self.guard.robot, from.stance);
         let travel_m: [f64; SECTIONS_MAX] = core::array::from_fn(|j| {
+            let most_m = self.travel_m_s[j] * way_s;
             let bent_m = chords_m[j] + 0.25 * self.acceleration_m_s2[j] * way_s * way_s;
-            bent_m.min(self.travel_m_s[j] * way_s)
+            if is_even { bent_m.min(most_m) } else { most_m }
         });
         let mut open = [0; NEAR_MAX];
         for (index, watched) in self.near.watched().enumerate() {

@@ -17,6 +17,9 @@ const PLAY_M: f64 = 1.5e-3;
 /// What half of it is of a bend at most \[rad\]: two thirds of twice half the play, over the cables' distance from the backbone.
 const SLACK_RAD: f64 = 2.0 / 3.0 * PLAY_M / 0.0125;
 
+/// The solver sees no obstacle in its cost, so that the guard has to act.
+const BLIND: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
+
 /// A robot with play, of which the configuration knows this.
 fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
     let flaws = Flaws {
@@ -30,6 +33,20 @@ fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
     };
     let known = format!("[actuator]\nplay_m = {known_m}\n{more}");
     Trial::with(interface, flaws, &known)
+}
+
+/// A ball of 50 mm that stands there.
+fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
+    let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.05, Vector3::zeros()).unwrap();
+    let known = KnownObstacle {
+        id: 1,
+        source: 1,
+        obstacle: ball,
+        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
+        expires_ns: None,
+    };
+    trial.inputs.obstacles.upsert(known).unwrap();
+    ball
 }
 
 fn largest(values: impl IntoIterator<Item = f64>) -> f64 {
@@ -155,10 +172,9 @@ fn motors_keep_their_limits_where_cables_reach_theirs() {
 /// where they have none: it looks at the motors, too.
 #[test]
 fn a_body_whose_cables_may_have_play_keeps_clear() {
-    let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
     for interface in INTERFACES {
         for true_m in [PLAY_M, 0.0] {
-            let mut trial = with_play(interface, PLAY_M, blind);
+            let mut trial = with_play(interface, PLAY_M, BLIND);
             let mut flaws = Flaws {
                 noise_m: 1e-9,
                 ..Flaws::default()
@@ -166,18 +182,7 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
             flaws.actuator.play_m = true_m;
             trial.plant.set_flaws(flaws);
             trial.turns(3);
-            let shape = Shape::Sphere {
-                centre_m: Vector3::new(0.2, 0.0, 0.8),
-            };
-            let ball = Obstacle::new(shape, 0.05, Vector3::zeros()).unwrap();
-            let known = KnownObstacle {
-                id: 1,
-                source: 1,
-                obstacle: ball,
-                measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
-                expires_ns: None,
-            };
-            trial.inputs.obstacles.upsert(known).unwrap();
+            let ball = put_ball(&mut trial, Vector3::new(0.2, 0.0, 0.8));
             trial.feed_line([0.25, 0.0, 0.78], [0.0; 3], 0.0);
             trial.ask(Request::Track);
             let robot = trial.plant.truth().clone();
@@ -192,5 +197,43 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
                 "{interface:?}, {true_m}: {nearest_m} m"
             );
         }
+    }
+}
+
+/// The tip goes on a circle, and slides along a ball: a stop there takes as long as one in the open.
+#[test]
+fn a_stop_beside_a_ball_slows_down_evenly() {
+    const LOSS_RAD_S: f64 = 10.0 * 0.005;
+    let slow = format!("{BLIND}deceleration_rad_s2 = 10.0\n");
+    for interface in INTERFACES {
+        let (mut beside, mut longest) = (0, 0);
+        for before in (540..720).step_by(10) {
+            let mut trial = with_play(interface, PLAY_M, &slow);
+            trial.turns(3);
+            let ball = put_ball(&mut trial, Vector3::new(0.0, -0.265, 0.837));
+            trial.begin_tracking();
+            let moving = trial.turns(before);
+            let mut rate_rad_s = largest(moving.rates.as_slice().iter().copied());
+            beside += u32::from(moving.clearance_hit && rate_rad_s > 2.0 * LOSS_RAD_S);
+            let mut stopping = trial.ask(Request::Stop);
+            for turn in 1.. {
+                let left_rad_s = largest(stopping.rates.as_slice().iter().copied());
+                let lost_rad_s = rate_rad_s - left_rad_s;
+                assert!(
+                    lost_rad_s < LOSS_RAD_S + 1e-9,
+                    "{interface:?} after {before}: {lost_rad_s} rad/s"
+                );
+                let clearance_m = trial.plant.truth().clearance_m(&trial.at_release, &ball);
+                assert!(clearance_m > 0.0079, "{clearance_m} m");
+                if left_rad_s == 0.0 {
+                    longest = longest.max(turn);
+                    break;
+                }
+                rate_rad_s = left_rad_s;
+                stopping = trial.turn();
+            }
+        }
+        println!("{interface:?}: {beside} beside the ball, {longest} periods");
+        assert!(beside > 2 && longest > 4);
     }
 }
