@@ -13,7 +13,7 @@ use cdcr_controller::optimizer::Budget;
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command_with_play};
+use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command, safe_command_with_play};
 use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome,
@@ -133,8 +133,8 @@ fn bits(values: &[f64]) -> Vec<u64> {
     values.iter().map(|value| value.to_bits()).collect()
 }
 
-/// Computes again what limits and guard make of the rates that the mode desires. Whether the guard changed them.
-fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool {
+/// Computes again what limits and guard make of the rates that the mode desires. Whether the guard changed them, and whether for the play alone.
+fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [bool; 2] {
     let (at, previous) = state_of(record);
     let width = robot.coordinate_count();
     let commanded = Configuration::from_slice(&record.commanded_rad[..width]).unwrap();
@@ -185,7 +185,16 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> bool
     assert_eq!(safe.clearance_hit, flagged);
     let accelerated = record.guard_flags & codes::guard::ACCELERATION != 0;
     assert_eq!(safe.limits_hit.acceleration, accelerated);
-    flagged
+    let by_play = safe.rates != safe_command(&situation, desired).rates;
+    [flagged, by_play]
+}
+
+/// How many cycles solved, and how many commands the guard changed: of those, which only for the play of the cables.
+#[derive(Debug, Default)]
+struct Replayed {
+    solved: u32,
+    guarded: u32,
+    by_play: u32,
 }
 
 /// What is recorded of a run.
@@ -229,13 +238,13 @@ impl Recording {
         recording
     }
 
-    /// Computes every cycle again. How many solved, and how many the guard changed.
-    fn replay(&self) -> (u32, u32) {
+    /// Computes every cycle again.
+    fn replay(&self) -> Replayed {
         let robot = robot_of(&self.records[0].robot);
         assert_eq!(self.records[0].robot.fingerprint, robot.fingerprint());
         let mut to_come = events_by_gather(&self.records);
         let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m());
-        let (mut solved, mut guarded) = (0, 0);
+        let mut replayed = Replayed::default();
         for record in &self.records {
             while let Some(entry) = to_come.first_entry()
                 && *entry.key() <= record.gather
@@ -245,7 +254,7 @@ impl Recording {
                 }
             }
             let desired_rates = if record.plan_length > 0 {
-                solved += 1;
+                replayed.solved += 1;
                 solve_again(record, &robot, &trajectory)
             } else if record.mode == Mode::Holding.code() {
                 let (_, before) = state_of(record);
@@ -254,12 +263,17 @@ impl Recording {
             } else {
                 continue;
             };
-            guarded += u32::from(command_again(record, &robot, &desired_rates));
+            let [guarded, by_play] = command_again(record, &robot, &desired_rates);
+            replayed.guarded += u32::from(guarded);
+            replayed.by_play += u32::from(by_play);
         }
-        assert!(solved > 100, "only {solved} cycles were solved");
-        (solved, guarded)
+        assert!(replayed.solved > 100, "too few cycles: {replayed:?}");
+        replayed
     }
 }
+
+/// The solver sees no obstacle in its cost, so that the guard has to act.
+const BLIND: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
 
 /// The bar may come nearer than it should, and what it touches goes on.
 const CONTACT: &str = "[safety]\nclearance_fault_m = -1.0\n";
@@ -293,8 +307,8 @@ fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
 
 #[test]
 fn every_recorded_cycle_is_computed_again_bit_for_bit() {
-    let (_, guarded) = Recording::make(PATIENT, &[], &spiral()).replay();
-    assert_eq!(guarded, 0);
+    let replayed = Recording::make(PATIENT, &[], &spiral()).replay();
+    assert_eq!(replayed.guarded, 0);
 }
 
 #[test]
@@ -306,12 +320,20 @@ fn cycles_with_obstacles_are_computed_again_bit_for_bit() {
 
 #[test]
 fn cycles_that_the_guard_changed_are_computed_again_bit_for_bit() {
-    // The solver sees no obstacle in its cost, so that the guard has to act.
-    let blind = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n";
-    let configuration = format!("{PATIENT}{blind}{CONTACT}");
+    let configuration = format!("{PATIENT}{BLIND}{CONTACT}");
     let line = Line::for_sections(&[0.3; 3]);
-    let (solved, guarded) = Recording::make(&configuration, &in_the_way(), &line).replay();
-    assert!(guarded > 10, "{guarded} of {solved}");
+    let replayed = Recording::make(&configuration, &in_the_way(), &line).replay();
+    assert!(replayed.guarded > 10, "{replayed:?}");
+}
+
+#[test]
+fn cycles_that_the_play_of_cables_changed_are_computed_again_bit_for_bit() {
+    let play = "[actuator]\nplay_m = 1.5e-3\n";
+    let configuration = format!("{PATIENT}{BLIND}{CONTACT}{play}");
+    let line = Line::for_sections(&[0.3; 3]);
+    let recording = Recording::make(&configuration, &in_the_way(), &line);
+    let replayed = recording.replay();
+    assert!(replayed.by_play > 10, "{replayed:?}");
 }
 
 #[test]
