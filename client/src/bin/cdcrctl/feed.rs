@@ -7,6 +7,7 @@ use cdcr_client::{
     Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
     PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
 };
+use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 
 use crate::Done;
@@ -23,6 +24,8 @@ use crate::tip_error::TipError;
 const GO_LEAD: Duration = Duration::from_millis(500);
 /// How long a status or a record is waited for.
 const STATUS: Duration = Duration::from_secs(1);
+/// A tip that is farther than this from where its way was computed from has moved, whatever error is allowed \[m\].
+const MOVED_M: f64 = 2e-3;
 /// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
 const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
@@ -61,7 +64,8 @@ pub(crate) fn go(
             Mode::text_of(status.mode)
         );
     }
-    let start_m = tip_m(&connection)?;
+    let before = newest(&connection)?;
+    let start_m = before.tip_position_m;
     let goal_m = end_m(start_m);
     let reach_m = section_lengths_m(&status.robot).iter().sum();
     let begin_m = within(start_m, reach_m);
@@ -79,23 +83,34 @@ pub(crate) fn go(
         return Ok(Done::Good);
     }
     demands.check_end(arguments.max_error)?;
-    if distance_m(tip_m(&connection)?, start_m) > arguments.max_error {
+    let now = newest(&connection)?;
+    let moved = distance_m(now.tip_position_m, start_m) > MOVED_M;
+    if moved || !rests(&before) || !rests(&now) {
         bail!(
             "the tip moved while the way was computed; nothing was sent: try again when it rests"
         );
     }
     let (done, _) = follow(&connection, &way, options)?;
     if done == Done::Good {
-        tell_end(distance_m(tip_m(&connection)?, goal_m), arguments.max_error)?;
+        let end_m = newest(&connection)?.tip_position_m;
+        tell_end(distance_m(end_m, goal_m), arguments.max_error)?;
     }
     Ok(done)
 }
 
-/// Where the tip is in this cycle; a status may be 0.1 s old.
-fn tip_m(connection: &Connection) -> anyhow::Result<[f64; 3]> {
+/// The record of this cycle; a status may be 0.1 s old.
+fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
     let record = connection.telemetry()?.next_within(STATUS)?;
-    let record = record.context("no telemetry within 1 s: the place of the tip is unknown")?;
-    Ok(record.tip_position_m)
+    record.context("no telemetry within 1 s: the place of the tip is unknown")
+}
+
+/// Whether no motion is commanded.
+fn rests(record: &Telemetry) -> bool {
+    record
+        .command
+        .bend_rate_rad_s
+        .iter()
+        .all(|rate| *rate == 0.0)
 }
 
 /// Says how near the tip is to the point, and fails where that is farther than `limit_m`.
