@@ -97,12 +97,13 @@ impl Place {
         command
     }
 
-    /// Runs the words of `line`, the first of which is one of our programs, to its end; what it printed. Fails unless it ends with
-    /// `status` and has printed all of `parts`.
+    /// Runs the words of `line`, the first of which is one of our programs, to its end, in the place's folder: files there
+    /// have short names. What it said, as [`assert_says`] has it.
     pub fn says(&self, line: &str, status: i32, parts: &[&str]) -> String {
         let mut words = line.split_whitespace();
         let mut command = self.command(words.next().expect("a program"));
-        assert_says(&Program::start(command.args(words)).output(), status, parts)
+        command.args(words).current_dir(self.folder());
+        assert_says(&Program::start(&mut command).output(), status, parts)
     }
 
     /// Runs `cdcrctl` with `arguments` to its end.
@@ -120,14 +121,21 @@ pub fn text(output: &Output) -> String {
     format!("{out}{err}")
 }
 
-/// Fails unless a program ended with `status` and printed all of `parts`; everything that it printed.
+/// Fails unless a program ended with `status` and said all of `parts`: on standard output when that is a success, or else
+/// on standard error. All that it said there.
 pub fn assert_says(output: &Output, status: i32, parts: &[&str]) -> String {
     let printed = text(output);
     assert_eq!(output.status.code(), Some(status), "{printed}");
+    let stream = if status == 0 {
+        &output.stdout
+    } else {
+        &output.stderr
+    };
+    let said = String::from_utf8_lossy(stream);
     for part in parts {
-        assert!(printed.contains(part), "{part}: {printed}");
+        assert!(said.contains(part), "{part}: {printed}");
     }
-    printed
+    said.into_owned()
 }
 
 /// A reference that begins in a second and is tracked.

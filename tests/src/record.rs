@@ -26,7 +26,19 @@ pub fn configuration_of(record: &Telemetry) -> Configuration {
     Configuration::from_slice(&record.bend_rad[..width]).expect("one to six sections")
 }
 
-/// The largest of some rates, without their signs \[rad/s\].
+/// The largest of some rates, without their signs \[rad/s\]. Fails where one is not finite: `f64::max` does not see that.
 pub fn largest(rates: &[f64]) -> f64 {
+    assert!(rates.iter().all(|rate| rate.is_finite()), "{rates:?}");
     rates.iter().fold(0.0, |most, rate| rate.abs().max(most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::largest;
+
+    #[test]
+    #[should_panic(expected = "NaN")]
+    fn what_is_not_finite_is_no_rest() {
+        let _ = largest(&[0.0, f64::NAN, 0.0]);
+    }
 }

@@ -13,7 +13,9 @@ use cdcr_daemon::instance::is_in_memory;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, binary, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, Place, Program, ROBOT, TIMEOUT, assert_says, binary, wait_status, wait_until,
+};
 use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
@@ -24,8 +26,13 @@ use crate::faults::trail::{Trail, rests};
 const NOBODY: u32 = 65_534;
 
 /// `cdcrd run` with these options ends with this number, says this, and leaves nothing in shared memory.
-fn assert_refused(place: &Place, options: &str, status: i32, parts: &[&str]) {
-    place.says(&format!("cdcrd run {options}"), status, parts);
+fn assert_refused(place: &Place, options: &[&str], status: i32, parts: &[&str]) {
+    let mut command = place.command("cdcrd");
+    assert_says(
+        &Program::start(command.arg("run").args(options)).output(),
+        status,
+        parts,
+    );
     assert_eq!(place.shared_memory_files(), Vec::<PathBuf>::new());
 }
 
@@ -33,12 +40,7 @@ fn assert_refused(place: &Place, options: &str, status: i32, parts: &[&str]) {
 fn assert_configuration_refused(text: &str, status: i32, parts: &[&str]) {
     let place = Place::new();
     let path = place.write("robot.toml", text);
-    assert_refused(
-        &place,
-        &format!("--config {}", path.display()),
-        status,
-        parts,
-    );
+    assert_refused(&place, &["--config", path.to_str().unwrap()], status, parts);
 }
 
 #[test]
@@ -217,7 +219,7 @@ fn a_root_folder_of_another_user_ends_with_73() {
     } else {
         "/usr".into()
     };
-    let options = format!("--root {}", root.display());
+    let options = ["--root", root.to_str().unwrap()];
     assert_refused(&place, &options, 73, &["belongs to user", "--root"]);
 }
 
@@ -230,7 +232,7 @@ fn a_root_folder_on_a_disk_ends_with_73() {
         println!("nothing to refuse: the target folder is in memory");
         return;
     }
-    let options = format!("--root {}", root.path().display());
+    let options = ["--root", root.path().to_str().unwrap()];
     assert_refused(&place, &options, 73, &["on a disk", "/dev/shm", "--root"]);
     assert_eq!(std::fs::read_dir(root.path()).unwrap().count(), 0);
 }
@@ -242,7 +244,7 @@ fn a_root_folder_with_files_that_others_could_open_ends_with_73() {
     std::fs::create_dir(root).unwrap();
     std::fs::write(root.join("left"), "by a killed daemon").unwrap();
     std::fs::set_permissions(root, Permissions::from_mode(0o711)).unwrap();
-    assert_refused(&place, "", 73, &["mode 0711", "empty it", "--root"]);
+    assert_refused(&place, &[], 73, &["mode 0711", "empty it", "--root"]);
     std::fs::remove_file(root.join("left")).unwrap();
     let mut program = Program::start(place.command("cdcrd").arg("run"));
     wait_until("it is closed", || {
@@ -260,14 +262,14 @@ fn a_root_folder_that_somebody_has_locked_ends_with_75() {
     let locked = File::open(root).unwrap();
     locked.lock().unwrap();
     let parts = ["another process has locked", "--root"];
-    assert_refused(&place, "", 75, &parts);
+    assert_refused(&place, &[], 75, &parts);
 }
 
 #[test]
 fn a_wrong_command_line_ends_with_2() {
     let place = Place::new();
     let parts = ["--no-such-option", "--help"];
-    assert_refused(&place, "--no-such-option", 2, &parts);
+    assert_refused(&place, &["--no-such-option"], 2, &parts);
 }
 
 #[test]

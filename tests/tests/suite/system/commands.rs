@@ -9,7 +9,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Interface, Mode, Reason};
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, text, wait_mode, wait_status};
+use cdcr_tests::{Daemon, PATIENT, ROBOT, TIMEOUT, assert_says, text, wait_mode, wait_status};
 
 /// What a command that fails says.
 fn refused(daemon: &Daemon, line: &str) -> String {
@@ -118,14 +118,11 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
         mean <= max && last <= max && max > 100.0 && cycles > 0.0,
         "{printed}"
     );
-    let printed = refused(
-        &daemon,
-        "ref line --duration 200ms --track --max-error 100mm",
-    );
-    assert!(
-        printed.contains("more than --max-error, 100.000 mm"),
-        "{printed}"
-    );
+    let line = "ref line --duration 200ms --track --max-error 100mm";
+    let words: Vec<_> = line.split(' ').collect();
+    let output = daemon.place().cdcrctl(&words);
+    assert_says(&output, 1, &["more than --max-error, 100.000 mm"]);
+    let printed = text(&output);
     assert!(printed.contains("tip error: mean"), "{printed}");
 }
 
@@ -245,20 +242,20 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
 fn saved_settings_are_those_of_the_next_daemon() {
     let mut daemon = Daemon::start(PATIENT);
     let file = daemon.place().folder().join("robot.toml");
-    let path = file.to_str().unwrap().to_owned();
     done(
         &daemon,
         "settings set horizon_steps=4 solver=gauss-newton damping=1e-12 budget_ms=1.5 seed=9",
     );
-    done(&daemon, &format!("settings save {path}"));
+    done(&daemon, "settings save robot.toml");
     let text = std::fs::read_to_string(&file).unwrap();
     for part in ["lease_ms = 60000.0", "damping = 1e-12", "budget_ms = 1.5"] {
         assert!(text.contains(part), "{part}: {text}");
     }
     let settings = daemon.connect().settings().unwrap();
     assert!(daemon.stop().success());
-    let check = format!("cdcrd check --config {path}");
-    daemon.place().says(&check, 0, &[]);
+    daemon
+        .place()
+        .says("cdcrd check --config robot.toml", 0, &[]);
     let daemon = Daemon::start(&text);
     assert_eq!(daemon.connect().settings().unwrap(), settings);
     let again = done(&daemon, "settings save");

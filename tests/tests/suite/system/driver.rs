@@ -120,17 +120,16 @@ fn a_fault_while_tracking_ends_the_feed_with_its_cause() {
         velocity_m_s: [0.001, 0.0, -0.001],
         ..Line::for_sections(&[0.3; 3])
     };
-    let options = tracked();
-    let mut tracked = false;
+    let mut tracking = false;
     let error = feeding
-        .feed(&line, options)
+        .feed(&line, tracked())
         .unwrap()
         .run(|event| {
             if let FeedEvent::Progress(progress) = event {
-                tracked |= progress.tracking;
+                tracking |= progress.tracking;
             }
             // The driver dies as soon as its robot is moved.
-            if !tracked {
+            if !tracking {
                 robot.turn();
             }
             ControlFlow::Continue(())

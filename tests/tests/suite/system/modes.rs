@@ -35,17 +35,16 @@ fn feed_track_hold_stop_reset() {
     assert_eq!(refused(&connection, RequestKind::Track), Outcome::NoLease);
 
     let spiral = Spiral::for_sections(&[0.3; 3]);
-    let options = tracked();
-    let mut tracked = 0;
+    let mut cycles = 0;
     let report = connection
-        .feed(&spiral, options)
+        .feed(&spiral, tracked())
         .unwrap()
         .run(|event| {
             if let FeedEvent::Record(record) = event {
                 let inside = record.reference.state == ReferenceState::Inside.code();
-                tracked += u32::from(inside && record.mode == Mode::Tracking.code());
+                cycles += u32::from(inside && record.mode == Mode::Tracking.code());
             }
-            if tracked < 50 {
+            if cycles < 50 {
                 ControlFlow::Continue(())
             } else {
                 ControlFlow::Break(())

@@ -260,20 +260,19 @@ impl Watch {
 
 /// Feeds the paper's line and tracks it to its end.
 fn track_line(connection: &Connection, watch: &mut Watch) {
-    let options = tracked();
-    let mut tracked = 0;
+    let mut cycles = 0;
     connection
-        .feed(&Line::for_sections(&[0.3; 3]), options)
+        .feed(&Line::for_sections(&[0.3; 3]), tracked())
         .unwrap()
         .run(|event| {
             if let FeedEvent::Record(record) = event {
-                tracked += u64::from(record.mode == Mode::Tracking.code());
+                cycles += u64::from(record.mode == Mode::Tracking.code());
                 watch.look(record);
             }
             ControlFlow::Continue(())
         })
         .unwrap();
-    assert!(tracked > 50, "{tracked}");
+    assert!(cycles > 50, "{cycles}");
 }
 
 /// While the machine stalls, the rates hold and may take the body into an obstacle. That is judged record by record, and

@@ -6,7 +6,9 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, text, wait_status, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENT, Place, Program, ROBOT, TIMEOUT, assert_says, text, wait_status, wait_until,
+};
 use rustix::process::Signal;
 use serde_json::Value;
 
@@ -63,12 +65,11 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
     wait_until(reason, || status(place)["reason"] == reason);
     let fed = good(place, SHORT_LINE);
     assert!(fed.contains("but not tracked"), "{fed}");
-    let file = place.write(
+    place.write(
         "path.csv",
         "t_s,x_m,y_m,z_m\n0,0,0,0.9\n0.1,0.001,0,0.899\n0.2,0.002,0,0.899\n",
     );
-    let file = format!("ref file {} --lead 1s --track", file.display());
-    let fed = good(place, &file);
+    let fed = good(place, "ref file path.csv --lead 1s --track");
     assert!(fed.contains("3 points"), "{fed}");
 }
 
@@ -76,8 +77,10 @@ fn a_reference_is_fed_tracked_and_played_to_its_end() {
 fn an_orientation_is_fed_without_a_warning() {
     let daemon = Daemon::start(PATIENT);
     let place = daemon.place();
-    let fed = good(place, &format!("{SHORT_LINE} --axis 0,0,1 --track"));
-    assert!(fed.contains("tracked to its end"), "{fed}");
+    let line = format!("{SHORT_LINE} --axis 0,0,1 --track");
+    let output = Program::start(&mut command(place, &line)).output();
+    assert_says(&output, 0, &["tracked to its end"]);
+    let fed = text(&output);
     assert!(!fed.contains("warning"), "{fed}");
 }
 

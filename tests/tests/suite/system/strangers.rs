@@ -40,6 +40,8 @@ fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
         ),
         "{error:?}"
     );
+    let parts = ["another version of the status service", "of one version"];
+    place.says("cdcrctl status", 1, &parts);
 }
 
 #[test]
