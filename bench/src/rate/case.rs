@@ -62,13 +62,13 @@ impl Case {
 pub struct Stage {
     pub cores: Cores,
     pub realtime: bool,
-    /// How long before a release they wake up to spin \[µs\]; at most a quarter of the period.
-    pub spin_us: f64,
+    /// How long before a release they wake up to spin \[µs\], at most a quarter of the period; none: the daemon's default.
+    pub spin_us: Option<f64>,
     folder: TempDir,
 }
 
 impl Stage {
-    pub fn new(cores: Cores, realtime: bool, spin_us: f64) -> Result<Self> {
+    pub fn new(cores: Cores, realtime: bool, spin_us: Option<f64>) -> Result<Self> {
         let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
         let folder = folder.context("a folder for temporary files")?;
         for sections in 1..=3 {
@@ -87,15 +87,19 @@ impl Stage {
     pub fn launch(&self, case: &Case, period_ms: f64) -> Launch {
         let config = self.folder.path().join(file_name(case.sections));
         let launch = Launch::patient(Some(config)).placed(&self.cores, self.realtime);
-        with_period(launch, period_ms)
-            .with("realtime.spin_us", self.spin_within_us(period_ms))
+        let launch = with_period(launch, period_ms)
             .with("controller.solver", case.solver.name())
-            .with("controller.horizon_steps", case.horizon_steps)
+            .with("controller.horizon_steps", case.horizon_steps);
+        match self.spin_within_us(period_ms) {
+            Some(spin_us) => launch.with("realtime.spin_us", spin_us),
+            None => launch,
+        }
     }
 
-    /// How long a daemon with this period spins before a release \[µs\].
-    pub fn spin_within_us(&self, period_ms: f64) -> f64 {
-        self.spin_us.min(SPIN_SHARE * period_ms * 1e3)
+    /// How long a daemon with this period is asked to spin before a release \[µs\].
+    pub fn spin_within_us(&self, period_ms: f64) -> Option<f64> {
+        let most_us = SPIN_SHARE * period_ms * 1e3;
+        self.spin_us.map(|spin_us| spin_us.min(most_us))
     }
 }
 
@@ -119,8 +123,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_daemon_that_is_asked_nothing_spins_as_it_does_by_default() {
+        let sets = |spin_us| {
+            let stage = Stage::new(Cores::find().unwrap(), false, spin_us).unwrap();
+            let mut settings = stage.launch(&Case::DEFAULT, 5.0).settings.into_iter();
+            settings.any(|(key, _)| key == "realtime.spin_us")
+        };
+        assert_eq!([None, Some(0.0)].map(sets), [false, true]);
+    }
+
+    #[test]
     fn the_daemon_accepts_every_robot_and_what_the_period_bounds() {
-        let stage = Stage::new(Cores::find().unwrap(), false, 1000.0).unwrap();
+        let stage = Stage::new(Cores::find().unwrap(), false, Some(1000.0)).unwrap();
         for (sections, period_ms, bounds) in [
             (1, 5.0, [0.2, 1.0, 1000.0]),
             (2, 0.5, [0.175, 0.5, 125.0]),

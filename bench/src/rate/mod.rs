@@ -47,10 +47,10 @@ pub struct RateOptions {
     /// five.
     #[arg(long, conflicts_with = "rounds")]
     pub quick: bool,
-    /// Let the daemon wake up so long before each release and spin to it, 0 to 1000 µs; at most a quarter of the
-    /// period.
-    #[arg(long = "spin", value_name = "US", default_value_t = 0.0, value_parser = spin_us)]
-    pub spin_us: f64,
+    /// Let the daemon wake up so long before each release and spin to it, 0 (no rehearsal) to 1000 µs; at most a quarter
+    /// of the period. Without it, as the daemon does by default.
+    #[arg(long = "spin", value_name = "US", value_parser = spin_us)]
+    pub spin_us: Option<f64>,
     #[arg(skip = LENGTH)]
     pub length: Length,
     #[arg(skip = Case::all())]
@@ -119,8 +119,9 @@ impl Benchmark for RateOptions {
 #[derive(Debug)]
 pub struct Measured {
     pub realtime: bool,
-    /// How long they spun before each release \[µs\], at most a quarter of the period.
-    pub spin_us: f64,
+    /// How long they were asked to spin before each release \[µs\], at most a quarter of the period; none: the daemon's
+    /// default.
+    pub spin_us: Option<f64>,
     /// When the run began \[ns, `CLOCK_MONOTONIC`\].
     pub begin_ns: u64,
     /// The rounds of the default with each period.
@@ -245,7 +246,7 @@ mod tests {
         Trial {
             case: Case::DEFAULT,
             period_ms,
-            spin_us: 0.0,
+            spin_us: None,
             holds: outcome == TrialOutcome::Holds,
             remarks: metrics.remarks(period_ms),
             metrics: Some(metrics),

@@ -158,11 +158,11 @@ pub(super) fn dataset(measured: Measured) -> Result<Dataset> {
     Ok(dataset)
 }
 
-fn how(realtime: bool, spin_us: f64) -> String {
-    let spin = if spin_us > 0.0 {
-        format!(", spinning {spin_us} µs (at most a quarter of the period)")
-    } else {
-        String::new()
+fn how(realtime: bool, spin_us: Option<f64>) -> String {
+    let spin = match spin_us {
+        None => String::new(),
+        Some(0.0) => ", without rehearsal or spinning".to_owned(),
+        Some(us) => format!(", spinning {us} µs (at most a quarter of the period)"),
     };
     let refused = if realtime {
         ""
@@ -289,7 +289,7 @@ mod tests {
         let (held, failed) = (tried(0.5, &[false, true]), tried(0.25, &[false; 3]));
         let found = dataset(Measured {
             realtime: false,
-            spin_us: 0.0,
+            spin_us: Some(0.0),
             begin_ns: 0,
             steps: vec![tried(5.0, &[true, true]), tried(0.1, &[true, false])],
             shortest: vec![Shortest {
@@ -312,6 +312,7 @@ mod tests {
             "0.25 ms, held in 0 of 3 trials: too short",
             "1 of 2",
             "not granted",
+            "without rehearsal",
         ] {
             assert!(text.contains(words), "{text}");
         }

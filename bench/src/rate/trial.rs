@@ -60,8 +60,8 @@ impl Length {
 pub struct Trial {
     pub case: Case,
     pub period_ms: f64,
-    /// How long before each release it spun \[µs\].
-    pub spin_us: f64,
+    /// How long before each release it was asked to spin \[µs\]; none: the daemon's default.
+    pub spin_us: Option<f64>,
     pub holds: bool,
     pub remarks: String,
     /// What was measured; none when the robot did not follow its reference all the time.

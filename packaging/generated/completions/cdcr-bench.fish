@@ -86,7 +86,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l out -d
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -l quick -d 'A quick look: 2 rounds of 40 samples'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand latency" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l rounds -d 'How often the default is measured with each of its periods, 1 to 100. The search for the shortest periods is made once' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up so long before each release and spin to it, 0 to 1000 µs; at most a quarter of the period' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l spin -d 'Let the daemon wake up so long before each release and spin to it, 0 (no rehearsal) to 1000 µs; at most a quarter of the period. Without it, as the daemon does by default' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand rate" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 markdown\t'The same table for a page on the web'
 json\t'One JSON object'
