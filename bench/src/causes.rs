@@ -4,8 +4,8 @@ use cdcr_shared_types::Statistics;
 use cdcr_shared_types::codes::LateCause::{self, Compute, Load, PageFault, Platform, Stall};
 use serde::{Serialize, Serializer};
 
-/// Of each cause its key in results, and its words.
-const NAMES: [(LateCause, &str, &str); 5] = [
+/// Of each cause but none its key in results, and its words.
+const NAMES: [(LateCause, &str, &str); LateCause::COUNT - 1] = [
     (Platform, "platform", "platform"),
     (Load, "load", "another task"),
     (PageFault, "fault", "page fault"),

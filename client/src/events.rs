@@ -23,7 +23,7 @@ impl TelemetryStream {
     /// must have been opened before the message was sent.
     ///
     /// # Errors
-    /// [`LinkError::Silent`] when no verdict came.
+    /// [`LinkError::Silent`] when no outcome came.
     pub fn outcome_on(
         &mut self,
         kind: EventKind,

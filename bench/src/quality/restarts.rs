@@ -21,7 +21,7 @@ pub const STUCK_FLOOR_M2: f64 = 30.0 * 1e-8;
 pub const ARRIVED_MM: f64 = 10.0;
 const SOLVES_MAX: u32 = 20;
 /// Solves without progress after which a solver has ended: its swarm draws other numbers in each.
-const TIMEOUT: u32 = 2;
+const IDLE_SOLVES_MAX: u32 = 2;
 /// Less than this share of the cost is no progress.
 const PROGRESS_SHARE: f64 = 1e-4;
 /// Random plans that Gauss-Newton starts from, besides the plan of rest.
@@ -153,7 +153,7 @@ impl<'a> Attempt<'a> {
             let better = report.cost < cost * (1.0 - PROGRESS_SHARE);
             idle = if better { 0 } else { idle + 1 };
             cost = cost.min(report.cost);
-            if idle >= TIMEOUT {
+            if idle >= IDLE_SOLVES_MAX {
                 break;
             }
         }
