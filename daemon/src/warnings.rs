@@ -74,6 +74,11 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                 safety.measurement_frozen_rad, link.measurement_timeout_ms
             )
         }),
+        (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == 0.0).then(|| {
+            "controller.rate_weight = 0: noise of the sensors adds up to motion about the tip, which nothing holds \
+             back; leave the key out, or set 1e-10"
+                .to_owned()
+        }),
         (obstacles.source_timeout_ms > 0.0 && obstacles.source_timeout_ms < period_ms).then(|| {
             format!(
                 "obstacles.source_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a source \
@@ -140,6 +145,14 @@ mod tests {
             ),
             ("[link]\ncommand_valid_ms = 2.0\n", "link.command_valid_ms"),
             (
+                "[controller]\nrate_weight = 0.0\n[link]\nkind = \"driver\"\n",
+                "controller.rate_weight = 0",
+            ),
+            (
+                "[controller]\nrate_weight = 0.0\n[link]\nsimulated = \"laboratory\"\n",
+                "controller.rate_weight = 0",
+            ),
+            (
                 "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2.0\n",
                 "link.measurement_timeout_ms",
             ),
@@ -168,6 +181,7 @@ mod tests {
         }
         for text in [
             "",
+            "[controller]\nrate_weight = 0.0\n",
             "[realtime]\nspin_us = 400\n",
             "[cycle]\nbudget_ms = 4.4\n[realtime]\nmode = \"off\"\nspin_us = 400\n",
             include_str!("../../configs/driver.toml"),

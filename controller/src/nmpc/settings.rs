@@ -81,8 +81,8 @@ crate::parameters! {
         orientation_weight: f64 = 0.1, in ranges::WEIGHT;
         /// Orientation error that costs nothing, {range}.
         orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
-        /// Weight of the squared rates, per (rad/s)², {range}. 0 is the paper's cost, for the ideal simulated robot alone: a daemon of any other
-        /// puts 1e-10 in its place, or noise of the sensors makes the robot turn about its tip.
+        /// Weight of the squared rates, per (rad/s)², {range}. Where nobody sets it: 0, the paper's cost, for the ideal simulated robot, and
+        /// 1e-10 for every other. At 0 noise of the sensors makes a robot of more than one section turn about its tip.
         rate_weight: f64 = 0.0, in ranges::WEIGHT;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT;

@@ -13,13 +13,15 @@ pub(super) enum Preset {
 
 impl Preset {
     /// Keys and values, as TOML.
-    pub(super) fn keys(self) -> [(&'static str, &'static str); 2] {
+    pub(super) fn keys(self) -> [(&'static str, &'static str); 3] {
         let (rate_change_weight, time_constant_ms) = match self {
             Self::Precise => ("0.0", "300.0"),
             Self::Smooth => ("1e-5", "300.0"),
             Self::Fast => ("0.0", "60.0"),
         };
         [
+            // A rate change weight alone lets rates that do not move the tip go on for ever.
+            ("controller.rate_weight", "1e-10"),
             ("controller.rate_change_weight", rate_change_weight),
             ("estimator.time_constant_ms", time_constant_ms),
         ]
@@ -50,10 +52,12 @@ mod tests {
     #[test]
     fn a_preset_sets_its_keys_and_an_option_wins_over_it() {
         let default = config(&[]);
+        assert!(default.controller.rate_weight == 0.0);
         for preset in Preset::value_variants() {
             let name = preset.to_possible_value().unwrap().get_name().to_owned();
             let set = config(&["--preset", &name]);
             let values = [
+                set.controller.rate_weight,
                 set.controller.rate_change_weight,
                 set.estimator.time_constant_ms,
             ];
@@ -62,6 +66,7 @@ mod tests {
                 .map(|(_, value)| value.parse::<f64>().unwrap());
             assert!(values == expected, "{name}: {values:?}");
             let mut others = set.clone();
+            others.controller.rate_weight = default.controller.rate_weight;
             others.controller.rate_change_weight = default.controller.rate_change_weight;
             others.estimator.time_constant_ms = default.estimator.time_constant_ms;
             assert!(others == default, "{name} sets nothing else");

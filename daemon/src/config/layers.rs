@@ -140,7 +140,7 @@ impl Layers {
         // By way of the text that each layer was checked as: a second way would be compiled, too.
         let config = toml::from_str(&values.to_string())
             .map_err(|cause| error("the configuration", &Origin::Default, cause.message()))?;
-        Ok(Settings { config, origins })
+        Ok(Settings::new(config, origins))
     }
 
     fn take_over(&mut self, values: Table) {

@@ -1,6 +1,6 @@
 use cdcr_controller::nmpc::NmpcSettings;
 
-use super::{Config, ConfigError, Origins, Validated, keys, ranges, rules};
+use super::{Config, ConfigError, Origin, Origins, Validated, keys, ranges, rules};
 
 /// A typed configuration, not yet checked, and where its values come from.
 #[derive(Debug, Clone, Default)]
@@ -13,14 +13,21 @@ pub struct Settings {
 
 impl From<Config> for Settings {
     fn from(config: Config) -> Self {
-        Self {
-            config,
-            origins: Origins::default(),
-        }
+        Self::new(config, Origins::default())
     }
 }
 
 impl Settings {
+    /// Values as they were set. A rate weight that nobody set is 0 for the ideal robot alone.
+    pub(super) fn new(mut config: Config, origins: Origins) -> Self {
+        let weight = &mut config.controller.rate_weight;
+        let is_unset = *weight == 0.0 && origins.of("controller.rate_weight") == Origin::Default;
+        if is_unset && !config.link.is_ideal() {
+            *weight = NmpcSettings::MEASURED_RATE_WEIGHT;
+        }
+        Self { config, origins }
+    }
+
     /// Checks every value and every rule between values.
     ///
     /// # Errors
@@ -36,9 +43,6 @@ impl Settings {
         let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         config.realtime.mode = config.realtime.mode.of(config.link.kind);
-        if config.controller.rate_weight == 0.0 && !config.link.is_ideal() {
-            config.controller.rate_weight = NmpcSettings::MEASURED_RATE_WEIGHT;
-        }
         let location = config.transport.location(&origins)?;
         let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {
@@ -51,13 +55,14 @@ impl Settings {
         })
     }
 
-    /// The values in force that differ from the default: key, value as TOML, origin as words.
+    /// The values that were set and differ from the default: key, value as TOML, origin as words.
     pub fn changed(&self) -> Vec<(&'static str, String, String)> {
         let values = keys::values(&self.config);
         let changed = keys::settable().iter().filter_map(|(key, default)| {
             let value = keys::value(&values, key)?;
-            let origin = self.origins.of(key).to_string();
-            (value != default).then(|| (key.as_str(), value.to_string(), origin))
+            let origin = self.origins.of(key);
+            let is_changed = value != default && origin != Origin::Default;
+            is_changed.then(|| (key.as_str(), value.to_string(), origin.to_string()))
         });
         changed.collect()
     }

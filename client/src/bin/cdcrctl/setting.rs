@@ -237,6 +237,8 @@ mod tests {
     #[test]
     fn the_keys_are_those_of_the_configuration_and_the_defaults_are_legal() {
         let text = include_str!("../../../../configs/default.toml");
+        // It is a remark there, because its default depends on the robot.
+        let text = text.replace("\n# rate_weight = ", "\nrate_weight = ");
         let lines = text
             .lines()
             .skip_while(|line| *line != "[controller]")

@@ -4,14 +4,17 @@ use std::path::Path;
 
 use cdcr_controller::robot::Configuration;
 
-use crate::config::{Config, DEFAULT_TEXT, RealtimeMode};
+use crate::config::{Config, DEFAULT_TEXT, Layers, Origin, RealtimeMode, explain};
 
 #[test]
 fn the_default_file_is_the_default_and_every_key_is_in_it() {
     let from_text: Config = toml::from_str(DEFAULT_TEXT).expect("the default file is TOML");
     assert_eq!(from_text, Config::default());
     let default = toml::Table::try_from(Config::default()).expect("serialises");
-    let written: toml::Table = toml::from_str(DEFAULT_TEXT).expect("the default file is TOML");
+    // This one key is a remark: written, it would not depend on the kind of robot.
+    let text = DEFAULT_TEXT.replace("\n# rate_weight = ", "\nrate_weight = ");
+    assert_ne!(text, DEFAULT_TEXT);
+    let written: toml::Table = toml::from_str(&text).expect("the default file is TOML");
     for (table, keys) in &default {
         for key in keys.as_table().expect("a table").keys() {
             assert!(
@@ -47,19 +50,46 @@ fn an_empty_file_is_the_papers_robot() {
 }
 
 #[test]
-fn rates_cost_something_in_every_robot_but_the_ideal_one() {
+fn rates_cost_something_in_every_robot_but_the_ideal_one_unless_told_otherwise() {
     let weight = |text: &str| {
         let validated = Config::parse(text, Path::new("x")).expect("legal");
         validated.config.controller.rate_weight
     };
-    let set = "[controller]\nrate_weight = 1e-7\n";
     for (link, expected) in [
         ("", 0.0),
         ("[link]\nsimulated = \"laboratory\"\n", 1e-10),
         ("[link]\nkind = \"driver\"\n", 1e-10),
     ] {
         assert!(weight(link) == expected, "{link}");
-        assert!(weight(&format!("{link}{set}")) == 1e-7, "{link}");
+        for set in [0.0, 1e-10, 1e-7] {
+            let text = format!("{link}[controller]\nrate_weight = {set}\n");
+            assert!(weight(&text) == set, "{text}");
+        }
+    }
+    // The default file is where configurations begin.
+    let driver = DEFAULT_TEXT.replace("kind = \"simulated\"", "kind = \"driver\"");
+    assert!(weight(&driver) == 1e-10);
+}
+
+#[test]
+fn a_rate_weight_that_nobody_set_is_explained_as_it_is_in_force() {
+    let driver = Layers::default().text("[link]\nkind = \"driver\"\n", Path::new("x"));
+    let mut layers = driver.unwrap();
+    for said in [
+        "value     0.0000000001\n  from      default\n",
+        "value     0.0\n  from      --set\n",
+    ] {
+        let settings = layers.clone().settings().unwrap();
+        assert!(
+            settings
+                .changed()
+                .iter()
+                .all(|(key, ..)| *key == "link.kind")
+        );
+        let explained = explain("controller.rate_weight", &settings).unwrap();
+        assert!(explained.contains(said), "{explained}");
+        let origin = Origin::Option("--set");
+        layers = layers.key("controller.rate_weight", "0.0", origin).unwrap();
     }
 }
 

@@ -266,6 +266,27 @@ fn saved_settings_are_those_of_the_next_daemon() {
 }
 
 #[test]
+fn a_rate_weight_of_zero_is_that_of_the_next_daemon_of_a_robot_with_noise() {
+    let text = format!("{PATIENT}[link]\nsimulated = \"laboratory\"\n");
+    let weight = |daemon: &Daemon| daemon.connect().settings().unwrap().rate_weight;
+    let saved = |change: &str| {
+        let mut daemon = Daemon::start(&text);
+        assert_eq!(weight(&daemon), 1e-10);
+        if !change.is_empty() {
+            done(&daemon, &format!("settings set {change}"));
+        }
+        let file = daemon.place().folder().join("robot.toml");
+        done(&daemon, &format!("settings save {}", file.display()));
+        assert!(daemon.stop().success());
+        std::fs::read_to_string(file).unwrap()
+    };
+    for (change, expected) in [("", 1e-10), ("rate_weight=0", 0.0)] {
+        let next = Daemon::start(&saved(change));
+        assert_eq!(weight(&next), expected, "{change}");
+    }
+}
+
+#[test]
 fn a_shell_is_offered_robots_obstacles_and_settings() {
     let daemon = Daemon::start(PATIENT);
     done(

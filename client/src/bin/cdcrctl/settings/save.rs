@@ -14,7 +14,7 @@ use super::STATUS_TIMEOUT;
 use crate::Done;
 use crate::setting::Setting;
 
-/// What a daemon without a file uses.
+/// What a daemon without a file uses, but for the rate weight: that depends on its robot, is a remark here, and so is always saved.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
 
 /// As many as Linux follows.
@@ -229,8 +229,14 @@ mod tests {
 
     #[test]
     fn only_what_differs_is_written() {
-        assert_eq!(text_of("", &[]), "");
-        assert_eq!(text_of(DEFAULTS, &[]), DEFAULTS);
+        assert_eq!(text_of("", &[]), "[controller]\nrate_weight = 0.0\n");
+        let saved = text_of(DEFAULTS, &[]);
+        assert!(saved.contains("\nrate_weight = 0.0\n"), "{saved}");
+        assert_eq!(saved.replacen("\nrate_weight = 0.0\n", "\n", 1), DEFAULTS);
+        assert_eq!(text_of(&saved, &[]), saved);
+        let driver = "controller.rate_weight = 1e-7\n";
+        assert_eq!(text_of(driver, &["rate_weight=1e-7"]), driver);
+        assert_eq!(text_of(driver, &[]), "controller.rate_weight = 0.0\n");
         assert_eq!(
             text_of(
                 "",
@@ -241,13 +247,17 @@ mod tests {
                     "budget_ms=2"
                 ]
             ),
-            "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\n\n[cycle]\nbudget_ms = 2.0\n"
+            "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\nrate_weight = 0.0\n\n[cycle]\nbudget_ms = 2.0\n"
         );
         // A daemon refuses one beyond its period.
-        assert_eq!(text_of("", &["budget_ms=50"]), "");
+        let held = "controller.rate_weight = 0.0\n";
+        assert_eq!(text_of(held, &["budget_ms=50"]), held);
         assert_eq!(
-            text_of("cycle.budget_ms = 3 # ms\n", &["budget_ms=50"]),
-            "cycle.budget_ms = 0.0 # ms\n"
+            text_of(
+                &format!("{held}cycle.budget_ms = 3 # ms\n"),
+                &["budget_ms=50"]
+            ),
+            format!("{held}cycle.budget_ms = 0.0 # ms\n")
         );
     }
 
