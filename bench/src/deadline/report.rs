@@ -213,8 +213,7 @@ pub fn misses_p_value(ours: (u64, u64), theirs: (u64, u64)) -> f64 {
 /// a start within a microsecond of it is punctual and counts as one, so that no clock reading is divided by another.
 fn over(above: &Case, below: &Case, key: &str) -> Vec<f64> {
     let pairs = above.rounds.iter().zip(&below.rounds);
-    let ratio =
-        |(above, below)| Some(number(above, key)?.max(1.0) / number(below, key)?.max(1.0));
+    let ratio = |(above, below)| Some(number(above, key)?.max(1.0) / number(below, key)?.max(1.0));
     pairs.filter_map(ratio).collect()
 }
 

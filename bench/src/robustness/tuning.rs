@@ -225,3 +225,38 @@ pub(super) fn table(knob: &str, rows: &[Value]) -> Sheet {
     }
     Sheet::of("", &columns, of.collect())
 }
+
+#[cfg(test)]
+#[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
+mod tests {
+    use super::*;
+    use crate::subject::daemon::Launch;
+
+    /// What the daemon has of a key on the robot of the laboratory.
+    fn in_force(preset: &str, key: &str) -> f64 {
+        let mut command = Launch::default().command("config").unwrap();
+        command.args(["explain", key, "--set", "link.simulated=laboratory"]);
+        if preset != "none" {
+            command.args(["--preset", preset]);
+        }
+        let output = command.output().unwrap();
+        let text = String::from_utf8(output.stdout).unwrap();
+        let value = text
+            .lines()
+            .find_map(|line| line.trim().strip_prefix("value "));
+        value.unwrap().trim().parse().unwrap()
+    }
+
+    #[test]
+    fn the_presets_are_those_of_the_daemon() {
+        for (name, knobs) in &PRESETS {
+            let values = [
+                knobs.rate_weight,
+                knobs.rate_change_weight,
+                knobs.time_constant_ms,
+            ];
+            let keys = KNOBS.each_ref().map(|knob| knob.key);
+            assert_eq!(values, keys.map(|key| in_force(name, key)), "{name}");
+        }
+    }
+}

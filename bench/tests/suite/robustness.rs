@@ -5,15 +5,41 @@ use std::process::Command;
 
 use serde_json::Value;
 
-#[test]
-fn every_robot_has_every_part_of_the_controller_switched_off() {
+/// What the program prints as JSON.
+fn printed(arguments: &[&str]) -> Value {
     let output = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"))
-        .args(["robustness", "--seeds", "1", "--format", "json"])
+        .args(["robustness", "--format", "json"])
+        .args(arguments)
         .output()
         .expect("the program runs");
     assert!(output.status.success());
-    let document: Value = serde_json::from_slice(&output.stdout).expect("one object");
-    let rows = document["scenarios"].as_array().expect("a list");
+    serde_json::from_slice(&output.stdout).expect("one object")
+}
+
+fn list(document: &Value, key: &str) -> Vec<Value> {
+    document[key].as_array().expect(key).clone()
+}
+
+/// A result in the documents.
+fn committed(name: &str) -> Value {
+    let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results");
+    let text = std::fs::read_to_string(place.join(name)).expect("the result");
+    serde_json::from_str(&text).expect("one object")
+}
+
+fn same(found: &Value, expected: &Value, what: &Value) {
+    let [found, expected] = [found, expected].map(|number| number.as_f64().expect("a number"));
+    let how = "see the command in bench/README.md";
+    assert!(
+        (found / expected - 1.0).abs() < 1e-6,
+        "{what}: {found}, committed {expected}; {how}"
+    );
+}
+
+#[test]
+fn every_robot_has_every_part_of_the_controller_switched_off() {
+    let document = printed(&["--seeds", "1"]);
+    let rows = list(&document, "scenarios");
     let mean_mm = |name: &str, controller: &str, interface: &str| {
         let row = rows.iter().find(|row| {
             row["name"] == name && row["controller"] == controller && row["interface"] == interface
@@ -41,18 +67,7 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
 
 /// The committed result is that of today's code: the first seed of each robot with noise, and each robot that lags.
 fn is_what_was_committed(document: &Value) {
-    let place = Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/results/robustness.json");
-    let committed = std::fs::read_to_string(place).expect("the result");
-    let committed: Value = serde_json::from_str(&committed).expect("one object");
-    let list = |document: &Value, key: &str| document[key].as_array().expect(key).clone();
-    let same = |found: &Value, expected: &Value, what: &Value| {
-        let [found, expected] = [found, expected].map(|mm| mm.as_f64().expect("a number"));
-        let how = "see the command in bench/README.md";
-        assert!(
-            (found / expected - 1.0).abs() < 1e-6,
-            "{what}: {found}, committed {expected}; {how}"
-        );
-    };
+    let committed = committed("robustness.json");
     let metrics = list(document, "metrics");
     for old in list(&committed, "metrics") {
         let new = metrics.iter().find(|new| new["name"] == old["name"]);
@@ -77,5 +92,25 @@ fn is_what_was_committed(document: &Value) {
             assert_eq!(new[key], old[key]);
         }
         same(&new["mean_error_mm"], &old["mean_error_mm"], old);
+    }
+}
+
+#[test]
+fn what_the_knobs_do_is_what_was_committed() {
+    let [new, old] =
+        [printed(&["--sweep"]), committed("tuning.json")].map(|document| list(&document, "knobs"));
+    assert_eq!(new.len(), old.len());
+    for (new, old) in new.iter().zip(&old) {
+        for key in ["knob", "turned_to", "value"] {
+            assert_eq!(new[key], old[key]);
+        }
+        for key in [
+            "mean_error_mm",
+            "max_error_mm",
+            "rate_change_rms",
+            "cables_rate_change_rms",
+        ] {
+            same(&new[key], &old[key], old);
+        }
     }
 }
