@@ -262,49 +262,93 @@ fn motors_run_through_the_play_of_their_cables() {
     }
 }
 
-/// A robot that is sent somewhere and shall stay there: tip sensor and play do not make it swing farther, whether the play is not known,
-/// taken for less than it is, or known, and whether its motors lag or not.
-#[test]
-fn a_robot_with_play_stays_where_it_is_sent() {
+/// A robot with 0.5 mm of play, tip sensor and noise, that is sent somewhere and shall stay there: its largest error from the fifth second on \[mm\].
+fn at_rest_mm(settings: NmpcSettings, driven: Driven) -> f64 {
     let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let settings = NmpcSettings {
-        rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
-        ..NmpcSettings::default()
-    };
     let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
     let goal = ReferenceSample {
         state: ReferenceState::Inside,
         position_m: robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0),
         orientation: Orientation::Free,
     };
-    let cases = [(0.0, 0.3), (4e-4, 0.3), (5e-4, 0.4)];
-    let cases = cases.iter().flat_map(|case| [(case, 0.0), (case, 0.02)]);
-    for (&(known_m, within_mm), lag_s) in cases {
-        for obeys_positions in [true, false] {
-            let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-            let mut driven = with_play(known_m);
-            driven.obeys_positions = obeys_positions;
-            driven.flaws.noise_m = 3e-5;
-            if lag_s > 0.0 {
-                driven.actuator.time_constant_s = lag_s;
-                driven.flaws.actuator.time_constant_s = lag_s;
-                driven.sensor = Sensor::CablesAndTip { every: 2 };
-            }
-            let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], |_| goal)
-                .with_acceleration(40.0)
-                .with_driven(driven)
-                .unwrap();
-            let mut most_mm = 0.0_f64;
-            for cycle in 0..4000 {
-                closed.step(&mut nmpc);
-                if cycle >= 1000 {
-                    most_mm = most_mm.max(1e3 * closed.error_m());
-                }
-            }
-            println!(
-                "known as {known_m} m, lag {lag_s} s, positions {obeys_positions}: {most_mm} mm"
-            );
-            assert!(most_mm < within_mm, "{known_m} m, {lag_s} s: {most_mm} mm");
+    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
+    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], |_| goal)
+        .with_acceleration(40.0)
+        .with_driven(driven)
+        .unwrap();
+    let mut most_mm = 0.0_f64;
+    for cycle in 0..4000 {
+        closed.step(&mut nmpc);
+        if cycle >= 1000 {
+            most_mm = most_mm.max(1e3 * closed.error_m());
         }
+    }
+    most_mm
+}
+
+/// What [`at_rest_mm`] moves: its play is taken for `known_m`, its motors lag.
+fn resting(known_m: f64, lag_s: f64) -> Driven {
+    let mut driven = with_play(known_m);
+    driven.flaws.noise_m = 3e-5;
+    if lag_s > 0.0 {
+        driven.actuator.time_constant_s = lag_s;
+        driven.flaws.actuator.time_constant_s = lag_s;
+        driven.sensor = Sensor::CablesAndTip { every: 2 };
+    }
+    driven
+}
+
+/// Tip sensor and play do not make it swing farther, whether the play is not known, taken for less than it is, or known, and whether its
+/// motors lag or not.
+#[test]
+fn a_robot_with_play_stays_where_it_is_sent() {
+    let settings = NmpcSettings {
+        rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+        ..NmpcSettings::default()
+    };
+    // Within how many mm with the first seed, and with each of five.
+    for (known_m, lag_s, first_mm, each_mm) in [
+        (0.0, 0.0, 0.13, 0.25),
+        (0.0, 0.02, 0.2, 0.26),
+        (4e-4, 0.0, 0.2, 0.23),
+        (4e-4, 0.02, 0.25, 0.31),
+        (5e-4, 0.0, 0.25, 0.29),
+        (5e-4, 0.02, 0.35, 0.51),
+    ] {
+        for obeys_positions in [true, false] {
+            for seed in 1..=seeds() {
+                let driven = Driven {
+                    obeys_positions,
+                    seed,
+                    ..resting(known_m, lag_s)
+                };
+                let mm = at_rest_mm(settings, driven);
+                println!("known as {known_m} m, lag {lag_s} s, seed {seed}: {mm} mm");
+                let within_mm = if seed == 1 { first_mm } else { each_mm };
+                assert!(mm < within_mm, "{known_m} m, {lag_s} s: {mm} mm");
+            }
+        }
+    }
+}
+
+/// What docs/tuning.md says of the preset `smooth`: a plan that may not turn round quickly does not leave the play.
+#[test]
+fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
+    let settings = NmpcSettings {
+        rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+        rate_change_weight: 1e-5,
+        ..NmpcSettings::default()
+    };
+    for (known_m, lag_s) in [0.0, 4e-4, 5e-4]
+        .iter()
+        .flat_map(|known_m| [(*known_m, 0.0), (*known_m, 0.02)])
+    {
+        let driven = Driven {
+            time_constant_s: 0.3,
+            ..resting(known_m, lag_s)
+        };
+        let mm = at_rest_mm(settings, driven);
+        println!("known as {known_m} m, lag {lag_s} s: {mm} mm");
+        assert!((1.4..4.7).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
     }
 }
