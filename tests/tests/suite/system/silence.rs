@@ -110,9 +110,10 @@ fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
     connection.prepare_requests().unwrap();
     daemon.signal(Signal::STOP);
     std::thread::scope(|scope| {
-        // Longer than a request may wait for the daemon, shorter than its client waits.
+        // Longer than a request may wait for the daemon, also one that a machine that stalls sends two seconds late; shorter than
+        // its client waits.
         scope.spawn(|| {
-            std::thread::sleep(Duration::from_millis(1300));
+            std::thread::sleep(Duration::from_secs(3));
             daemon.signal(Signal::CONT);
         });
         let answer = connection.request_within(RequestKind::Home, TIMEOUT);
