@@ -29,6 +29,18 @@ const SLOW: Duration = Duration::from_secs(5);
 /// A daemon that is killed and reaped when dropped.
 struct Life(std::process::Child);
 
+/// What the newest daemon said is part of the report of a test that fails.
+struct LogOfFailure<'a>(&'a Place);
+
+impl Drop for LogOfFailure<'_> {
+    fn drop(&mut self) {
+        if thread::panicking() {
+            let log = std::fs::read_to_string(Life::log(self.0)).unwrap_or_default();
+            println!("cdcrd said:\n{log}");
+        }
+    }
+}
+
 impl Life {
     fn begin(place: &Place) -> Self {
         let config = place.folder().join("robot.toml");
@@ -153,6 +165,7 @@ fn keep_asking(connection: &Connection, over: &AtomicBool, answered: &AtomicU64)
 #[test]
 fn fifty_kills_at_any_moment() {
     let place = place(PATIENT);
+    let _log = LogOfFailure(&place);
     let mut chance = Chance(1);
     let mut daemon = Life::begin(&place);
     let connection = connect(&place);
