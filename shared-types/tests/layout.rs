@@ -5,7 +5,8 @@ use std::fmt::Write as _;
 
 use cdcr_shared_types::message::{Field, Kind, Layout, Meaning, Struct, Value};
 use cdcr_shared_types::{
-    Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Response, Status, codes,
+    Incident, LAYOUTS, Measurement, ObstacleUpdate, ReferenceChunk, Response, Status, Telemetry,
+    codes,
 };
 
 const PINNED: &str = include_str!("layout.txt");
@@ -34,6 +35,22 @@ fn size(kind: &Kind) -> usize {
 fn fields() -> impl Iterator<Item = (&'static Layout, &'static Field)> {
     let layouts = LAYOUTS.iter();
     layouts.flat_map(|layout| layout.fields.iter().map(|field| (*layout, field)))
+}
+
+/// Decision 3 weighs what a record costs: its numbers are those of today's record.
+#[test]
+fn the_decision_for_whole_records_names_their_size() {
+    let path = concat!(
+        env!("CARGO_MANIFEST_DIR"),
+        "/../docs/decisions/0003-self-contained-records.md"
+    );
+    let page = std::fs::read_to_string(path).unwrap();
+    let bytes = size_of::<Telemetry>();
+    let size = format!("{} {:03} bytes", bytes / 1000, bytes % 1000);
+    let rate = format!("{:.1} MB/s at 200 Hz", 200.0 * bytes as f64 * 1e-6);
+    for words in [size, rate] {
+        assert!(page.contains(&words), "{words}");
+    }
 }
 
 #[test]

@@ -26,3 +26,8 @@ fn repetitions(part: u32, whole: u32) -> u32 {
         None => part,
     }
 }
+
+/// The first `part` of the cases, the hardest of which come first, and all of them with `CDCR_WHOLE`.
+fn cases<T>(part: usize, all: &[T]) -> &[T] {
+    &all[..repetitions(part as u32, all.len() as u32) as usize]
+}

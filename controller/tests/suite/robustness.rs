@@ -40,11 +40,11 @@ impl Figures {
     }
 }
 
-/// The worst of some seeds, for motors that obey positions and for those that obey speeds.
+/// The worst of some seeds, for motors that obey positions and, where everything is repeated, for those that obey speeds.
 fn worst(name: &str, driven: Driven) -> Figures {
     let eight = FigureEight::new().unwrap();
     let mut worst = Figures::default();
-    for obeys_positions in [true, false] {
+    for &obeys_positions in crate::cases(1, &[true, false]) {
         for seed in 1..=seeds() {
             let driven = Driven {
                 obeys_positions,
@@ -119,7 +119,8 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
 /// The figures of motors that are not quite what they are taken for: 30 ms ± 30 %, 15 ms ± 5 ms.
 #[test]
 fn motors_need_not_be_known_exactly() {
-    for (delay_s, time_constant_s) in [(0.015, 0.03), (0.01, 0.021), (0.02, 0.039)] {
+    let motors = [(0.02, 0.039), (0.01, 0.021), (0.015, 0.03)];
+    for &(delay_s, time_constant_s) in crate::cases(1, &motors) {
         let lagging = driven(Flaws {
             actuator: actuator(delay_s, time_constant_s),
             noise_m: 3e-5,
@@ -220,7 +221,7 @@ fn a_model_that_is_wrong_is_corrected_at_a_tip_that_is_measured() {
 
 #[test]
 fn the_tip_alone_is_enough_where_the_robot_begins_where_it_is_taken_to_be() {
-    for (tip_noise_m, mean_mm) in [(1e-4, 0.1), (5e-4, 0.25)] {
+    for &(tip_noise_m, mean_mm) in crate::cases(1, &[(5e-4, 0.25), (1e-4, 0.1)]) {
         let name = format!("tip alone, {tip_noise_m} m");
         let figures = worst(
             &name,
@@ -253,9 +254,9 @@ fn with_play(known_m: f64) -> Driven {
 fn motors_run_through_the_play_of_their_cables() {
     let unknown = worst("play of 0.5 mm, not known", with_play(0.0));
     assert!(unknown.mean_mm > 0.9);
-    for known_m in [4e-4, 5e-4, 6e-4] {
+    for known_m in crate::cases(1, &[4e-4, 5e-4, 6e-4]) {
         let name = format!("play of 0.5 mm, known as {known_m} m");
-        let figures = worst(&name, with_play(known_m));
+        let figures = worst(&name, with_play(*known_m));
         assert!(figures.mean_mm < 0.3 && figures.max_mm < 2.0);
         // They do not run through it for the noise of the tip.
         assert!(figures.rate_change_rms < 1.1 * unknown.rate_change_rms);
@@ -307,15 +308,16 @@ fn a_robot_with_play_stays_where_it_is_sent() {
         ..NmpcSettings::default()
     };
     // Within how many mm with the first seed, and with each of five.
-    for (known_m, lag_s, first_mm, each_mm) in [
+    let robots = [
+        (5e-4, 0.02, 0.35, 0.51),
         (0.0, 0.0, 0.13, 0.25),
         (0.0, 0.02, 0.2, 0.26),
         (4e-4, 0.0, 0.2, 0.23),
         (4e-4, 0.02, 0.25, 0.31),
         (5e-4, 0.0, 0.25, 0.29),
-        (5e-4, 0.02, 0.35, 0.51),
-    ] {
-        for obeys_positions in [true, false] {
+    ];
+    for &(known_m, lag_s, first_mm, each_mm) in crate::cases(1, &robots) {
+        for &obeys_positions in crate::cases(1, &[true, false]) {
             for seed in 1..=seeds() {
                 let driven = Driven {
                     obeys_positions,
@@ -339,10 +341,15 @@ fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
         rate_change_weight: 1e-5,
         ..NmpcSettings::default()
     };
-    for (known_m, lag_s) in [0.0, 4e-4, 5e-4]
-        .iter()
-        .flat_map(|known_m| [(*known_m, 0.0), (*known_m, 0.02)])
-    {
+    let robots = [
+        (5e-4, 0.02),
+        (0.0, 0.0),
+        (0.0, 0.02),
+        (4e-4, 0.0),
+        (4e-4, 0.02),
+        (5e-4, 0.0),
+    ];
+    for &(known_m, lag_s) in crate::cases(1, &robots) {
         let driven = Driven {
             time_constant_s: 0.3,
             ..resting(known_m, lag_s)

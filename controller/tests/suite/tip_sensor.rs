@@ -96,12 +96,13 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
 /// A step that believes each position went 412 mm astray here, beyond the bend limit.
 #[test]
 fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
+    let seeds = u64::from(crate::repetitions(1, 5));
     for (noise_mm, beside_rad, mean_max_mm, max_max_mm) in [
         (0.1, 0.0, 0.1, 0.5),
         (0.1, 0.05, 0.15, 1.0),
         (0.5, 0.0, 0.25, 1.0),
     ] {
-        let runs: Vec<_> = (1..=5)
+        let runs: Vec<_> = (1..=seeds)
             .map(|seed| follow_the_spiral(1e-3 * noise_mm, beside_rad, seed))
             .collect();
         let mean_mm = runs.iter().map(|run| run.mean_mm).sum::<f64>() / runs.len() as f64;

@@ -10,7 +10,7 @@ use crate::clearance::oracle::{axis_distance_m, check_consistent};
 use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 400)))]
 
     #[test]
     fn frames_computed_before_give_the_same((robot, shape) in robots_and_shapes(), place in places()) {

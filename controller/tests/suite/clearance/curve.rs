@@ -6,7 +6,7 @@ use crate::clearance::oracle::check_against_oracle;
 use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere};
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 400)))]
 
     #[test]
     fn spheres_agree_with_the_sampled_curve(

@@ -8,7 +8,7 @@ use crate::clearance::oracle::axis_distance_m;
 use crate::clearance::scene::{capsule, places, robots_and_shapes, segment, sphere, vector};
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 400)))]
 
     #[test]
     fn the_jacobian_of_a_body_point_is_its_derivative(

@@ -10,7 +10,7 @@ use crate::clearance::oracle::axis_distance_m;
 use crate::clearance::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(100, 400)))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 400)))]
 
     #[test]
     fn what_is_out_of_reach_is_further_than_the_travel(

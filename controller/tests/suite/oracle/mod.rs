@@ -121,7 +121,7 @@ fn moments(count: &str, otherwise: u64) -> impl Iterator<Item = (String, Moment)
 #[test]
 fn no_moment_breaks_a_rule() {
     let mut account = Account::NEW;
-    for (name, moment) in moments("CDCR_ORACLE_MOMENTS", crate::repetitions(1000, 2000).into()) {
+    for (name, moment) in moments("CDCR_ORACLE_MOMENTS", crate::repetitions(300, 2000).into()) {
         account.take(&name, &moment, &moment.command());
     }
     account.check();
@@ -130,7 +130,7 @@ fn no_moment_breaks_a_rule() {
 #[test]
 fn few_moments_stand_still_without_need() {
     let mut account = Account::NEW;
-    for (name, moment) in moments("CDCR_ORACLE_STANDS", 300) {
+    for (name, moment) in moments("CDCR_ORACLE_STANDS", crate::repetitions(100, 300).into()) {
         account.ask(&name, &moment, &moment.command());
     }
     account.check();
@@ -140,7 +140,7 @@ fn few_moments_stand_still_without_need() {
 fn no_closed_loop_breaks_a_rule() {
     let first = number("CDCR_ORACLE_FIRST", 0);
     let mut account = Account::NEW;
-    for seed in first..first + number("CDCR_ORACLE_LOOPS", crate::repetitions(4, 12).into()) {
+    for seed in first..first + number("CDCR_ORACLE_LOOPS", crate::repetitions(2, 12).into()) {
         Scene::random(seed).run(&mut account);
     }
     account.check();
