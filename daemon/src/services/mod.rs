@@ -10,10 +10,12 @@ use cdcr_shared_types::{
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::server::Server;
 use iceoryx2::prelude::{
-    BackpressureStrategy, Node, NodeBuilder, SignalHandlingMode, ZeroCopySend,
+    BackpressureStrategy, CallbackProgression, Node, NodeBuilder, PortFactory as _,
+    SignalHandlingMode, ZeroCopySend,
 };
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::port_factory::publish_subscribe::PortFactory;
+use iceoryx2::service::port_factory::server::ServerCreateError;
 
 mod inlet;
 mod shm_space;
@@ -228,16 +230,28 @@ pub fn publisher<T: ZeroCopySend + Debug + 'static>(
 ) -> Result<Publisher<ipc::Service, T, ()>, ServiceError> {
     let bytes = shm_space::writer_bytes(service, size_of::<T>());
     with_room(node, service, robot, bytes, || {
-        topic::<T>(node, service, robot)?
-            .publisher_builder()
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(|cause| match cause {
+        let topic = topic::<T>(node, service, robot)?;
+        let create = || {
+            topic
+                .publisher_builder()
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .create()
+        };
+        let is_full = |cause: &_| *cause == PublisherCreateError::ExceedsMaxSupportedPublishers;
+        let ports = |ports: &mut Vec<_>| {
+            topic.dynamic_config().list_publishers(|publisher| {
+                ports.push((publisher.node_id, publisher.publisher_id.value()));
+                CallbackProgression::Continue
+            });
+        };
+        stale::in_a_free_place(node, topic.service_hash(), ports, is_full, create).map_err(
+            |cause| match cause {
                 PublisherCreateError::ExceedsMaxSupportedPublishers => ServiceError::Taken {
                     service: full_name(service, robot),
                 },
                 cause => failed(service, robot)(&cause),
-            })
+            },
+        )
     })
 }
 
@@ -301,7 +315,7 @@ fn control(
         .map_err(|cause| failed(&cause))?;
     let bytes = shm_space::control_bytes();
     with_room(node, Service::Control, robot, bytes, || {
-        stale::make_anew(node, &name, MessagingPattern::RequestResponse, || {
+        let service = stale::make_anew(node, &name, MessagingPattern::RequestResponse, || {
             node.service_builder(&name)
                 .request_response::<Request, Response>()
                 .max_servers(1)
@@ -312,10 +326,21 @@ fn control(
                 .max_nodes(Service::CONTROL_NODES)
                 .open_or_create()
         })
-        .map_err(|cause| failed(&cause))?
-        .server_builder()
-        .backpressure_strategy(BackpressureStrategy::DiscardData)
-        .create()
-        .map_err(|cause| failed(&cause))
+        .map_err(|cause| failed(&cause))?;
+        let create = || {
+            service
+                .server_builder()
+                .backpressure_strategy(BackpressureStrategy::DiscardData)
+                .create()
+        };
+        let is_full = |cause: &_| *cause == ServerCreateError::ExceedsMaxSupportedServers;
+        let ports = |ports: &mut Vec<_>| {
+            service.dynamic_config().list_servers(|server| {
+                ports.push((server.node_id, server.server_id.value()));
+                CallbackProgression::Continue
+            });
+        };
+        stale::in_a_free_place(node, service.service_hash(), ports, is_full, create)
+            .map_err(|cause| failed(&cause))
     })
 }

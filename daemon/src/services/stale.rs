@@ -7,13 +7,16 @@
 use std::fmt::Debug;
 use std::fs::DirEntry;
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use cdcr_shared_types::{Location, ipc};
 use iceoryx2::config::Config;
+use iceoryx2::identifiers::UniqueNodeId;
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node, ServiceName};
 use iceoryx2::service::Service;
+use iceoryx2::service::internal::ServiceInternal;
 use iceoryx2::service::messaging_pattern::MessagingPattern;
 use iceoryx2::service::service_hash::ServiceHash;
 
@@ -55,6 +58,76 @@ pub(crate) fn service_file(
     let suffix = &global.service.static_config_storage_suffix;
     let file = format!("{}{}{suffix}", global.prefix, hash.as_str());
     Path::new(&global.service_dir().to_string()).join(file)
+}
+
+/// The node that a port belongs to, and the port's number.
+pub(super) type PortOfNode = (UniqueNodeId, u128);
+
+/// How long it is waited for a place that a dead process has.
+const FREE_WITHIN: Duration = Duration::from_secs(2);
+/// After so long no other process is still removing what the dead one left.
+const LOST_AFTER: Duration = Duration::from_secs(1);
+
+/// Makes a port with `create`. Where `is_full` says that others have all places of `service`, and these are dead, their places are freed.
+/// `ports` lists those that have a place.
+pub(super) fn in_a_free_place<P, E>(
+    node: &Node<ipc::Service>,
+    service: &ServiceHash,
+    ports: impl Fn(&mut Vec<PortOfNode>),
+    is_full: impl Fn(&E) -> bool,
+    create: impl Fn() -> Result<P, E>,
+) -> Result<P, E> {
+    let begin = Instant::now();
+    loop {
+        let result = create();
+        let waited = begin.elapsed();
+        if waited > FREE_WITHIN || !result.as_ref().is_err_and(&is_full) {
+            return result;
+        }
+        // Before the list of those who live: who comes between has no place here.
+        let mut with_place = Vec::new();
+        ports(&mut with_place);
+        if let Some(known) = clear_dead_nodes(node.config())
+            && waited > LOST_AFTER
+        {
+            with_place.retain(|(owner, _)| !known.contains(owner));
+            remove_lost_ports(node.config(), service, &with_place);
+        }
+        thread::sleep(Duration::from_millis(10));
+    }
+}
+
+/// All nodes that there are, those of the dead included, which it tries to clear away. `None` when they cannot be listed.
+fn clear_dead_nodes(config: &Config) -> Option<Vec<UniqueNodeId>> {
+    let mut known = Vec::new();
+    let listed = Node::<ipc::Service>::list(config, |state| {
+        known.push(*state.node_id());
+        if let NodeState::Dead(dead) = state {
+            // Another process may be at it.
+            let _ = dead.try_remove_stale_resources();
+        }
+        CallbackProgression::Continue
+    });
+    listed.is_ok().then_some(known)
+}
+
+/// Removes ports whose nodes are gone from a service that clients keep open.
+///
+/// A process that is killed while it clears away a dead one may have removed the tag of a port and not yet the port. iceoryx2 passes over
+/// a port without a tag, so it would have its place for as long as the service is open anywhere. With a new tag it is removed.
+fn remove_lost_ports(config: &Config, service: &ServiceHash, ports: &[PortOfNode]) {
+    for (owner, port) in ports {
+        let global = &config.global;
+        let folder = Path::new(&global.node_dir().to_string()).join(owner.value().to_string());
+        let suffix = &global.node.port_tag_suffix;
+        let tag = folder.join(format!("{}{port}{suffix}", global.prefix));
+        let made = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&tag, ""));
+        let removed = ipc::Service::__internal_remove_node_from_service(owner, service, config);
+        let _ = std::fs::remove_file(tag);
+        // Only when it is empty.
+        let _ = std::fs::remove_dir(folder);
+        tracing::warn!(?made, ?removed, "a process that is gone had left a port");
+    }
 }
 
 fn remove(node: &Node<ipc::Service>, name: &ServiceName, pattern: MessagingPattern) {
@@ -114,4 +187,45 @@ fn old_entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
         age.is_some_and(|age| age > OLD)
     };
     entries.filter(is_old).map(|entry| entry.path())
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_shared_types::{Service, Status};
+
+    use super::super::{ServiceError, node, publisher};
+    use super::*;
+
+    /// The files by which others know the node, and all else that it has below the folder of the nodes.
+    fn forget(node: &Node<ipc::Service>) {
+        let folder = node.config().global.node_dir().to_string();
+        let id = node.id().value().to_string();
+        for entry in std::fs::read_dir(folder).unwrap().flatten() {
+            let path = entry.path();
+            if !entry.file_name().to_string_lossy().contains(&id) {
+                continue;
+            }
+            if path.is_dir() {
+                std::fs::remove_dir_all(path).unwrap();
+            } else {
+                std::fs::remove_file(path).unwrap();
+            }
+        }
+    }
+
+    #[test]
+    fn a_port_that_outlived_its_node_gives_its_place_away_and_one_that_lives_keeps_it() {
+        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let location = Location::new("cdcrtest_lost_", &folder.path().join("root")).unwrap();
+        let first = node(&location).unwrap();
+        let lost = publisher::<Status>(&first, Service::Status, "cdcr").unwrap();
+        let second = node(&location).unwrap();
+        let refused = publisher::<Status>(&second, Service::Status, "cdcr").unwrap_err();
+        assert!(matches!(refused, ServiceError::Taken { .. }), "{refused}");
+        forget(&first);
+        let publisher = publisher::<Status>(&second, Service::Status, "cdcr").unwrap();
+        publisher.send_copy(Status::default()).unwrap();
+        // What they would remove at their end is gone.
+        std::mem::forget((lost, first));
+    }
 }
