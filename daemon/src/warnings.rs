@@ -10,7 +10,6 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         cycle,
         motion,
         safety,
-        obstacles,
         reference,
         controller,
         ..
@@ -79,13 +78,7 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
              back; leave the key out, or set 1e-10"
                 .to_owned()
         }),
-        (obstacles.source_timeout_ms > 0.0 && obstacles.source_timeout_ms < period_ms).then(|| {
-            format!(
-                "obstacles.source_timeout_ms = {} is shorter than cycle.period_ms = {period_ms}: a source \
-                 that sends once a period is silent at once",
-                obstacles.source_timeout_ms
-            )
-        }),
+        source_timeout(config),
         (reference.lease_ms < period_ms).then(|| {
             format!(
                 "reference.lease_ms = {} is shorter than cycle.period_ms = {period_ms}: a lease expires \
@@ -103,6 +96,24 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
         cut(config),
     ];
     warnings.into_iter().flatten().collect()
+}
+
+/// A timeout of the sources of obstacles that is hardly meant.
+fn source_timeout(config: &Config) -> Option<String> {
+    let (timeout_ms, period_ms) = (config.obstacles.source_timeout_ms, config.cycle.period_ms);
+    if config.link.kind == LinkKind::Driver && timeout_ms == 0.0 {
+        return Some(
+            "obstacles.source_timeout_ms = 0: when a source of obstacles dies, its obstacles expire and the robot moves \
+             through what is still there; leave the key out, or set a few times the interval at which the source sends"
+                .to_owned(),
+        );
+    }
+    (timeout_ms > 0.0 && timeout_ms < period_ms).then(|| {
+        format!(
+            "obstacles.source_timeout_ms = {timeout_ms} is shorter than cycle.period_ms = {period_ms}: a source that sends \
+             once a period is silent at once"
+        )
+    })
 }
 
 /// Where somebody set how long the solver may take, and the real-time threads do not have so much of the core.
@@ -161,6 +172,10 @@ mod tests {
                 "safety.measurement_frozen_rad = 0.2",
             ),
             (
+                "[link]\nkind = \"driver\"\n[obstacles]\nsource_timeout_ms = 0.0\n",
+                "obstacles.source_timeout_ms = 0",
+            ),
+            (
                 "[cycle]\nperiod_ms = 50\n[reference]\nlease_ms = 20\n",
                 "reference.lease_ms",
             ),
@@ -181,6 +196,7 @@ mod tests {
         }
         for text in [
             "",
+            "[obstacles]\nsource_timeout_ms = 0.0\n",
             "[controller]\nrate_weight = 0.0\n",
             "[realtime]\nspin_us = 400\n",
             "[cycle]\nbudget_ms = 4.4\n[realtime]\nmode = \"off\"\nspin_us = 400\n",

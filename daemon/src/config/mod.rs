@@ -96,8 +96,8 @@ cdcr_controller::parameters! {
 /// A configuration whose every part was checked, as domain values.
 #[derive(Debug, Clone)]
 pub struct Validated {
-    /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`, and
-    /// `controller.rate_weight` where nobody set it.
+    /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`,
+    /// `obstacles.source_timeout_ms`, and `controller.rate_weight` where nobody set it.
     pub config: Config,
     /// The robot.
     pub robot: Robot,

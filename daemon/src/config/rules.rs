@@ -7,6 +7,7 @@ pub(super) fn check(config: &Config, origins: &Origins) -> Result<(), ConfigErro
     check_times(config, origins)?;
     check_priorities(config, origins)?;
     check_following(config, origins)?;
+    check_source_timeout(config, origins)?;
     config.controller.validate().map_err(|error| {
         let key = format!("controller.{}", error.key);
         let others: &[&str] = match error.key {
@@ -87,6 +88,18 @@ fn check_following(config: &Config, origins: &Origins) -> Result<(), ConfigError
             "following_fault_rad = {fault_rad} must be at least following_warning_rad = {warning_rad}, so that the \
              warning comes first"
         ),
+    ))
+}
+
+/// Below 0, -1 alone has a meaning.
+fn check_source_timeout(config: &Config, origins: &Origins) -> Result<(), ConfigError> {
+    let timeout_ms = config.obstacles.source_timeout_ms;
+    if timeout_ms >= 0.0 || timeout_ms == -1.0 {
+        return Ok(());
+    }
+    Err(origins.error(
+        &["obstacles.source_timeout_ms"],
+        &format!("source_timeout_ms = {timeout_ms} is out of range: allowed is -1, or at least 0"),
     ))
 }
 

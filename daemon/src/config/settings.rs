@@ -42,7 +42,9 @@ impl Settings {
         let robot = config.robot.robot(&origins)?;
         let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
-        config.realtime.mode = config.realtime.mode.of(config.link.kind);
+        let kind = config.link.kind;
+        config.realtime.mode = config.realtime.mode.of(kind);
+        config.obstacles.source_timeout_ms = config.obstacles.source_timeout_ms(kind);
         let location = config.transport.location(&origins)?;
         let group_id = config.transport.group_id(&origins)?;
         Ok(Validated {

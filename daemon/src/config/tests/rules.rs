@@ -116,6 +116,26 @@ fn the_period_bounds_other_times_and_the_key_that_was_set_is_the_place() {
 }
 
 #[test]
+fn a_timeout_of_sources_that_nobody_set_is_that_of_the_kind_of_robot() {
+    let timeout_ms = |text: &str| {
+        let validated = Config::parse(text, Path::new("robot.toml")).unwrap();
+        validated.config.obstacles.source_timeout_ms
+    };
+    let driver = "[link]\nkind = \"driver\"\n";
+    assert_eq!(timeout_ms(""), 0.0);
+    assert_eq!(timeout_ms(driver), 500.0);
+    for set_ms in [0.0, 20.0] {
+        let set = format!("{driver}[obstacles]\nsource_timeout_ms = {set_ms:?}\n");
+        assert_eq!(timeout_ms(&set), set_ms);
+    }
+    let message = error_of("[obstacles]\nsource_timeout_ms = -0.5\n");
+    assert!(
+        message.contains("allowed is -1, or at least 0"),
+        "{message}"
+    );
+}
+
+#[test]
 fn the_shortest_period_needs_a_shorter_gather_lead() {
     let message = error_of("[cycle]\nperiod_ms = 0.1\n");
     assert_eq!(

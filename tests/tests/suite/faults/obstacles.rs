@@ -9,6 +9,7 @@ use cdcr_shared_types::{Header, InputEvent, Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_bad_obstacles, flood_obstacles};
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, wait_status};
 
+use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, say};
 
 /// The safe distance of the default configuration.
@@ -288,4 +289,36 @@ fn a_source_of_obstacles_that_died_holds_the_robot_and_its_obstacles_stay() {
 #[test]
 fn a_robot_goes_on_beside_the_obstacles_of_a_source_that_died_where_it_should() {
     lose_source("keep");
+}
+
+/// A driver's robot on its way home, beside an obstacle with a lifetime that nobody renews. No key says anything of sources.
+#[test]
+fn behind_a_driver_a_source_that_died_holds_the_robot_without_any_setting() {
+    let daemon = Daemon::start(
+        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 1000.0\n\
+         [motion]\nhome_rate_rad_s = 0.02\n[cycle]\nmiss_limit = 1000000\n",
+    );
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    let sender = connection.obstacle_sender().unwrap();
+    robot.until_held(&mut trail);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until_while("homing", || robot.turn(), is(Mode::Homing));
+    let seen = Obstacle {
+        lifetime_ns: 300_000_000,
+        ..ball(1, [0.5, 0.5, 0.3])
+    };
+    sender.upsert(&[seen]).unwrap();
+    let known = |record: &Telemetry| record.obstacle_count == 1;
+    trail.until_while("known", || robot.turn(), known);
+    let (_, held) = trail.until_while(
+        "holding",
+        || robot.turn(),
+        |record| {
+            assert_eq!(record.obstacle_count, 1, "it stays");
+            record.mode == Mode::Holding.code()
+        },
+    );
+    assert_eq!(held.reason, Reason::ObstacleSourceSilent.code());
+    assert!(held.release_ns >= seen.measured_ns + 500_000_000);
 }
