@@ -281,7 +281,7 @@ message! {
         approach_distance_m: f64,
         /// 1 where a latched mode was left and the robot has not come to rest since: a following error is no fault then.
         control_begins: u32 [yes],
-        /// Zero.
-        reserved: u32 [reserved],
+        /// Number of the reference lease: counted as leases are acquired. Tracking ends where it changes.
+        lease_number: u32,
     }
 }

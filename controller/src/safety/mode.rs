@@ -180,6 +180,8 @@ pub struct Observation {
     pub too_far: bool,
     /// The reference lease.
     pub lease: LeaseState,
+    /// Its number: leases are counted as they are acquired.
+    pub lease_number: u32,
     /// Whether the robot is straight.
     pub at_home: bool,
     /// Whether the leaky bucket of deadline misses overflows.
@@ -196,6 +198,8 @@ pub struct Observation {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct ModeMachine {
     mode: Mode,
+    /// Number of the lease whose reference is tracked, or was last.
+    tracked_lease: u32,
     faults: u64,
     ends: bool,
 }
@@ -315,11 +319,15 @@ impl ModeMachine {
         }
     }
 
-    /// Tracking goes on while the lease is held and the reference lasts.
+    /// Tracking goes on while the lease that it began with is held and the reference lasts.
     fn keep_tracking(&mut self, seen: &Observation) {
         match (seen.lease, seen.reference) {
             (LeaseState::Expired, _) => self.hold(Reason::LeaseExpired),
             (LeaseState::Free, _) => self.hold(Reason::LeaseReleased),
+            // Acquired anew since the last observation: the reference is another client's, who has not asked to track.
+            (LeaseState::Held, _) if seen.lease_number != self.tracked_lease => {
+                self.hold(Reason::LeaseExpired);
+            }
             (LeaseState::Held, ReferenceState::Ended | ReferenceState::None) => {
                 self.hold(Reason::ReferenceEnded);
             }
@@ -341,6 +349,7 @@ impl ModeMachine {
             ReferenceState::Before | ReferenceState::Inside if seen.too_far => Err(Refusal::TooFar),
             ReferenceState::Before | ReferenceState::Inside => {
                 self.mode = Mode::Tracking { begun: false };
+                self.tracked_lease = seen.lease_number;
                 Ok(())
             }
         }

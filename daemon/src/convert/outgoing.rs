@@ -85,6 +85,7 @@ pub fn telemetry(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::T
         robot: self::robot(robot),
         window_first_cycle: record.window_first_cycle,
         lease_state: lease_state(record.lease).code(),
+        lease_number: record.lease_number,
         deceleration_rad_s2: record.policy.deceleration_rad_s2,
         home_rate_rad_s: record.policy.home_rate_rad_s,
         deadline_ns: record.policy.deadline_ns,

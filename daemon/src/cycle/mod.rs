@@ -8,6 +8,7 @@
 //! in the record, so that the cycle can be computed again.
 
 mod observation;
+mod own_costs;
 mod present_clearance;
 mod rehearsal;
 mod state;
@@ -245,6 +246,7 @@ impl Cycle {
             gather_ns: inputs.gather_ns,
             window_first_cycle: inputs.window.first_cycle(),
             lease: inputs.lease,
+            lease_number: inputs.lease_number,
             policy: self.policy,
             measurement,
             measurement_use,
@@ -275,25 +277,6 @@ impl Cycle {
         };
         self.copy_plans(&mut record);
         record
-    }
-
-    /// The thread is about to sleep: what followed the solver is over.
-    pub fn rest(&mut self, clock: &impl Clock) {
-        if self.solve_until_ns > 0 {
-            let took_ns = clock.now_ns().saturating_sub(self.solve_over_ns);
-            self.took_after_solve_ns = Some(took_ns);
-        }
-    }
-
-    /// Takes note of what the cycle before took, unless it lost its core meanwhile, or nobody has said so far whether it did.
-    fn learn_cost(&mut self, inputs: &CycleInputs, stale_inputs: bool) {
-        let before = core::mem::replace(&mut self.interruptions, inputs.interruptions);
-        if let Some(took_ns) = self.took_after_solve_ns.take()
-            && before == inputs.interruptions
-            && !stale_inputs
-        {
-            self.costs_after_solve.note(took_ns);
-        }
     }
 
     /// Whether the inputs are those of the cycle before.

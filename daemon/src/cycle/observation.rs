@@ -18,6 +18,7 @@ impl Cycle {
             reference: reference.state,
             too_far: self.state.is_too_far(reference),
             lease: inputs.lease,
+            lease_number: inputs.lease_number,
             at_home: self.state.is_at_home(),
             misses_overflow: self.policy.stops_on_misses() && self.accounting.bucket().overflows(),
             suspended: core::mem::replace(&mut self.suspends, inputs.suspends) != inputs.suspends,

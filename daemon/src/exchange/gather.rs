@@ -69,6 +69,7 @@ impl Exchange {
         inputs.exchange_ns = self.own_costs.high_ns();
         inputs.interruptions = self.interruptions;
         inputs.measurement = self.measurements.newest();
+        inputs.lease_number = self.references.lease_number();
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
         inputs.obstacles = self.obstacles.handed_over(now_ns);

@@ -16,6 +16,8 @@ pub(super) struct References {
     lead_ns: u64,
     trajectory: Trajectory,
     lease: Lease,
+    /// Leases so far: each is acquired by a client that did not hold it.
+    leases: u32,
     last_chunk: Option<LastChunk>,
 }
 
@@ -33,6 +35,7 @@ impl References {
             lead_ns,
             trajectory: Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m()),
             lease: Lease::new(lease_ns),
+            leases: 0,
             last_chunk: None,
         }
     }
@@ -105,6 +108,7 @@ impl References {
             return Outcome::LeaseHeld;
         }
         if !renews {
+            self.leases = self.leases.wrapping_add(1);
             self.drop_reference();
         }
         Outcome::Accepted
@@ -161,6 +165,11 @@ impl References {
     /// The lease as the cycle sees it.
     pub(super) fn lease_state(&self, now_ns: u64) -> LeaseState {
         self.lease.state(now_ns)
+    }
+
+    /// Number of the lease that was acquired last.
+    pub(super) fn lease_number(&self) -> u32 {
+        self.leases
     }
 
     /// Time of the last point \[ns\].

@@ -139,8 +139,12 @@ impl Rig {
         }
     }
 
-    /// Runs `cycle` with the inputs that are there.
-    fn run(&mut self, cycle: u64, request: Option<cdcr_controller::safety::Request>) {
+    /// Runs `cycle` with the inputs that are there; its mode.
+    fn run(
+        &mut self,
+        cycle: u64,
+        request: Option<cdcr_controller::safety::Request>,
+    ) -> cdcr_controller::safety::Mode {
         let release_ns = self.schedule.release_ns(cycle);
         self.clock.sleep_until(release_ns);
         let release = Release {
@@ -156,7 +160,9 @@ impl Rig {
         self.ends.records.send(record);
     }
 
+        let mode = record.mode;
     fn publish(&mut self) {
+        mode
         self.exchange.publish(&self.clock, &self.shared);
     }
 

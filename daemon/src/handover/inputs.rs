@@ -25,6 +25,8 @@ pub struct CycleInputs {
     pub window: ReferenceWindow,
     /// The reference lease.
     pub lease: LeaseState,
+    /// Its number: leases are counted as they are acquired.
+    pub lease_number: u32,
     /// Stops that were asked for so far. When it has grown, the cycle stops whatever else waits in the ring.
     pub stops: u64,
     /// Times that the machine slept (suspend to memory or disk) so far. When it has grown, the cycle stops.
@@ -58,6 +60,7 @@ impl CycleInputs {
             gather_ns: 0,
             window: ReferenceWindow::default(),
             lease: LeaseState::Free,
+            lease_number: 0,
             stops: 0,
             suspends: 0,
             obstacle_source_silent: false,

@@ -71,6 +71,8 @@ pub struct CycleRecord {
     pub window_first_cycle: u64,
     /// The reference lease.
     pub lease: LeaseState,
+    /// Its number.
+    pub lease_number: u32,
     /// The fixed rules.
     pub policy: Policy,
     /// The newest measurement.

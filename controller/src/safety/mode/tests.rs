@@ -56,6 +56,11 @@ fn every_observed_transition() {
         ..good()
     };
     assert_eq!(after(tracking, silent), held(Reason::LeaseExpired));
+    let acquired_anew = Observation {
+        lease_number: 1,
+        ..good()
+    };
+    assert_eq!(after(tracking, acquired_anew), held(Reason::LeaseExpired));
     let released = Observation {
         lease: LeaseState::Free,
         ..good()
@@ -129,6 +134,24 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
         );
     }
     assert_eq!(asked(faulted, Request::Stop, good()), Ok(faulted));
+}
+
+#[test]
+fn tracking_goes_on_with_the_lease_that_it_began_with_alone() {
+    let of_lease = |lease_number| Observation {
+        lease_number,
+        ..good()
+    };
+    let mut machine = machine(HOLDING);
+    machine.request(Request::Track, &of_lease(7)).unwrap();
+    machine.observe(&of_lease(7));
+    assert_eq!(machine.mode(), Mode::Tracking { begun: true });
+    machine.observe(&of_lease(8));
+    let reason = Reason::LeaseExpired;
+    assert_eq!(machine.mode(), Mode::Holding { reason });
+    machine.request(Request::Track, &of_lease(8)).unwrap();
+    machine.observe(&of_lease(8));
+    assert_eq!(machine.mode(), Mode::Tracking { begun: true });
 }
 
 #[test]

@@ -1,6 +1,8 @@
 //! References and the lease that they belong to.
 
 use cdcr_controller::reference::ReferenceState;
+use cdcr_controller::safety::Request::Track;
+use cdcr_controller::safety::{LeaseState, Mode, Reason};
 use cdcr_shared_types::codes::ChunkMode;
 use cdcr_shared_types::{ReferenceChunk, ReferencePoint};
 
@@ -12,8 +14,24 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
     rig.gather();
     let first = rig.ask(1, RequestKind::AcquireLease);
     rig.gather();
+    send_reference(&rig, 1);
+    let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
+    let cycle = rig.next_cycle;
+    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
+    // 20 ms after the gather that took the chunk.
+    rig.gather_for(15);
+    let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
+    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::None);
+    let answer = second.receive().unwrap().unwrap();
+    assert_eq!(answer.outcome, Outcome::Accepted.code());
+    assert_eq!(answer.lease_holder, 2);
+    drop(first);
+}
+
+/// Sends a trajectory that begins in half a second.
+fn send_reference(rig: &Rig, client: u64) {
     let mut chunk = ReferenceChunk {
-        header: rig.header(1),
+        header: rig.header(client),
         mode: ChunkMode::Replace.code(),
         count: 2,
         ..ReferenceChunk::default()
@@ -26,17 +44,37 @@ fn who_acquires_a_lease_begins_without_the_reference_of_the_one_before() {
         };
     }
     rig.references.send_copy(chunk).unwrap();
-    let ahead = |inputs: &CycleInputs, cycle| inputs.window.get(cycle).state;
-    let cycle = rig.next_cycle;
-    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::Before);
-    // 20 ms after the gather that took the chunk.
+}
+
+/// The cycle skips the gathers in which the lease passes to another client: it sees a held lease and a reference before and
+/// after.
+#[test]
+fn tracking_does_not_pass_to_a_client_that_did_not_ask_for_it() {
+    let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
+    rig.measure(9, 0.1, 1);
+    rig.gather();
+    rig.run(1, None);
+    let first = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    send_reference(&rig, 1);
+    rig.gather();
+    assert!(matches!(rig.run(3, Some(Track)), Mode::Tracking { .. }));
     rig.gather_for(15);
-    let (second, cycle) = (rig.ask(2, RequestKind::AcquireLease), rig.next_cycle);
-    assert_eq!(ahead(rig.gather(), cycle), ReferenceState::None);
-    let answer = second.receive().unwrap().unwrap();
-    assert_eq!(answer.outcome, Outcome::Accepted.code());
-    assert_eq!(answer.lease_holder, 2);
-    drop(first);
+    let second = rig.ask(2, RequestKind::AcquireLease);
+    rig.gather();
+    send_reference(&rig, 2);
+    rig.measure(9, 0.1, 1);
+    let cycle = rig.next_cycle;
+    let inputs = rig.gather();
+    assert_eq!(inputs.lease, LeaseState::Held);
+    assert_eq!(inputs.window.get(cycle).state, ReferenceState::Before);
+    let reason = Reason::LeaseExpired;
+    assert_eq!(rig.run(cycle, None), Mode::Holding { reason });
+    assert!(matches!(
+        rig.run(cycle + 1, Some(Track)),
+        Mode::Tracking { .. }
+    ));
+    drop((first, second));
 }
 
 #[test]
