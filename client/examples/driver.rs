@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use std::{env, error::Error, thread};
 
-use cdcr_client::{CommandedRates, Connection, monotonic_ns, section_lengths_m};
+use cdcr_client::{CommandedRates, Driver, monotonic_ns, section_lengths_m};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::limits::CABLES_MAX;
 use cdcr_shared_types::{DEFAULT_PREFIX, Location, Measurement};
@@ -29,10 +29,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let root = env::var_os("CDCR_ROOT").map_or_else(Location::default_root, Into::into);
     let location = Location::new(&set("CDCR_PREFIX", DEFAULT_PREFIX), &root)?;
     let (robot, patience) = (set("CDCR_ROBOT", "cdcr"), Duration::from_secs(10));
-    let connection = Connection::open_within(&location, &robot, patience)?;
-    let description = connection.status(patience)?.robot;
-    let mut motors = Motors::straight(&section_lengths_m(&description));
-    let mut driver = connection.driver(interface)?;
+    let mut driver = Driver::connect_within(&location, &robot, interface, patience)?;
+    let mut motors = Motors::straight(&section_lengths_m(driver.robot()));
 
     let mut last_ns = monotonic_ns();
     while !ending.load(Ordering::Relaxed) {
@@ -59,7 +57,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         driver.send(Measurement {
             measured_ns: monotonic_ns(),
             kind: MeasurementKind::CableLengths.code(),
-            sections: description.sections,
+            sections: driver.robot().sections,
             cable_length_m: motors.length_m,
             ..Measurement::default()
         })?;

@@ -1,8 +1,12 @@
 use std::path::PathBuf;
+use std::thread;
+use std::time::{Duration, Instant};
 
-use cdcr_shared_types::{Location, LocationError, ServiceNameError, ipc};
+use cdcr_shared_types::{Location, LocationError, Presence, ServiceNameError, ipc};
 use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
 use iceoryx2::service::builder::request_response::RequestResponseOpenError;
+
+use crate::link_error::{LinkError, Liveness, process_text};
 
 /// Where a daemon was looked for.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -13,6 +17,32 @@ pub struct Place {
     pub root: PathBuf,
     /// Name of the robot.
     pub robot: String,
+}
+
+impl Place {
+    /// The place of `robot` at `location`.
+    pub(crate) fn new(location: &Location, robot: &str) -> Self {
+        Self {
+            prefix: location.prefix().to_owned(),
+            root: location.root().to_owned(),
+            robot: robot.to_owned(),
+        }
+    }
+
+    /// Whether its daemon runs, by what it holds while it lives.
+    pub(crate) fn liveness(&self) -> Liveness {
+        match Location::new(&self.prefix, &self.root) {
+            Ok(location) => liveness(&location, &self.robot),
+            Err(_) => Liveness::Unknown,
+        }
+    }
+}
+
+fn liveness(location: &Location, robot: &str) -> Liveness {
+    match location.presence(robot) {
+        Some(Presence { process_id }) => Liveness::Runs { process_id },
+        None => Liveness::Ended,
+    }
 }
 
 impl core::fmt::Display for Place {
@@ -102,6 +132,9 @@ pub enum ConnectError {
     /// The prefix or root path is not legal.
     #[error(transparent)]
     Location(#[from] LocationError),
+    /// A port that is needed from the beginning could not be made.
+    #[error(transparent)]
+    Port(#[from] LinkError),
     /// Shared memory cannot be used at all.
     #[error("cannot use the shared memory for {place}: {cause}")]
     Memory {
@@ -132,6 +165,32 @@ impl ConnectError {
     }
 }
 
+/// A daemon whose services are there, and no status of it came.
+pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
+    not_reached(
+        location,
+        place,
+        "it has sent no status for 1 s: it is stopped, held up or short of memory",
+        "its services are there, but no process holds them: it was killed",
+    )
+}
+
+/// Tries again until `timeout`, while the error is one that may pass.
+pub(crate) fn retry<T>(
+    timeout: Duration,
+    mut connect: impl FnMut() -> Result<T, ConnectError>,
+) -> Result<T, ConnectError> {
+    let deadline = Instant::now() + timeout;
+    loop {
+        match connect() {
+            Err(error) if error.may_pass() && Instant::now() < deadline => {
+                thread::sleep(Duration::from_millis(20));
+            }
+            result => return result,
+        }
+    }
+}
+
 /// A daemon that is not reached, though its services or their place are there: the truth by what it holds while it
 /// lives.
 pub(crate) fn not_reached(
@@ -140,16 +199,13 @@ pub(crate) fn not_reached(
     found: &'static str,
     found_of_dead: &'static str,
 ) -> ConnectError {
-    match location.presence(&place.robot) {
-        Some(presence) => ConnectError::Silent {
-            process: presence.process_id.map_or_else(
-                || "process unknown".to_owned(),
-                |id| format!("process {id}"),
-            ),
+    match liveness(location, &place.robot) {
+        Liveness::Runs { process_id } => ConnectError::Silent {
+            process: process_text(process_id),
             place: place.clone(),
             found,
         },
-        None => ConnectError::not_running(place, found_of_dead),
+        Liveness::Ended | Liveness::Unknown => ConnectError::not_running(place, found_of_dead),
     }
 }
 

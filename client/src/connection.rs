@@ -1,5 +1,4 @@
 use std::cell::{Cell, RefCell};
-use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Interface, RequestKind};
@@ -8,10 +7,11 @@ use cdcr_shared_types::{
     SolverSettings, Status,
 };
 
-use crate::connect_error::{Place, not_reached};
+use crate::connect_error::{Place, no_status, retry};
 use crate::request::Control;
 use crate::sender::Sender;
 use crate::services::{Services, check_owner};
+use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::{
     CommandStream, ConnectError, Driver, FeedError, FeedOptions, Feeder, Lease, LinkError,
     ObstacleSender, ReferenceFeed, RequestError, Stream, TelemetryStream, TipSensor, Trajectory,
@@ -20,9 +20,6 @@ use crate::{
 
 /// How long a request waits for its answer; a daemon answers within a few cycles of 5 ms.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(1);
-
-/// A daemon publishes its status ten times a second: one that is silent for this long is dead.
-const STATUS_FRESH: Duration = Duration::from_secs(1);
 
 /// An open connection to one daemon.
 ///
@@ -56,11 +53,7 @@ impl Connection {
     /// [`ConnectError::DaemonNotRunning`] when there is none, also when one was killed and left its
     /// services behind; [`ConnectError::Silent`] when one runs and tells nothing; the other variants say what else stands in the way.
     pub fn open(location: &Location, robot: &str) -> Result<Self, ConnectError> {
-        let place = Place {
-            prefix: location.prefix().to_owned(),
-            root: location.root().to_owned(),
-            robot: robot.to_owned(),
-        };
+        let place = Place::new(location, robot);
         Service::Control.name(robot)?;
         check_owner(location, &place)?;
         let services = Services::open(location, &place)?;
@@ -69,13 +62,10 @@ impl Connection {
             cause,
         };
         let sender = Sender::new();
-        let control = Control::new(services.control.clone(), sender.clone());
+        let control = Control::new(services.control.clone(), sender.clone(), place.clone());
         let stream = Stream::open(&services.status).map_err(|cause| memory(cause.to_string()))?;
         let connection = Self {
-            status: RefCell::new(StatusReader {
-                stream,
-                newest: None,
-            }),
+            status: RefCell::new(StatusReader::new(stream)),
             place,
             services,
             sender,
@@ -84,12 +74,7 @@ impl Connection {
         };
         match connection.status(STATUS_FRESH) {
             Ok(_) => Ok(connection),
-            Err(_) => Err(not_reached(
-                location,
-                &connection.place,
-                "it has sent no status for 1 s: it is stopped, held up or short of memory",
-                "its services are there, but no process holds them: it was killed",
-            )),
+            Err(_) => Err(no_status(location, &connection.place)),
         }
     }
 
@@ -102,15 +87,7 @@ impl Connection {
         robot: &str,
         timeout: Duration,
     ) -> Result<Self, ConnectError> {
-        let deadline = Instant::now() + timeout;
-        loop {
-            match Self::open(location, robot) {
-                Err(error) if error.may_pass() && Instant::now() < deadline => {
-                    thread::sleep(Duration::from_millis(20));
-                }
-                result => return result,
-            }
-        }
+        retry(timeout, || Self::open(location, robot))
     }
 
     /// Where the daemon was found.
@@ -128,7 +105,13 @@ impl Connection {
     /// # Errors
     /// [`LinkError::Silent`] when none came.
     pub fn status(&self, timeout: Duration) -> Result<Status, LinkError> {
-        self.status.borrow_mut().fresh_within(timeout)
+        let status = self.status.borrow_mut().fresh_within(timeout)?;
+        status.ok_or_else(|| self.silent(Service::Status, timeout))
+    }
+
+    /// Nothing came on a service for as long.
+    pub(crate) fn silent(&self, service: Service, waited: Duration) -> LinkError {
+        LinkError::silent(service, waited, self.place.liveness())
     }
 
     /// The settings of the solver that the first cycle from now on uses; waits for it, at most 1 s.
@@ -146,7 +129,7 @@ impl Connection {
                 // Records of before may still be on their way, with settings that were changed since.
                 Some(record) if record.start_ns < begun_ns => {}
                 Some(record) => return Ok(record.settings),
-                None => return Err(LinkError::silent(Service::Telemetry, REQUEST_TIMEOUT)),
+                None => return Err(self.silent(Service::Telemetry, REQUEST_TIMEOUT)),
             }
         }
     }
@@ -236,13 +219,18 @@ impl Connection {
     }
 
     /// The ports of a driver that obeys `interface`: measurements out, commands in. It follows no command beyond the
-    /// limits of the robot in the daemon's status.
+    /// limits of the robot in the daemon's status. A driver that needs nothing else of a connection uses [`Driver::connect`].
     ///
     /// # Errors
     /// When the services have as many writers or readers as they allow, [`LinkError::Silent`] when the daemon is away.
     pub fn driver(&self, interface: Interface) -> Result<Driver, LinkError> {
         let robot = self.status(STATUS_FRESH)?.robot;
-        Driver::open(&self.services, self.sender.clone(), &robot, interface)
+        let Services {
+            measurement,
+            command,
+            ..
+        } = &self.services;
+        Driver::open(measurement, command, self.sender.clone(), &robot, interface)
     }
 
     /// The port of a process that measures the tip beside the driver (`link.tip_sensor = "separate"`).
@@ -322,36 +310,6 @@ impl Connection {
     }
 }
 
-/// Remembers the newest status, so that asking often does not mean waiting often.
-#[derive(Debug)]
-struct StatusReader {
-    stream: Stream<Status>,
-    newest: Option<Status>,
-}
-
-impl StatusReader {
-    fn fresh_within(&mut self, timeout: Duration) -> Result<Status, LinkError> {
-        let deadline = Instant::now() + timeout;
-        loop {
-            if let Some(status) = self.stream.newest()? {
-                self.newest = Some(status);
-            }
-            let now_ns = monotonic_ns();
-            match &self.newest {
-                Some(status) if is_fresh(status, now_ns) => return Ok(*status),
-                _ if Instant::now() >= deadline => {
-                    return Err(LinkError::silent(Service::Status, timeout));
-                }
-                _ => thread::sleep(Duration::from_millis(2)),
-            }
-        }
-    }
-}
-
-fn is_fresh(status: &Status, now_ns: u64) -> bool {
-    now_ns.saturating_sub(status.header.sent_ns) < STATUS_FRESH.as_nanos() as u64
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -381,13 +339,5 @@ mod tests {
             Connection::open(&location, "a/b"),
             Err(ConnectError::Robot(_))
         ));
-    }
-
-    #[test]
-    fn a_status_older_than_a_second_is_of_a_dead_daemon() {
-        let mut status = Status::default();
-        status.header.sent_ns = 5_000_000_000;
-        assert!(is_fresh(&status, 5_900_000_000));
-        assert!(!is_fresh(&status, 6_000_000_000));
     }
 }

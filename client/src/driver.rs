@@ -7,13 +7,15 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::Interface;
-use cdcr_shared_types::{Command, Header, Measurement, RobotDescription};
+use cdcr_shared_types::{Command, Header, Location, Measurement, RobotDescription, Service};
 
+use crate::connect_error::{Place, no_status, retry};
 use crate::outlet::Outlet;
 use crate::sender::Sender;
-use crate::services::Services;
+use crate::services::{Channel, DriverServices, check_owner};
+use crate::status_reader::{STATUS_FRESH, StatusReader};
 use crate::stream::Stream;
-use crate::{CommandStream, LinkError, monotonic_ns};
+use crate::{CommandStream, ConnectError, LinkError, monotonic_ns};
 
 pub use commanded::{CommandedPosition, CommandedRates};
 pub use follower::CommandFollower;
@@ -54,6 +56,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub struct Driver {
     interface: Interface,
+    robot: RobotDescription,
     measurements: Outlet<Measurement>,
     commands: CommandStream,
     follower: CommandFollower,
@@ -71,18 +74,64 @@ pub struct DriverUpdate {
 }
 
 impl Driver {
+    /// Connects to the daemon that controls `robot` at `location`, as a driver that obeys `interface`. Opens what a driver
+    /// needs and nothing else, so that no crowd of clients keeps it out.
+    ///
+    /// # Errors
+    /// As [`Connection::open`](crate::Connection::open), and [`ConnectError::Port`] when other drivers have all places.
+    pub fn connect(
+        location: &Location,
+        robot: &str,
+        interface: Interface,
+    ) -> Result<Self, ConnectError> {
+        let place = Place::new(location, robot);
+        Service::Measurement.name(robot)?;
+        check_owner(location, &place)?;
+        let services = DriverServices::open(location, &place)?;
+        let mut statuses = StatusReader::new(Stream::open_kept(&services.status)?);
+        let status = statuses.fresh_within(STATUS_FRESH)?;
+        let robot = status.ok_or_else(|| no_status(location, &place))?.robot;
+        let DriverServices {
+            measurement,
+            command,
+            ..
+        } = &services;
+        let driver = Self::open(measurement, command, Sender::new(), &robot, interface)?;
+        Ok(driver)
+    }
+
+    /// The same of a daemon that may still be starting: tries again until `timeout`.
+    ///
+    /// # Errors
+    /// As [`connect`](Self::connect), with the last reason.
+    pub fn connect_within(
+        location: &Location,
+        robot: &str,
+        interface: Interface,
+        timeout: Duration,
+    ) -> Result<Self, ConnectError> {
+        retry(timeout, || Self::connect(location, robot, interface))
+    }
+
     pub(crate) fn open(
-        services: &Services,
+        measurement: &Channel<Measurement>,
+        command: &Channel<Command>,
         sender: Sender,
         robot: &RobotDescription,
         interface: Interface,
     ) -> Result<Self, LinkError> {
         Ok(Self {
             interface,
-            measurements: Outlet::open(&services.measurement, sender)?,
-            commands: Stream::open_kept(&services.command)?,
+            robot: *robot,
+            measurements: Outlet::open(measurement, sender)?,
+            commands: Stream::open_kept(command)?,
             follower: CommandFollower::new(robot, interface),
         })
+    }
+
+    /// The robot, as the daemon had it when this driver was opened.
+    pub fn robot(&self) -> &RobotDescription {
+        &self.robot
     }
 
     /// Sends what was measured, and by the way which interface this driver obeys.

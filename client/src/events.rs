@@ -4,7 +4,7 @@ use cdcr_shared_types::codes::{EventKind, Outcome};
 use cdcr_shared_types::limits::{EVENTS_MAX, OBSTACLES_MAX};
 use cdcr_shared_types::{Header, InputEvent, Obstacle, Service, Telemetry};
 
-use crate::{LinkError, TelemetryStream};
+use crate::{LinkError, Liveness, TelemetryStream};
 
 /// The obstacles of a record, where they are at its release.
 pub fn obstacles(record: &Telemetry) -> &[Obstacle] {
@@ -49,7 +49,11 @@ impl TelemetryStream {
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
             let Some(record) = self.next_within(left)? else {
-                return Err(LinkError::silent(Service::Telemetry, timeout));
+                return Err(LinkError::silent(
+                    Service::Telemetry,
+                    timeout,
+                    Liveness::Unknown,
+                ));
             };
             if let Some(event) = events(&record)
                 .iter()
@@ -58,7 +62,11 @@ impl TelemetryStream {
                 return Ok(*event);
             }
             if Instant::now() >= deadline {
-                return Err(LinkError::silent(Service::Telemetry, timeout));
+                return Err(LinkError::silent(
+                    Service::Telemetry,
+                    timeout,
+                    Liveness::Unknown,
+                ));
             }
         }
     }

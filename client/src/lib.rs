@@ -88,6 +88,7 @@ mod requester;
 mod robot;
 mod sender;
 mod services;
+mod status_reader;
 mod stream;
 mod tip_sensor;
 mod trajectory;
@@ -101,7 +102,7 @@ pub use driver::{
 pub use events::{events, obstacles};
 pub use feeder::{FeedEnd, FeedError, FeedEvent, FeedOptions, FeedProgress, FeedReport, Feeder};
 pub use lease::Lease;
-pub use link_error::LinkError;
+pub use link_error::{LinkError, Liveness};
 pub use message::Message;
 pub use obstacle_sender::ObstacleSender;
 #[cfg(feature = "model")]

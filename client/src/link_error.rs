@@ -57,8 +57,7 @@ pub enum LinkError {
     },
     /// The daemon sends nothing any more.
     #[error(
-        "the daemon has sent nothing on the {service} service for {} ms; \
-         it has ended or is stopped (start one with `cdcrd run`)",
+        "the daemon has sent nothing on the {service} service for {} ms: {liveness}",
         waited.as_millis()
     )]
     Silent {
@@ -66,6 +65,8 @@ pub enum LinkError {
         service: &'static str,
         /// How long it was waited for.
         waited: Duration,
+        /// Whether it still runs.
+        liveness: Liveness,
     },
     /// A reference chunk with no point or too many.
     #[error("a reference chunk holds 1 to {CHUNK_POINTS_MAX} points, not {count}")]
@@ -79,6 +80,41 @@ pub enum LinkError {
         /// Obstacles given.
         count: usize,
     },
+}
+
+/// What is known of a daemon that does not answer or sends nothing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Liveness {
+    /// Nobody has looked.
+    Unknown,
+    /// Its process runs: it is stopped, or a thread of it is held up.
+    Runs {
+        /// The process, as far as it could be told.
+        process_id: Option<u32>,
+    },
+    /// No process holds its lock or its name.
+    Ended,
+}
+
+impl Display for Liveness {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Unknown => f.write_str("it has ended, is stopped or is held up"),
+            Self::Runs { process_id } => {
+                let process = process_text(*process_id);
+                write!(f, "it runs ({process}), and is stopped or held up")
+            }
+            Self::Ended => f.write_str("it has ended (start one with `cdcrd run`)"),
+        }
+    }
+}
+
+/// A process in words.
+pub(crate) fn process_text(process_id: Option<u32>) -> String {
+    process_id.map_or_else(
+        || "process unknown".to_owned(),
+        |id| format!("process {id}"),
+    )
 }
 
 impl LinkError {
@@ -119,10 +155,11 @@ impl LinkError {
         }
     }
 
-    pub(crate) fn silent(service: Service, waited: Duration) -> Self {
+    pub(crate) fn silent(service: Service, waited: Duration, liveness: Liveness) -> Self {
         Self::Silent {
             service: service.key(),
             waited,
+            liveness,
         }
     }
 }

@@ -9,7 +9,8 @@ use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
 use iceoryx2::service::port_factory::PortFactory;
 
-use crate::LinkError;
+use crate::connect_error::Place;
+use crate::link_error::{LinkError, Liveness};
 use crate::remedy::{refusal, request_remedy};
 use crate::sender::Sender;
 use crate::services::ControlChannel;
@@ -32,7 +33,7 @@ pub enum RequestError {
     },
     /// No answer came.
     #[error(
-        "cannot {kind}: the daemon did not answer within {} ms; it has ended or is stopped",
+        "cannot {kind}: the daemon did not answer within {} ms: {liveness}",
         waited.as_millis()
     )]
     Timeout {
@@ -40,6 +41,8 @@ pub enum RequestError {
         kind: RequestKind,
         /// How long it was waited for.
         waited: Duration,
+        /// Whether it still runs.
+        liveness: Liveness,
     },
     /// Another daemon answered than the one that gave the lease.
     #[error(
@@ -77,17 +80,19 @@ pub(crate) struct Control {
     channel: ControlChannel,
     port: OnceCell<Port>,
     sender: Sender,
+    place: Place,
     /// How many clients may ask, this one included, for it to be one of them.
     clients_max: usize,
 }
 
 impl Control {
     /// For everything but a stop: leaves the places free that are kept for one.
-    pub(crate) fn new(channel: ControlChannel, sender: Sender) -> Self {
+    pub(crate) fn new(channel: ControlChannel, sender: Sender, place: Place) -> Self {
         Self {
             channel,
             port: OnceCell::new(),
             sender,
+            place,
             clients_max: Service::CONTROL_CLIENTS - Service::CONTROL_KEPT,
         }
     }
@@ -147,8 +152,11 @@ impl Control {
             }
             was_unanswered |= answer.is_none();
             if is_over {
-                let waited = timeout;
-                return Err(RequestError::Timeout { kind, waited });
+                return Err(RequestError::Timeout {
+                    kind,
+                    waited: timeout,
+                    liveness: self.place.liveness(),
+                });
             }
             thread::sleep(LOOK_AGAIN);
         }

@@ -61,11 +61,7 @@ impl Requester {
         robot: &str,
         deadline: Instant,
     ) -> Result<Self, ConnectError> {
-        let place = Place {
-            prefix: location.prefix().to_owned(),
-            root: location.root().to_owned(),
-            robot: robot.to_owned(),
-        };
+        let place = Place::new(location, robot);
         Service::Control.name(robot)?;
         check_owner(location, &place)?;
         if location.presence(robot).is_none() {
@@ -76,7 +72,7 @@ impl Requester {
         }
         let channel = find_place(location, &place, deadline)?;
         Ok(Self {
-            control: Control::new(channel, Sender::new()),
+            control: Control::new(channel, Sender::new(), place),
             location: location.clone(),
         })
     }

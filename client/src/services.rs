@@ -79,6 +79,28 @@ impl Services {
     }
 }
 
+/// What a driver needs, and no other service: those may be full of clients that watch.
+#[derive(Debug)]
+pub(crate) struct DriverServices {
+    pub(crate) status: Channel<Status>,
+    pub(crate) measurement: Channel<Measurement>,
+    pub(crate) command: Channel<Command>,
+}
+
+impl DriverServices {
+    /// As [`Services::open`].
+    pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
+        ask_space(location, place)?;
+        let opener = Opener::new(location, place)?;
+        location.clear_dead_nodes(DEAD_NODES);
+        Ok(Self {
+            status: opener.channel()?,
+            measurement: opener.channel()?,
+            command: opener.channel()?,
+        })
+    }
+}
+
 /// Dead processes that a client clears away when it connects: a few more than a daemon that was killed leaves.
 pub(crate) const DEAD_NODES: usize = 16;
 

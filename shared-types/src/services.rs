@@ -91,10 +91,10 @@ impl Service {
     pub const CONTROL_KEPT: usize = 4;
     /// Requests of one client that may wait at one time.
     pub const CONTROL_REQUESTS: usize = 4;
-    /// Processes that may have a service open at one time.
+    /// Processes that may have all services open at one time, the daemon among them.
     pub const NODES: usize = 40;
-    /// The same of [`Service::Control`]: a stop opens no other service, so it finds a place when all others are full.
-    pub const CONTROL_NODES: usize = Self::NODES + 8;
+    /// Drivers that find a place when those are full: one, and the one that takes its place.
+    pub const DRIVERS: usize = 2;
 
     /// Last part of the service's name.
     pub const fn key(self) -> &'static str {
@@ -110,6 +110,16 @@ impl Service {
         }
     }
 
+    /// Processes that may have this service open at one time. A stop opens [`Service::Control`] alone, and a driver the three
+    /// services that it needs, so both find a place when all others are full.
+    pub const fn nodes(self) -> usize {
+        match self {
+            Self::Control => Self::NODES + 8,
+            Self::Measurement | Self::Command | Self::Status => Self::NODES + Self::DRIVERS,
+            Self::Reference | Self::Obstacles | Self::Telemetry | Self::Incidents => Self::NODES,
+        }
+    }
+
     /// Queue lengths, for all but [`Service::Control`].
     pub const fn queues(self) -> QueueLengths {
         let (publishers, subscribers, kept, queue, history) = match self {
@@ -118,12 +128,14 @@ impl Service {
             Self::Obstacles => (8, 4, 1, 16, 0),
             // A driver, the one that takes its place, a tip sensor. Who may connect may read, where the messages are small.
             Self::Measurement => (3, Self::NODES + 1, 1, 16, 0),
-            // A driver, and the one that takes its place.
-            Self::Command => (1, Self::NODES + 2, 2, 16, 0),
+            Self::Command => (1, Self::NODES + Self::DRIVERS, Self::DRIVERS, 16, 0),
             // 256 records: 1.28 s at 5 ms. A reader costs 4 MB.
             Self::Telemetry => (1, 8, 0, 256, 0),
-            // Each connection reads it, and may have one stream of it.
-            Self::Status | Self::Control => (1, 2 * Self::NODES, 0, 2, 1),
+            // Each connection reads it, and may have one stream of it; a driver reads it once.
+            Self::Status | Self::Control => {
+                let readers = 2 * Self::NODES + Self::DRIVERS;
+                (1, readers, Self::DRIVERS, 2, 1)
+            }
             // Few look at bad cycles, and each reader costs 64 of them, 1 MB.
             Self::Incidents => (1, 4, 0, INCIDENTS_MAX, INCIDENTS_MAX),
         };

@@ -19,8 +19,7 @@ use cdcr_shared_types::codes::{ChunkMode, Interpolation, RequestKind};
 use cdcr_shared_types::{Service, Telemetry};
 
 use crate::{
-    Connection, Lease, LinkError, ReferenceFeed, RequestError, TelemetryStream, Trajectory,
-    monotonic_ns,
+    Connection, Lease, ReferenceFeed, RequestError, TelemetryStream, Trajectory, monotonic_ns,
 };
 use schedule::Schedule;
 use watch::Watch;
@@ -146,7 +145,7 @@ impl<'c> Feeder<'c> {
             self.send_due(&mut state)?;
             flow = self.listen(&mut state, &mut observer)?;
             // Right after all records were read: a program that was stopped for longer has not heard the daemon fall silent.
-            state.check_patience(monotonic_ns())?;
+            state.check_patience(self.connection, monotonic_ns())?;
             self.track_once(&mut state)?;
             self.renew(&state)?;
             if flow.is_continue() {
@@ -237,11 +236,11 @@ impl FeedState<'_> {
         now_ns > end_ns && (!waits_for_end || now_ns > end_ns + END_GRACE_NS)
     }
 
-    fn check_patience(&self, now_ns: u64) -> Result<(), FeedError> {
+    fn check_patience(&self, connection: &Connection, now_ns: u64) -> Result<(), FeedError> {
         let silent_ns = now_ns.saturating_sub(self.heard_ns);
         if silent_ns > TIMEOUT_NS {
             let waited = Duration::from_nanos(silent_ns);
-            return Err(LinkError::silent(Service::Telemetry, waited).into());
+            return Err(connection.silent(Service::Telemetry, waited).into());
         }
         if !self.watch.is_accepted() && now_ns > self.begun_ns + TIMEOUT_NS {
             return Err(FeedError::Ignored);

@@ -212,7 +212,7 @@ fn topic<T: ZeroCopySend + Debug + 'static>(
             .subscriber_max_buffer_size(queues.queue)
             .history_size(queues.history)
             .subscriber_max_borrowed_samples(QueueLengths::HELD)
-            .max_nodes(Service::NODES)
+            .max_nodes(service.nodes())
             .enable_safe_overflow(true)
             .open_or_create()
     })
@@ -323,7 +323,7 @@ fn control(
                 .max_active_requests_per_client(Service::CONTROL_REQUESTS)
                 .enable_safe_overflow_for_requests(true)
                 .enable_safe_overflow_for_responses(true)
-                .max_nodes(Service::CONTROL_NODES)
+                .max_nodes(Service::Control.nodes())
                 .open_or_create()
         })
         .map_err(|cause| failed(&cause))?;

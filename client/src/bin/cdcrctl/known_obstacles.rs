@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use cdcr_client::{Connection, LinkError, obstacles};
+use cdcr_client::{Connection, LinkError, Liveness, obstacles};
 use cdcr_shared_types::{Obstacle, Service};
 
 /// The obstacles that the next cycle knows.
@@ -12,6 +12,7 @@ pub(crate) fn known(
     let record = record.ok_or(LinkError::Silent {
         service: Service::Telemetry.key(),
         waited: timeout,
+        liveness: Liveness::Unknown,
     })?;
     Ok(obstacles(&record).to_vec())
 }

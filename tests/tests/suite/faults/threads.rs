@@ -3,20 +3,15 @@
 use std::os::unix::net::UnixDatagram;
 use std::time::{Duration, Instant};
 
-use cdcr_client::{CommandStream, ConnectError, Connection, LinkError, monotonic_ns};
-use cdcr_shared_types::Command;
+use cdcr_client::{ConnectError, Connection, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::record::largest;
-use cdcr_tests::{
-    Daemon, Place, Program, ROBOT, TIMEOUT, until_undisturbed, wait_status, wait_until,
-};
+use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, wait_status, wait_until};
 use nix::sys::ptrace;
 use nix::sys::wait::{WaitPidFlag, waitpid};
 use nix::unistd::Pid;
 use rustix::process::Signal;
 
-use crate::faults::reference::{POINTS_MAX, WINDOW_PERIODS, track};
 use crate::faults::robot::Robot;
 use crate::faults::trail::{Trail, is, rests};
 
@@ -62,7 +57,7 @@ fn thread_of(process: u32, name: &str) -> i32 {
     find_thread(process, name).unwrap_or_else(|| panic!("process {process} has no thread {name}"))
 }
 
-fn find_thread(process: u32, name: &str) -> Option<i32> {
+pub(crate) fn find_thread(process: u32, name: &str) -> Option<i32> {
     let entries = std::fs::read_dir(format!("/proc/{process}/task")).unwrap();
     entries.flatten().find_map(|entry| {
         let comm = std::fs::read_to_string(entry.path().join("comm")).ok()?;
@@ -81,7 +76,7 @@ const LOOKS: Duration = Duration::from_millis(40);
 const STATUSES_MAX: u64 = WATCHDOG.as_millis() as u64 / 100 + 3;
 /// How the end of a hung thread is told.
 const NO_PROGRESS: &str = "made no progress for 500 ms";
-const VALID_FOR_NS: u64 = 100_000_000;
+pub(crate) const VALID_FOR_NS: u64 = 100_000_000;
 
 fn with_driver() -> Daemon {
     Daemon::start(&format!(
@@ -162,191 +157,11 @@ fn a_hung_exchange_thread_ends_the_process() {
     );
 }
 
-/// An exchange that is held up for `held_up` beside a client that renews its lease as often as it should: the robot
-/// follows its reference all the time.
-fn assert_follows_while_held_up(lease: Duration, held_up: Duration) {
-    let daemon = Daemon::start(&format!(
-        "[cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n[reference]\nlease_ms = {}.0\n",
-        lease.as_millis()
-    ));
-    let connection = daemon.connect();
-    until_undisturbed("the exchange is held up for as long as meant", || {
-        follow_while_held_up(&daemon, &connection, lease, held_up)
-    });
-}
-
-/// None when a stall kept the test from holding it up in time, or for no longer than meant.
-fn follow_while_held_up(
-    daemon: &Daemon,
-    connection: &Connection,
-    lease: Duration,
-    held_up: Duration,
-) -> Option<()> {
-    let feeding = track(connection, POINTS_MAX, 40);
-    let mut telemetry = connection.telemetry().unwrap();
-    wait_until("it tracks", || {
-        let record = telemetry.next_within(TIMEOUT).unwrap();
-        record.unwrap().mode == Mode::Tracking.code()
-    });
-    let renewed_ns = monotonic_ns();
-    feeding.lease.renew().unwrap();
-
-    let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
-        return Some(());
-    };
-    let is_held = monotonic_ns() - renewed_ns < lease.as_nanos() as u64;
-    std::thread::sleep(held_up);
-    let (end_ns, mut oldest_ns) = (monotonic_ns(), 0);
-    drop(hung);
-    loop {
-        // Of a long time some are lost: the ring to the exchange is full.
-        let record = telemetry.next_within(TIMEOUT).unwrap().unwrap();
-        let has_reference = record.cycle <= record.window_first_cycle + WINDOW_PERIODS
-            && record.release_ns <= feeding.end_ns;
-        if !is_held || !has_reference {
-            return None;
-        }
-        assert_eq!(record.mode, Mode::Tracking.code(), "{}", record.cycle);
-        oldest_ns = oldest_ns.max(record.release_ns.saturating_sub(record.gather_ns));
-        if record.release_ns > end_ns && record.gather_ns > end_ns {
-            break;
-        }
-    }
-    println!("the oldest inputs: {:.1} ms", oldest_ns as f64 * 1e-6);
-    (oldest_ns > held_up.as_nanos() as u64 / 2).then_some(())
-}
-
-#[test]
-fn an_exchange_that_is_held_up_does_not_end_the_reference() {
-    assert_follows_while_held_up(Duration::from_secs(60), Duration::from_millis(250));
-    // Longer than the samples reach, and longer than the lease.
-    assert_follows_while_held_up(Duration::from_millis(400), Duration::from_millis(600));
-}
-
-/// A daemon whose robot goes home, and what its driver gets.
-struct Commanded {
-    daemon: Daemon,
-    connection: Connection,
-    commands: CommandStream,
-    robot: Robot,
-}
-
-impl Commanded {
-    /// The robot moves. Nothing ends the process while a thread is held up.
-    fn moving() -> Self {
-        let daemon = Daemon::start(
-            "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\ncommand_valid_ms = 100.0\n\
-             [motion]\nhome_rate_rad_s = 0.1\n\
-             [cycle]\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n",
-        );
-        let connection = daemon.connect();
-        let commands = connection.commands().unwrap();
-        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-        robot.until_held(&mut trail);
-        connection.request(RequestKind::Home).unwrap();
-        trail.until_while("moving", || robot.turn(), |record| !rests(record));
-        Self {
-            daemon,
-            connection,
-            commands,
-            robot,
-        }
-    }
-
-    /// The robot measures for so long, while the exchange cannot hear it.
-    fn turn_for(&mut self, duration: Duration) {
-        let begin = Instant::now();
-        while begin.elapsed() < duration {
-            self.robot.turn();
-            std::thread::sleep(Duration::from_millis(1));
-        }
-    }
-
-    /// The commands that wait. All that leave are in order, and none that moves leaves when it has run out already.
-    fn commands(&mut self, before: Option<&Command>) -> Vec<Command> {
-        let mut commands: Vec<_> = before.copied().into_iter().collect();
-        while let Some(command) = self.commands.try_next().unwrap() {
-            assert!(
-                is_rest(&command) || command.header.sent_ns < command.valid_until_ns,
-                "of old: {command:?}"
-            );
-            if let Some(last) = commands.last() {
-                assert!(command.cycle > last.cycle, "{last:?}, then {command:?}");
-                assert!(command.header.sequence > last.header.sequence);
-            }
-            commands.push(command);
-        }
-        commands
-    }
-}
-
-fn is_rest(command: &Command) -> bool {
-    largest(&command.bend_rate_rad_s) == 0.0
-}
-
-#[test]
-fn an_exchange_that_was_held_up_sends_the_newest_command_and_no_old_one() {
-    let mut it = Commanded::moving();
-    let before = *it.commands(None).last().unwrap();
-    let Some(hung) = Hung::new(it.daemon.id(), "cdcr-exchange") else {
-        return;
-    };
-    it.turn_for(Duration::from_millis(400));
-    // What left before it was held up.
-    let before = *it.commands(Some(&before)).last().unwrap();
-    let end_ns = monotonic_ns();
-    drop(hung);
-    let mut commands = vec![before];
-    wait_until("commands leave again", || {
-        it.robot.turn();
-        commands = it.commands(Some(&before));
-        commands.len() > 1
-    });
-    let first = commands[1];
-    let held_up_ns = end_ns - before.header.sent_ns;
-    println!(
-        "held up for {:.0} ms: the first command after it was sent {:.1} ms after its release",
-        held_up_ns as f64 * 1e-6,
-        (first.header.sent_ns - first.release_ns) as f64 * 1e-6
-    );
-    // Some forty cycles made a command, and only the last of them leaves.
-    assert!(first.header.sent_ns >= end_ns);
-    assert!(
-        first.cycle - before.cycle > 20,
-        "{before:?}, then {first:?}"
-    );
-}
-
-/// Asked to end while the exchange is held up, after `held_up` of that.
-fn assert_last_command_is_rest(held_up: Duration) {
-    let mut it = Commanded::moving();
-    let Some(hung) = Hung::new(it.daemon.id(), "cdcr-exchange") else {
-        return;
-    };
-    it.turn_for(held_up);
-    let before = *it.commands(None).last().unwrap();
-    it.daemon.signal(Signal::TERM);
-    // The robot is at rest for the cycle, and nobody knows.
-    wait_until("the cycle thread ends", || {
-        it.robot.turn();
-        find_thread(it.daemon.id(), "cdcr-cycle").is_none()
-    });
-    assert_eq!(it.commands(Some(&before)).len(), 1);
-    assert!(!is_rest(&before));
-    drop(hung);
-    let ended = it.daemon.stop_after_signal();
-    let last = *it.commands(Some(&before)).last().unwrap();
-    assert!(is_rest(&last), "{last:?}");
-    assert_eq!(last.mode, Mode::Stopped.code());
-    assert_eq!(ended.code(), Some(0), "{}", it.daemon.log());
-    drop(it.connection);
-}
-
-#[test]
-fn the_last_command_of_a_daemon_that_ends_is_rest_also_when_its_exchange_was_held_up() {
-    assert_last_command_is_rest(Duration::from_millis(100));
-    // Longer than there is room for records.
-    assert_last_command_is_rest(Duration::from_millis(800));
+/// An error about silence says that the process runs, and not how to start one.
+fn assert_says_it_runs(error: &LinkError, process: u32) {
+    let text = error.to_string();
+    let is_said = text.contains(&format!("it runs (process {process})"));
+    assert!(is_said && !text.contains("cdcrd run"), "{text}");
 }
 
 #[test]
@@ -377,6 +192,9 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     let other = daemon.connect();
     other.request(RequestKind::Stop).unwrap();
     drop(other);
+    // It is not taken for one that has ended.
+    let silent = connection.settings().expect_err("no telemetry");
+    assert_says_it_runs(&silent, daemon.id());
     drive_until_end(&mut daemon, &mut robot, &hung);
     let still = Duration::from_nanos(monotonic_ns() - last_sent_ns);
     assert!(still + LOOKS > 5 * WATCHDOG, "{still:?}");
@@ -445,7 +263,10 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     trail.until("the status is stale", |_| {
         match connection.status(Duration::ZERO) {
             Ok(status) => last = status,
-            Err(error) => return matches!(error, LinkError::Silent { .. }),
+            Err(error) => {
+                assert_says_it_runs(&error, managed.daemon.id());
+                return matches!(error, LinkError::Silent { .. });
+            }
         }
         false
     });

@@ -2,10 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use cdcr_client::{ConnectError, Connection, LinkError};
-use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
-use cdcr_shared_types::{Location, Service, ipc};
-use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, wait_mode, wait_until};
+use cdcr_client::{ConnectError, Connection, Driver, LinkError, monotonic_ns};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
+use cdcr_shared_types::{Location, Measurement, Service, ipc};
+use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, wait_mode, wait_record, wait_until};
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node};
 use rustix::process::Signal;
@@ -88,6 +88,35 @@ fn readers_leave_the_driver_and_the_daemon_their_places() {
     drop((commands, references));
 }
 
+fn measure_straight(driver: &Driver) {
+    let measurement = Measurement {
+        measured_ns: monotonic_ns(),
+        kind: MeasurementKind::Configuration.code(),
+        sections: driver.robot().sections,
+        ..Measurement::default()
+    };
+    driver.send(measurement).unwrap();
+}
+
+#[test]
+fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
+    let daemon = Daemon::start("[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n");
+    let location = daemon.place().location();
+    let crowd = Crowd::of(location);
+    let mut telemetry = crowd.connections[0].telemetry().unwrap();
+    let connect = || Driver::connect(location, ROBOT, Interface::Velocity);
+    // One that was lost, and the one that takes its place before that has gone.
+    let first = connect().unwrap();
+    let second = connect().unwrap();
+    drop(first);
+    wait_record(&mut telemetry, |record| {
+        measure_straight(&second);
+        record.mode == Mode::Holding.code()
+    });
+    let full = Connection::open(location, ROBOT).expect_err("all places are taken");
+    assert!(matches!(full, ConnectError::Full { .. }), "{full:?}");
+}
+
 /// Set for the process that makes nodes and is killed: prefix and root.
 const VICTIM: &str = "CDCR_TEST_VICTIM";
 /// Nodes of one process: each has a file open.
@@ -109,7 +138,7 @@ pub(super) fn dead_nodes(location: &Location) -> u64 {
 }
 
 /// Makes nodes until it is killed.
-fn die() -> bool {
+pub(super) fn die() -> bool {
     let Ok(place) = std::env::var(VICTIM) else {
         return false;
     };

@@ -1,0 +1,58 @@
+use std::thread;
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::Status;
+
+use crate::{LinkError, Stream, monotonic_ns};
+
+/// A daemon publishes its status ten times a second: one that is silent for this long is dead.
+pub(crate) const STATUS_FRESH: Duration = Duration::from_secs(1);
+
+/// Remembers the newest status, so that asking often does not mean waiting often.
+#[derive(Debug)]
+pub(crate) struct StatusReader {
+    stream: Stream<Status>,
+    newest: Option<Status>,
+}
+
+impl StatusReader {
+    pub(crate) fn new(stream: Stream<Status>) -> Self {
+        Self {
+            stream,
+            newest: None,
+        }
+    }
+
+    /// The newest status, once it is fresh; `None` when none is within `timeout`.
+    pub(crate) fn fresh_within(&mut self, timeout: Duration) -> Result<Option<Status>, LinkError> {
+        let deadline = Instant::now() + timeout;
+        loop {
+            if let Some(status) = self.stream.newest()? {
+                self.newest = Some(status);
+            }
+            let now_ns = monotonic_ns();
+            match &self.newest {
+                Some(status) if is_fresh(status, now_ns) => return Ok(Some(*status)),
+                _ if Instant::now() >= deadline => return Ok(None),
+                _ => thread::sleep(Duration::from_millis(2)),
+            }
+        }
+    }
+}
+
+fn is_fresh(status: &Status, now_ns: u64) -> bool {
+    now_ns.saturating_sub(status.header.sent_ns) < STATUS_FRESH.as_nanos() as u64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_status_older_than_a_second_is_of_a_dead_daemon() {
+        let mut status = Status::default();
+        status.header.sent_ns = 5_000_000_000;
+        assert!(is_fresh(&status, 5_900_000_000));
+        assert!(!is_fresh(&status, 6_000_000_000));
+    }
+}
