@@ -254,6 +254,16 @@ fn the_unit_leaves_alone_what_a_restart_cannot_mend() {
     assert_eq!(named, hopeless.map(ExitCause::code));
 }
 
+/// By their name among the abstract sockets clients find a daemon, and a second one is refused, when files are gone.
+#[test]
+fn the_unit_hides_the_daemons_name_from_nobody_and_leaves_it_no_network() {
+    let unit = include_str!("../../../packaging/cdcrd.service");
+    assert!(!unit.lines().any(|line| line == "PrivateNetwork=yes"));
+    for line in ["RestrictAddressFamilies=AF_UNIX", "IPAddressDeny=any"] {
+        assert!(unit.lines().any(|set| set == line), "{line}");
+    }
+}
+
 #[test]
 fn the_unit_starts_a_daemon_again_that_is_killed_fifty_times_in_a_row() {
     let unit = include_str!("../../../packaging/cdcrd.service");
