@@ -19,7 +19,8 @@ if command -v systemd-analyze >/dev/null; then
   # The programs that the unit names need not be installed here.
   root=$(mktemp -d)
   install -D /dev/null "$root/usr/bin/cdcrd"
-  chmod 755 "$root/usr/bin/cdcrd"
+  install -D /dev/null "$root/bin/kill"
+  chmod 755 "$root/usr/bin/cdcrd" "$root/bin/kill"
   install -D -m 644 packaging/cdcrd.service "$root/usr/lib/systemd/system/cdcrd.service"
   for target in multi-user sysinit basic shutdown; do
     printf '[Unit]\nDescription=%s\n' "$target" > "$root/usr/lib/systemd/system/$target.target"

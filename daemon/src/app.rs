@@ -11,6 +11,7 @@ use std::thread::Thread;
 
 use anyhow::{Context, Result, bail};
 use cdcr_shared_types::codes::realtime;
+use rtrb::Producer;
 use signal_hook::consts::{SIGHUP, SIGUSR1};
 
 use crate::caretaker::Caretaker;
@@ -23,6 +24,7 @@ use crate::exit::{Ended, ExitCause};
 use crate::handover::{CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels};
 use crate::instance::Instance;
 use crate::link::RobotLink;
+use crate::reload::{ReadConfig, Reload};
 use crate::reporter::Reporter;
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
@@ -36,20 +38,22 @@ use crate::supervisor::Supervisor;
 /// Time beyond the ramp itself \[s\].
 const REST_SLACK_S: f64 = 0.5;
 
-/// Runs the daemon until a signal ends it.
+/// Runs the daemon of the configuration that `read` reads until a signal ends it. At `SIGHUP` it is read again.
 ///
 /// # Errors
 /// When it cannot start, or a thread ended by itself.
-pub fn run(validated: &Validated) -> Result<()> {
+pub fn run(read: ReadConfig) -> Result<()> {
+    let validated = read()?;
     let ending = end_signals()?;
-    run_until(validated, || ending.load(Ordering::Relaxed), |life| life())
+    let should_end = || ending.load(Ordering::Relaxed);
+    claim_and_run(&validated, read, should_end, |life| life())
 }
 
 /// What is put around the life of the cycle thread. It has to call its argument once.
 pub type CycleWatch = fn(&mut dyn FnMut());
 
 /// Runs the daemon until `should_end` says so. `watch` is put around the life of the cycle thread, for
-/// tests that observe it from inside; see [`count_allocations`](crate::rt::sys::count_allocations).
+/// tests that observe it from inside; see [`count_allocations`](crate::rt::sys::count_allocations). At `SIGHUP` nothing is read.
 ///
 /// # Errors
 /// As [`run`].
@@ -58,37 +62,51 @@ pub fn run_until(
     should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
-    let validated = &with_core(validated);
+    let same = validated.clone();
+    let read = Box::new(move || Ok(same.clone()));
+    claim_and_run(validated, read, should_end, watch)
+}
+
+fn claim_and_run(
+    given: &Validated,
+    read: ReadConfig,
+    should_end: impl FnMut() -> bool,
+    watch: CycleWatch,
+) -> Result<()> {
+    let validated = &with_core(given);
     // Before anybody can find this process by its lock: these signals would end it.
     let signals = Signals::catch()?;
     let (location, robot) = (&validated.location, &validated.config.robot.name);
     let instance = Instance::claim(location, robot, validated.group_id)?;
-    run_with(validated, &instance, signals, should_end, watch)
+    let Signals { stop, reload } = signals;
+    let shared = Arc::new(Shared::with_stop_flag(stop));
+    let reload = |settings| Reload::new(reload, read, &given.config, settings);
+    run_with(validated, &instance, &shared, reload, should_end, watch)
 }
 
 fn run_with(
     validated: &Validated,
     instance: &Instance,
-    signals: Signals,
+    shared: &Arc<Shared>,
+    reload: impl FnOnce(Producer<Settings>) -> Reload,
     mut should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {
     let daemon_id = random_id();
-    let shared = Arc::new(Shared::with_stop_flag(signals.stop));
-    let (cycle_ends, exchange_ends, reporter_ends, supervisor_ends) =
+    let (cycle_ends, exchange_ends, reporter_ends, supervisor_ends, reloaded) =
         channels(Settings::new(&validated.config));
     let clock = MonotonicClock;
     let node = services::node(&validated.location)?;
     let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
 
     let cycle = make_cycle(validated, &clock)?;
-    let reporter = spawn_reporter(validated, reporter_ends, &shared, daemon_id)?;
+    let reporter = spawn_reporter(validated, reporter_ends, shared, daemon_id)?;
     // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
         give_up([reporter]);
         return Err(error);
     }
-    let exchange = match spawn_exchange(validated, exchange_ends, &shared, daemon_id) {
+    let exchange = match spawn_exchange(validated, exchange_ends, shared, daemon_id) {
         Ok(exchange) => exchange,
         Err(error) => {
             give_up([reporter]);
@@ -96,7 +114,7 @@ fn run_with(
         }
     };
     let waker = exchange.thread().clone();
-    let cycle = match spawn_cycle(validated, cycle, cycle_ends, &shared, waker, watch) {
+    let cycle = match spawn_cycle(validated, cycle, cycle_ends, shared, waker, watch) {
         Ok(cycle) => cycle,
         Err(error) => {
             give_up([exchange, reporter]);
@@ -118,7 +136,7 @@ fn run_with(
     }
     // Here, because it inherits what this thread was given: a core beside the loop, and its priority.
     let place = instance.watch(&validated.config.robot.name);
-    let caretaker = match Caretaker::start(place, Arc::clone(&shared)) {
+    let caretaker = match Caretaker::start(place, reload(reloaded), Arc::clone(shared)) {
         Ok(caretaker) => caretaker,
         Err(error) => {
             give_up([cycle, exchange, reporter]);
@@ -131,17 +149,8 @@ fn run_with(
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
-    let reload = signals.reload;
-    let should_end = || {
-        if reload.swap(false, Ordering::Relaxed) {
-            tracing::warn!(
-                "SIGHUP: the configuration file is not read again while the daemon runs; restart it, or change the \
-                 solver with cdcrctl settings"
-            );
-        }
-        should_end() || caretaker.is_place_lost()
-    };
-    supervisor.run(&clock, &shared, should_end, || {
+    let should_end = || should_end() || caretaker.is_place_lost();
+    supervisor.run(&clock, shared, should_end, || {
         // A thread that ends by itself takes the process with it.
         if cycle.is_finished() || exchange.is_finished() || reporter.is_finished() {
             shared.end();
@@ -162,7 +171,7 @@ fn run_with(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
-    judge_end(validated, &shared, caretaker.is_place_lost())?;
+    judge_end(validated, shared, caretaker.is_place_lost())?;
     tracing::info!("ended");
     Ok(())
 }
@@ -205,7 +214,7 @@ fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result
 struct Signals {
     /// `SIGUSR1`: stop the robot.
     stop: Arc<AtomicBool>,
-    /// `SIGHUP`: somebody wants the configuration read again, which is answered in the log.
+    /// `SIGHUP`: read the configuration again.
     reload: Arc<AtomicBool>,
 }
 

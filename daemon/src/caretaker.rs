@@ -1,4 +1,5 @@
-//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there.
+//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there. Reads the
+//! configuration again when somebody has asked for it.
 //!
 //! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
 
@@ -12,12 +13,13 @@ use anyhow::{Context, Result};
 
 use crate::handover::Shared;
 use crate::instance::{Found, PlaceWatch};
+use crate::reload::Reload;
 
 /// How often it looks.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Dead processes that it clears away each time. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
-/// iceoryx2 lists its nodes with large arrays on the stack.
+/// iceoryx2 lists its nodes with large arrays on the stack; the configuration is parsed here, too.
 const STACK_BYTES: usize = 1024 * 1024;
 /// How long the end waits for it.
 const END_MAX: Duration = Duration::from_secs(1);
@@ -35,14 +37,18 @@ impl Caretaker {
     ///
     /// # Errors
     /// When the system gives no thread.
-    pub(crate) fn start(place: PlaceWatch, shared: Arc<Shared>) -> Result<Self> {
+    pub(crate) fn start(
+        place: PlaceWatch,
+        mut reload: Reload,
+        shared: Arc<Shared>,
+    ) -> Result<Self> {
         let place_lost = Arc::new(AtomicBool::new(false));
         let (end, ended) = channel();
         let lost = Arc::clone(&place_lost);
         let thread = Builder::new()
             .name("cdcr-caretaker".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || look_after(&place, &shared, &lost, &ended))
+            .spawn(move || look_after(&place, &mut reload, &shared, &lost, &ended))
             .context("the thread cdcr-caretaker")?;
         Ok(Self {
             place_lost,
@@ -67,7 +73,13 @@ impl Drop for Caretaker {
     }
 }
 
-fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Receiver<()>) {
+fn look_after(
+    place: &PlaceWatch,
+    reload: &mut Reload,
+    shared: &Shared,
+    lost: &AtomicBool,
+    ended: &Receiver<()>,
+) {
     loop {
         match place.look() {
             Found::Whole => {}
@@ -83,6 +95,7 @@ fn look_after(place: &PlaceWatch, shared: &Shared, lost: &AtomicBool, ended: &Re
                 return;
             }
         }
+        reload.look();
         place.let_go();
         place.location().clear_dead_nodes(DEAD_NODES);
         if ended.recv_timeout(LOOK_EVERY) != Err(RecvTimeoutError::Timeout) {

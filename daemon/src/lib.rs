@@ -52,6 +52,7 @@ pub mod instance;
 pub mod link;
 pub mod log;
 pub mod obstacles;
+pub mod reload;
 pub mod reporter;
 pub mod rt;
 pub mod service_manager;

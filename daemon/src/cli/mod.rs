@@ -35,7 +35,8 @@ enum Command {
         Without --config, the paper's robot with three sections is simulated.\n\
         The log goes to the standard error; RUST_LOG=debug shows more.\n\n\
         Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches,\n\
-        as cdcrctl stop does, without shared memory. SIGHUP is logged: the configuration is not read again.")]
+        as cdcrctl stop does, without shared memory. SIGHUP reads the configuration again: [controller] and cycle.budget_ms come into force,\n\
+        the log names other keys that changed, and a wrong configuration changes nothing.")]
     Run {
         #[command(flatten)]
         source: Source,
@@ -69,7 +70,7 @@ pub fn execute(cli: Cli) -> Result<ExitCode> {
             end_with_parent,
         } => {
             end_with_process(end_with_parent)?;
-            app::run(&source.load()?).map(done)
+            app::run(Box::new(move || source.load())).map(done)
         }
         Command::Bare(options) => bare::run(&options).map(done),
         Command::Check(source) => config::check(&source).map(done),

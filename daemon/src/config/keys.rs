@@ -99,6 +99,15 @@ pub(super) fn value<'a>(values: &'a Table, key: &str) -> Option<&'a Value> {
     values.get(table)?.get(name)
 }
 
+/// The keys that have other values in one configuration than in the other.
+pub(crate) fn changed(one: &Config, other: &Config) -> Vec<String> {
+    let (one, other) = (values(one), values(other));
+    let keys = settable().keys();
+    keys.filter(|key| value(&one, key) != value(&other, key))
+        .cloned()
+        .collect()
+}
+
 /// The environment variable that sets `key`.
 pub(super) fn variable(key: &str) -> String {
     format!("CDCR_{}", key.replace('.', "_").to_uppercase())

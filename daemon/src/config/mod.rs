@@ -43,6 +43,7 @@ pub use cycle::CycleConfig;
 pub use error::ConfigError;
 pub use estimator::EstimatorConfig;
 pub use explain::explain;
+pub(crate) use keys::changed as changed_keys;
 pub use layers::Layers;
 pub use link::{Interface, LinkConfig, LinkKind, TipSensor};
 pub use motion::{ApproachKind, MotionConfig, REST_MAX_S};

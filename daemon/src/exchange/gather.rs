@@ -52,6 +52,9 @@ impl Exchange {
         self.take_references(now_ns);
         self.take_obstacles(now_ns, clock);
         self.take_measurements(clock);
+        while let Ok(settings) = self.ends.reloaded.pop() {
+            self.settings.take(settings);
+        }
         self.take_requests(now_ns, shared);
         self.references.forget_before(schedule, cycle);
         self.hand_over(schedule, cycle, now_ns);
@@ -66,10 +69,10 @@ impl Exchange {
         self.references
             .fill(&mut inputs.window, schedule, cycle, horizon);
         inputs.lease = self.references.lease_state(now_ns);
+        inputs.lease_number = self.references.lease_number();
         inputs.exchange_ns = self.own_costs.high_ns();
         inputs.interruptions = self.interruptions;
         inputs.measurement = self.measurements.newest();
-        inputs.lease_number = self.references.lease_number();
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
         inputs.obstacles = self.obstacles.handed_over(now_ns);

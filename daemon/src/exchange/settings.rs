@@ -33,11 +33,16 @@ impl SettingsInForce {
                 Outcome::OutOfRange
             }
             Ok(settings) => {
-                self.settings = settings;
-                self.revision += 1;
+                self.take(settings);
                 Outcome::Accepted
             }
             Err(outcome) => outcome,
         }
+    }
+
+    /// Checked settings come into force.
+    pub(super) fn take(&mut self, settings: Settings) {
+        self.settings = settings;
+        self.revision += 1;
     }
 }

@@ -56,6 +56,7 @@ struct Rig {
     cycle: Cycle,
     ends: CycleEnds,
     reports: ReporterEnds,
+    reloaded: rtrb::Producer<Settings>,
     shared: Shared,
     schedule: Schedule,
     clock: Still,
@@ -86,7 +87,8 @@ impl Rig {
         let node = services::node(&validated.location).unwrap();
         let robot = &validated.config.robot.name;
         let ports = Ports::create(&node, robot).unwrap();
-        let (ends, exchange_ends, reports, _) = channels(Settings::new(&validated.config));
+        let (ends, exchange_ends, reports, _, reloaded) =
+            channels(Settings::new(&validated.config));
         let control = node
             .service_builder(&Service::Control.name(robot).unwrap())
             .request_response::<Request, Response>()
@@ -107,6 +109,7 @@ impl Rig {
             cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
             ends,
             reports,
+            reloaded,
             shared: Shared::default(),
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),
@@ -157,12 +160,12 @@ impl Rig {
         let mut request = request.map(|request| CycleRequest { ticket: 0, request });
         let (inputs, clock) = (self.ends.inputs.read(), &self.clock);
         let record = self.cycle.run(release, inputs, || request.take(), clock);
+        let mode = record.mode;
         self.ends.records.send(record);
+        mode
     }
 
-        let mode = record.mode;
     fn publish(&mut self) {
-        mode
         self.exchange.publish(&self.clock, &self.shared);
     }
 
@@ -298,6 +301,18 @@ fn homing(configuration: &str) -> Rig {
     assert_eq!(cycles, [1, 2]);
     assert_eq!(rig.reported(), [1, 2]);
     rig
+}
+
+#[test]
+fn settings_of_a_configuration_that_is_read_again_are_in_the_next_inputs() {
+    let mut rig = Rig::new("");
+    let before = rig.gather().clone();
+    let mut settings = before.settings;
+    settings.nmpc.horizon_steps = 7;
+    rig.reloaded.push(settings).unwrap();
+    let after = rig.gather();
+    assert_eq!(after.settings, settings);
+    assert_ne!(after.settings_revision, before.settings_revision);
 }
 
 #[test]

@@ -40,6 +40,8 @@ pub struct ExchangeEnds {
     pub records: RecordReceiver<CycleRecord>,
     /// Records with what belongs to them.
     pub reports: Producer<CycleReport>,
+    /// Settings of a configuration that was read again.
+    pub reloaded: Consumer<Settings>,
 }
 
 /// Ends of the reporter thread.
@@ -62,14 +64,26 @@ pub struct SupervisorEnds {
     pub incidents: Consumer<Incident>,
 }
 
-/// The channels between cycle, exchange, reporter and supervisor.
-pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, SupervisorEnds) {
+/// Settings between who reads the configuration again and the exchange.
+const RELOADED: usize = 4;
+
+/// The channels between cycle, exchange, reporter and supervisor, and the one of settings that are read again.
+pub fn channels(
+    settings: Settings,
+) -> (
+    CycleEnds,
+    ExchangeEnds,
+    ReporterEnds,
+    SupervisorEnds,
+    Producer<Settings>,
+) {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
     let (record_in, record_out) = record_ring(RECORDS);
     let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
+    let (reloaded_in, reloaded_out) = RingBuffer::new(RELOADED);
     let cycle = CycleEnds {
         inputs: output,
         requests: request_out,
@@ -80,6 +94,7 @@ pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, S
         requests: request_in,
         records: record_out,
         reports: report_in,
+        reloaded: reloaded_out,
     };
     let reporter = ReporterEnds {
         reports: report_out,
@@ -90,5 +105,5 @@ pub fn channels(settings: Settings) -> (CycleEnds, ExchangeEnds, ReporterEnds, S
         summaries: summary_out,
         incidents: incident_out,
     };
-    (cycle, exchange, reporter, supervisor)
+    (cycle, exchange, reporter, supervisor, reloaded_in)
 }

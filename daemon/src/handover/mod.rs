@@ -5,6 +5,7 @@
 //!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
 //!  exchange ◄── CycleRecord (every one, the newest for sure: `record_ring`, drops counted) ── cycle
 //!  reporter ◄── CycleReport (every one: ring, drops counted) ── exchange
+//!  caretaker ── Settings (of a configuration that was read again: ring) ──► exchange
 //!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
 //!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
 //! ```

@@ -1,4 +1,4 @@
-//! What signals do: SIGUSR1 stops the robot, SIGHUP does not end it.
+//! What signals do: SIGUSR1 stops the robot, SIGHUP reads the configuration again.
 
 use std::time::Duration;
 
@@ -112,4 +112,40 @@ fn a_terminal_that_hangs_up_does_not_end_the_daemon() {
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 20);
     assert_eq!(after.mode, Mode::Holding.code());
     assert!(daemon.stop().success(), "{}", daemon.log());
+}
+
+#[test]
+fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let before = connection.settings().unwrap();
+    let reload = |text: &str, answer: &str| {
+        daemon.place().write("robot.toml", text);
+        daemon.signal(Signal::HUP);
+        wait_until(answer, || daemon.log().contains(answer));
+    };
+    let solver = "[controller]\nhorizon_steps = 7\n";
+    reload(
+        &format!("{PATIENT}{solver}[motion]\nhome_rate_rad_s = 0.25\n"),
+        "in force only after a restart: motion.home_rate_rad_s",
+    );
+    assert_ne!(before.horizon_steps, 7);
+    wait_until("it is in force", || {
+        connection.settings().unwrap().horizon_steps == 7
+    });
+    let in_force = connection.settings().unwrap();
+    // Line and key, as at the start.
+    reload(
+        "[controller]\nhorizon_steps = 0\n",
+        "robot.toml, line 2: controller.horizon_steps",
+    );
+    reload("[controller]\nhorizon_steps =\n", "robot.toml, line 2");
+    let nearer = "controller.safe_distance_m = 0.001 is below 0.01";
+    reload("[controller]\nsafe_distance_m = 0.001\n", nearer);
+    assert_eq!(connection.settings().unwrap(), in_force);
+    // The file as it was: the settings of the start.
+    reload(PATIENT, "other than at the start: nothing");
+    wait_until("it is in force", || {
+        connection.settings().unwrap() == before
+    });
 }
