@@ -212,6 +212,9 @@ mod tests {
             prop_assert!(after(&safe.rates).clearance_m(&obstacle) >= floor_m);
             let rest = Situation { comes_to_rest: true, previous: &BendRates::zero(2), ..situation };
             prop_assert_eq!(safe_command(&rest, &BendRates::zero(2)).rates, BendRates::zero(2));
+            // A robot that stands and wishes to is not moved in the other modes, either.
+            let still = Situation { comes_to_rest: false, ..rest };
+            prop_assert_eq!(safe_command(&still, &BendRates::zero(2)).rates, BendRates::zero(2));
         }
     }
 }

@@ -4,13 +4,13 @@ mod save;
 
 use std::fmt::Write as _;
 use std::io::Write;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use anyhow::bail;
-use cdcr_client::{Connection, RequestError};
+use cdcr_client::{Connection, LinkError, RequestError};
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_shared_types::codes::Outcome;
-use cdcr_shared_types::{SolverSettings, Status};
+use cdcr_shared_types::{SolverSettings, Status, Telemetry};
 use serde_json::Value;
 
 use crate::Done;
@@ -19,6 +19,11 @@ use crate::setting::{Change, Setting};
 
 /// How long a status may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// How long it is watched whether the solver has the time that was set.
+const WATCHED: Duration = Duration::from_millis(300);
+/// What the solver may end earlier than the budget without having been cut \[ns\].
+const CUT_NS: u64 = 50_000;
 
 /// `cdcrctl settings …`
 pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<Done> {
@@ -88,7 +93,42 @@ fn set(connection: &Connection, changes: &[Change]) -> anyhow::Result<Done> {
         "settings: accepted, in effect after cycle {}",
         response.cycle
     )?;
+    if after.budget_ns > 0
+        && let Some(solve_ns) = longest_cut_solve_ns(connection, response.cycle)?
+    {
+        writeln!(
+            out,
+            "the solver is cut: it was ended after {:.3} ms at the latest, because the other parts of the period need the rest \
+             (docs/realtime.md)",
+            solve_ns as f64 * 1e-6
+        )?;
+    }
     Ok(Done::Good)
+}
+
+/// The longest of the solves after `cycle` that were ended before their budget \[ns\]; none: none was, or no robot tracks.
+fn longest_cut_solve_ns(connection: &Connection, cycle: u64) -> Result<Option<u64>, LinkError> {
+    let mut telemetry = connection.telemetry()?;
+    let deadline = Instant::now() + WATCHED;
+    let mut longest_ns = None;
+    while let Some(record) =
+        telemetry.next_within(deadline.saturating_duration_since(Instant::now()))?
+    {
+        if record.cycle > cycle {
+            longest_ns = longest_ns.max(cut_solve_ns(&record));
+        }
+        if Instant::now() >= deadline {
+            break;
+        }
+    }
+    Ok(longest_ns)
+}
+
+/// What a solve took that was ended before its budget was over \[ns\].
+fn cut_solve_ns(record: &Telemetry) -> Option<u64> {
+    let solve_ns = record.solve_end_ns.saturating_sub(record.solve_start_ns);
+    let is_cut = record.report.budget_spent == 1 && solve_ns + CUT_NS < record.settings.budget_ns;
+    is_cut.then_some(solve_ns)
 }
 
 fn changed(before: SolverSettings, after: SolverSettings) -> impl Iterator<Item = Setting> {
@@ -120,6 +160,19 @@ fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_solve_is_cut_that_ends_unfinished_and_before_its_budget() {
+        let mut record = Telemetry::default();
+        record.settings.budget_ns = 4_900_000;
+        record.solve_start_ns = 1_000_000;
+        record.solve_end_ns = 5_200_000;
+        assert_eq!(cut_solve_ns(&record), None, "it was done");
+        record.report.budget_spent = 1;
+        assert_eq!(cut_solve_ns(&record), Some(4_200_000));
+        record.solve_end_ns = 5_901_000;
+        assert_eq!(cut_solve_ns(&record), None, "it had its time");
+    }
 
     #[test]
     fn what_is_shown_can_be_set() {
