@@ -177,6 +177,7 @@ impl Moment {
             robot,
             at: &self.at,
             commanded: None,
+            slack: None,
             previous: &self.previous,
             obstacles: &self.obstacles,
             safe_distance_m: SAFE_DISTANCE_M,

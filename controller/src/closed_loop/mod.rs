@@ -12,7 +12,7 @@ use crate::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport};
 use crate::optimizer::{Budget, cycle_seed};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
-use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command_with_play};
+use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
 pub use driven::{Driven, Sensor};
 pub use figure_eight::{FigureEight, FigureEightError, FigureEightRun};
@@ -132,6 +132,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             robot: &self.robot,
             at: &self.configuration,
             commanded: self.driven.as_ref().and_then(|driven| driven.commanded()),
+            slack: self.driven.as_ref().and_then(|driven| driven.slack()),
             previous: &self.command.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.settings.safe_distance_m,
@@ -141,8 +142,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             deceleration_rad_s2,
             comes_to_rest: false,
         };
-        let slack = self.driven.as_ref().and_then(|driven| driven.slack());
-        self.command = safe_command_with_play(&situation, slack, desired_rates);
+        self.command = safe_command(&situation, desired_rates);
         self.configuration = match &mut self.driven {
             None => self
                 .configuration

@@ -24,6 +24,11 @@ impl Slack {
         }
     }
 
+    /// The play (m), 0 or more.
+    pub fn play_m(&self) -> f64 {
+        self.play_m
+    }
+
     /// Cable minus motor (m), in the order of [`Robot::cable_lengths`].
     pub fn slack_m(&self) -> &[f64; CABLES_MAX] {
         &self.slack_m

@@ -2,7 +2,7 @@ use crate::estimator::Slack;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot};
 
 use super::clearance::{ClearanceGuard, Guarded, Stopping, fastest, shortened_to};
-use super::{Limited, Limits, LimitsHit};
+use super::{Limited, Limits, LimitsHit, play};
 
 /// What a command is checked against.
 #[derive(Debug, Clone, Copy)]
@@ -14,6 +14,8 @@ pub struct Situation<'a> {
     /// Where its motors are led, when that is elsewhere: commanded positions, or motors beside cables that have play. Limits and clearance
     /// hold there, too.
     pub commanded: Option<&'a Configuration>,
+    /// What is taken of the play between the robot's motors and its cables; `None`, or a play of 0: they have none.
+    pub slack: Option<&'a Slack>,
     /// The command before.
     pub previous: &'a BendRates,
     /// Obstacles, where they are now.
@@ -75,16 +77,22 @@ impl<'a> Situation<'a> {
         }
     }
 
-    /// A robot that comes to rest: `ramp` is only shortened. Its cables have play where there is a `slack`.
-    pub(super) fn shortened(&self, slack: Option<&'a Slack>, ramp: &BendRates) -> SafeCommand {
+    /// The play of cables that have some.
+    fn play(&self) -> Option<&'a Slack> {
+        self.slack.filter(|slack| slack.play_m() > 0.0)
+    }
+
+    /// A robot that comes to rest: `ramp` is only shortened.
+    fn shortened(&self, ramp: &BendRates) -> SafeCommand {
         let limited = self.limits(fastest(ramp)).shorten(ramp);
         let guard = ClearanceGuard {
-            slack,
+            slack: self.play(),
             ..self.guard()
         };
         SafeCommand::new(limited, guard.scale_down(&limited.rates))
     }
 
+    /// The guard of a robot without play.
     pub(super) fn guard(&self) -> ClearanceGuard<'a> {
         ClearanceGuard {
             robot: self.robot,
@@ -115,14 +123,26 @@ pub struct SafeCommand {
 
 /// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
 /// hold at the end of the period and, when no other command follows, until the robot rests.
+///
+/// A section whose cables have play stands while its motors turn round, so another one must not come nearer to an obstacle because the first
+/// one gives way. The rule of the guard holds for the cables on their way through the play, too: section by section, exactly at the ends of the period and
+/// of the stopping way, 1 mm less between. Where the command does not hold that, the sections that hold
+/// it alone go on, the others stand until they may; and all of them stand where that does not hold either, or where the work for one command is used up.
+///
+/// A robot that comes to rest goes on along the stopping way of the command before, through its play, too: its ramp is only scaled down.
+/// Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
     if situation.comes_to_rest {
-        return situation.shortened(None, desired);
+        return situation.shortened(desired);
     }
     let limited = situation.limited(desired);
     // What the guard makes of them is not faster.
     let limits = situation.limits_moving(fastest(&limited.rates));
-    SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates))
+    let safe = SafeCommand::new(limited, situation.guard().apply(&limits, &limited.rates));
+    match situation.play() {
+        None => safe,
+        Some(slack) => play::held(situation, slack, safe),
+    }
 }
 
 impl SafeCommand {
@@ -176,6 +196,7 @@ mod tests {
                 robot: &robot,
                 at: &at,
                 commanded: Some(&commanded),
+                slack: None,
                 previous: &previous,
                 obstacles: &[obstacle],
                 safe_distance_m: 0.01,

@@ -21,5 +21,4 @@ pub use following::{FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};
 pub use plausibility::{MeasurementWatch, Plausibility, PlausibilityRules};
-pub use play::safe_command_with_play;
 pub use ramp::{homing_rates, ramp_to_zero};

@@ -1,30 +1,16 @@
+//! What cables with play leave of a command that is safe without.
+
 use super::clearance::fastest;
-use super::{SafeCommand, Situation, safe_command};
+use super::{SafeCommand, Situation};
 use crate::estimator::Slack;
 use crate::robot::BendRates;
 
-/// [`safe_command`] of a robot whose cables have play, of which `slack` is taken now; `None`: without play.
-///
-/// A section whose motors turn round stands until their play is over, so another one must not come nearer to an obstacle because the first
-/// one gives way. The rule of the guard holds for the cables on their way through the play, too: section by section, exactly at the ends of the period and
-/// of the stopping way, 1 mm less between. Where the command does not hold that, the sections that hold
-/// it alone go on, the others stand until they may; and all of them stand where that does not hold either, or where the work for one command is used up.
-///
-/// A robot that comes to rest goes on through its play along the stopping way of the command before, so its ramp is only scaled down, as that of
-/// [`safe_command`] and with the same tolerances. Allocates nothing.
-pub fn safe_command_with_play<'a>(
-    situation: &Situation<'a>,
-    slack: Option<&'a Slack>,
-    desired: &BendRates,
-) -> SafeCommand {
-    if situation.comes_to_rest {
-        return situation.shortened(slack, desired);
-    }
-    let safe = safe_command(situation, desired);
-    let moves = fastest(&safe.rates) > 0.0 && !situation.obstacles.is_empty();
-    let Some(slack) = slack.filter(|_| moves) else {
+/// `safe` where it holds the rule of the guard on the way through the play, too; else what does, as
+/// [`safe_command`](super::safe_command) says.
+pub(super) fn held(situation: &Situation<'_>, slack: &Slack, safe: SafeCommand) -> SafeCommand {
+    if fastest(&safe.rates) == 0.0 || situation.obstacles.is_empty() {
         return safe;
-    };
+    }
     let guard = situation.guard();
     guard.through_play(slack, &safe.rates, |holds| {
         if holds(&safe.rates) {
@@ -70,7 +56,7 @@ mod tests {
 
     use super::*;
     use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotParameters, Shape};
-    use crate::safety::ramp_to_zero;
+    use crate::safety::{ramp_to_zero, safe_command};
 
     const PLAY_M: f64 = 1e-3;
     const PERIOD_S: f64 = 0.005;
@@ -98,6 +84,7 @@ mod tests {
         robot: &'a Robot,
         at: &'a Configuration,
         motors: &'a Configuration,
+        slack: &'a Slack,
         previous: &'a BendRates,
         obstacles: &'a [Obstacle],
     ) -> Situation<'a> {
@@ -105,6 +92,7 @@ mod tests {
             robot,
             at,
             commanded: Some(motors),
+            slack: Some(slack),
             previous,
             obstacles,
             safe_distance_m: 0.01,
@@ -113,6 +101,13 @@ mod tests {
             moving_s: 3.0 * PERIOD_S,
             deceleration_rad_s2: DECELERATION_RAD_S2,
             comes_to_rest: false,
+        }
+    }
+
+    fn without_play<'a>(situation: &Situation<'a>) -> Situation<'a> {
+        Situation {
+            slack: None,
+            ..*situation
         }
     }
 
@@ -174,9 +169,9 @@ mod tests {
             let (slack, rest) = (slack(&taken), BendRates::zero(3));
             let sent = motors(&robot, &at, &slack);
             let obstacles = [obstacle];
-            let begin = situation(&robot, &at, &sent, &rest, &obstacles);
+            let begin = situation(&robot, &at, &sent, &slack, &rest, &obstacles);
             let desired = BendRates::from_slice(&desired).unwrap();
-            let safe = safe_command_with_play(&begin, Some(&slack), &desired);
+            let safe = safe_command(&begin, &desired);
             let rates = safe.rates;
             let end_s = 3.0 * PERIOD_S + 0.5 * fastest(&rates) / DECELERATION_RAD_S2;
             for (part, less_m) in (0..=40).map(|part| (f64::from(part) / 40.0, 1e-3)).chain([(1.0, 0.0), (PERIOD_S / end_s, 0.0)]) {
@@ -188,16 +183,16 @@ mod tests {
                 let left_m = spare_m(&begin, &from.advanced(&rates, way_s), 0.01);
                 prop_assert!(left_m >= -1e-9, "{left_m} without play");
             }
-            prop_assert!(safe.clearance_hit || safe == safe_command(&begin, &desired));
+            prop_assert!(safe.clearance_hit || safe == safe_command(&without_play(&begin), &desired));
 
             let begun = sent;
             let then = after(&begin, &slack, &rates, PERIOD_S);
             let sent = sent.advanced(&rates, PERIOD_S);
             let slack = slack.moved(&robot, &Configuration::straight(3).advanced(&rates, PERIOD_S));
-            let stops = situation(&robot, &then, &sent, &rates, &obstacles);
+            let stops = situation(&robot, &then, &sent, &slack, &rates, &obstacles);
             let stops = Situation { comes_to_rest: true, ..stops };
             let ramp = ramp_to_zero(&rates, DECELERATION_RAD_S2, PERIOD_S);
-            let slowed = safe_command_with_play(&stops, Some(&slack), &ramp).rates;
+            let slowed = safe_command(&stops, &ramp).rates;
             if [begin.at, &begun].iter().all(|at| robot.clearance_m(at, &obstacle) >= 0.01) {
                 prop_assert_eq!(slowed, ramp);
             }
@@ -223,7 +218,7 @@ mod tests {
             Obstacle::new(shape, 0.005, Vector3::zeros()).unwrap()
         };
         let obstacles = [mast(0.031, 0.3)];
-        let moved = situation(&robot, &at, &sent, &rest, &obstacles);
+        let moved = situation(&robot, &at, &sent, &slack, &rest, &obstacles);
         let moved = Situation {
             safe_distance_m: 0.03,
             ..moved
@@ -234,8 +229,8 @@ mod tests {
         for angle in 0..64 {
             let (sin, cos) = (0.1 * f64::from(angle)).sin_cos();
             let desired = BendRates::from_slice(&[-cos, sin, cos, -sin]).unwrap();
-            let safe = safe_command_with_play(&moved, Some(&slack), &desired);
-            was_hit |= safe.rates != safe_command(&moved, &desired).rates;
+            let safe = safe_command(&moved, &desired);
+            was_hit |= safe.rates != safe_command(&without_play(&moved), &desired).rates;
             let end_s = 3.0 * PERIOD_S + 0.5 * fastest(&safe.rates) / DECELERATION_RAD_S2;
             let left_m = spare_m(&moved, &after(&moved, &slack, &safe.rates, end_s), 0.03);
             assert!(left_m >= -1e-9, "{angle}: {left_m}");

@@ -26,6 +26,7 @@ fn situation<'a>(
         robot,
         at,
         commanded: None,
+        slack: None,
         previous,
         obstacles,
         safe_distance_m: SAFE_M,
@@ -38,7 +39,7 @@ fn situation<'a>(
 }
 
 /// The command that the daemon would send.
-fn command(
+pub(crate) fn command(
     robot: &Robot,
     at: &Configuration,
     previous: &BendRates,

@@ -6,10 +6,11 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
 use cdcr_controller::optimizer::{Budget, cycle_seed};
 use cdcr_controller::reference::{ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
-use cdcr_controller::safety::{Situation, safe_command};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::safety::command;
 
 const PERIOD_S: f64 = 0.005;
 
@@ -62,20 +63,7 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
             seed: cycle_seed(settings.seed, cycle),
         };
         let (desired_rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
-        let situation = Situation {
-            robot: &robot,
-            at: &estimate,
-            commanded: None,
-            previous: &rates,
-            obstacles: &[],
-            safe_distance_m: 0.01,
-            acceleration_rad_s2: 40.0,
-            period_s: PERIOD_S,
-            moving_s: PERIOD_S,
-            deceleration_rad_s2: 40.0,
-            comes_to_rest: false,
-        };
-        rates = safe_command(&situation, &desired_rates).rates;
+        rates = command(&robot, &estimate, &rates, &[], &desired_rates);
         truth = truth.advanced(&rates, PERIOD_S);
         estimator.predict(&rates, PERIOD_S);
         let farthest_rad = truth.as_slice().iter().fold(0.0_f64, |a, b| a.max(b.abs()));

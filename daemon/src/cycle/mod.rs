@@ -20,7 +20,7 @@ use cdcr_controller::reference::{FollowedReference, GridPoint};
 use cdcr_controller::robot::{BendRates, Obstacle, Robot};
 use cdcr_controller::safety::{
     Mode, ModeMachine, Observation, Reason, Refusal, SafeCommand, Situation, homing_rates,
-    ramp_to_zero, safe_command_with_play,
+    ramp_to_zero, safe_command,
 };
 
 use crate::accounting::Accounting;
@@ -459,11 +459,7 @@ impl Cycle {
 
     /// Every command, in every mode: limits, and the clearance guard.
     fn make_safe(&mut self, desired_rates: &BendRates, comes_to_rest: bool) -> SafeCommand {
-        let safe = safe_command_with_play(
-            &self.situation(comes_to_rest),
-            self.state.slack_led(),
-            desired_rates,
-        );
+        let safe = safe_command(&self.situation(comes_to_rest), desired_rates);
         if safe.limits_hit.non_finite {
             self.modes.fault(Reason::NonFinite);
         }
@@ -475,6 +471,7 @@ impl Cycle {
             robot: &self.robot,
             at: self.state.configuration(),
             commanded: self.state.motors_led(),
+            slack: self.state.slack_led(),
             previous: &self.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.nmpc.settings().safe_distance_m,

@@ -9,7 +9,7 @@ use std::hint::black_box;
 use cdcr_controller::estimator::Measurement;
 use cdcr_controller::nmpc::SolveInput;
 use cdcr_controller::optimizer::{Budget, cycle_seed};
-use cdcr_controller::safety::{Mode, safe_command_with_play};
+use cdcr_controller::safety::{Mode, safe_command};
 
 use super::Cycle;
 use crate::handover::{CycleInputs, TimedMeasurement};
@@ -32,11 +32,7 @@ impl Cycle {
         }
         self.rehearse_estimate(release_ns, inputs);
         black_box(inputs.window.get(cycle));
-        black_box(safe_command_with_play(
-            &self.situation(false),
-            self.state.slack_led(),
-            &self.rates,
-        ));
+        black_box(safe_command(&self.situation(false), &self.rates));
         self.rehearsal_costs.note(clock.now_ns() - begin_ns);
         // Whoever looks at the clock may look this late.
         let end_ns = release_ns.saturating_sub(self.longest_gap_ns);

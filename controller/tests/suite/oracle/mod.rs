@@ -9,6 +9,7 @@ mod moment;
 mod qp;
 mod rule;
 
+use cdcr_controller::estimator::Slack;
 use cdcr_controller::safety::SafeCommand;
 use loops::Scene;
 use moment::{Moment, stands};
@@ -125,6 +126,28 @@ fn no_moment_breaks_a_rule() {
         account.take(&name, &moment, &moment.command());
     }
     account.check();
+}
+
+/// A play of 0 changes no bit. Cables with play change nothing at the rules of robots without: these hold of what moves, wherever the cables are
+/// in their play. Only a ramp goes on along a way that the cables have gone on.
+#[test]
+fn no_moment_with_play_breaks_a_rule() {
+    let (mut account, mut by_play) = (Account::NEW, 0);
+    let count = crate::repetitions(500, 1000).into();
+    for (seed, (name, moment)) in (0..).zip(moments("CDCR_ORACLE_MOMENTS", count)) {
+        let command = moment.command();
+        let none = Slack::new(0.0, *Moment::slack(seed, 1e-3).slack_m());
+        let same = moment.command_with(Some(&none));
+        assert_eq!(same, command, "{name}");
+        let slack = Moment::slack(seed, 1e-3);
+        if !moment.comes_to_rest {
+            let played = moment.command_with(Some(&slack));
+            by_play += u32::from(played.rates != command.rates);
+            account.take(&name, &moment, &played);
+        }
+    }
+    account.check();
+    assert!(by_play > 10, "{by_play}");
 }
 
 #[test]

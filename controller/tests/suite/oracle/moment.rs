@@ -2,7 +2,10 @@
 
 use core::f64::consts::PI;
 
-use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters};
+use cdcr_controller::estimator::Slack;
+use cdcr_controller::robot::{
+    BendRates, CABLES_MAX, Configuration, Obstacle, Robot, RobotParameters,
+};
 use cdcr_controller::safety::{SafeCommand, Situation, safe_command};
 use nalgebra::Vector3;
 use rand::{RngExt, SeedableRng};
@@ -31,6 +34,11 @@ pub(super) struct Moment {
 impl Moment {
     /// What the crate makes of it.
     pub(super) fn command(&self) -> SafeCommand {
+        self.command_with(None)
+    }
+
+    /// The same where the cables have play.
+    pub(super) fn command_with(&self, slack: Option<&Slack>) -> SafeCommand {
         let robot = Robot::new(&self.parameters).unwrap();
         let at = Configuration::from_slice(&self.at).unwrap();
         let commanded = self.commanded.as_deref().map(Configuration::from_slice);
@@ -41,6 +49,7 @@ impl Moment {
             robot: &robot,
             at: &at,
             commanded: commanded.as_ref(),
+            slack,
             previous: &previous,
             obstacles: &obstacles,
             safe_distance_m: self.safe_m,
@@ -53,6 +62,15 @@ impl Moment {
         safe_command(
             &situation,
             &BendRates::from_slice(&self.desired_rates).unwrap(),
+        )
+    }
+
+    /// A play of `play_m`, of which each cable has taken another part.
+    pub(super) fn slack(seed: u64, play_m: f64) -> Slack {
+        let mut draw = Draw::new(seed);
+        Slack::new(
+            play_m,
+            [(); CABLES_MAX].map(|()| 0.5 * play_m * draw.signed()),
         )
     }
 

@@ -13,7 +13,7 @@ use cdcr_controller::optimizer::Budget;
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
 use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command, safe_command_with_play};
+use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
 use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{
     ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome,
@@ -145,6 +145,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [boo
     } else {
         record.command.valid_until_ns - record.release_ns
     };
+    let slack = (record.play_m > 0.0).then(|| Slack::new(record.play_m, record.slack_m));
     let situation = Situation {
         robot,
         at: &at,
@@ -153,6 +154,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [boo
         } else {
             Some(&motors).filter(|motors| **motors != at)
         },
+        slack: slack.as_ref(),
         previous: &previous,
         obstacles: &obstacles_of(record),
         safe_distance_m: record.settings.safe_distance_m,
@@ -164,8 +166,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [boo
             .map(Mode::code)
             .contains(&record.mode),
     };
-    let slack = (record.play_m > 0.0).then(|| Slack::new(record.play_m, record.slack_m));
-    let safe = safe_command_with_play(&situation, slack.as_ref(), desired);
+    let safe = safe_command(&situation, desired);
     let command = &record.command;
     assert_eq!(
         bits(safe.rates.as_slice()),
@@ -185,7 +186,11 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [boo
     assert_eq!(safe.clearance_hit, flagged);
     let accelerated = record.guard_flags & codes::guard::ACCELERATION != 0;
     assert_eq!(safe.limits_hit.acceleration, accelerated);
-    let by_play = safe.rates != safe_command(&situation, desired).rates;
+    let without_play = Situation {
+        slack: None,
+        ..situation
+    };
+    let by_play = safe.rates != safe_command(&without_play, desired).rates;
     [flagged, by_play]
 }
 
