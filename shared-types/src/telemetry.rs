@@ -250,7 +250,7 @@ message! {
         tip_state: u32 [code MeasurementState],
         /// Smallest distance at the release between the surfaces of body and obstacles, from `present_rad` and
         /// `obstacles` \[m\]: negative inside one, infinite without obstacles, NaN when `present_rad` is not
-        /// finite.
+        /// finite. The body counts as thicker by as much as its tip is measured beside its bends (`tip_offset_m`).
         clearance_m: f64,
         /// The command as it left.
         command: Command,

@@ -151,6 +151,7 @@ impl Problem {
             previous_rates: &self.still,
             reference: &self.reference,
             obstacles: &self.obstacles,
+            tip_offset_m: 0.0,
             elapsed_periods: 0,
             seed,
         }

@@ -181,6 +181,7 @@ impl Moment {
             previous: &self.previous,
             obstacles: &self.obstacles,
             safe_distance_m: SAFE_DISTANCE_M,
+            tip_offset_m: 0.0,
             acceleration_rad_s2: DECELERATION_RAD_S2,
             period_s: PERIOD_S,
             moving_s: MOVING_S,

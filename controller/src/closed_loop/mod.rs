@@ -115,6 +115,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             previous_rates: &self.command.rates,
             reference: &self.reference,
             obstacles: &self.obstacles,
+            tip_offset_m: self.tip_offset_m().norm(),
             elapsed_periods: 1,
             seed: cycle_seed(self.settings.seed, self.cycle),
         }
@@ -136,6 +137,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             previous: &self.command.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.settings.safe_distance_m,
+            tip_offset_m: self.tip_offset_m().norm(),
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
             moving_s: periods * self.period_s,
@@ -208,6 +210,12 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         body.least_clearance_m(from_the_start.map(|obstacle| obstacle.moved(self.time_s())))
     }
 
+    /// How far the tip is measured beside where the bends place it (m).
+    fn tip_offset_m(&self) -> Vector3<f64> {
+        let driven = self.driven.as_ref();
+        driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m())
+    }
+
     /// Obstacles, and the reference over the horizon, in the time of the robot that lags.
     fn look_around(&mut self) {
         let time_s = self.time_s();
@@ -219,8 +227,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         let first = self.cycle + 1;
         let cycles = first..first + u64::from(self.settings.horizon_steps);
         let times_s = cycles.map(|cycle| cycle as f64 * self.period_s + lead_s);
-        let driven = self.driven.as_ref();
-        let offset_m = driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m());
+        let offset_m = self.tip_offset_m();
         let reference_at = |time_s| (self.reference_at)(time_s).moved(&-offset_m);
         self.reference.clear();
         self.reference.extend(times_s.map(reference_at));

@@ -70,6 +70,9 @@ pub struct SolveInput<'a> {
     /// What the body must keep away from, at most [`OBSTACLES_MAX`] (further ones are ignored), where
     /// it is at the release; it moves on at its velocity.
     pub obstacles: &'a [Obstacle],
+    /// How far the tip is measured beside where the bends place it \[m\], 0 or more: so much more distance the body keeps, each section its
+    /// part ([`Robot::thicker`]).
+    pub tip_offset_m: f64,
     /// Periods since the plan was made: how far the warm start is moved on in time.
     pub elapsed_periods: u64,
     /// Seed of this cycle's swarm, see [`cycle_seed`](crate::optimizer::cycle_seed).
@@ -229,8 +232,11 @@ impl Nmpc {
         input: &SolveInput,
         budget: &mut Budget<'_>,
     ) -> (BendRates, SolveReport) {
+        let thicker = (input.tip_offset_m > 0.0)
+            .then(|| self.robot.thicker(input.configuration, input.tip_offset_m));
+        let robot = thicker.as_ref().unwrap_or(&self.robot);
         let motion = Motion::new(
-            &self.robot,
+            robot,
             self.period_s,
             self.settings.coordinates,
             &self.horizon,
@@ -238,7 +244,7 @@ impl Nmpc {
             input.previous_rates,
             input.reference.first().map(|sample| sample.position_m),
         );
-        motion.set_bounds(&self.robot, &mut self.bounds);
+        motion.set_bounds(robot, &mut self.bounds);
         self.horizon
             .shift(&self.plan, input.elapsed_periods, &mut self.warm_plan);
         motion.continue_plan(
@@ -250,7 +256,7 @@ impl Nmpc {
 
         let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
         self.obstacles.gather(
-            &self.robot,
+            robot,
             &motion,
             input.obstacles,
             self.settings.safe_distance_m,
@@ -258,13 +264,13 @@ impl Nmpc {
             budget,
         );
         let limits = Limits::new(
-            &self.robot,
+            robot,
             &motion,
             self.settings.position_weight,
             &fastest_rad_s,
         );
         let problem = TrackingProblem::new(
-            &self.robot,
+            robot,
             &self.settings,
             &motion,
             &limits,
@@ -283,7 +289,7 @@ impl Nmpc {
         let rates = match report.status {
             SolveStatus::NonFinite => None,
             _ if !problem.is_posed() => None,
-            _ => motion.first_rates(&self.robot, &self.plan),
+            _ => motion.first_rates(robot, &self.plan),
         };
         let rates = rates.unwrap_or_else(|| {
             self.plan.fill(0.0);

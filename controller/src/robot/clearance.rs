@@ -272,6 +272,21 @@ impl Robot {
         self.body_from_frames(configuration, &frames)
     }
 
+    /// This robot with a thicker body, for one whose tip is measured `tip_offset_m` (m) beside where the bends place it: a section of it keeps a
+    /// distance where the true one does. Section j, up to whose end the body is `s_j` long, is thicker by `|offset| · min(1, s_j / |p|)`, with the
+    /// tip p from the base in the shape `at`. Why: §3 of docs/model.md. The fingerprint stays; a body radius may leave its range.
+    #[must_use]
+    pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Self {
+        let away_m = self.tip_position(at).norm();
+        let mut thicker = self.clone();
+        let mut length_m = 0.0;
+        for section in thicker.sections_mut() {
+            length_m += section.length_m;
+            section.body_radius_m += tip_offset_m * (length_m / away_m).min(1.0);
+        }
+        thicker
+    }
+
     /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for this shape.
     pub fn body_from_frames(
         &self,

@@ -271,6 +271,10 @@ impl Robot {
         &self.sections[..self.section_count]
     }
 
+    pub(super) fn sections_mut(&mut self) -> &mut [SectionParameters] {
+        &mut self.sections[..self.section_count]
+    }
+
     /// Number of sections n, 1 to 6.
     pub fn section_count(&self) -> usize {
         self.section_count

@@ -22,6 +22,9 @@ pub struct Situation<'a> {
     pub obstacles: &'a [Obstacle],
     /// Distance D that the body keeps \[m\].
     pub safe_distance_m: f64,
+    /// How far the tip is measured beside where the bends place it \[m\], 0 or more: so much more the body keeps, each section its part
+    /// ([`Robot::thicker`]).
+    pub tip_offset_m: f64,
     /// How fast the rate of a component may grow \[rad/s²\]; infinite: as it likes.
     pub acceleration_rad_s2: f64,
     /// Period \[s\].
@@ -116,7 +119,7 @@ pub struct SafeCommand {
     pub limits_hit: LimitsHit,
     /// Whether the clearance guard changed them.
     pub clearance_hit: bool,
-    /// Smallest clearance of the body to any obstacle now \[m\]: negative inside an obstacle, infinite without obstacles, NaN
+    /// Smallest clearance of the body, thicker where the tip is beside its bends, to any obstacle now \[m\]: negative inside an obstacle, infinite without obstacles, NaN
     /// when the state is not finite.
     pub clearance_m: f64,
 }
@@ -132,6 +135,24 @@ pub struct SafeCommand {
 /// A robot that comes to rest goes on along the stopping way of the command before, through its play, too: its ramp is only scaled down.
 /// Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
+    if situation.tip_offset_m > 0.0 {
+        let robot = situation
+            .robot
+            .thicker(situation.at, situation.tip_offset_m);
+        let robot = &robot;
+        return made_safe(
+            &Situation {
+                robot,
+                ..*situation
+            },
+            desired,
+        );
+    }
+    made_safe(situation, desired)
+}
+
+/// [`safe_command`] of this robot.
+fn made_safe(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
     if situation.comes_to_rest {
         return situation.shortened(desired);
     }
@@ -200,6 +221,7 @@ mod tests {
                 previous: &previous,
                 obstacles: &[obstacle],
                 safe_distance_m: 0.01,
+                tip_offset_m: 0.0,
                 acceleration_rad_s2: 40.0,
                 period_s: PERIOD_S,
                 moving_s: 3.0 * PERIOD_S,

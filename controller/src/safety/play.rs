@@ -96,6 +96,7 @@ mod tests {
             previous,
             obstacles,
             safe_distance_m: 0.01,
+            tip_offset_m: 0.0,
             acceleration_rad_s2: f64::INFINITY,
             period_s: PERIOD_S,
             moving_s: 3.0 * PERIOD_S,

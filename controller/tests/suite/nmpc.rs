@@ -58,6 +58,7 @@ fn track(
                 previous_rates: &rates,
                 reference: &reference,
                 obstacles: &[],
+                tip_offset_m: 0.0,
                 elapsed_periods: 1,
                 seed: cycle_seed(1, cycle),
             };
@@ -129,6 +130,7 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
             previous_rates: &BendRates::zero(1),
             reference: &[inside(Vector3::new(0.0, 0.0, 0.3))],
             obstacles: &[],
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed: 1,
         };
@@ -165,6 +167,7 @@ fn a_state_of_another_robot_gives_zero_rates() {
                 previous_rates: &BendRates::zero(counts[1]),
                 reference: &[goal],
                 obstacles: &[],
+                tip_offset_m: 0.0,
                 elapsed_periods: 1,
                 seed: 1,
             };
@@ -192,6 +195,7 @@ fn without_a_reference_the_rates_are_zero() {
         previous_rates: &BendRates::zero(1),
         reference: &[],
         obstacles: &[],
+        tip_offset_m: 0.0,
         elapsed_periods: 1,
         seed: 1,
     };
@@ -233,6 +237,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
             previous_rates: &BendRates::zero(6),
             reference: &[inside(Vector3::new(0.3, 0.0, 1.5))],
             obstacles: &[],
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed: 1,
         };
@@ -402,6 +407,7 @@ fn solve_case(
         previous_rates: &BendRates::from_slice(&case.rates).unwrap(),
         reference: &[case.target],
         obstacles: &case.obstacles,
+        tip_offset_m: 0.0,
         elapsed_periods: 1,
         seed: case.seed,
     };

@@ -30,6 +30,7 @@ fn situation<'a>(
         previous,
         obstacles,
         safe_distance_m: SAFE_M,
+        tip_offset_m: 0.0,
         acceleration_rad_s2: ACCELERATION_RAD_S2,
         period_s: PERIOD_S,
         moving_s: 3.0 * PERIOD_S,
@@ -131,6 +132,7 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
                 previous_rates: &rates,
                 reference: &[sample; 2],
                 obstacles: &[],
+                tip_offset_m: 0.0,
                 elapsed_periods: 1,
                 seed: cycle_seed(1, 1000 * goal + cycle),
             };
@@ -184,6 +186,48 @@ fn a_plan_that_rests_at_a_limit_is_not_cut() {
         };
         assert!((1e-8..2e-6).contains(&left), "{index}: {left}");
     }
+}
+
+/// A tip that turns out to be beside its bends while an obstacle is nearer than that allows: the robot comes no nearer and is free to leave, a robot at rest
+/// stays where it is, and a ramp that began before the tip was measured goes on where it leads away.
+#[test]
+fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
+    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+    let at = Configuration::from_slice(&[0.3, 0.0, 0.2, 0.0, 0.3, 0.0]).unwrap();
+    // Beside the tip, where a larger bend brings it.
+    let centre_m = robot.tip_position(&at) + Vector3::new(0.05, 0.0, -0.02);
+    let ball = [Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()];
+    let clear_m = |at: &Configuration| robot.clearance_m(at, &ball[0]);
+    assert!((SAFE_M..0.025).contains(&clear_m(&at)), "{}", clear_m(&at));
+    let rest = BendRates::zero(3);
+    let [towards, away] = [1.0, -1.0].map(|sign| {
+        let rates = [0.1, 0.0, 0.1, 0.0, 0.1, 0.0].map(|rate| sign * rate);
+        BendRates::from_slice(&rates).unwrap()
+    });
+    let moving = Situation {
+        tip_offset_m: 0.03,
+        ..situation(&robot, &at, &rest, &ball)
+    };
+    let safe = |desired: &BendRates| safe_command(&moving, desired).rates;
+    let unmeasured = Situation {
+        tip_offset_m: 0.0,
+        ..moving
+    };
+    assert_eq!(safe_command(&unmeasured, &towards).rates, towards);
+    let next = at.advanced(&safe(&towards), PERIOD_S);
+    assert!(clear_m(&next) >= clear_m(&at) - 1e-9);
+    assert_eq!(safe(&away), away);
+    assert_eq!(safe(&rest), rest);
+    let ramp = Situation {
+        previous: &away,
+        comes_to_rest: true,
+        ..moving
+    };
+    let slower = ramp_to_zero(&away, 10.0, PERIOD_S);
+    assert_eq!(safe_command(&ramp, &slower).rates, slower);
+    // The thinnest clearance that is told is that of the body which may be there.
+    let told_m = safe_command(&moving, &rest).clearance_m;
+    assert!((told_m - (clear_m(&at) - 0.03)).abs() < 1e-9, "{told_m}");
 }
 
 /// Runs of a robot with `sections` that goes home past `balls` balls beside its body, one of them on its way: how many

@@ -53,6 +53,7 @@ impl Loop {
             previous_rates: &self.rates,
             reference: &window,
             obstacles: &obstacles(time_s(0)),
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed: cycle_seed(1, self.cycle),
         };
@@ -395,6 +396,7 @@ fn culling_leaves_the_cost_as_it_is() {
             previous_rates: &BendRates::zero(3),
             reference: &[goal],
             obstacles: &obstacles,
+            tip_offset_m: 0.0,
             elapsed_periods: 0,
             seed: 1,
         };
@@ -461,6 +463,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
                 previous_rates: &BendRates::zero(3),
                 reference: &[goal],
                 obstacles: &obstacles,
+                tip_offset_m: 0.0,
                 elapsed_periods: 1,
                 seed: 5,
             };

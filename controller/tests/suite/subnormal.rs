@@ -42,6 +42,7 @@ impl Scene {
             previous_rates: &self.rates,
             reference: &self.reference,
             obstacles: &[],
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed,
         };

@@ -59,6 +59,7 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
             previous_rates: &rates,
             reference: &reference,
             obstacles: &[],
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed: cycle_seed(settings.seed, cycle),
         };

@@ -433,6 +433,7 @@ impl Cycle {
             previous_rates: &self.rates,
             reference,
             obstacles: &self.obstacles,
+            tip_offset_m: offset_m.norm(),
             elapsed_periods: elapsed_ns / self.period_ns,
             seed: cycle_seed(settings.seed, release.cycle),
         };
@@ -475,6 +476,7 @@ impl Cycle {
             previous: &self.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.nmpc.settings().safe_distance_m,
+            tip_offset_m: self.state.tip_offset_m().norm(),
             acceleration_rad_s2: self.policy.acceleration_rad_s2,
             period_s: self.period_ns as f64 * 1e-9,
             moving_s: self.policy.moving_ns(u64::MAX, self.period_ns) as f64 * 1e-9,

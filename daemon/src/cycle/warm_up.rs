@@ -71,6 +71,7 @@ impl Cycle {
             previous_rates: &self.rates,
             reference: &[sample; HORIZON_STEPS_MAX][..self.nmpc.settings().horizon_steps as usize],
             obstacles: obstacle.as_slice(),
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed,
         };

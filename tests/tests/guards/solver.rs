@@ -78,6 +78,7 @@ fn run(nmpc: &mut Nmpc) {
             previous_rates: &rates,
             reference: &[sample],
             obstacles: &obstacles,
+            tip_offset_m: 0.0,
             elapsed_periods: 1,
             seed: cycle_seed(1, cycle),
         };

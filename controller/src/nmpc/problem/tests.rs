@@ -115,6 +115,7 @@ fn with_problem_among<T>(
         previous_rates: &case.held,
         reference: &[case.goal],
         obstacles: around,
+        tip_offset_m: 0.0,
         elapsed_periods: 1,
         seed: 1,
     };

@@ -22,6 +22,33 @@ proptest! {
         }
     }
 
+    /// Sections that are all longer by the same part: no point of the true body is farther beside its model than the body became thicker, where the
+    /// tip is farther from the base than the point.
+    #[test]
+    fn a_thicker_body_holds_one_that_is_longer(
+        n in 1..=SECTIONS_MAX,
+        bends in prop::array::uniform12(-0.8..0.8_f64),
+        part in -0.05..0.05_f64,
+        share in 0.0..=1.0_f64,
+    ) {
+        let mut parameters = RobotParameters::paper(n);
+        let model = Robot::new(&parameters).unwrap();
+        for section in &mut parameters.sections {
+            section.length_m *= 1.0 + part;
+        }
+        let truth = Robot::new(&parameters).unwrap();
+        let at = Configuration::from_slice(&bends[..2 * n]).unwrap();
+        let tip_m = model.tip_position(&at);
+        let thicker = model.thicker(&at, (truth.tip_position(&at) - tip_m).norm());
+        for j in 0..n {
+            let more_m = thicker.sections()[j].body_radius_m - model.sections()[j].body_radius_m;
+            let [model_m, true_m] = [&model, &truth].map(|robot| robot.body_point(&at, j, share));
+            let is_within = (true_m - model_m).norm() <= more_m + 1e-12;
+            prop_assert!(is_within || model_m.norm() > tip_m.norm());
+        }
+        prop_assert_eq!(model.thicker(&at, 0.0), model);
+    }
+
     #[test]
     fn a_straight_robot_is_a_segment(n in 1..=SECTIONS_MAX, centre_m in vector(1.5), end_m in vector(1.5)) {
         let robot = Robot::new(&RobotParameters::paper(n)).unwrap();

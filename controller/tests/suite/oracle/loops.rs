@@ -182,6 +182,7 @@ impl Scene {
                 previous_rates: &rates,
                 reference: &reference,
                 obstacles: &obstacles,
+                tip_offset_m: 0.0,
                 elapsed_periods: 1,
                 seed: cycle_seed(1, u64::from(cycle)),
             };
@@ -224,6 +225,7 @@ impl Scene {
                     previous_rates: &previous,
                     reference: &[self.reference(f64::from(cycle) * PERIOD_S); 2],
                     obstacles: &obstacles,
+                    tip_offset_m: 0.0,
                     elapsed_periods: 1,
                     seed: cycle_seed(1, u64::from(cycle)),
                 };

@@ -53,6 +53,7 @@ impl Moment {
             previous: &previous,
             obstacles: &obstacles,
             safe_distance_m: self.safe_m,
+            tip_offset_m: 0.0,
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
             moving_s: self.moving_s,

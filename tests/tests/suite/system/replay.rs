@@ -113,6 +113,7 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
         reference: &reference,
         obstacles: &obstacles_of(record),
         // The recorded warm start is moved on in time already.
+        tip_offset_m: offset_m.norm(),
         elapsed_periods: 0,
         seed: record.report.seed,
     };
@@ -158,6 +159,7 @@ fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [boo
         previous: &previous,
         obstacles: &obstacles_of(record),
         safe_distance_m: record.settings.safe_distance_m,
+        tip_offset_m: Vector3::from(record.tip_offset_m).norm(),
         acceleration_rad_s2: record.acceleration_rad_s2,
         period_s: record.period_ns as f64 * 1e-9,
         moving_s: moving_ns as f64 * 1e-9,
