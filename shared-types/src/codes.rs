@@ -238,6 +238,8 @@ wire_enum! {
         ObstacleSourceSilent = 17: "the source of the obstacles is silent (obstacles.source_timeout_ms)",
         /// The reference was replaced by one too far from the tip to be approached.
         ReferenceTooFar = 18: "the reference was replaced by one farther from the tip than motion.approach_distance_m",
+        /// The mean length of a section's three cables changed by more than any bend does.
+        CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
     }
 }
 

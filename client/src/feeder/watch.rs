@@ -163,6 +163,7 @@ fn reason_remedy(reason: Reason) -> &'static str {
         Reason::ReferenceTooFar => {
             "Bring the tip nearer first, with cdcrctl goto, or set motion.approach to \"smooth\"."
         }
+        Reason::CommonMode => "Check the cables and what they are wound on, then cdcrctl reset.",
         Reason::NonFinite => "See the daemon's log, then cdcrctl reset.",
         Reason::LimitBroken => "Bring the robot inside its limits, then cdcrctl reset.",
         Reason::ClearanceBroken => "Move the obstacle or the robot, then cdcrctl reset.",

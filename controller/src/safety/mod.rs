@@ -7,6 +7,7 @@
 mod bucket;
 mod clearance;
 mod command;
+mod common_mode;
 mod following;
 mod limits;
 mod mode;
@@ -17,6 +18,7 @@ mod ramp;
 
 pub use bucket::LeakyBucket;
 pub use command::{SafeCommand, Situation, safe_command};
+pub use common_mode::CommonModeWatch;
 pub use following::{FollowingError, FollowingRules, FollowingWatch};
 pub use limits::{Limited, Limits, LimitsHit, limit, shorten};
 pub use mode::{LeaseState, Mode, ModeMachine, Observation, Reason, Refusal, Request};

@@ -8,7 +8,7 @@
 //!               Homing
 //!
 //!  any but Faulted ── stop, leaky bucket, suspend ──► Stopped   latched: rates ramp to zero, until reset
-//!  any ── measurement lost, jumps or frozen, non-finite, limit, contact, does not follow ──► Faulted(cause)   latched
+//!  any ── measurement lost, jumps or frozen, non-finite, limit, contact, does not follow, cables slack ──► Faulted(cause)   latched
 //!  Tracking, Homing ── stale inputs, silent source of obstacles ──► Holding
 //!  Tracking ── replaced by a reference that is too far ──► Holding
 //!  Stopped, Faulted ── reset, cause gone ──► Holding
@@ -58,6 +58,8 @@ pub enum Reason {
     ObstacleSourceSilent,
     /// The reference was replaced by one that is farther from the tip than it may be approached from.
     ReferenceTooFar,
+    /// The common mode of a section's cables changed.
+    CommonMode,
 }
 
 /// The mode, with what belongs to it.

@@ -27,7 +27,7 @@ to_wire! {
     pub reason: Reason => Reason {
         Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
         LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
-        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar,
+        InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode,
     }
     /// What of a command the driver obeys.
     pub interface: Interface => Interface { Velocity, Position }

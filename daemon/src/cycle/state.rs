@@ -1,7 +1,9 @@
 use cdcr_controller::estimator::{Estimator, Measurement, Slack};
 use cdcr_controller::reference::ReferenceSample;
 use cdcr_controller::robot::{BendRates, Configuration, Pose, Robot};
-use cdcr_controller::safety::{FollowingWatch, MeasurementWatch, Plausibility, Reason};
+use cdcr_controller::safety::{
+    CommonModeWatch, FollowingWatch, MeasurementWatch, Plausibility, Reason,
+};
 use nalgebra::Vector3;
 
 use crate::config::Interface;
@@ -30,6 +32,7 @@ pub(super) struct RobotState {
     commanded: Configuration,
     following: FollowingWatch,
     plausibility: MeasurementWatch,
+    common_mode: CommonModeWatch,
     /// Of the tip beside bends or cables.
     tip_plausibility: MeasurementWatch,
     last_tip_ns: u64,
@@ -71,6 +74,7 @@ impl RobotState {
             commanded: initial,
             following: FollowingWatch::new(policy.following, obeys_positions, initial),
             plausibility: MeasurementWatch::new(policy.plausibility),
+            common_mode: CommonModeWatch::new(policy.cable_common_m),
             tip_plausibility: MeasurementWatch::new(policy.plausibility),
             last_tip_ns: 0,
             tip_sensors: 0,
@@ -180,6 +184,11 @@ impl RobotState {
             Plausibility::Frozen => self.measurement_fault = Some(Reason::MeasurementFrozen),
             Plausibility::Good => {}
         }
+        if let Measurement::CableLengths(lengths_m) = &measurement
+            && self.common_mode.is_broken(&self.robot, lengths_m)
+        {
+            self.measurement_fault = Some(Reason::CommonMode);
+        }
         let age_s = (release_ns as f64 - measured_ns as f64) * 1e-9;
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
@@ -282,6 +291,7 @@ impl RobotState {
     fn begin_at(&mut self, at: Configuration) {
         self.commanded = at;
         self.present = self.estimator.present();
+        self.common_mode.begin();
         self.trust_tip();
     }
 

@@ -5,6 +5,7 @@
 )]
 
 mod approach;
+mod common_mode;
 mod lead;
 mod play;
 mod rehearsal;

@@ -43,6 +43,8 @@ pub struct Policy {
     pub miss_limit: u32,
     /// A smaller clearance is a fault \[m\].
     pub clearance_fault_m: f64,
+    /// The common mode of a section's cables may change by this \[m\]; 0: by any amount.
+    pub cable_common_m: f64,
     /// Which measurements are taken for true.
     pub plausibility: PlausibilityRules,
     /// How far the robot may be from where it is commanded to be.
@@ -74,6 +76,7 @@ impl Policy {
             measurement_timeout_ns: ns(config.link.measurement_timeout_ms),
             miss_limit: miss_limit(config),
             clearance_fault_m: config.safety.clearance_fault_m,
+            cable_common_m: config.safety.cable_common_m,
             plausibility: PlausibilityRules {
                 jump_rad: config.safety.measurement_jump_rad,
                 jump_limit: config.safety.measurement_jump_limit,

@@ -48,6 +48,8 @@ pub(super) struct Trial {
     /// The motors stand still, whatever is commanded.
     pub(super) stands: bool,
     lead_ns: u64,
+    /// So much more than there is do the encoders say \[m\].
+    pub(super) cable_error_m: [f64; CABLES_MAX],
     /// It has a sensor of the tip beside its encoders.
     pub(super) measures_tip: bool,
     /// So far beside \[m\].
@@ -108,6 +110,7 @@ impl Trial {
             stands: false,
             rehearses: false,
             rehearsal_looks: 0,
+            cable_error_m: [0.0; CABLES_MAX],
             measures_tip: false,
             tip_error_m: Vector3::zeros(),
             frozen_tip_m: None,
@@ -136,8 +139,10 @@ impl Trial {
 
     /// What the encoders said a millisecond before the release: the robot is moved on to that.
     pub(super) fn measure(&mut self, release_ns: u64) {
+        let cables_m = self.plant.measure_cables();
+        let lengths_m = core::array::from_fn(|cable| cables_m[cable] + self.cable_error_m[cable]);
         self.inputs.measurement = Some(TimedMeasurement {
-            measurement: Measurement::CableLengths(self.plant.measure_cables()),
+            measurement: Measurement::CableLengths(lengths_m),
             measured_ns: release_ns - MEASURED_BEFORE_NS,
         });
         if self.measures_tip {
