@@ -21,8 +21,8 @@
 //! | [`nmpc`] | the optimal control problem (Eq. 4-5) and its solution | clocks, threads |
 //! | [`safety`] | mode machine, limits, clearance guard: the safety checks before the cables | optimisation |
 //! | [`calibration`] | the geometry that explains measured cables and tips | time, files |
-//! | [`plant`] | the ideal simulated robot; no other module uses it | the controller |
-//! | [`closed_loop`] | solver, safety checks and ideal robot, period by period: for simulations | clocks |
+//! | [`plant`] | simulated robots; of the modules here only `closed_loop` uses them | the controller |
+//! | [`closed_loop`] | solver, safety checks and a robot, ideal or not, period by period: for simulations | clocks |
 //!
 //! Absent on purpose: clocks, threads, files, messages, logging, `unsafe`. Time comes in as numbers of
 //! periods and as the closure of a [`Budget`](optimizer::Budget).

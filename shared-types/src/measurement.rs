@@ -31,7 +31,7 @@ message! {
         bend_rad: [f64; COORDINATES_MAX] [when kind = MeasurementKind::Configuration] [used 2 sections],
         /// Tip position in the base frame \[m\].
         tip_position_m: [f64; 3] [when kind = MeasurementKind::TipPose],
-        /// Tip orientation, unit quaternion (x, y, z, w) base → tip.
+        /// Tip orientation, quaternion (x, y, z, w) base → tip: finite. For recordings and calibration: the daemon controls by the position alone.
         tip_orientation: [f64; 4] [when kind = MeasurementKind::TipPose],
         /// Cable lengths, section by section, three each \[m\].
         cable_length_m: [f64; CABLES_MAX] [when kind = MeasurementKind::CableLengths] [used 3 sections],

@@ -26,6 +26,8 @@ pub struct ClosedLoop<R> {
     period_s: f64,
     settings: NmpcSettings,
     acceleration_rad_s2: f64,
+    valid_periods: f64,
+    deceleration_rad_s2: f64,
     /// None: the ideal one.
     driven: Option<Box<DrivenRobot>>,
     reference_at: R,
@@ -42,7 +44,7 @@ pub struct ClosedLoop<R> {
 
 /// How long a driver follows a command without another one (periods).
 const VALID_PERIODS: f64 = 3.0;
-/// How fast it comes to rest then, as `motion.deceleration_rad_s2` is by default.
+/// How fast it comes to rest then, as `motion.deceleration_rad_s2` is by default (rad/s²).
 const DECELERATION_RAD_S2: f64 = 40.0;
 
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
@@ -61,6 +63,9 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             period_s,
             settings,
             acceleration_rad_s2: f64::INFINITY,
+            // The ideal robot gets every command, and stops at once.
+            valid_periods: 1.0,
+            deceleration_rad_s2: f64::INFINITY,
             driven: None,
             reference_at,
             obstacles: Vec::with_capacity(obstacles.len()),
@@ -88,17 +93,28 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// The same with a robot that is not its model. Its commands are as a daemon makes them for a driver: they keep clear for three periods
-    /// and the ramp that follows, at 40 rad/s².
+    /// The same with commands that keep clear, as those for a driver do, for `valid_periods` (1 or more) and the ramp that follows, on which the fastest
+    /// component loses `deceleration_rad_s2` (rad/s²). Without it a robot that is its model gets every command, and stops at once: 1 and infinite.
+    #[must_use]
+    pub fn with_stopping(self, valid_periods: f64, deceleration_rad_s2: f64) -> Self {
+        Self {
+            valid_periods,
+            deceleration_rad_s2,
+            ..self
+        }
+    }
+
+    /// The same with a robot that is not its model, and [`Self::with_stopping`] of 3 periods and 40 rad/s², the defaults of a daemon with a driver.
     ///
     /// # Errors
     /// When the flaws of its geometry make it no robot.
-    pub fn with_driven(mut self, driven: Driven) -> Result<Self, RobotError> {
+    pub fn with_driven(self, driven: Driven) -> Result<Self, RobotError> {
         let driven = DrivenRobot::new(&self.robot, &self.configuration, driven)?;
-        self.configuration = *driven.configuration();
-        self.driven = Some(Box::new(driven));
-        self.look_around();
-        Ok(self)
+        let mut begin = self.with_stopping(VALID_PERIODS, DECELERATION_RAD_S2);
+        begin.configuration = *driven.configuration();
+        begin.driven = Some(Box::new(driven));
+        begin.look_around();
+        Ok(begin)
     }
 
     /// One period: solves without a limit on time, makes the result safe, and moves on.
@@ -121,14 +137,9 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         }
     }
 
-    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard), moves the robot by what is left of them and
+    /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard on the way to rest of [`Self::with_stopping`]), moves the robot by what is left of them and
     /// the obstacles by their velocity, and goes on to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
-        // The ideal robot gets every command, and stops at once.
-        let (periods, deceleration_rad_s2) = match self.driven {
-            None => (1.0, f64::INFINITY),
-            Some(_) => (VALID_PERIODS, DECELERATION_RAD_S2),
-        };
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
@@ -140,8 +151,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             tip_offset_m: self.tip_offset_m().norm(),
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
-            moving_s: periods * self.period_s,
-            deceleration_rad_s2,
+            moving_s: self.valid_periods * self.period_s,
+            deceleration_rad_s2: self.deceleration_rad_s2,
             comes_to_rest: false,
         };
         self.command = safe_command(&situation, desired_rates);

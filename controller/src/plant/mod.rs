@@ -1,6 +1,6 @@
 //! Simulated robots, to run the controller without hardware: one that is its model, and one that is not.
 //!
-//! Invariant: no other module of this crate uses this one; the controller cannot tell a plant from a robot.
+//! Invariant: of the modules of this crate only `closed_loop` uses this one; the controller cannot tell a plant from a robot.
 
 mod flaws;
 mod kinematic;

@@ -307,4 +307,9 @@ fn balls_on_the_way_home_are_passed() {
         );
         assert!(10 * arrived >= tenths * runs);
     }
+    if std::env::var_os("CDCR_WHOLE").is_some() {
+        let (blocked, arrived, stood) = homing(6, 32, 4);
+        println!("6 sections, 32 balls: {arrived} of {blocked} arrive, {stood} stand still");
+        assert_eq!(stood, 0);
+    }
 }

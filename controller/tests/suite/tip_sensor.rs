@@ -20,14 +20,23 @@ struct Errors {
     max_mm: f64,
 }
 
-/// The bends of the spiral at its angle `t` (rad).
-fn bent(t: f64) -> Configuration {
-    Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
+/// The bends of the last of `sections` on the spiral at its angle `t` (rad), `share` of them.
+fn bent(sections: usize, share: f64, t: f64) -> Configuration {
+    let mut bends = vec![[0.0; 2]; sections];
+    bends[sections - 1] = [share * 2.0 * t / 15.0, t];
+    Configuration::from_bend_angles(&bends)
 }
 
-/// The estimator begins `beside_rad` beside each bend; `noise_m` is the standard deviation of each measured coordinate.
-fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
-    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
+/// The estimator begins `beside_rad` beside each bend; `noise_m` is the standard deviation of each measured coordinate. The spiral has this `share` of
+/// the paper's bends.
+fn follow_the_spiral(
+    (sections, share): (usize, f64),
+    noise_m: f64,
+    beside_rad: f64,
+    seed: u64,
+) -> Errors {
+    let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
+    let bent = |t| bent(sections, share, t);
     let settings = NmpcSettings::default();
     let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
     let begin_s = 5_f64.to_radians();
@@ -38,7 +47,7 @@ fn follow_the_spiral(noise_m: f64, beside_rad: f64, seed: u64) -> Errors {
         *bend += if i % 2 == 0 { beside_rad } else { -beside_rad };
     }
     let mut estimator = Estimator::new(assumed);
-    let mut rates = BendRates::zero(3);
+    let mut rates = BendRates::zero(sections);
     let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
     let mut errors_mm = Vec::new();
     for cycle in 0..994 {
@@ -92,7 +101,7 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
         (0.5, 0.0, 0.25, 1.0),
     ] {
         let runs: Vec<_> = (1..=seeds)
-            .map(|seed| follow_the_spiral(1e-3 * noise_mm, beside_rad, seed))
+            .map(|seed| follow_the_spiral((3, 1.0), 1e-3 * noise_mm, beside_rad, seed))
             .collect();
         let mean_mm = runs.iter().map(|run| run.mean_mm).sum::<f64>() / runs.len() as f64;
         let max_mm = runs.iter().map(|run| run.max_mm).fold(0.0, f64::max);
@@ -103,5 +112,24 @@ fn a_noisy_tip_sensor_alone_keeps_the_robot_on_the_spiral() {
             mean_mm < mean_max_mm && max_mm < max_max_mm,
             "{mean_mm}, {max_mm} mm"
         );
+    }
+}
+
+/// With fewer sections, and near the straight robot, where the tip tells least of the bends. `CDCR_TIP_RUNS`: runs of each.
+#[test]
+fn a_tip_sensor_alone_is_enough_with_one_to_three_sections_and_near_straight() {
+    let runs = std::env::var("CDCR_TIP_RUNS").map_or(1, |runs| runs.parse().unwrap());
+    for sections in 1..=3 {
+        for (share, noise_mm, mean_max_mm) in [(1.0, 0.1, 0.1), (1.0, 0.5, 0.25), (0.05, 0.5, 0.25)]
+        {
+            let follow = |seed| follow_the_spiral((sections, share), 1e-3 * noise_mm, 0.0, seed);
+            let errors: Vec<_> = (1..=runs).map(follow).collect();
+            let mean_mm = errors.iter().map(|run| run.mean_mm).sum::<f64>() / runs as f64;
+            let max_mm = errors.iter().map(|run| run.max_mm).fold(0.0, f64::max);
+            println!(
+                "{sections} sections, {share} of the bends, noise {noise_mm} mm: mean {mean_mm:.3}, max {max_mm:.3} mm"
+            );
+            assert!(mean_mm < mean_max_mm && max_mm < 10.0 * noise_mm);
+        }
     }
 }

@@ -189,6 +189,7 @@ pub fn measurement(
         }
         Ok(codes::MeasurementKind::TipPose) => {
             sane(&message.tip_position_m)?;
+            sane(&message.tip_orientation)?;
             Measurement::TipPosition(Vector3::from(message.tip_position_m))
         }
         Ok(codes::MeasurementKind::None) | Err(_) => {

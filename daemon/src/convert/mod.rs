@@ -280,6 +280,14 @@ mod tests {
         let mut nan = good;
         nan.bend_rad[1] = f64::INFINITY;
         assert_eq!(outcome(nan), Err(Outcome::NotFinite));
+        let tip = wire::Measurement {
+            kind: codes::MeasurementKind::TipPose.code(),
+            ..good
+        };
+        assert!(outcome(tip).is_ok());
+        let mut turned = tip;
+        turned.tip_orientation[3] = f64::NAN;
+        assert_eq!(outcome(turned), Err(Outcome::NotFinite));
         assert_eq!(
             outcome(wire::Measurement { kind: 0, ..good }),
             Err(Outcome::UnknownCode)

@@ -15,7 +15,7 @@ use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
-use cdcr_shared_types::codes;
+use cdcr_shared_types::codes::{self, Interface};
 
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
@@ -82,10 +82,21 @@ pub(crate) fn compute(
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
     let known: Vec<Obstacle> = obstacles(&record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
+    // A command to move to a position is over with its period.
+    let valid_ns = if record.command.interface == Interface::Position.code() {
+        record.period_ns
+    } else {
+        record
+            .command
+            .valid_until_ns
+            .saturating_sub(record.release_ns)
+    };
+    let valid_periods = valid_ns as f64 / record.period_ns as f64;
 
     let first = |_: f64| at_s(0.0);
     let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)
-        .with_acceleration(record.acceleration_rad_s2);
+        .with_acceleration(record.acceleration_rad_s2)
+        .with_stopping(valid_periods, record.deceleration_rad_s2);
     let mut demands = Demands::new(&robot, &settings, way.error_m());
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
@@ -101,7 +112,8 @@ pub(crate) fn compute(
     let moved: Vec<_> = known.iter().map(|one| one.moved(lead_s)).collect();
     let there = *way.configuration();
     let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)
-        .with_acceleration(record.acceleration_rad_s2);
+        .with_acceleration(record.acceleration_rad_s2)
+        .with_stopping(valid_periods, record.deceleration_rad_s2);
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new("dry run");
     for cycle in 0..cycles as u64 {
