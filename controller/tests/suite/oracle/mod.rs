@@ -178,7 +178,7 @@ fn the_limits_give_the_nearest_rates() {
 #[test]
 fn few_moments_stand_still_without_need() {
     let mut account = Account::NEW;
-    for (name, moment) in moments("CDCR_ORACLE_STANDS", crate::repetitions(100, 300).into()) {
+    for (name, moment) in moments("CDCR_ORACLE_STANDS", 300) {
         account.ask(&name, &moment, &moment.command());
     }
     account.check();
