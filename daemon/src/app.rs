@@ -33,6 +33,7 @@ use crate::rt::schedule::Schedule;
 use crate::rt::scheduler::this_thread;
 use crate::services;
 use crate::start::{self, Started, arm, end_signals, give_up};
+use crate::status_desk::StatusDesk;
 use crate::supervisor::Supervisor;
 
 /// Time beyond the ramp itself \[s\].
@@ -93,20 +94,18 @@ fn run_with(
     watch: CycleWatch,
 ) -> Result<()> {
     let daemon_id = random_id();
-    let (cycle_ends, exchange_ends, reporter_ends, supervisor_ends, reloaded) =
-        channels(Settings::new(&validated.config));
+    let ends = channels(Settings::new(&validated.config));
     let clock = MonotonicClock;
-    let node = services::node(&validated.location)?;
-    let mut supervisor = Supervisor::new(&node, validated, supervisor_ends, daemon_id, &clock)?;
+    let mut supervisor = Supervisor::new(validated, ends.supervisor, daemon_id, &clock)?;
 
     let cycle = make_cycle(validated, &clock)?;
-    let reporter = spawn_reporter(validated, reporter_ends, shared, daemon_id)?;
+    let reporter = spawn_reporter(validated, ends.reporter, shared, daemon_id)?;
     // One after the other: whether there is room for all is asked by each.
     if let Err(error) = reporter.wait_ready() {
         give_up([reporter]);
         return Err(error);
     }
-    let exchange = match spawn_exchange(validated, exchange_ends, shared, daemon_id) {
+    let exchange = match spawn_exchange(validated, ends.exchange, shared, daemon_id) {
         Ok(exchange) => exchange,
         Err(error) => {
             give_up([reporter]);
@@ -114,7 +113,7 @@ fn run_with(
         }
     };
     let waker = exchange.thread().clone();
-    let cycle = match spawn_cycle(validated, cycle, cycle_ends, shared, waker, watch) {
+    let cycle = match spawn_cycle(validated, cycle, ends.cycle, shared, waker, watch) {
         Ok(cycle) => cycle,
         Err(error) => {
             give_up([exchange, reporter]);
@@ -135,9 +134,14 @@ fn run_with(
         go_before_ordinary_tasks();
     }
     // Here, because it inherits what this thread was given: a core beside the loop, and its priority.
-    let place = instance.watch(&validated.config.robot.name);
-    let caretaker = match Caretaker::start(place, reload(reloaded), Arc::clone(shared)) {
-        Ok(caretaker) => caretaker,
+    let beside = StatusDesk::start(validated, ends.status_desk, shared).and_then(|desk| {
+        // All services are there now.
+        let place = instance.watch(&validated.config.robot.name);
+        let caretaker = Caretaker::start(place, reload(ends.reloaded), Arc::clone(shared))?;
+        Ok((desk, caretaker))
+    });
+    let (desk, caretaker) = match beside {
+        Ok(beside) => beside,
         Err(error) => {
             give_up([cycle, exchange, reporter]);
             return Err(error);
@@ -152,7 +156,12 @@ fn run_with(
     let should_end = || should_end() || caretaker.is_place_lost();
     supervisor.run(&clock, shared, should_end, || {
         // A thread that ends by itself takes the process with it.
-        if cycle.is_finished() || exchange.is_finished() || reporter.is_finished() {
+        let ended = [
+            cycle.is_finished(),
+            exchange.is_finished(),
+            reporter.is_finished(),
+        ];
+        if ended.contains(&true) || desk.is_finished() {
             shared.end();
         }
         if cycle.is_finished() {
@@ -166,8 +175,9 @@ fn run_with(
         if reporter.is_finished() {
             shared.beat_reporter();
         }
-        cycle.is_finished() && exchange.is_finished() && reporter.is_finished()
+        ended == [true; 3]
     })?;
+    drop(desk);
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;

@@ -58,5 +58,6 @@ pub mod rt;
 pub mod service_manager;
 pub mod services;
 mod start;
+mod status_desk;
 pub mod supervisor;
 mod warnings;

@@ -87,8 +87,7 @@ impl Rig {
         let node = services::node(&validated.location).unwrap();
         let robot = &validated.config.robot.name;
         let ports = Ports::create(&node, robot).unwrap();
-        let (ends, exchange_ends, reports, _, reloaded) =
-            channels(Settings::new(&validated.config));
+        let ends = channels(Settings::new(&validated.config));
         let control = node
             .service_builder(&Service::Control.name(robot).unwrap())
             .request_response::<Request, Response>()
@@ -105,11 +104,11 @@ impl Rig {
             references: services::publisher(&node, Service::Reference, robot).unwrap(),
             commands: commands.subscriber_builder().create().unwrap(),
             control: control.client_builder().create().unwrap(),
-            exchange: Exchange::new(&validated, ports, exchange_ends, 7),
+            exchange: Exchange::new(&validated, ports, ends.exchange, 7),
             cycle: Cycle::new(&validated, RobotLink::Driver).unwrap(),
-            ends,
-            reports,
-            reloaded,
+            ends: ends.cycle,
+            reports: ends.reporter,
+            reloaded: ends.reloaded,
             shared: Shared::default(),
             schedule: Schedule::new(BEGIN_NS, PERIOD_NS),
             clock: Still::default(),

@@ -1,4 +1,4 @@
-use cdcr_shared_types::Incident;
+use cdcr_shared_types::{Incident, Status};
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
@@ -62,27 +62,51 @@ pub struct SupervisorEnds {
     pub summaries: Consumer<Summary>,
     /// Bad cycles.
     pub incidents: Consumer<Incident>,
+    /// The same with their steal, to be published.
+    pub explained: Producer<Incident>,
+    /// Newest status.
+    pub status: Input<Status>,
+}
+
+/// Ends of the thread that publishes status and bad cycles.
+#[derive(Debug)]
+pub struct StatusDeskEnds {
+    /// Bad cycles.
+    pub incidents: Consumer<Incident>,
+    /// Newest status.
+    pub status: Output<Status>,
+}
+
+/// The ends of every thread.
+#[derive(Debug)]
+pub struct Channels {
+    /// Of the cycle thread.
+    pub cycle: CycleEnds,
+    /// Of the exchange thread.
+    pub exchange: ExchangeEnds,
+    /// Of the reporter thread.
+    pub reporter: ReporterEnds,
+    /// Of the supervisor.
+    pub supervisor: SupervisorEnds,
+    /// Of the thread that publishes status and bad cycles.
+    pub status_desk: StatusDeskEnds,
+    /// Of who reads the configuration again.
+    pub reloaded: Producer<Settings>,
 }
 
 /// Settings between who reads the configuration again and the exchange.
 const RELOADED: usize = 4;
 
-/// The channels between cycle, exchange, reporter and supervisor, and the one of settings that are read again.
-pub fn channels(
-    settings: Settings,
-) -> (
-    CycleEnds,
-    ExchangeEnds,
-    ReporterEnds,
-    SupervisorEnds,
-    Producer<Settings>,
-) {
+/// The channels between all threads.
+pub fn channels(settings: Settings) -> Channels {
     let (input, output) = triple_buffer(&CycleInputs::new(settings));
     let (request_in, request_out) = RingBuffer::new(REQUESTS_WAITING);
     let (record_in, record_out) = record_ring(RECORDS);
     let (report_in, report_out) = RingBuffer::new(REPORTS);
     let (summary_in, summary_out) = RingBuffer::new(SUMMARIES);
     let (incident_in, incident_out) = RingBuffer::new(INCIDENTS);
+    let (explained_in, explained_out) = RingBuffer::new(INCIDENTS);
+    let (status_in, status_out) = triple_buffer(&Status::default());
     let (reloaded_in, reloaded_out) = RingBuffer::new(RELOADED);
     let cycle = CycleEnds {
         inputs: output,
@@ -104,6 +128,18 @@ pub fn channels(
     let supervisor = SupervisorEnds {
         summaries: summary_out,
         incidents: incident_out,
+        explained: explained_in,
+        status: status_in,
     };
-    (cycle, exchange, reporter, supervisor, reloaded_in)
+    Channels {
+        cycle,
+        exchange,
+        reporter,
+        supervisor,
+        status_desk: StatusDeskEnds {
+            incidents: explained_out,
+            status: status_out,
+        },
+        reloaded: reloaded_in,
+    }
 }

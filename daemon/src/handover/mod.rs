@@ -8,6 +8,7 @@
 //!  caretaker ── Settings (of a configuration that was read again: ring) ──► exchange
 //!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
 //!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
+//!  status desk ◄── Status (newest counts: triple buffer), Incident (ring) ── supervisor
 //! ```
 //!
 //! It lies below the threads: it must not know what any of them does with these things.
@@ -21,8 +22,8 @@ mod shared;
 mod summary;
 
 pub use channels::{
-    CycleEnds, ExchangeEnds, REQUESTS_PER_CYCLE, REQUESTS_WAITING, ReporterEnds, SupervisorEnds,
-    channels,
+    Channels, CycleEnds, ExchangeEnds, REQUESTS_PER_CYCLE, REQUESTS_WAITING, ReporterEnds,
+    StatusDeskEnds, SupervisorEnds, channels,
 };
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
 pub use policy::{Policy, Settings};

@@ -7,6 +7,7 @@ pub struct Shared {
     ending: AtomicBool,
     cycle_ended: AtomicBool,
     exchange_ended: AtomicBool,
+    supervisor_ended: AtomicBool,
     dropped_records: AtomicU64,
     origin_ns: AtomicU64,
     cycle_thread: AtomicU32,
@@ -128,6 +129,16 @@ impl Shared {
     /// Whether the exchange thread has handed its last report on.
     pub fn has_exchange_ended(&self) -> bool {
         self.exchange_ended.load(Ordering::Acquire)
+    }
+
+    /// The supervisor has handed its last status on.
+    pub fn set_supervisor_ended(&self) {
+        self.supervisor_ended.store(true, Ordering::Release);
+    }
+
+    /// Whether the supervisor has handed its last status on.
+    pub fn has_supervisor_ended(&self) -> bool {
+        self.supervisor_ended.load(Ordering::Acquire)
     }
 
     /// A record, report, incident or summary was lost because a ring was full.

@@ -1,7 +1,8 @@
 //! Slow and textual: signals, statistics, status, bad cycles, watchdog, service manager, log.
 //!
 //! Invariant: nothing here is in the way of the cycle. It runs on another core where there is one, after all other
-//! real-time threads, and learns of the cycles through rings that never block who fills them.
+//! real-time threads, and learns of the cycles through rings that never block who fills them. And it waits for no file: what it
+//! tells is published by the [status desk](crate::status_desk).
 
 mod statistics;
 mod steal;
@@ -11,10 +12,6 @@ use std::time::{Duration, Instant};
 
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode};
-use cdcr_shared_types::ipc;
-use iceoryx2::port::publisher::Publisher;
-use iceoryx2::port::update_connections::UpdateConnections;
-use iceoryx2::prelude::Node;
 
 use crate::config::{Validated, ns};
 use crate::convert;
@@ -22,7 +19,6 @@ use crate::exit::{Ended, ExitCause};
 use crate::handover::{Settings, Shared, Summary, SupervisorEnds};
 use crate::rt::clock::Clock;
 use crate::service_manager::{ServiceManager, StatusLine};
-use crate::services::{incidents, publisher};
 use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
@@ -44,8 +40,6 @@ const RATE_EVERY: Duration = Duration::from_secs(1);
 #[derive(Debug)]
 pub struct Supervisor {
     ends: SupervisorEnds,
-    publisher: Publisher<ipc::Service, wire::Status, ()>,
-    incidents: Publisher<ipc::Service, wire::Incident, ()>,
     status: wire::Status,
     statistics: Statistics,
     resets: u64,
@@ -75,23 +69,19 @@ struct Rate {
 }
 
 impl Supervisor {
-    /// A supervisor that publishes the status and the bad cycles of a daemon.
+    /// A supervisor that tells the status and the bad cycles of a daemon.
     ///
     /// # Errors
-    /// When a service cannot be created.
+    /// When there is no room for the statistics.
     pub fn new(
-        node: &Node<ipc::Service>,
         validated: &Validated,
         ends: SupervisorEnds,
         daemon_id: u64,
         clock: &impl Clock,
     ) -> anyhow::Result<Self> {
-        let name = &validated.config.robot.name;
         let now = Instant::now();
         Ok(Self {
             ends,
-            publisher: publisher(node, wire::Service::Status, name)?,
-            incidents: incidents(node, name)?,
             status: first_status(validated, daemon_id),
             statistics: Statistics::new(clock.now_ns())?,
             resets: 0,
@@ -185,24 +175,20 @@ impl Supervisor {
         }
     }
 
-    /// Publishes bad cycles; the service keeps the last ones for whoever asks later.
+    /// Hands bad cycles on to be published, for as long as there is room.
     ///
     /// The reporter hands a bad cycle on before its summary. One whose summary has not come waits for the
     /// next look, so that both are judged by the same reading of the steal.
     fn take_incidents(&mut self, clock: &impl Clock) {
-        while let Ok(next) = self.ends.incidents.peek()
+        while !self.ends.explained.is_full()
+            && let Ok(next) = self.ends.incidents.peek()
             && next.telemetry.cycle <= self.newest.cycle
             && let Ok(mut incident) = self.ends.incidents.pop()
         {
             let stolen = self.steal.since(incident.telemetry.due_ns, clock);
             explain(&mut incident, stolen);
-            if let Err(error) = self.incidents.send_copy(incident) {
-                tracing::warn!(%error, "a bad cycle could not be published");
-            }
-        }
-        // Late joiners get what is kept.
-        if let Err(error) = self.incidents.update_connections() {
-            tracing::warn!(%error, "a reader of the bad cycles could not be connected");
+            // There is room.
+            let _ = self.ends.explained.push(incident);
         }
     }
 
@@ -321,9 +307,7 @@ impl Supervisor {
         }
         self.status.header.sequence += 1;
         self.status.header.sent_ns = now_ns;
-        if let Err(error) = self.publisher.send_copy(self.status) {
-            tracing::warn!(%error, "the status could not be published");
-        }
+        self.ends.status.write(self.status);
     }
 }
 

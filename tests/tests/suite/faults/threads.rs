@@ -294,3 +294,33 @@ fn a_hung_supervisor_leaves_the_loop_running_and_starves_the_service_managers_wa
     wait_until("the watchdog is fed", || managed.fed() > 0);
     wait_status(&connection, |status| status.mode == Mode::Stopped.code());
 }
+
+/// What it tells leaves by a thread that may wait for files. It waits for none itself.
+#[test]
+fn a_hung_status_thread_keeps_neither_the_watchdog_nor_the_end_waiting() {
+    let mut managed = Managed::start();
+    let location = managed.place.location();
+    let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
+    let mut trail = Trail::new(&connection);
+    trail.until("holding", is(Mode::Holding));
+    let Some(hung) = Hung::new(managed.daemon.id(), "cdcr-status") else {
+        return;
+    };
+    trail.until("there is no status", |_| {
+        connection.status(Duration::ZERO).is_err()
+    });
+    managed.fed();
+    for _ in 0..5 {
+        trail.until("the watchdog is fed", |_| managed.fed() > 0);
+    }
+    // Neither requests nor records are its matter.
+    managed.place.says("cdcrctl stop", 0, &[]);
+    trail.until("stopped", is(Mode::Stopped));
+    managed.daemon.signal(Signal::TERM);
+    wait_until("it ends", || {
+        hung.reap();
+        !managed.daemon.runs()
+    });
+    let ended = managed.daemon.output();
+    assert_eq!(ended.status.code(), Some(0), "{}", cdcr_tests::text(&ended));
+}

@@ -268,6 +268,7 @@ fn every_thread_runs_before_those_that_may_wait() {
         ("cdcrd", (SCHED_FIFO, 1)),
         // As the supervisor: it clears away what dead clients left.
         ("cdcr-caretaker", (SCHED_FIFO, 1)),
+        ("cdcr-status", (SCHED_FIFO, 1)),
         ("cdcr-log", (SCHED_OTHER, 0)),
     ];
     assert_eq!(

@@ -1,0 +1,135 @@
+//! Publishes the status and the bad cycles, so that the supervisor never waits for files.
+//!
+//! For each reader that joins or leaves, iceoryx2 makes and removes files in the root folder under a lock that clients share. The
+//! supervisor feeds watchdogs and hears signals; what it has to tell goes through a bounded hand-over to this thread.
+
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+use std::thread::{Builder, JoinHandle};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result};
+use cdcr_shared_types::{Incident, Service, Status, ipc};
+use iceoryx2::port::publisher::Publisher;
+use iceoryx2::port::update_connections::UpdateConnections;
+use iceoryx2::prelude::Node;
+
+use crate::config::Validated;
+use crate::handover::{Shared, StatusDeskEnds};
+use crate::services::{ServiceError, incidents, node, publisher};
+
+/// How often it looks whether there is something to publish.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+/// How long it may take to make its ports.
+const START_MAX: Duration = Duration::from_secs(10);
+/// How long the end waits for it.
+const END_MAX: Duration = Duration::from_secs(1);
+/// iceoryx2 has large arrays on the stack.
+const STACK_BYTES: usize = 1024 * 1024;
+
+/// The thread, for as long as it is wanted.
+#[derive(Debug)]
+pub(crate) struct StatusDesk {
+    shared: Arc<Shared>,
+    thread: JoinHandle<()>,
+}
+
+impl StatusDesk {
+    /// Starts it with the priority and the cores of the calling thread, and waits until its services are there.
+    ///
+    /// # Errors
+    /// When a service cannot be created, or the system gives no thread.
+    pub(crate) fn start(
+        validated: &Validated,
+        ends: StatusDeskEnds,
+        shared: &Arc<Shared>,
+    ) -> Result<Self> {
+        let (ready, is_ready) = channel();
+        let (validated, theirs) = (validated.clone(), Arc::clone(shared));
+        let thread = Builder::new()
+            .name("cdcr-status".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || match Desk::new(&validated, ends) {
+                // The start was given up where nobody hears it.
+                Ok(mut desk) => drop(ready.send(Ok(())).map(|()| desk.run(&theirs))),
+                Err(error) => drop(ready.send(Err(error))),
+            })
+            .context("the thread cdcr-status")?;
+        let answer = is_ready.recv_timeout(START_MAX);
+        answer.context("the thread cdcr-status did not get ready")??;
+        Ok(Self {
+            shared: Arc::clone(shared),
+            thread,
+        })
+    }
+
+    /// Whether it has ended.
+    pub(crate) fn is_finished(&self) -> bool {
+        self.thread.is_finished()
+    }
+}
+
+impl Drop for StatusDesk {
+    fn drop(&mut self) {
+        self.shared.set_supervisor_ended();
+        self.thread.thread().unpark();
+        let begin = Instant::now();
+        while !self.thread.is_finished() && begin.elapsed() < END_MAX {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if !self.thread.is_finished() {
+            tracing::warn!("the thread cdcr-status hangs: the process ends without it");
+        }
+    }
+}
+
+/// The writing ends of both services.
+#[derive(Debug)]
+struct Desk {
+    statuses: Publisher<ipc::Service, Status, ()>,
+    incidents: Publisher<ipc::Service, Incident, ()>,
+    ends: StatusDeskEnds,
+    _node: Node<ipc::Service>,
+}
+
+impl Desk {
+    fn new(validated: &Validated, ends: StatusDeskEnds) -> Result<Self, ServiceError> {
+        let (node, robot) = (node(&validated.location)?, &validated.config.robot.name);
+        Ok(Self {
+            statuses: publisher(&node, Service::Status, robot)?,
+            incidents: incidents(&node, robot)?,
+            ends,
+            _node: node,
+        })
+    }
+
+    /// Runs until the supervisor has said its last word, and that is published.
+    fn run(&mut self, shared: &Shared) {
+        loop {
+            // Before the look at what waits: then nothing can come any more.
+            let is_last = shared.has_supervisor_ended();
+            self.publish();
+            if is_last {
+                break;
+            }
+            std::thread::park_timeout(LOOK_EVERY);
+        }
+    }
+
+    fn publish(&mut self) {
+        while let Ok(incident) = self.ends.incidents.pop() {
+            if let Err(error) = self.incidents.send_copy(incident) {
+                tracing::warn!(%error, "a bad cycle could not be published");
+            }
+        }
+        // Late joiners get what is kept.
+        if let Err(error) = self.incidents.update_connections() {
+            tracing::warn!(%error, "a reader of the bad cycles could not be connected");
+        }
+        if self.ends.status.update()
+            && let Err(error) = self.statuses.send_copy(*self.ends.status.read())
+        {
+            tracing::warn!(%error, "the status could not be published");
+        }
+    }
+}
