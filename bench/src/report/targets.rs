@@ -39,7 +39,7 @@ type Wanted = (
 );
 
 #[rustfmt::skip]
-const WANTED: [Wanted; 13] = [
+const WANTED: [Wanted; 14] = [
     ("wake-up p50, daemon / bare loop", "≤ 1.1 for every load", "",
         |found| found.most("deadline/*/realtime/wake_p50_to_bare"), |ratio| ratio <= 1.1),
     ("wake-up p99, daemon / bare loop", "≤ 1.1 for every load", "",
@@ -56,6 +56,8 @@ const WANTED: [Wanted; 13] = [
         |found| found.most("deadline/flood/realtime/response_p99_to_unloaded"), |ratio| ratio <= 1.3),
     ("shortest period that holds, kpso-refined, 3 sections, 2 steps", "≤ 0.5 ms", "ms",
         |found| found.most("rate/shortest/3-sections/kpso-refined/n2"), |ms| ms <= 0.5),
+    ("safety checks p99, 6 sections, 64 obstacles in reach", "≤ 150 µs", "µs",
+        |found| found.most("guard/*/p99"), |us| us <= 150.0),
     ("CPU of the real-time core at 200 Hz, tracking", "≤ 3 %", "%",
         |found| found.most("footprint/core_tracking_percent"), |percent| percent <= 3.0),
     ("resident memory", "≤ 64 MB", "MB",
