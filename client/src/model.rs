@@ -1,11 +1,13 @@
 //! What messages say of robot and obstacles, as `cdcr_controller` computes with it.
 
+use cdcr_controller::nmpc::{Coordinates, NmpcSettings, SolverKind};
+use cdcr_controller::optimizer::VelocityRule;
 use cdcr_controller::reference;
 use cdcr_controller::robot::{
     Obstacle, Robot, RobotError, RobotParameters, SectionParameters, Shape,
 };
-use cdcr_shared_types::codes::ObstacleShape;
-use cdcr_shared_types::{RobotDescription, SectionDescription};
+use cdcr_shared_types::codes::{self, ObstacleShape, UnknownCode};
+use cdcr_shared_types::{RobotDescription, SectionDescription, SolverSettings};
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 use crate::Orientation;
@@ -44,6 +46,41 @@ pub fn obstacle_of(obstacle: &cdcr_shared_types::Obstacle) -> Option<Obstacle> {
         },
     };
     Obstacle::new(shape, obstacle.radius_m, obstacle.velocity_m_s.into()).ok()
+}
+
+/// The settings of a solver; its budget is left out. Each field has one name on both sides, and none can be forgotten.
+///
+/// # Errors
+/// When a code has no meaning: no daemon publishes such settings.
+pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCode> {
+    macro_rules! same_names {
+        ($($number:ident),+ $(,)?) => {{
+            let SolverSettings { solver, coordinates, velocity_rule, $($number,)+ budget_ns: _, reserved: _ } = *settings;
+            NmpcSettings {
+                solver: match codes::SolverKind::try_from(solver)? {
+                    codes::SolverKind::Kpso => SolverKind::Kpso,
+                    codes::SolverKind::GaussNewton => SolverKind::GaussNewton,
+                    codes::SolverKind::KpsoRefined => SolverKind::KpsoRefined,
+                },
+                coordinates: match codes::Coordinates::try_from(coordinates)? {
+                    codes::Coordinates::BendVector => Coordinates::BendVector,
+                    codes::Coordinates::BendAngles => Coordinates::BendAngles,
+                },
+                velocity_rule: match codes::VelocityRule::try_from(velocity_rule)? {
+                    codes::VelocityRule::Inertia => VelocityRule::Inertia,
+                    codes::VelocityRule::Constriction => VelocityRule::Constriction,
+                    codes::VelocityRule::Verbatim => VelocityRule::Verbatim,
+                },
+                $($number,)+
+            }
+        }};
+    }
+    Ok(same_names! {
+        horizon_steps, control_blocks, swarm_size, swarm_iterations, regenerate_after, inertia, cognitive, social,
+        refinement_steps, damping, position_weight, orientation_weight, orientation_tolerance_rad, rate_weight,
+        rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty, obstacle_slope_penalty,
+        obstacle_square_penalty, seed,
+    })
 }
 
 /// An orientation of a trajectory.

@@ -1,15 +1,15 @@
 //! What a reference would ask of the robot, computed before anything moves.
 //!
-//! The closed loop of the controller with the ideal robot of the daemon's model, from where it is now, with its tip offset, obstacles, safe
-//! distance and acceleration, and the default settings of the solver. First it goes to the first point, then along the points as they would be
-//! sent. A real robot has motors and a guard that looks ahead for longer: beside obstacles it may do less.
+//! The closed loop of the controller with the ideal robot of the daemon's model, from where it is now, with its tip offset, obstacles,
+//! acceleration and settings of the solver. First it goes to the first point, directly, then along the points as they would be
+//! sent; each has maxima of its own. A real robot has motors and a guard that looks ahead for longer: beside obstacles it may do less.
 
 use std::fmt;
 use std::io::Write;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use cdcr_client::model::{obstacle_of, orientation_of, robot_of};
+use cdcr_client::model::{obstacle_of, orientation_of, robot_of, settings_of};
 use cdcr_client::{Connection, FeedOptions, Trajectory, obstacles};
 use cdcr_controller::closed_loop::ClosedLoop;
 use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
@@ -30,11 +30,15 @@ const CYCLES_MAX: u64 = 200_000;
 /// How long a record is waited for.
 const TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The largest values on the way to the first point, and along the path.
+/// What a reference asks of the robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Demands {
     /// From the tip now to the first point \[m\].
     distance_m: f64,
+    /// On the way to the first point.
+    before: Motion,
+    /// From the first point on.
+    along: Motion,
     cycles: u64,
     error_sum_m: f64,
     error_max_m: f64,
@@ -42,14 +46,20 @@ pub(crate) struct Demands {
     /// Time \[s\] and point \[m\] that the tip is farthest from.
     farthest: (f64, [f64; 3]),
     end_m: [f64; 3],
+    stroke_max_m: f64,
+    safe_distance_m: f64,
+}
+
+/// The largest values of a motion.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Motion {
     rate_rad_s: f64,
     /// The largest part of its limit that a rate takes.
     rate_share: f64,
     acceleration_rad_s2: f64,
     stroke_m: f64,
-    stroke_max_m: f64,
+    /// The smallest one.
     clearance_m: f64,
-    safe_distance_m: f64,
 }
 
 /// Computes `trajectory` with the daemon's robot, as it would be fed with `options`.
@@ -63,11 +73,7 @@ pub(crate) fn compute(
     let robot = robot_of(&record.robot)?;
     let here = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
         .context("the daemon does not know the pose of the robot")?;
-    let settings = NmpcSettings {
-        safe_distance_m: record.settings.safe_distance_m,
-        orientation_weight: record.settings.orientation_weight,
-        ..NmpcSettings::default()
-    };
+    let settings = settings_of(&record.settings)?;
     let period_s = record.period_ns as f64 * 1e-9;
     let cycles = (trajectory.duration_s() / period_s).ceil();
     if cycles > CYCLES_MAX as f64 {
@@ -100,7 +106,7 @@ pub(crate) fn compute(
     let mut demands = Demands::new(&robot, &settings, way.error_m());
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
-        demands.step(&mut way, &mut nmpc, period_s);
+        demands.before.step(&mut way, &mut nmpc, period_s);
         since += 1;
         if way.error_m() < nearest_m - NEARER_M {
             (nearest_m, since) = (way.error_m(), 0);
@@ -120,7 +126,7 @@ pub(crate) fn compute(
         if interrupt.is_raised() {
             bail!("interrupted; nothing moved");
         }
-        demands.step(&mut path, &mut nmpc, period_s);
+        demands.along.step(&mut path, &mut nmpc, period_s);
         let time_s = path.time_s().min(trajectory.duration_s());
         demands.note_error(time_s, trajectory.position_m(time_s), path.error_m());
         bar.show_share(cycle as f64 / cycles);
@@ -158,25 +164,14 @@ fn points(
     Ok(points)
 }
 
-impl Demands {
-    fn new(robot: &Robot, settings: &NmpcSettings, distance_m: f64) -> Self {
-        Self {
-            distance_m,
-            cycles: 0,
-            error_sum_m: 0.0,
-            error_max_m: 0.0,
-            error_end_m: 0.0,
-            farthest: (0.0, [0.0; 3]),
-            end_m: [0.0; 3],
-            rate_rad_s: 0.0,
-            rate_share: 0.0,
-            acceleration_rad_s2: 0.0,
-            stroke_m: 0.0,
-            stroke_max_m: robot.cable_stroke_max_m(),
-            clearance_m: f64::INFINITY,
-            safe_distance_m: settings.safe_distance_m,
-        }
-    }
+impl Motion {
+    const NONE: Self = Self {
+        rate_rad_s: 0.0,
+        rate_share: 0.0,
+        acceleration_rad_s2: 0.0,
+        stroke_m: 0.0,
+        clearance_m: f64::INFINITY,
+    };
 
     /// One period, and what it asks for.
     fn step<R: Fn(f64) -> reference::ReferenceSample>(
@@ -205,6 +200,29 @@ impl Demands {
         self.clearance_m = self.clearance_m.min(closed.clearance_m());
     }
 
+    fn rate(&self) -> String {
+        let share = 100.0 * self.rate_share;
+        format!("{:.3} rad/s, {share:.0} %", self.rate_rad_s)
+    }
+}
+
+impl Demands {
+    fn new(robot: &Robot, settings: &NmpcSettings, distance_m: f64) -> Self {
+        Self {
+            distance_m,
+            before: Motion::NONE,
+            along: Motion::NONE,
+            cycles: 0,
+            error_sum_m: 0.0,
+            error_max_m: 0.0,
+            error_end_m: 0.0,
+            farthest: (0.0, [0.0; 3]),
+            end_m: [0.0; 3],
+            stroke_max_m: robot.cable_stroke_max_m(),
+            safe_distance_m: settings.safe_distance_m,
+        }
+    }
+
     fn note_error(&mut self, time_s: f64, point_m: [f64; 3], error_m: f64) {
         self.cycles += 1;
         self.error_sum_m += error_m;
@@ -216,7 +234,10 @@ impl Demands {
 
     /// Prints them.
     pub(crate) fn print(&self, name: &str) -> anyhow::Result<()> {
-        write!(std::io::stdout(), "{name}: {self}")?;
+        write!(
+            std::io::stdout(),
+            "{name}: nothing moved; the ideal robot would need\n{self}"
+        )?;
         Ok(())
     }
 
@@ -252,36 +273,37 @@ fn away(error_m: f64, [x, y, z]: [f64; 3]) -> String {
 impl fmt::Display for Demands {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mean_m = self.error_sum_m / self.cycles.max(1) as f64;
-        let [distance, mean, max, end, stroke, most] = [
-            self.distance_m,
-            mean_m,
-            self.error_max_m,
-            self.error_end_m,
-            self.stroke_m,
-            self.stroke_max_m,
-        ]
-        .map(|m| 1e3 * m);
-        let share = 100.0 * self.rate_share;
-        writeln!(f, "nothing moved; the ideal robot would need")?;
-        writeln!(f, "  first point   {distance:.1} mm from the tip")?;
-        writeln!(
-            f,
-            "  tip error     mean {mean:.3}, max {max:.3}, final {end:.3} mm from there on"
-        )?;
-        writeln!(
-            f,
-            "  rate          {:.3} rad/s, {share:.0} % of its limit",
-            self.rate_rad_s
-        )?;
-        writeln!(f, "  acceleration  {:.2} rad/s²", self.acceleration_rad_s2)?;
-        writeln!(f, "  cable stroke  {stroke:.1} of {most:.1} mm")?;
-        if self.clearance_m.is_finite() {
-            let [clearance, safe] = [self.clearance_m, self.safe_distance_m].map(|m| 1e3 * m);
+        let errors_m = [mean_m, self.error_max_m, self.error_end_m];
+        let [mean, max, end] = errors_m.map(|m| 1e3 * m);
+        let (along, before) = (&self.along, &self.before);
+        let mut line = |name: &str, along: &str, before: &str| {
             writeln!(
                 f,
-                "  clearance     {clearance:.1} mm, safe distance {safe:.1} mm"
-            )?;
+                "{}",
+                format!("  {name:<14}{along:<26}{before}").trim_end()
+            )
+        };
+        line("", "along the reference", "directly to its first point")?;
+        let distance = format!("{:.1} mm from the tip", 1e3 * self.distance_m);
+        line("first point", "", &distance)?;
+        line("rate", &along.rate(), &before.rate())?;
+        let [here, there] =
+            [along, before].map(|motion| format!("{:.2} rad/s²", motion.acceleration_rad_s2));
+        line("acceleration", &here, &there)?;
+        let most = 1e3 * self.stroke_max_m;
+        let [here, there] =
+            [along, before].map(|motion| format!("{:.1} mm", 1e3 * motion.stroke_m));
+        line("cable stroke", &format!("{here} of {most:.1} mm"), &there)?;
+        if along.clearance_m.is_finite() {
+            let safe = 1e3 * self.safe_distance_m;
+            let [here, there] =
+                [along, before].map(|motion| format!("{:.1} mm", 1e3 * motion.clearance_m));
+            line("clearance", &format!("{here}, safe {safe:.1} mm"), &there)?;
         }
-        Ok(())
+        line(
+            "tip error",
+            &format!("mean {mean:.3}, max {max:.3}, final {end:.3} mm"),
+            "",
+        )
     }
 }

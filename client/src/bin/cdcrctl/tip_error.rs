@@ -14,6 +14,8 @@ pub(crate) struct TipError {
     approach_cycles: u64,
     approach_max_m: f64,
     cycles: u64,
+    /// In which limits or guard changed the command.
+    limited_cycles: u64,
     sum_m: f64,
     max_m: f64,
     final_m: f64,
@@ -33,6 +35,7 @@ impl TipError {
             self.period_ns = record.period_ns;
         } else if is_inside {
             self.cycles += 1;
+            self.limited_cycles += u64::from(record.guard_flags != 0);
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
@@ -60,8 +63,9 @@ impl TipError {
             let [mean, max, last] = [mean_m, self.max_m, self.final_m].map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
-                "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles",
-                self.cycles
+                "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
+                self.cycles,
+                100.0 * self.limited_cycles as f64 / self.cycles as f64
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
@@ -111,12 +115,15 @@ mod tests {
             (Mode::Tracking, Ended, 115, f64::NAN),
             (Mode::Tracking, Inside, 120, 0.001),
         ] {
-            error.take(&record(mode, state, release_ns, error_m));
+            let mut record = record(mode, state, release_ns, error_m);
+            record.guard_flags = u32::from(release_ns <= 100);
+            error.take(&record);
         }
         assert_eq!(
             (error.cycles, error.max_m, error.final_m),
             (3, 0.003, 0.001)
         );
+        assert_eq!(error.limited_cycles, 1);
         assert!((error.sum_m - 0.006).abs() < 1e-15);
     }
 

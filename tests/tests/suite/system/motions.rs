@@ -60,6 +60,10 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     ] {
         assert!(reachable.contains(word), "{reachable}");
     }
+    // The first share is that of the path, the second that of the way to it.
+    let (_, rate) = reachable.split_once("rad/s, ").unwrap();
+    let share: f64 = rate.split_whitespace().next().unwrap().parse().unwrap();
+    assert!(share < 60.0, "{reachable}");
     assert!(!reachable.contains("clearance"), "there is no obstacle");
     says(
         &daemon,

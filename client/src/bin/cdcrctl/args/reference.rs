@@ -40,7 +40,7 @@ pub(crate) struct FeedArguments {
     #[arg(long)]
     pub(crate) track: bool,
     /// Move nothing: say how near the robot comes to the reference, and what rate, acceleration, cable stroke and
-    /// clearance it takes; fail when a point is missed by more than --max-error, 1 mm without it
+    /// clearance it takes, and the direct way to its first point; fail when a point is missed by more than --max-error, 1 mm without it
     #[arg(long, conflicts_with = "track")]
     pub(crate) dry_run: bool,
     /// How the daemon interpolates between the points: straight lines, or a smooth cubic curve
