@@ -50,6 +50,20 @@ pub enum CalibrationError {
         /// How many there are.
         rows: usize,
     },
+    /// A row holds something that is no number.
+    #[error("row {row} holds a number that is not finite")]
+    NotFinite {
+        /// Which, counted from 1.
+        row: usize,
+    },
+    /// The rotation of the tip is known of some rows only.
+    #[error(
+        "row {row} is the first that differs from row 1 in whether the tip is measured with its rotation: all rows have it, or none"
+    )]
+    MixedRotations {
+        /// Which, counted from 1.
+        row: usize,
+    },
     /// The robot did not move.
     #[error(
         "no section bends by more than {bend_rad:.4} rad in these rows: there is nothing to learn without motion; move every \
@@ -180,15 +194,28 @@ fn check(robot: &RobotParameters, rows: &[CalibrationRow]) -> Result<(), Calibra
     if rows.len() < ROWS_MIN {
         return Err(CalibrationError::TooFewRows { rows: rows.len() });
     }
+    let cables = 3 * robot.sections.len();
+    for (at, row) in rows.iter().enumerate() {
+        let numbers = row.cable_length_m[..cables].iter();
+        let turned = row.tip_rotation.iter().flat_map(|turned| &turned.coords);
+        if !numbers
+            .chain(&row.tip_position_m)
+            .chain(turned)
+            .all(|number| number.is_finite())
+        {
+            return Err(CalibrationError::NotFinite { row: at + 1 });
+        }
+        if row.tip_rotation.is_some() != rows[0].tip_rotation.is_some() {
+            return Err(CalibrationError::MixedRotations { row: at + 1 });
+        }
+    }
     let bend_rad = |cable: usize| {
         let lengths_m = || rows.iter().map(move |row| row.cable_length_m[cable]);
         let longest_m = lengths_m().fold(f64::NEG_INFINITY, f64::max);
         let shortest_m = lengths_m().fold(f64::INFINITY, f64::min);
         (longest_m - shortest_m) / robot.sections[cable / 3].cable_radius_m
     };
-    let bend_rad = (0..3 * robot.sections.len())
-        .map(bend_rad)
-        .fold(0.0, f64::max);
+    let bend_rad = (0..cables).map(bend_rad).fold(0.0, f64::max);
     if bend_rad < MOTION_MIN_RAD {
         return Err(CalibrationError::NoMotion { bend_rad });
     }

@@ -260,6 +260,14 @@ fn rows_that_tell_nothing_are_refused() {
     let mut trial = Trial::new(5, 1);
     let few = calibrate(&trial.configured, &trial.rows[..99], &[]);
     assert_eq!(few, Err(CalibrationError::TooFewRows { rows: 99 }));
+    let mut rows = trial.rows.clone();
+    rows[6].tip_position_m.y = f64::NAN;
+    let not_finite = calibrate(&trial.configured, &rows, &[]);
+    assert_eq!(not_finite, Err(CalibrationError::NotFinite { row: 7 }));
+    rows[6].tip_position_m.y = 0.0;
+    rows[3].tip_rotation = Some(UnitQuaternion::identity());
+    let mixed = calibrate(&trial.configured, &rows, &[]);
+    assert_eq!(mixed, Err(CalibrationError::MixedRotations { row: 4 }));
     let still = vec![trial.rows[0]; 500];
     let still = calibrate(&trial.configured, &still, &[]);
     assert!(matches!(still, Err(CalibrationError::NoMotion { .. })));
