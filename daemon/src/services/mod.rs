@@ -9,6 +9,7 @@ use cdcr_shared_types::{
 };
 use iceoryx2::port::publisher::{Publisher, PublisherCreateError};
 use iceoryx2::port::server::Server;
+use iceoryx2::port::subscriber::SubscriberCreateError;
 use iceoryx2::prelude::{
     BackpressureStrategy, CallbackProgression, Node, NodeBuilder, PortFactory as _,
     SignalHandlingMode, ZeroCopySend,
@@ -295,9 +296,16 @@ fn inlet<T: ZeroCopySend + Debug + Copy + 'static>(
     header_of: fn(&T) -> &Header,
 ) -> Result<Inlet<T>, ServiceError> {
     let subscriber = with_room(node, service, robot, 0, || {
-        topic::<T>(node, service, robot)?
-            .subscriber_builder()
-            .create()
+        let topic = topic::<T>(node, service, robot)?;
+        let is_full = |cause: &_| *cause == SubscriberCreateError::ExceedsMaxSupportedSubscribers;
+        let ports = |ports: &mut Vec<_>| {
+            topic.dynamic_config().list_subscribers(|subscriber| {
+                ports.push((subscriber.node_id, subscriber.subscriber_id.value()));
+                CallbackProgression::Continue
+            });
+        };
+        let create = || topic.subscriber_builder().create();
+        stale::in_a_free_place(node, topic.service_hash(), ports, is_full, create)
             .map_err(|cause| failed(service, robot)(&cause))
     })?;
     let queues = service.queues();

@@ -68,8 +68,8 @@ const FREE_WITHIN: Duration = Duration::from_secs(2);
 /// After so long no other process is still removing what the dead one left.
 const LOST_AFTER: Duration = Duration::from_secs(1);
 
-/// Makes a port with `create`. Where `is_full` says that others have all places of `service`, and these are dead, their places are freed.
-/// `ports` lists those that have a place.
+/// Makes a port with `create`. Where `is_full` says that all places of `service` are taken, those of the dead are freed first; `ports`
+/// lists who has one. Places of the living are theirs: then the error comes at once.
 pub(super) fn in_a_free_place<P, E>(
     node: &Node<ipc::Service>,
     service: &ServiceHash,
@@ -78,37 +78,56 @@ pub(super) fn in_a_free_place<P, E>(
     create: impl Fn() -> Result<P, E>,
 ) -> Result<P, E> {
     let begin = Instant::now();
+    let mut is_last = false;
     loop {
         let result = create();
-        let waited = begin.elapsed();
-        if waited > FREE_WITHIN || !result.as_ref().is_err_and(&is_full) {
+        if is_last || !result.as_ref().is_err_and(&is_full) {
             return result;
         }
-        // Before the list of those who live: who comes between has no place here.
-        let mut with_place = Vec::new();
-        ports(&mut with_place);
-        if let Some(known) = clear_dead_nodes(node.config())
-            && waited > LOST_AFTER
-        {
-            with_place.retain(|(owner, _)| !known.contains(owner));
-            remove_lost_ports(node.config(), service, &with_place);
+        // Before the list of the nodes: who comes between has no place here.
+        let mut lost = Vec::new();
+        ports(&mut lost);
+        let Some(nodes) = Nodes::look(node.config()) else {
+            return result;
+        };
+        lost.retain(|(owner, _)| !nodes.living.contains(owner));
+        if lost.is_empty() {
+            return result;
         }
+        let waited = begin.elapsed();
+        if waited > LOST_AFTER {
+            lost.retain(|(owner, _)| !nodes.dead.contains(owner));
+            remove_lost_ports(node.config(), service, &lost);
+        }
+        is_last = waited > FREE_WITHIN;
         thread::sleep(Duration::from_millis(10));
     }
 }
 
-/// All nodes that there are, those of the dead included, which it tries to clear away. `None` when they cannot be listed.
-fn clear_dead_nodes(config: &Config) -> Option<Vec<UniqueNodeId>> {
-    let mut known = Vec::new();
-    let listed = Node::<ipc::Service>::list(config, |state| {
-        known.push(*state.node_id());
-        if let NodeState::Dead(dead) = state {
-            // Another process may be at it.
-            let _ = dead.try_remove_stale_resources();
-        }
-        CallbackProgression::Continue
-    });
-    listed.is_ok().then_some(known)
+/// Everybody who uses shared memory, or has left something there.
+#[derive(Default)]
+struct Nodes {
+    living: Vec<UniqueNodeId>,
+    dead: Vec<UniqueNodeId>,
+}
+
+impl Nodes {
+    /// Lists them, and tries to clear away the dead. `None` when they cannot be listed.
+    fn look(config: &Config) -> Option<Self> {
+        let mut nodes = Self::default();
+        let listed = Node::<ipc::Service>::list(config, |state| {
+            let id = *state.node_id();
+            if let NodeState::Dead(dead) = state {
+                nodes.dead.push(id);
+                // Another process may be at it.
+                let _ = dead.try_remove_stale_resources();
+            } else {
+                nodes.living.push(id);
+            }
+            CallbackProgression::Continue
+        });
+        listed.is_ok().then_some(nodes)
+    }
 }
 
 /// Removes ports whose nodes are gone from a service that clients keep open.
@@ -222,6 +241,7 @@ mod tests {
         let second = node(&location).unwrap();
         let refused = publisher::<Status>(&second, Service::Status, "cdcr").unwrap_err();
         assert!(matches!(refused, ServiceError::Taken { .. }), "{refused}");
+        lost.send_copy(Status::default()).unwrap();
         forget(&first);
         let publisher = publisher::<Status>(&second, Service::Status, "cdcr").unwrap();
         publisher.send_copy(Status::default()).unwrap();
