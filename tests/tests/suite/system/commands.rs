@@ -110,7 +110,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
         .split([' ', ','])
         .filter_map(|word| word.parse().ok())
         .collect();
-    let [mean, max, last, cycles] = numbers[..] else {
+    let [mean, max, last, cycles, limited_percent] = numbers[..] else {
         panic!("{printed}");
     };
     assert!(error.starts_with("tip error: mean"), "{printed}");
@@ -118,6 +118,8 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
         mean <= max && last <= max && max > 100.0 && cycles > 0.0,
         "{printed}"
     );
+    // The acceleration allows nothing that the plan wants.
+    assert!(limited_percent > 50.0, "{printed}");
     let line = "ref line --duration 200ms --track --max-error 100mm";
     let words: Vec<_> = line.split(' ').collect();
     let output = daemon.place().cdcrctl(&words);
