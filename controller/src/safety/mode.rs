@@ -118,8 +118,11 @@ impl Mode {
 /// What can be asked of the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Request {
-    /// Follow the reference.
-    Track,
+    /// Follow the reference of one lease: who asks for that has not asked to follow the next holder's.
+    Track {
+        /// Number of the lease.
+        lease_number: u32,
+    },
     /// Stop following.
     Hold,
     /// Move to the straight configuration.
@@ -136,8 +139,8 @@ pub enum Refusal {
     /// The mode does not allow it.
     #[error("the present mode does not allow it")]
     WrongMode,
-    /// Nobody holds the reference lease.
-    #[error("nobody holds the reference lease")]
+    /// Nobody holds the reference lease, or another client than when this was asked.
+    #[error("nobody holds the reference lease, or another client does since")]
     NoLease,
     /// No reference lies ahead.
     #[error("there is no reference ahead")]
@@ -256,7 +259,7 @@ impl ModeMachine {
             // What has stopped already keeps its first reason.
             (Request::Stop, Mode::Faulted { .. } | Mode::Stopped { .. })
             | (Request::Reset, Mode::Holding { .. })
-            | (Request::Track, Mode::Tracking { .. }) => Ok(()),
+            | (Request::Track { .. }, Mode::Tracking { .. }) => Ok(()),
             (Request::Stop, _) => {
                 self.mode = Mode::Stopped {
                     reason: Reason::Request,
@@ -268,10 +271,14 @@ impl ModeMachine {
                 self.hold(Reason::Request);
                 Ok(())
             }
-            (Request::Track | Request::Home, Mode::Holding { .. }) if seen.wait.is_some() => {
+            (Request::Track { .. } | Request::Home, Mode::Holding { .. })
+                if seen.wait.is_some() =>
+            {
                 Err(Refusal::Waits)
             }
-            (Request::Track, Mode::Holding { .. }) => self.track(seen),
+            (Request::Track { lease_number }, Mode::Holding { .. }) => {
+                self.track(lease_number, seen)
+            }
             (Request::Home, Mode::Holding { .. } | Mode::Homing) => {
                 self.mode = Mode::Homing;
                 Ok(())
@@ -344,14 +351,16 @@ impl ModeMachine {
         self.mode = Mode::Holding { reason };
     }
 
-    fn track(&mut self, seen: &Observation) -> Result<(), Refusal> {
+    fn track(&mut self, lease_number: u32, seen: &Observation) -> Result<(), Refusal> {
         match seen.reference {
-            _ if seen.lease != LeaseState::Held => Err(Refusal::NoLease),
+            _ if seen.lease != LeaseState::Held || seen.lease_number != lease_number => {
+                Err(Refusal::NoLease)
+            }
             ReferenceState::None | ReferenceState::Ended => Err(Refusal::NoReference),
             ReferenceState::Before | ReferenceState::Inside if seen.too_far => Err(Refusal::TooFar),
             ReferenceState::Before | ReferenceState::Inside => {
                 self.mode = Mode::Tracking { begun: false };
-                self.tracked_lease = seen.lease_number;
+                self.tracked_lease = lease_number;
                 Ok(())
             }
         }

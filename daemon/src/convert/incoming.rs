@@ -274,10 +274,10 @@ pub fn obstacle(message: &wire::Obstacle, now_ns: u64) -> Result<KnownObstacle, 
 }
 
 /// The request of a client that concerns the mode; none for those about lease, settings and
-/// statistics.
-pub fn mode_request(kind: codes::RequestKind) -> Option<Request> {
+/// statistics. `lease_number`: of the reference lease when the client asked.
+pub fn mode_request(kind: codes::RequestKind, lease_number: u32) -> Option<Request> {
     match kind {
-        codes::RequestKind::Track => Some(Request::Track),
+        codes::RequestKind::Track => Some(Request::Track { lease_number }),
         codes::RequestKind::Hold => Some(Request::Hold),
         codes::RequestKind::Home => Some(Request::Home),
         codes::RequestKind::Stop => Some(Request::Stop),

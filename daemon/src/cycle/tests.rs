@@ -22,7 +22,7 @@ use super::*;
 use crate::config::{Config, Interface};
 use crate::handover::MeasurementUse;
 use crate::link::RobotLink;
-use trial::{PERIOD_S, Trial, Watch};
+use trial::{PERIOD_S, TRACK, Trial, Watch};
 
 /// A reference that is far away is gone to at once.
 const DIRECT: &str = "[motion]\napproach = \"direct\"\n";
@@ -92,7 +92,7 @@ fn a_noisy_robot_that_rests_at_a_point_does_not_turn_about_its_tip() {
             }
             trial.turns(3);
             trial.feed_line([0.2, -0.1, 0.8], [0.0; 3], 0.0);
-            trial.ask(Request::Track);
+            trial.ask(TRACK);
             trial.turns(1600);
             let rates = (0..200).map(|_| trial.turn().rates);
             let largest = |rates: BendRates| {
@@ -459,7 +459,7 @@ fn what_the_inputs_say_makes_a_moving_robot_hold_or_stop() {
             reason: Reason::ObstacleSourceSilent
         }
     );
-    let refused = trial.ask(Request::Track).answers[0].unwrap().outcome;
+    let refused = trial.ask(TRACK).answers[0].unwrap().outcome;
     assert_eq!(refused, Err(Refusal::Waits));
     trial.inputs.obstacle_source_silent = false;
     trial.turn();

@@ -106,7 +106,7 @@ impl Exchange {
         if age_ns > REQUEST_AGE_MAX_NS {
             return self.answer_now(&asked, Outcome::Stale, now_ns);
         }
-        if let Some(request) = mode_request(kind) {
+        if let Some(request) = mode_request(kind, self.references.lease_number()) {
             self.pass_on(asked, request, now_ns);
         } else {
             let outcome = self.carry_out(kind, asked.payload(), now_ns, shared);

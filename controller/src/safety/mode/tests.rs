@@ -2,6 +2,7 @@
 
 use super::*;
 
+const TRACK: Request = Request::Track { lease_number: 0 };
 const HOLDING: Mode = Mode::Holding {
     reason: Reason::Start,
 };
@@ -114,7 +115,7 @@ fn latched_modes_stay_until_reset_and_reset_waits_for_the_cause() {
     };
     for mode in [stopped, faulted] {
         assert_eq!(after(mode, good()), mode);
-        for request in [Request::Track, Request::Hold, Request::Home] {
+        for request in [TRACK, Request::Hold, Request::Home] {
             assert_eq!(asked(mode, request, good()), Err(Refusal::WrongMode));
         }
         let standing = Observation {
@@ -143,13 +144,18 @@ fn tracking_goes_on_with_the_lease_that_it_began_with_alone() {
         ..good()
     };
     let mut machine = machine(HOLDING);
-    machine.request(Request::Track, &of_lease(7)).unwrap();
+    let track = |lease_number| Request::Track { lease_number };
+    machine.request(track(7), &of_lease(7)).unwrap();
     machine.observe(&of_lease(7));
     assert_eq!(machine.mode(), Mode::Tracking { begun: true });
     machine.observe(&of_lease(8));
     let reason = Reason::LeaseExpired;
     assert_eq!(machine.mode(), Mode::Holding { reason });
-    machine.request(Request::Track, &of_lease(8)).unwrap();
+    // Asked while the lease was the one before, and carried out late.
+    let late = machine.request(track(7), &of_lease(8));
+    assert_eq!(late, Err(Refusal::NoLease));
+    assert_eq!(machine.mode(), Mode::Holding { reason });
+    machine.request(track(8), &of_lease(8)).unwrap();
     machine.observe(&of_lease(8));
     assert_eq!(machine.mode(), Mode::Tracking { begun: true });
 }
@@ -157,36 +163,30 @@ fn tracking_goes_on_with_the_lease_that_it_began_with_alone() {
 #[test]
 fn tracking_needs_a_lease_and_a_reference_ahead() {
     let begun = Ok(Mode::Tracking { begun: false });
-    assert_eq!(asked(HOLDING, Request::Track, good()), begun);
+    assert_eq!(asked(HOLDING, TRACK, good()), begun);
     let before = Observation {
         reference: ReferenceState::Before,
         ..good()
     };
-    assert_eq!(asked(HOLDING, Request::Track, before), begun);
+    assert_eq!(asked(HOLDING, TRACK, before), begun);
     for state in [ReferenceState::None, ReferenceState::Ended] {
         let seen = Observation {
             reference: state,
             ..good()
         };
-        assert_eq!(
-            asked(HOLDING, Request::Track, seen),
-            Err(Refusal::NoReference)
-        );
+        assert_eq!(asked(HOLDING, TRACK, seen), Err(Refusal::NoReference));
     }
     let seen = Observation {
         lease: LeaseState::Expired,
         ..good()
     };
-    assert_eq!(asked(HOLDING, Request::Track, seen), Err(Refusal::NoLease));
-    assert_eq!(
-        asked(Mode::Homing, Request::Track, good()),
-        Err(Refusal::WrongMode)
-    );
+    assert_eq!(asked(HOLDING, TRACK, seen), Err(Refusal::NoLease));
+    assert_eq!(asked(Mode::Homing, TRACK, good()), Err(Refusal::WrongMode));
 }
 
 #[test]
 fn a_stop_wins_over_every_other_request_of_its_cycle() {
-    let others = [Request::Track, Request::Hold, Request::Home, Request::Reset];
+    let others = [TRACK, Request::Hold, Request::Home, Request::Reset];
     let stopped = Mode::Stopped {
         reason: Reason::Request,
     };
@@ -236,7 +236,7 @@ fn nothing_moves_a_robot_whose_daemon_ends() {
         assert!(machine.mode().is_latched());
         let all = [
             Request::Reset,
-            Request::Track,
+            TRACK,
             Request::Home,
             Request::Hold,
             Request::Stop,
@@ -265,7 +265,7 @@ fn requests_of_one_cycle_are_carried_out_in_their_order() {
     let mut machine = machine(Mode::Stopped {
         reason: Reason::Request,
     });
-    let asked = [Request::Track, Request::Reset, Request::Home, Request::Hold].map(Some);
+    let asked = [TRACK, Request::Reset, Request::Home, Request::Hold].map(Some);
     let answers = machine.requests(&asked, false, &good());
     let expected = [Err(Refusal::WrongMode), Ok(()), Ok(()), Ok(())].map(Some);
     assert_eq!(answers, expected);

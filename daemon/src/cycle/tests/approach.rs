@@ -1,11 +1,11 @@
 //! A reference that begins elsewhere than the tip is, or in motion, is reached within the limits of the approach.
 
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_controller::safety::{Refusal, Request};
+use cdcr_controller::safety::Refusal;
 use nalgebra::Vector3;
 
 use super::super::*;
-use super::trial::{PERIOD_S, Trial};
+use super::trial::{PERIOD_S, TRACK, Trial};
 use crate::config::Interface;
 
 /// Of the defaults.
@@ -67,7 +67,7 @@ fn a_reference_that_moves_elsewhere_is_reached_gently() {
     ] {
         let mut trial = trial(approach);
         trial.feed_line(BESIDE_M, ALONG_M_S, begins_in_s);
-        trial.ask(Request::Track);
+        trial.ask(TRACK);
         let tips_m = tips_m(&mut trial, 1750);
         let seen = fastest(&tips_m);
         assert_eq!(is_gentle(seen), approach == "smooth", "{seen:?}");
@@ -82,7 +82,7 @@ fn a_reference_that_moves_elsewhere_is_reached_gently() {
 fn a_reference_that_is_replaced_by_another_one_is_left_gently() {
     let mut trial = trial("smooth");
     trial.feed_line(BESIDE_M, ALONG_M_S, 0.0);
-    trial.ask(Request::Track);
+    trial.ask(TRACK);
     let mut all_m = tips_m(&mut trial, 1000);
     trial.feed_line([-0.3, 0.1, 0.7], [0.05, 0.0, 0.0], 0.0);
     all_m.extend(tips_m(&mut trial, 1000));
@@ -94,11 +94,11 @@ fn a_reference_that_is_replaced_by_another_one_is_left_gently() {
 fn with_refuse_a_reference_that_is_far_is_not_tracked_and_a_near_one_is() {
     let mut trial = trial("refuse");
     trial.feed_line(BESIDE_M, ALONG_M_S, 0.1);
-    let record = trial.ask(Request::Track);
+    let record = trial.ask(TRACK);
     assert_eq!(record.answers[0].unwrap().outcome, Err(Refusal::TooFar));
     assert!(matches!(record.mode, Mode::Holding { .. }));
     trial.feed_line([0.01, 0.0, 0.89], [0.0; 3], 0.1);
-    let record = trial.ask(Request::Track);
+    let record = trial.ask(TRACK);
     assert_eq!(record.answers[0].unwrap().outcome, Ok(()));
     let seen = fastest(&tips_m(&mut trial, 400));
     assert!(is_gentle(seen), "{seen:?}");
@@ -116,6 +116,6 @@ fn with_refuse_a_reference_that_is_far_is_not_tracked_and_a_near_one_is() {
     trial.turns(200);
     let moved_m = (trial.tip_m - tip_m).norm();
     assert!(moved_m < 1e-3, "{moved_m} m");
-    let record = trial.ask(Request::Track);
+    let record = trial.ask(TRACK);
     assert_eq!(record.answers[0].unwrap().outcome, Err(Refusal::TooFar));
 }

@@ -8,7 +8,7 @@ use nalgebra::Vector3;
 
 use super::super::*;
 use super::is_at_rest;
-use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
@@ -147,7 +147,7 @@ fn motors_keep_their_limits_where_cables_reach_theirs() {
             trial.turns(3);
             for goal_m in [[0.29, 0.05, 0.1], [-0.29, -0.05, 0.1]] {
                 trial.feed_line(goal_m, [0.0; 3], 0.0);
-                trial.ask(Request::Track);
+                trial.ask(TRACK);
                 for _ in 0..400 {
                     let record = trial.turn();
                     let mode = record.mode;
@@ -184,7 +184,7 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
             trial.turns(3);
             let ball = put_ball(&mut trial, Vector3::new(0.2, 0.0, 0.8));
             trial.feed_line([0.25, 0.0, 0.78], [0.0; 3], 0.0);
-            trial.ask(Request::Track);
+            trial.ask(TRACK);
             let robot = trial.plant.truth().clone();
             let (mut nearest_m, mut was_hit) = (f64::INFINITY, false);
             for _ in 0..600 {

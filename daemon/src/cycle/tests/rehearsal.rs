@@ -6,7 +6,7 @@ use cdcr_controller::safety::Request;
 use nalgebra::Vector3;
 
 use super::super::*;
-use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
@@ -37,7 +37,7 @@ fn records(interface: Interface, rehearses: bool) -> (Vec<CycleRecord>, u64) {
     records.push(trial.ask(Request::Stop));
     records.extend((0..100).map(|_| trial.turn()));
     records.push(trial.ask(Request::Reset));
-    records.push(trial.ask(Request::Track));
+    records.push(trial.ask(TRACK));
     records.extend((0..100).map(|_| trial.turn()));
     (records, trial.rehearsal_looks)
 }

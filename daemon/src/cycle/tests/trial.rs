@@ -16,6 +16,8 @@ use crate::convert;
 use crate::handover::TimedMeasurement;
 use crate::link::RobotLink;
 
+/// Follow the reference of the lease that every inputs here have.
+pub(super) const TRACK: Request = Request::Track { lease_number: 0 };
 pub(super) const PERIOD_NS: u64 = 5_000_000;
 pub(super) const PERIOD_S: f64 = 0.005;
 /// A driver measures so long before the release.
@@ -320,7 +322,7 @@ impl Trial {
 
     pub(super) fn begin_tracking(&mut self) {
         self.feed_circle(0.2, 20.0);
-        let record = self.ask(Request::Track);
+        let record = self.ask(TRACK);
         assert!(
             matches!(record.mode, Mode::Tracking { .. }),
             "{:?}",

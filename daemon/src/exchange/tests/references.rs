@@ -1,8 +1,7 @@
 //! References and the lease that they belong to.
 
 use cdcr_controller::reference::ReferenceState;
-use cdcr_controller::safety::Request::Track;
-use cdcr_controller::safety::{LeaseState, Mode, Reason};
+use cdcr_controller::safety::{LeaseState, Mode, Reason, Request as ModeRequest};
 use cdcr_shared_types::codes::ChunkMode;
 use cdcr_shared_types::{ReferenceChunk, ReferencePoint};
 
@@ -46,6 +45,10 @@ fn send_reference(rig: &Rig, client: u64) {
     rig.references.send_copy(chunk).unwrap();
 }
 
+fn track(lease_number: u32) -> ModeRequest {
+    ModeRequest::Track { lease_number }
+}
+
 /// The cycle skips the gathers in which the lease passes to another client: it sees a held lease and a reference before and
 /// after.
 #[test]
@@ -58,7 +61,7 @@ fn tracking_does_not_pass_to_a_client_that_did_not_ask_for_it() {
     rig.gather();
     send_reference(&rig, 1);
     rig.gather();
-    assert!(matches!(rig.run(3, Some(Track)), Mode::Tracking { .. }));
+    assert!(matches!(rig.run(3, Some(track(1))), Mode::Tracking { .. }));
     rig.gather_for(15);
     let second = rig.ask(2, RequestKind::AcquireLease);
     rig.gather();
@@ -71,10 +74,38 @@ fn tracking_does_not_pass_to_a_client_that_did_not_ask_for_it() {
     let reason = Reason::LeaseExpired;
     assert_eq!(rig.run(cycle, None), Mode::Holding { reason });
     assert!(matches!(
-        rig.run(cycle + 1, Some(Track)),
+        rig.run(cycle + 1, Some(track(2))),
         Mode::Tracking { .. }
     ));
     drop((first, second));
+}
+
+#[test]
+fn who_asked_to_track_and_lost_the_lease_does_not_start_the_next_holders_reference() {
+    let mut rig = Rig::new("[reference]\nlease_ms = 20.0\n");
+    rig.measure(9, 0.1, 1);
+    rig.gather();
+    rig.run(1, None);
+    let first = rig.ask(1, RequestKind::AcquireLease);
+    rig.gather();
+    send_reference(&rig, 1);
+    let asked = rig.ask(1, RequestKind::Track);
+    rig.gather();
+    // No cycle comes to carry it out until another client has the lease and a reference.
+    rig.gather_for(15);
+    let second = rig.ask(2, RequestKind::AcquireLease);
+    rig.gather();
+    send_reference(&rig, 2);
+    rig.measure(9, 0.1, 1);
+    let cycle = rig.next_cycle;
+    rig.gather();
+    let late = rig.ends.requests.pop().unwrap().request;
+    assert!(matches!(rig.run(cycle, Some(late)), Mode::Holding { .. }));
+    assert!(matches!(
+        rig.run(cycle + 1, Some(track(2))),
+        Mode::Tracking { .. }
+    ));
+    drop((first, asked, second));
 }
 
 #[test]

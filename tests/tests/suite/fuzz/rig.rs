@@ -166,7 +166,7 @@ impl Rig {
         let Ok(kind) = RequestKind::try_from(request.kind) else {
             return false;
         };
-        if let Some(request) = convert::mode_request(kind) {
+        if let Some(request) = convert::mode_request(kind, 0) {
             self.requests.push_back(CycleRequest { ticket: 1, request });
             return true;
         }

@@ -125,7 +125,7 @@ fn judge_request(request: &message::Request) -> bool {
                 | RequestKind::Stop
                 | RequestKind::Reset
         );
-        assert_eq!(mode_request(kind).is_some(), is_mode, "{kind:?}");
+        assert_eq!(mode_request(kind, 0).is_some(), is_mode, "{kind:?}");
         return true;
     }
     let Ok(settings) = settings_from_wire(&request.settings) else {

@@ -152,7 +152,8 @@ impl World {
         self.clock
             .step_ns
             .set(self.dice.pick(&[20_000, 50_000, 200_000, 1_000_000]));
-        let mut request = self.asked.take().and_then(convert::mode_request);
+        let asked = self.asked.take();
+        let mut request = asked.and_then(|kind| convert::mode_request(kind, 0));
         let next_request = || {
             let request = request.take()?;
             Some(CycleRequest { ticket: 1, request })
