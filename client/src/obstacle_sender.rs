@@ -35,7 +35,8 @@ impl ObstacleSender {
         self.send(ObstacleAction::Upsert, obstacles)
     }
 
-    /// Removes obstacles by their ids.
+    /// Removes obstacles by their ids. A client whose obstacles have lifetimes, which the daemon watches (`obstacles.source_timeout_ms`),
+    /// removes them all before it ends; else the robot holds.
     ///
     /// # Errors
     /// As [`upsert`](Self::upsert).

@@ -23,7 +23,8 @@ cdcr_controller::parameters! {
         /// A client that has sent an obstacle with a limited lifetime is a source. A source that sends nothing for this long is
         /// silent, {range}; -1: 500 with link.kind = "driver", 0 with "simulated"; 0: sources are not supervised, and obstacles
         /// expire whatever became of their source. With a timeout an obstacle expires only while its source lives: when a message of
-        /// it arrives after the lifetime and has not renewed the obstacle. Clearing the obstacles ends the supervision of all sources.
+        /// it arrives after the lifetime and has not renewed the obstacle. Supervision of a source ends when it removes its last
+        /// obstacle, and that of all sources when a client clears the obstacles; the next obstacle with a lifetime begins it again.
         source_timeout_ms: f64 = -1.0, in -1.0..=60_000.0;
         /// What happens when a source is silent. "hold": the robot holds until the source sends again, or a client clears the
         /// obstacles. "keep": the robot goes on. With both the obstacles stay where the source saw them last.

@@ -3,13 +3,15 @@
 //! A source is a client that has sent an obstacle with a limited lifetime. By that it promises to send again. A lifetime
 //! says when an obstacle is out of date while its source lives. When the source has died, nobody knows where the obstacle
 //! is, and it must not vanish by that.
+//!
+//! A source that has removed the last of its obstacles has kept its promise, and may end: nothing that it told can vanish any more.
 
 use cdcr_shared_types::ObstacleUpdate;
 use cdcr_shared_types::codes::ObstacleAction;
 use cdcr_shared_types::limits::OBSTACLES_MAX;
 
 use crate::config::{ObstaclesConfig, SourceSilent, ns};
-use crate::obstacles::KnownObstacle;
+use crate::obstacles::{KnownObstacle, ObstacleSet};
 
 /// Sources that are watched at one time: one for each obstacle that can be known.
 const SOURCES_MAX: usize = OBSTACLES_MAX;
@@ -48,8 +50,8 @@ impl ObstacleSources {
         is_known || !self.begins_source(update) || self.sources.len() < SOURCES_MAX
     }
 
-    /// An update came at `now_ns`; it may have waited since it was sent, and who sent it may have died meanwhile. Whoever clears the list ends the watch over all sources; those that live begin it
-    /// again with their next update.
+    /// An update came at `now_ns`; it may have waited since it was sent, and who sent it may have died meanwhile. Whoever clears
+    /// the list ends the watch over all sources; each begins it again with its next obstacle that has a lifetime.
     pub(super) fn hear(&mut self, update: &ObstacleUpdate, now_ns: u64) {
         let heard = Source {
             sender: update.header.sender_id,
@@ -66,6 +68,16 @@ impl ObstacleSources {
             *known = heard;
         } else if self.begins_source(update) && self.sources.len() < SOURCES_MAX {
             self.sources.push(heard);
+        }
+    }
+
+    /// `sender` has removed obstacles, and left these. The watch over it ends where none of them is its own. One that is out of
+    /// date does not count: its source has lived to let it expire.
+    pub(super) fn let_leave(&mut self, sender: u64, known: &ObstacleSet, now_ns: u64) {
+        let is_left =
+            |known: &KnownObstacle| known.source == sender && !self.let_expire(known, now_ns);
+        if !known.iter().any(is_left) {
+            self.sources.retain(|source| source.sender != sender);
         }
     }
 
@@ -212,6 +224,31 @@ mod tests {
             assert!(sources.let_expire(&known, 60 * MS));
             assert_eq!(sources.hand_over(&known, 60 * MS), known);
         }
+    }
+
+    #[test]
+    fn a_source_that_removed_its_last_obstacle_may_end_and_one_with_an_obstacle_left_may_not() {
+        let set = |known: &[KnownObstacle]| known.iter().copied().collect::<ObstacleSet>();
+        let (short, long) = (known(1, 50), known(1, 5000));
+        let removes = |left: &[KnownObstacle], at_ms: u64| {
+            let mut sources = sources(SourceSilent::Hold);
+            hear(&mut sources, 1, ObstacleAction::Upsert, &[50, 5000], 0);
+            hear(&mut sources, 2, ObstacleAction::Upsert, &[50], 0);
+            hear(&mut sources, 1, ObstacleAction::Remove, &[0], at_ms * MS);
+            sources.let_leave(1, &set(left), at_ms * MS);
+            let is_watched = sources.watched(1).is_some();
+            assert!(sources.watched(2).is_some() && sources.want_hold(10_000 * MS));
+            is_watched
+        };
+        assert!(!removes(&[], 10));
+        assert!(
+            !removes(&[known(2, 50), known(0, 50)], 10),
+            "another's stay"
+        );
+        assert!(removes(&[long], 10) && removes(&[short], 10));
+        // Its source has lived to let the short one expire, and removed the other.
+        assert!(removes(&[short], 49) && !removes(&[short], 50));
+        assert!(removes(&[short, long], 60));
     }
 
     #[test]

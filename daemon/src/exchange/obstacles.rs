@@ -1,5 +1,5 @@
 use cdcr_shared_types::ObstacleUpdate;
-use cdcr_shared_types::codes::Outcome;
+use cdcr_shared_types::codes::{ObstacleAction, Outcome};
 
 use super::obstacle_sources::ObstacleSources;
 use crate::config::ObstaclesConfig;
@@ -72,6 +72,10 @@ impl Obstacles {
             self.sources.hear(update, gather_ns);
         }
         self.known = updated?;
+        if update.action == ObstacleAction::Remove.code() {
+            let sender = update.header.sender_id;
+            self.sources.let_leave(sender, &self.known, now_ns);
+        }
         Ok(self.known.count() as u32)
     }
 

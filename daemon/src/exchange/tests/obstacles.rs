@@ -68,6 +68,27 @@ fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
 }
 
 #[test]
+fn a_source_of_obstacles_that_removes_them_and_ends_holds_nobody_up() {
+    let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");
+    rig.tell(4, ObstacleAction::Upsert, &[50, 5000]);
+    rig.gather();
+    rig.gather_for(20);
+    rig.tell(4, ObstacleAction::Remove, &[0, 0]);
+    assert_eq!(rig.gather().obstacles.count(), 0);
+    rig.gather_for(300);
+    assert!(!rig.gather().obstacle_source_silent);
+    // With one left it has not ended, and that one stays.
+    rig.tell(4, ObstacleAction::Upsert, &[50, 50]);
+    rig.gather();
+    rig.tell(4, ObstacleAction::Remove, &[0]);
+    rig.gather();
+    rig.gather_for(300);
+    let inputs = rig.gather();
+    assert!(inputs.obstacle_source_silent);
+    assert_eq!(inputs.obstacles.count(), 1);
+}
+
+#[test]
 fn a_source_whose_own_old_obstacles_take_all_the_room_is_heard() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\nsource_silent = \"keep\"\n");
     rig.tell(4, ObstacleAction::Upsert, &[50; 64]);
