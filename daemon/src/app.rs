@@ -21,7 +21,9 @@ use crate::cycle::Cycle;
 use crate::doctor::{System, kernel_share, with_core};
 use crate::exchange::Exchange;
 use crate::exit::{Ended, ExitCause};
-use crate::handover::{CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels};
+use crate::handover::{
+    ChangedSettings, CycleEnds, ExchangeEnds, ReporterEnds, Settings, Shared, channels,
+};
 use crate::instance::Instance;
 use crate::link::RobotLink;
 use crate::reload::{ReadConfig, Reload};
@@ -89,7 +91,7 @@ fn run_with(
     validated: &Validated,
     instance: &Instance,
     shared: &Arc<Shared>,
-    reload: impl FnOnce(Producer<Settings>) -> Reload,
+    reload: impl FnOnce(Producer<ChangedSettings>) -> Reload,
     mut should_end: impl FnMut() -> bool,
     watch: CycleWatch,
 ) -> Result<()> {

@@ -1,5 +1,5 @@
-//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there. Reads the
-//! configuration again when somebody has asked for it.
+//! Looks after the place of a daemon once a second: whether clients still find it, and what dead clients left there. Has
+//! the configuration read again when somebody has asked for it.
 //!
 //! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
 
@@ -19,7 +19,7 @@ use crate::reload::Reload;
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Dead processes that it clears away each time. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;
-/// iceoryx2 lists its nodes with large arrays on the stack; the configuration is parsed here, too.
+/// iceoryx2 lists its nodes with large arrays on the stack.
 const STACK_BYTES: usize = 1024 * 1024;
 /// How long the end waits for it.
 const END_MAX: Duration = Duration::from_secs(1);

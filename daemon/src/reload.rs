@@ -1,32 +1,45 @@
 //! `SIGHUP`: the configuration is read again while the loop runs.
 //!
-//! The caretaker does it, because a file may take long. What the solver is set to goes to the exchange; everything else needs a
-//! restart.
+//! A thread does it that is started for each reading, because a file may take long, or for ever where a network is gone. What the
+//! solver is set to goes to the exchange; everything else needs a restart.
 
 use std::fmt;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{Builder, JoinHandle};
 
 use rtrb::Producer;
 
 use crate::config::{Config, ConfigError, Validated, changed_keys};
-use crate::handover::Settings;
+use crate::handover::{ChangedSettings, Settings};
 
 /// Reads the configuration, from where it was read at the start.
 pub type ReadConfig = Box<dyn Fn() -> Result<Validated, ConfigError> + Send>;
 
-/// Reads the configuration again when it is asked to.
+/// The configuration is parsed there.
+const STACK_BYTES: usize = 1024 * 1024;
+
+/// Has the configuration read again when somebody asks for it.
+#[derive(Debug)]
 pub(crate) struct Reload {
     asked: Arc<AtomicBool>,
+    reader: Arc<Mutex<Reader>>,
+    reading: Option<JoinHandle<()>>,
+}
+
+/// Reads the configuration and hands on what has changed in it.
+struct Reader {
     read: ReadConfig,
     /// What the daemon was started with.
     started: Config,
-    settings: Producer<Settings>,
+    /// The configuration that was taken over last. What differs from it in force is what clients have set.
+    last: Config,
+    settings: Producer<ChangedSettings>,
 }
 
-impl fmt::Debug for Reload {
+impl fmt::Debug for Reader {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Reload").finish_non_exhaustive()
+        f.debug_struct("Reader").finish_non_exhaustive()
     }
 }
 
@@ -36,29 +49,82 @@ impl Reload {
         asked: Arc<AtomicBool>,
         read: ReadConfig,
         started: &Config,
-        settings: Producer<Settings>,
+        settings: Producer<ChangedSettings>,
     ) -> Self {
-        Self {
-            asked,
+        let reader = Reader {
             read,
             started: started.clone(),
+            last: started.clone(),
             settings,
+        };
+        Self {
+            asked,
+            reader: Arc::new(Mutex::new(reader)),
+            reading: None,
         }
     }
 
-    /// Reads the configuration if somebody has asked for it since the last call.
+    /// Has the configuration read if somebody has asked for it since the last call. While it is being read, who asks waits.
     pub(crate) fn look(&mut self) {
-        if self.asked.swap(false, Ordering::Relaxed)
-            && let Err(reason) = self.read_again()
+        let is_being_read = |thread: &JoinHandle<()>| !thread.is_finished();
+        if self.reading.as_ref().is_some_and(is_being_read)
+            || !self.asked.swap(false, Ordering::Relaxed)
         {
-            tracing::error!(
-                "SIGHUP: the configuration is not taken over, nothing changes: {reason}"
-            );
+            return;
         }
+        let reader = Arc::clone(&self.reader);
+        let thread = Builder::new()
+            .name("cdcr-reload".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || {
+                // Only one thread at a time is here; one that panicked has said so.
+                let mut reader = reader.lock().unwrap_or_else(PoisonError::into_inner);
+                tell(reader.read_again());
+            });
+        self.reading = thread
+            .map_err(|error| tell(Err(format!("the thread cdcr-reload: {error}"))))
+            .ok();
+    }
+}
+
+fn tell(result: Result<(), String>) {
+    if let Err(reason) = result {
+        tracing::error!("SIGHUP: the configuration is not taken over, nothing changes: {reason}");
+    }
+}
+
+impl Reader {
+    fn read_again(&mut self) -> Result<(), String> {
+        tracing::info!("SIGHUP: reading the configuration again");
+        let config = (self.read)().map_err(|error| error.to_string())?.config;
+        self.check(&config)?;
+        let is_solvers = |key: &String| key.starts_with("controller.") || key == "cycle.budget_ms";
+        let mut changed = changed_keys(&self.last, &config);
+        changed.retain(is_solvers);
+        let mut later = changed_keys(&self.started, &config);
+        later.retain(|key| !is_solvers(key));
+        if !changed.is_empty() {
+            let changed = ChangedSettings {
+                before: Settings::new(&self.last),
+                after: Settings::new(&config),
+            };
+            self.settings
+                .push(changed)
+                .map_err(|_| "the exchange thread has not taken the settings before".to_owned())?;
+        }
+        self.last = config;
+        tracing::info!(
+            "SIGHUP: in force now, changed since the configuration was read last: {}",
+            listed(&changed)
+        );
+        if !later.is_empty() {
+            tracing::warn!("SIGHUP: in force only after a restart: {}", listed(&later));
+        }
+        Ok(())
     }
 
-    fn read_again(&mut self) -> Result<(), String> {
-        let config = (self.read)().map_err(|error| error.to_string())?.config;
+    /// Whether the solver of the daemon that was started may have the settings of this configuration.
+    fn check(&self, config: &Config) -> Result<(), String> {
         let (least_m, wanted_m) = (
             self.started.controller.safe_distance_m,
             config.controller.safe_distance_m,
@@ -68,25 +134,15 @@ impl Reload {
                 "controller.safe_distance_m = {wanted_m} is below {least_m}, with which the daemon was started: restart it"
             ));
         }
-        self.settings
-            .push(Settings::new(&config))
-            .map_err(|_| "the exchange thread has not taken the settings before".to_owned())?;
-        let changed = changed_keys(&self.started, &config);
-        let (now, later): (Vec<_>, Vec<_>) = changed.into_iter().partition(|key| is_solvers(key));
-        tracing::info!(
-            "SIGHUP: the solver has the settings of the configuration; other than at the start: {}",
-            listed(&now)
-        );
-        if !later.is_empty() {
-            tracing::warn!("SIGHUP: in force only after a restart: {}", listed(&later));
+        // The rate weight that nobody sets depends on it.
+        if config.link.is_ideal() != self.started.link.is_ideal() {
+            return Err(
+                "link.kind and link.simulated are of another robot than the one that runs: restart the daemon"
+                    .to_owned(),
+            );
         }
         Ok(())
     }
-}
-
-/// Whether a running daemon takes the key over.
-fn is_solvers(key: &str) -> bool {
-    key.starts_with("controller.") || key == "cycle.budget_ms"
 }
 
 fn listed(keys: &[String]) -> String {
@@ -94,5 +150,95 @@ fn listed(keys: &[String]) -> String {
         "nothing".to_owned()
     } else {
         keys.join(", ")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::sync::mpsc::channel;
+    use std::time::Duration;
+
+    use rtrb::{Consumer, RingBuffer};
+
+    use super::*;
+
+    fn parsed(text: &str) -> Result<Validated, ConfigError> {
+        Config::parse(text, Path::new("robot.toml"))
+    }
+
+    /// A reader of a file with each of `texts` in turn; the first is that of the start.
+    fn reader(texts: &[&'static str]) -> (Reader, Consumer<ChangedSettings>) {
+        let started = parsed(texts[0]).unwrap().config;
+        let (send, next) = channel();
+        for text in &texts[1..] {
+            send.send(*text).unwrap();
+        }
+        let (settings, changed) = RingBuffer::new(4);
+        let reader = Reader {
+            read: Box::new(move || parsed(next.try_recv().unwrap())),
+            last: started.clone(),
+            started,
+            settings,
+        };
+        (reader, changed)
+    }
+
+    #[test]
+    fn only_what_has_changed_since_it_was_read_last_is_handed_on() {
+        let seven = "[controller]\nhorizon_steps = 7\n";
+        let (mut reader, mut changed) = reader(&["", "", seven, seven, ""]);
+        reader.read_again().unwrap();
+        assert!(changed.pop().is_err(), "a terminal hung up");
+        reader.read_again().unwrap();
+        let first = changed.pop().unwrap();
+        assert_ne!(first.before.nmpc.horizon_steps, 7);
+        assert_eq!(first.after.nmpc.horizon_steps, 7);
+        reader.read_again().unwrap();
+        assert!(changed.pop().is_err());
+        reader.read_again().unwrap();
+        let back = changed.pop().unwrap();
+        assert_eq!((back.before, back.after), (first.after, first.before));
+    }
+
+    #[test]
+    fn a_configuration_of_another_kind_of_robot_changes_nothing() {
+        let driver = "[link]\nkind = \"driver\"\n[controller]\nhorizon_steps = 7\n";
+        let (mut reader, mut changed) = reader(&["", driver, "[controller]\nhorizon_steps = 7\n"]);
+        let refused = reader.read_again().unwrap_err();
+        assert!(refused.contains("link.kind"), "{refused}");
+        assert!(changed.pop().is_err());
+        reader.read_again().unwrap();
+        assert!(changed.pop().is_ok());
+    }
+
+    #[test]
+    fn a_file_that_hangs_holds_nobody_up_and_is_not_read_twice_at_a_time() {
+        let (begun, begins) = channel();
+        let (go_on, may_go_on) = channel::<()>();
+        let read = Box::new(move || {
+            begun.send(()).unwrap();
+            may_go_on.recv().unwrap();
+            parsed("[controller]\nhorizon_steps = 7\n")
+        });
+        let (settings, mut changed) = RingBuffer::new(4);
+        let asked = Arc::new(AtomicBool::new(true));
+        let started = Config::default();
+        let mut reload = Reload::new(Arc::clone(&asked), read, &started, settings);
+        reload.look();
+        begins.recv().unwrap();
+        // It hangs. Who asks meanwhile is served afterwards.
+        asked.store(true, Ordering::Relaxed);
+        reload.look();
+        assert!(begins.try_recv().is_err() && asked.load(Ordering::Relaxed));
+        for _ in 0..2 {
+            go_on.send(()).unwrap();
+        }
+        while begins.try_recv().is_err() {
+            std::thread::sleep(Duration::from_millis(1));
+            reload.look();
+        }
+        reload.reading.unwrap().join().unwrap();
+        assert!(changed.pop().is_ok() && changed.pop().is_err());
     }
 }

@@ -35,8 +35,8 @@ enum Command {
         Without --config, the paper's robot with three sections is simulated.\n\
         The log goes to the standard error; RUST_LOG=debug shows more.\n\n\
         Signals: SIGINT and SIGTERM bring the robot to rest and end the daemon. SIGUSR1 stops the robot and latches,\n\
-        as cdcrctl stop does, without shared memory. SIGHUP reads the configuration again: [controller] and cycle.budget_ms come into force,\n\
-        the log names other keys that changed, and a wrong configuration changes nothing.")]
+        as cdcrctl stop does, without shared memory. SIGHUP reads the configuration again: what changed of [controller] and\n\
+        cycle.budget_ms comes into force, the log names other keys that changed, and a wrong configuration changes nothing.")]
     Run {
         #[command(flatten)]
         source: Source,

@@ -13,7 +13,7 @@ pub use incoming::{
     updated_obstacles,
 };
 pub use outgoing::{command, position_error_m, robot, scheduling, telemetry, text};
-pub use settings::{settings_from_wire, settings_to_wire};
+pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
 #[cfg(test)]
 mod tests {

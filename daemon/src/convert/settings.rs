@@ -5,13 +5,13 @@ use cdcr_controller::optimizer::VelocityRule;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{self, Outcome};
 
-use crate::handover::Settings;
+use crate::handover::{ChangedSettings, Settings};
 
 /// Longest budget of a solve that can be asked for \[ns\]: the longest period.
 const BUDGET_MAX_NS: u64 = 100_000_000;
 
-/// Both conversions from one list: choices with their enumerations, then numbers. A field that is missing does not
-/// compile.
+/// Both conversions, and the changes of a configuration, from one list: choices with their enumerations, then numbers. A field
+/// that is missing does not compile.
 macro_rules! both_ways {
     ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
         /// Settings on the wire.
@@ -35,6 +35,20 @@ macro_rules! both_ways {
                 },)+
                 $($number,)+
             })
+        }
+
+        /// The settings in force with what has changed in the configuration. They are not checked together.
+        pub fn with_changes(in_force: &Settings, changed: &ChangedSettings) -> Settings {
+            let ChangedSettings { before, after } = changed;
+            let changed_or = |is_changed, [new, old]: [&Settings; 2]| if is_changed { *new } else { *old };
+            let newer = [after, in_force];
+            Settings {
+                nmpc: NmpcSettings {
+                    $($choice: changed_or(after.nmpc.$choice != before.nmpc.$choice, newer).nmpc.$choice,)+
+                    $($number: changed_or(after.nmpc.$number != before.nmpc.$number, newer).nmpc.$number,)+
+                },
+                budget_ns: changed_or(after.budget_ns != before.budget_ns, newer).budget_ns,
+            }
         }
     };
 }

@@ -52,8 +52,8 @@ impl Exchange {
         self.take_references(now_ns);
         self.take_obstacles(now_ns, clock);
         self.take_measurements(clock);
-        while let Ok(settings) = self.ends.reloaded.pop() {
-            self.settings.take(settings);
+        while let Ok(changed) = self.ends.reloaded.pop() {
+            self.settings.reload(&changed);
         }
         self.take_requests(now_ns, shared);
         self.references.forget_before(schedule, cycle);

@@ -3,7 +3,7 @@ use cdcr_shared_types::codes::Outcome;
 
 use crate::config::Config;
 use crate::convert;
-use crate::handover::Settings;
+use crate::handover::{ChangedSettings, Settings};
 
 /// The settings in force, which clients may change.
 #[derive(Debug)]
@@ -40,8 +40,16 @@ impl SettingsInForce {
         }
     }
 
+    /// What has changed in the configuration comes into force, beside what clients have set; where the two do not go together,
+    /// the configuration alone does.
+    pub(super) fn reload(&mut self, changed: &ChangedSettings) {
+        let together = convert::with_changes(&self.settings, changed);
+        let go_together = together.nmpc.validate().is_ok();
+        self.take(if go_together { together } else { changed.after });
+    }
+
     /// Checked settings come into force.
-    pub(super) fn take(&mut self, settings: Settings) {
+    fn take(&mut self, settings: Settings) {
         self.settings = settings;
         self.revision += 1;
     }

@@ -18,8 +18,11 @@ use iceoryx2::prelude::{Node, ZeroCopySend};
 
 use super::*;
 use crate::config::Config;
+use crate::convert;
 use crate::cycle::Cycle;
-use crate::handover::{CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels};
+use crate::handover::{
+    ChangedSettings, CycleEnds, CycleInputs, CycleRequest, ReporterEnds, Settings, channels,
+};
 use crate::link::RobotLink;
 use crate::rt::schedule::Release;
 use crate::services;
@@ -56,7 +59,7 @@ struct Rig {
     cycle: Cycle,
     ends: CycleEnds,
     reports: ReporterEnds,
-    reloaded: rtrb::Producer<Settings>,
+    reloaded: rtrb::Producer<ChangedSettings>,
     shared: Shared,
     schedule: Schedule,
     clock: Still,
@@ -303,15 +306,48 @@ fn homing(configuration: &str) -> Rig {
 }
 
 #[test]
-fn settings_of_a_configuration_that_is_read_again_are_in_the_next_inputs() {
+fn what_changed_in_the_configuration_is_in_the_next_inputs_and_what_clients_set_stays() {
     let mut rig = Rig::new("");
+    let started = rig.gather().settings;
+    let mut wanted = started;
+    wanted.nmpc.safe_distance_m = 0.05;
+    wanted.nmpc.horizon_steps = 9;
+    let header = rig.header(1);
+    let asked = rig.control.send_copy(Request {
+        header,
+        kind: RequestKind::Settings.code(),
+        settings: convert::settings_to_wire(&wanted),
+        ..Request::default()
+    });
     let before = rig.gather().clone();
-    let mut settings = before.settings;
-    settings.nmpc.horizon_steps = 7;
-    rig.reloaded.push(settings).unwrap();
-    let after = rig.gather();
-    assert_eq!(after.settings, settings);
-    assert_ne!(after.settings_revision, before.settings_revision);
+    assert_eq!(before.settings, wanted);
+    let mut after = started;
+    (after.nmpc.horizon_steps, after.budget_ns) = (7, 1_000_000);
+    let changed = ChangedSettings {
+        before: started,
+        after,
+    };
+    rig.reloaded.push(changed).unwrap();
+    let inputs = rig.gather();
+    assert_ne!(inputs.settings_revision, before.settings_revision);
+    (wanted.nmpc.horizon_steps, wanted.budget_ns) = (7, 1_000_000);
+    assert_eq!(inputs.settings, wanted);
+    drop(asked);
+    // Seven blocks, set by a client, have no room in five steps of the configuration: that alone is in force.
+    wanted.nmpc.control_blocks = 7;
+    let outcome = rig
+        .exchange
+        .settings
+        .change(&convert::settings_to_wire(&wanted));
+    assert_eq!(outcome, Outcome::Accepted);
+    let mut short = after;
+    short.nmpc.horizon_steps = 5;
+    let changed = ChangedSettings {
+        before: after,
+        after: short,
+    };
+    rig.reloaded.push(changed).unwrap();
+    assert_eq!(rig.gather().settings, short);
 }
 
 #[test]

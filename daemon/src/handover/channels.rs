@@ -2,7 +2,9 @@ use cdcr_shared_types::{Incident, Status};
 use rtrb::{Consumer, Producer, RingBuffer};
 use triple_buffer::{Input, Output, triple_buffer};
 
-use super::{CycleInputs, CycleRecord, CycleReport, CycleRequest, Settings, Summary};
+use super::{
+    ChangedSettings, CycleInputs, CycleRecord, CycleReport, CycleRequest, Settings, Summary,
+};
 use crate::rt::record_ring::{RecordReceiver, RecordSender, record_ring};
 
 /// Requests that one cycle carries out; the rest waits for the next.
@@ -41,7 +43,7 @@ pub struct ExchangeEnds {
     /// Records with what belongs to them.
     pub reports: Producer<CycleReport>,
     /// Settings of a configuration that was read again.
-    pub reloaded: Consumer<Settings>,
+    pub reloaded: Consumer<ChangedSettings>,
 }
 
 /// Ends of the reporter thread.
@@ -91,7 +93,7 @@ pub struct Channels {
     /// Of the thread that publishes status and bad cycles.
     pub status_desk: StatusDeskEnds,
     /// Of who reads the configuration again.
-    pub reloaded: Producer<Settings>,
+    pub reloaded: Producer<ChangedSettings>,
 }
 
 /// Settings between who reads the configuration again and the exchange.

@@ -5,7 +5,7 @@
 //!  exchange ── CycleRequest (every one: ring) ──────────────► cycle
 //!  exchange ◄── CycleRecord (every one, the newest for sure: `record_ring`, drops counted) ── cycle
 //!  reporter ◄── CycleReport (every one: ring, drops counted) ── exchange
-//!  caretaker ── Settings (of a configuration that was read again: ring) ──► exchange
+//!  reload ── ChangedSettings (of a configuration that was read again: ring) ──► exchange
 //!  supervisor ◄── Summary (every one: ring, drops counted) ──── reporter
 //!  supervisor ◄── Incident (bad cycles whole: ring, drops counted) reporter
 //!  status desk ◄── Status (newest counts: triple buffer), Incident (ring) ── supervisor
@@ -26,7 +26,7 @@ pub use channels::{
     StatusDeskEnds, SupervisorEnds, channels,
 };
 pub use inputs::{CycleAnswer, CycleInputs, CycleRequest, TimedMeasurement};
-pub use policy::{Policy, Settings};
+pub use policy::{ChangedSettings, Policy, Settings};
 pub use record::{CycleRecord, MeasurementUse};
 pub use report::{CycleReport, InputReport};
 pub use shared::Shared;

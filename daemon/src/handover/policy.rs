@@ -203,6 +203,15 @@ impl Settings {
     }
 }
 
+/// Settings of a configuration before and after it was changed. What is the same in both, clients may have set otherwise.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ChangedSettings {
+    /// As it was read before.
+    pub before: Settings,
+    /// As it is now.
+    pub after: Settings,
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

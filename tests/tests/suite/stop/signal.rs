@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use cdcr_client::{RequestError, monotonic_ns};
+use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::{
     Daemon, PATIENT, Program, TIMEOUT, text, until_undisturbed, wait_status, wait_until,
@@ -106,11 +107,26 @@ fn a_stop_that_is_answered_after_its_signal_is_confirmed() {
 fn a_terminal_that_hangs_up_does_not_end_the_daemon() {
     let mut daemon = Daemon::start(PATIENT);
     let connection = daemon.connect();
+    let unset = connection.settings().unwrap();
+    let wider = SolverSettings {
+        safe_distance_m: 2.0 * unset.safe_distance_m,
+        ..unset
+    };
+    connection.change_settings(wider).unwrap();
     daemon.signal(Signal::HUP);
-    wait_until("it says so", || daemon.log().contains("SIGHUP"));
+    wait_until("it says so", || {
+        daemon
+            .log()
+            .contains("changed since the configuration was read last: nothing")
+    });
     let before = connection.status(TIMEOUT).unwrap();
     let after = wait_status(&connection, |status| status.cycles > before.cycles + 20);
     assert_eq!(after.mode, Mode::Holding.code());
+    assert_eq!(
+        connection.settings().unwrap(),
+        wider,
+        "what a client set stays"
+    );
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
 
@@ -121,8 +137,14 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     let before = connection.settings().unwrap();
     let reload = |text: &str, answer: &str| {
         daemon.place().write("robot.toml", text);
+        let said = daemon.log().len();
         daemon.signal(Signal::HUP);
-        wait_until(answer, || daemon.log().contains(answer));
+        wait_until(answer, || {
+            daemon
+                .log()
+                .get(said..)
+                .is_some_and(|new| new.contains(answer))
+        });
     };
     let solver = "[controller]\nhorizon_steps = 7\n";
     reload(
@@ -144,7 +166,7 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
     reload("[controller]\nsafe_distance_m = 0.001\n", nearer);
     assert_eq!(connection.settings().unwrap(), in_force);
     // The file as it was: the settings of the start.
-    reload(PATIENT, "other than at the start: nothing");
+    reload(PATIENT, "read last: controller.horizon_steps");
     wait_until("it is in force", || {
         connection.settings().unwrap() == before
     });
