@@ -158,13 +158,12 @@ fn run_with(
     let should_end = || should_end() || caretaker.is_place_lost();
     supervisor.run(&clock, shared, should_end, || {
         // A thread that ends by itself takes the process with it.
-        let ended = [
-            cycle.is_finished(),
-            exchange.is_finished(),
-            reporter.is_finished(),
-        ];
+        let ended = [&cycle, &exchange, &reporter].map(Started::is_finished);
         if ended.contains(&true) || desk.is_finished() {
             shared.end();
+        }
+        if desk.is_finished() {
+            shared.beat_status();
         }
         if cycle.is_finished() {
             shared.set_cycle_ended();

@@ -34,7 +34,7 @@ pub enum ExitCause {
     Configuration,
     /// The cycle thread made no progress.
     CycleHung,
-    /// The exchange or the reporter thread made no progress.
+    /// The exchange, the reporter or the status thread made no progress.
     ExchangeHung,
     /// It was asked to end, and the robot did not come to rest in time.
     NotAtRest,

@@ -108,6 +108,7 @@ impl Desk {
         loop {
             // Before the look at what waits: then nothing can come any more.
             let is_last = shared.has_supervisor_ended();
+            shared.beat_status();
             self.publish();
             if is_last {
                 break;

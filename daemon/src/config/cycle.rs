@@ -27,8 +27,8 @@ cdcr_controller::parameters! {
         /// cycle, so that more than one bad release in ten fills it. At this level the robot is stopped, {range}; 0: 40, which are 200 ms without control at 5 ms, and a simulated robot is not
         /// stopped: the daemon logs a warning and goes on.
         miss_limit: u32 = 0, in 0.0..=1e6;
-        /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this long, or the reporter
-        /// for five times as long; {range}, and at least 10 periods. The robot then holds when its last command runs out (link.command_valid_ms).
+        /// Watchdog: the process ends when the cycle or exchange thread makes no progress for this long, the reporter
+        /// for five times as long, or the thread of the status for twenty times; {range}, and at least 10 periods. The robot then holds when its last command runs out (link.command_valid_ms).
         watchdog_ms: f64 = 1000.0, in 50.0..=60_000.0, "at least ten times cycle.period_ms";
     }
 }

@@ -14,6 +14,7 @@ pub struct Shared {
     cycle_beats: AtomicU64,
     exchange_beats: AtomicU64,
     reporter_beats: AtomicU64,
+    status_beats: AtomicU64,
     statistics_resets: AtomicU64,
     still_moving: AtomicBool,
     last_word_moves: AtomicBool,
@@ -81,12 +82,18 @@ impl Shared {
         self.reporter_beats.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Beats of cycle, exchange and reporter so far.
-    pub fn beats(&self) -> [u64; 3] {
+    /// The thread that publishes the status lives.
+    pub fn beat_status(&self) {
+        self.status_beats.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Beats of cycle, exchange, reporter and status so far.
+    pub fn beats(&self) -> [u64; 4] {
         [
             &self.cycle_beats,
             &self.exchange_beats,
             &self.reporter_beats,
+            &self.status_beats,
         ]
         .map(|beats| beats.load(Ordering::Relaxed))
     }

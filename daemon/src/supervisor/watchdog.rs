@@ -2,7 +2,7 @@ use std::time::{Duration, Instant};
 
 use crate::exit::{Ended, ExitCause};
 
-/// Notices a real-time thread that makes no progress.
+/// Notices a thread that makes no progress.
 ///
 /// Only time in which the supervisor itself looked counts, so a process (or machine) that was stopped and
 /// goes on is not taken for a hung thread.
@@ -10,7 +10,7 @@ use crate::exit::{Ended, ExitCause};
 pub(super) struct Watchdog {
     timeout: Duration,
     looked: Instant,
-    threads: [Watched; 3],
+    threads: [Watched; 4],
 }
 
 #[derive(Debug, Clone, Copy, Default)]
@@ -21,6 +21,8 @@ struct Watched {
 
 /// The reporter may stand still for so many times the timeout: it waits for files at times, and no robot waits for it.
 const REPORTER_TIMES: u32 = 5;
+/// The thread of the status for so many: nothing else ends without it.
+const STATUS_TIMES: u32 = 20;
 
 /// Of the time between two looks, no more counts than this.
 const LOOK_MAX: Duration = Duration::from_millis(100);
@@ -31,15 +33,15 @@ impl Watchdog {
         Self {
             timeout,
             looked: now,
-            threads: [Watched::default(); 3],
+            threads: [Watched::default(); 4],
         }
     }
 
-    /// Looks at the beats of cycle, exchange and reporter.
+    /// Looks at the beats of cycle, exchange, reporter and status.
     ///
     /// # Errors
     /// A thread has made no beat for the timeout.
-    pub(super) fn look(&mut self, beats: [u64; 3], now: Instant) -> Result<(), Ended> {
+    pub(super) fn look(&mut self, beats: [u64; 4], now: Instant) -> Result<(), Ended> {
         let passed = now.duration_since(self.looked).min(LOOK_MAX);
         self.looked = now;
         for (thread, beats) in self.threads.iter_mut().zip(beats) {
@@ -55,6 +57,7 @@ impl Watchdog {
             (ExitCause::CycleHung, "cycle", 1),
             (ExitCause::ExchangeHung, "exchange", 1),
             (ExitCause::ExchangeHung, "reporter", REPORTER_TIMES),
+            (ExitCause::ExchangeHung, "status", STATUS_TIMES),
         ];
         let hung = watched
             .into_iter()
@@ -85,7 +88,7 @@ mod tests {
 
     const MS: Duration = Duration::from_millis(1);
 
-    fn after(looks: u32, every: Duration, beats: impl Fn(u64) -> [u64; 3]) -> Option<ExitCause> {
+    fn after(looks: u32, every: Duration, beats: impl Fn(u64) -> [u64; 4]) -> Option<ExitCause> {
         let mut now = Instant::now();
         let mut watchdog = Watchdog::new(200 * MS, now);
         for look in 0..looks {
@@ -99,20 +102,30 @@ mod tests {
 
     #[test]
     fn the_thread_that_stands_still_is_named() {
-        assert_eq!(after(100, 20 * MS, |look| [look; 3]), None);
-        let cause = after(100, 20 * MS, |look| [7, look, look]);
+        assert_eq!(after(100, 20 * MS, |look| [look; 4]), None);
+        let cause = after(100, 20 * MS, |look| [7, look, look, look]);
         assert_eq!(cause, Some(ExitCause::CycleHung));
-        let cause = after(100, 20 * MS, |look| [look, 7, look]);
+        let cause = after(100, 20 * MS, |look| [look, 7, look, look]);
         assert_eq!(cause, Some(ExitCause::ExchangeHung));
-        assert_eq!(after(100, 20 * MS, |_| [0; 3]), Some(ExitCause::CycleHung));
+        assert_eq!(after(100, 20 * MS, |_| [0; 4]), Some(ExitCause::CycleHung));
         // A beat now and then is progress.
-        assert_eq!(after(100, 20 * MS, |look| [look / 5, look, look]), None);
+        assert_eq!(
+            after(100, 20 * MS, |look| [look / 5, look, look, look]),
+            None
+        );
     }
 
     #[test]
     fn a_reporter_that_waits_for_files_has_five_times_as_long() {
-        assert_eq!(after(50, 20 * MS, |look| [look, look, 7]), None);
-        let cause = after(51, 20 * MS, |look| [look, look, 7]);
+        assert_eq!(after(50, 20 * MS, |look| [look, look, 7, look]), None);
+        let cause = after(51, 20 * MS, |look| [look, look, 7, look]);
+        assert_eq!(cause, Some(ExitCause::ExchangeHung));
+    }
+
+    #[test]
+    fn the_thread_of_the_status_has_twenty_times_as_long() {
+        assert_eq!(after(200, 20 * MS, |look| [look, look, look, 7]), None);
+        let cause = after(201, 20 * MS, |look| [look, look, look, 7]);
         assert_eq!(cause, Some(ExitCause::ExchangeHung));
     }
 
@@ -120,7 +133,7 @@ mod tests {
     fn it_bites_at_the_first_look_at_which_the_timeout_has_been_counted() {
         // 200 ms stand still from the first look on. Of longer times between two looks 100 ms count.
         for (every_ms, looks) in [(1, 201), (20, 11), (70, 4), (100, 3), (5000, 3)] {
-            let begun = |look| [look + 1, 7, look];
+            let begun = |look| [look + 1, 7, look, look];
             assert_eq!(after(looks - 1, every_ms * MS, begun), None, "{every_ms}");
             let cause = after(looks, every_ms * MS, begun);
             assert_eq!(cause, Some(ExitCause::ExchangeHung), "{every_ms}");
@@ -130,7 +143,7 @@ mod tests {
     #[test]
     fn a_long_time_between_two_looks_is_not_the_threads_fault() {
         let hour = Duration::from_secs(3600);
-        assert_eq!(after(1, hour, |_| [0; 3]), None);
-        assert_eq!(after(2, hour, |_| [0; 3]), Some(ExitCause::CycleHung));
+        assert_eq!(after(1, hour, |_| [0; 4]), None);
+        assert_eq!(after(2, hour, |_| [0; 4]), Some(ExitCause::CycleHung));
     }
 }

@@ -206,6 +206,26 @@ fn a_hung_reporter_holds_up_nobody_and_ends_the_process_at_last() {
     assert!(daemon.log().contains(sentence), "{}", daemon.log());
 }
 
+#[test]
+fn a_status_thread_that_hangs_for_good_ends_the_process_at_last() {
+    let mut daemon = with_driver();
+    let connection = daemon.connect();
+    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+    robot.until_held(&mut trail);
+    let Some(hung) = Hung::new(daemon.id(), "cdcr-status") else {
+        return;
+    };
+    let begin = Instant::now();
+    drive_until_end(&mut daemon, &mut robot, &hung);
+    assert!(begin.elapsed() + LOOKS > 20 * WATCHDOG);
+    let ended = daemon.stop_after_signal();
+    assert_eq!(ended.code(), Some(81), "{}", daemon.log());
+    let sentence = "the status thread made no progress for 10000 ms (20 times cycle.watchdog_ms)";
+    assert!(daemon.log().contains(sentence), "{}", daemon.log());
+    daemon.restart();
+    daemon.connect().status(TIMEOUT).unwrap();
+}
+
 /// A daemon with a service manager that expects a sign of life five times a second.
 struct Managed {
     daemon: Program,
