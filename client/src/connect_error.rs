@@ -163,6 +163,11 @@ impl ConnectError {
             Self::DaemonNotRunning { .. } | Self::Silent { .. } | Self::Memory { .. }
         )
     }
+
+    /// Whether a client that leaves may, too.
+    pub(crate) fn may_pass_with_others(&self) -> bool {
+        self.may_pass() || matches!(self, Self::Full { .. } | Self::Port(_))
+    }
 }
 
 /// A daemon whose services are there, and no status of it came.
@@ -175,15 +180,16 @@ pub(crate) fn no_status(location: &Location, place: &Place) -> ConnectError {
     )
 }
 
-/// Tries again until `timeout`, while the error is one that may pass.
+/// Tries again until `timeout`, while the error is one that `may_pass`.
 pub(crate) fn retry<T>(
     timeout: Duration,
+    may_pass: impl Fn(&ConnectError) -> bool,
     mut connect: impl FnMut() -> Result<T, ConnectError>,
 ) -> Result<T, ConnectError> {
     let deadline = Instant::now() + timeout;
     loop {
         match connect() {
-            Err(error) if error.may_pass() && Instant::now() < deadline => {
+            Err(error) if may_pass(&error) && Instant::now() < deadline => {
                 thread::sleep(Duration::from_millis(20));
             }
             result => return result,

@@ -87,7 +87,9 @@ impl Connection {
         robot: &str,
         timeout: Duration,
     ) -> Result<Self, ConnectError> {
-        retry(timeout, || Self::open(location, robot))
+        retry(timeout, ConnectError::may_pass, || {
+            Self::open(location, robot)
+        })
     }
 
     /// Where the daemon was found.

@@ -100,7 +100,7 @@ impl Driver {
         Ok(driver)
     }
 
-    /// The same of a daemon that may still be starting: tries again until `timeout`.
+    /// The same of a daemon that may still be starting, or whose places others have: tries again until `timeout`.
     ///
     /// # Errors
     /// As [`connect`](Self::connect), with the last reason.
@@ -110,7 +110,9 @@ impl Driver {
         interface: Interface,
         timeout: Duration,
     ) -> Result<Self, ConnectError> {
-        retry(timeout, || Self::connect(location, robot, interface))
+        retry(timeout, ConnectError::may_pass_with_others, || {
+            Self::connect(location, robot, interface)
+        })
     }
 
     pub(crate) fn open(

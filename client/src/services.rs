@@ -67,8 +67,9 @@ impl Services {
         // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
         location.clear_dead_nodes(DEAD_NODES);
         Ok(Self {
-            status: opener.channel()?,
+            // First, because it has the fewest places: who finds it full has taken no place that is kept for a driver.
             reference: opener.channel()?,
+            status: opener.channel()?,
             obstacles: opener.channel()?,
             measurement: opener.channel()?,
             command: opener.channel()?,

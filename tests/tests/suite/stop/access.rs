@@ -1,11 +1,15 @@
 //! Nothing keeps a stop out: neither those who watch nor those who ask, neither the living nor the dead.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{ConnectError, Connection, Driver, LinkError, monotonic_ns};
 use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, RequestKind};
 use cdcr_shared_types::{Location, Measurement, Service, ipc};
-use cdcr_tests::{Daemon, PATIENT, Place, Program, ROBOT, wait_mode, wait_record, wait_until};
+use cdcr_tests::{
+    Daemon, EndWhenDropped, PATIENT, Place, Program, ROBOT, TIMEOUT, wait_mode, wait_record,
+    wait_until,
+};
 use iceoryx2::node::NodeState;
 use iceoryx2::prelude::{CallbackProgression, Node};
 use rustix::process::Signal;
@@ -108,13 +112,52 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
     // One that was lost, and the one that takes its place before that has gone.
     let first = connect().unwrap();
     let second = connect().unwrap();
-    drop(first);
+    // A third waits until there is a place again.
+    let refused = connect().expect_err("all places are taken");
+    assert!(matches!(refused, ConnectError::Full { .. }), "{refused:?}");
+    let third = std::thread::scope(|scope| {
+        let third = scope.spawn(|| {
+            Driver::connect_within(location, ROBOT, Interface::Velocity, TIMEOUT).map(drop)
+        });
+        std::thread::sleep(Duration::from_millis(100));
+        drop(first);
+        third.join().unwrap()
+    });
+    third.unwrap();
     wait_record(&mut telemetry, |record| {
         measure_straight(&second);
         record.mode == Mode::Holding.code()
     });
     let full = Connection::open(location, ROBOT).expect_err("all places are taken");
     assert!(matches!(full, ConnectError::Full { .. }), "{full:?}");
+}
+
+/// Who finds no place any more has taken none that is kept for a driver, not even for a moment.
+#[test]
+fn those_who_knock_at_a_full_house_keep_no_driver_out() {
+    let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
+    let location = daemon.place().location();
+    let _crowd = Crowd::of(location);
+    let _first = Driver::connect(location, ROBOT, Interface::Velocity).unwrap();
+    let ending = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !ending.load(Ordering::Relaxed) {
+                    drop(Connection::open(location, ROBOT).expect_err("all places are taken"));
+                }
+            });
+        }
+        let _ends = EndWhenDropped(&ending);
+        for _ in 0..30 {
+            let second = Driver::connect(location, ROBOT, Interface::Velocity);
+            let is_kept_out = matches!(
+                second,
+                Err(ConnectError::Full { .. } | ConnectError::Port(_))
+            );
+            assert!(!is_kept_out, "{second:?}");
+        }
+    });
 }
 
 /// Set for the process that makes nodes and is killed: prefix and root.
