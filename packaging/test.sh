@@ -19,8 +19,8 @@ if command -v systemd-analyze >/dev/null; then
   # The programs that the unit names need not be installed here.
   root=$(mktemp -d)
   install -D /dev/null "$root/usr/bin/cdcrd"
-  install -D /dev/null "$root/bin/kill"
-  chmod 755 "$root/usr/bin/cdcrd" "$root/bin/kill"
+  install -D /dev/null "$root/bin/sh"
+  chmod 755 "$root/usr/bin/cdcrd" "$root/bin/sh"
   install -D -m 644 packaging/cdcrd.service "$root/usr/lib/systemd/system/cdcrd.service"
   for target in multi-user sysinit basic shutdown; do
     printf '[Unit]\nDescription=%s\n' "$target" > "$root/usr/lib/systemd/system/$target.target"
@@ -164,6 +164,12 @@ others=$(find /dev/shm -user cdcr)
 [ -z "$others" ] || fail "in /dev/shm: $others"
 as_service cdcrctl stop
 as_service cdcrctl reset
+as_service MAINPID="$daemon" bash -c "$(unit ExecReload)" || fail "ExecReload"
+for try in $(seq 100); do
+  if grep -q 'SIGHUP: in force now' "$scratch/log"; then break; fi
+  [ "$try" != 100 ] || { cat "$scratch/log"; fail "ExecReload does not have the configuration read again"; }
+  sleep 0.1
+done
 kill -TERM "$daemon"
 wait "$daemon" || { cat "$scratch/log"; fail "the daemon ended with status $?"; }
 daemon=

@@ -155,7 +155,7 @@ fn run_with(
     exchange.go(&schedule);
     cycle.go(&schedule);
     announce(validated);
-    let should_end = || should_end() || caretaker.is_place_lost();
+    let should_end = || should_end() || caretaker.lost().is_some();
     supervisor.run(&clock, shared, should_end, || {
         // A thread that ends by itself takes the process with it.
         let ended = [&cycle, &exchange, &reporter].map(Started::is_finished);
@@ -182,13 +182,13 @@ fn run_with(
     cycle.join()?;
     exchange.join()?;
     reporter.join()?;
-    judge_end(validated, shared, caretaker.is_place_lost())?;
+    judge_end(validated, shared, caretaker.lost())?;
     tracing::info!("ended");
     Ok(())
 }
 
 /// Whether the daemon ended as it was asked to, with the robot at rest.
-fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result<()> {
+fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Result<()> {
     if shared.is_still_moving() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
@@ -207,13 +207,14 @@ fn judge_end(validated: &Validated, shared: &Shared, place_lost: bool) -> Result
                 .to_owned(),
         });
     }
-    if place_lost {
+    if let Some(lost) = lost {
         bail!(Ended {
             cause: ExitCause::PlaceLost,
             message: format!(
-                "the root folder {} was emptied or replaced while the daemon ran, so no client could reach it: the \
-                 robot came to rest, and the process ends",
-                validated.location.root().display()
+                "the root folder {} was emptied or replaced while the daemon ran ({} is missing, or another one), so no \
+                 client could reach it: the robot came to rest, and the process ends",
+                validated.location.root().display(),
+                lost.display()
             ),
         });
     }

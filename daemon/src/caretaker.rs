@@ -3,9 +3,9 @@
 //!
 //! Invariant: nobody waits for this thread. What it does may take long, or hang with a file that nobody finishes.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, OnceLock};
 use std::thread::{Builder, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -27,7 +27,7 @@ const END_MAX: Duration = Duration::from_secs(1);
 /// The thread, for as long as it is wanted.
 #[derive(Debug)]
 pub(crate) struct Caretaker {
-    place_lost: Arc<AtomicBool>,
+    lost: Arc<OnceLock<PathBuf>>,
     end: Option<Sender<()>>,
     thread: JoinHandle<()>,
 }
@@ -42,24 +42,24 @@ impl Caretaker {
         mut reload: Reload,
         shared: Arc<Shared>,
     ) -> Result<Self> {
-        let place_lost = Arc::new(AtomicBool::new(false));
+        let lost = Arc::new(OnceLock::new());
         let (end, ended) = channel();
-        let lost = Arc::clone(&place_lost);
+        let theirs = Arc::clone(&lost);
         let thread = Builder::new()
             .name("cdcr-caretaker".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || look_after(&place, &mut reload, &shared, &lost, &ended))
+            .spawn(move || look_after(&place, &mut reload, &shared, &theirs, &ended))
             .context("the thread cdcr-caretaker")?;
         Ok(Self {
-            place_lost,
+            lost,
             end: Some(end),
             thread,
         })
     }
 
-    /// Whether clients cannot find the daemon any more.
-    pub(crate) fn is_place_lost(&self) -> bool {
-        self.place_lost.load(Ordering::Acquire)
+    /// What was deleted or replaced, where clients cannot find the daemon any more by that.
+    pub(crate) fn lost(&self) -> Option<&Path> {
+        self.lost.get().map(PathBuf::as_path)
     }
 }
 
@@ -77,7 +77,7 @@ fn look_after(
     place: &PlaceWatch,
     reload: &mut Reload,
     shared: &Shared,
-    lost: &AtomicBool,
+    lost: &OnceLock<PathBuf>,
     ended: &Receiver<()>,
 ) {
     loop {
@@ -91,7 +91,8 @@ fn look_after(
                     path = %path.display(),
                     "was deleted or replaced, so clients cannot reach this daemon any more: the robot comes to rest"
                 );
-                lost.store(true, Ordering::Release);
+                // It is lost once.
+                let _ = lost.set(path);
                 return;
             }
         }

@@ -20,7 +20,7 @@ use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
 /// Modes that one daemon is brought to one after the other.
 const MODES: [Mode; 4] = [Mode::Holding, Mode::Tracking, Mode::Homing, Mode::Stopped];
-/// From the shell to the answer.
+/// From the shell to the answer; judged only where a bare loop beside it and the starts around it were undisturbed.
 const STOP_MAX: Duration = Duration::from_millis(300);
 /// A machine on which a program starts and ends in this time, and a thread that sleeps wakes up within the other, is not
 /// disturbed.
@@ -95,7 +95,8 @@ struct Stops<'a> {
 }
 
 impl Stops<'_> {
-    /// Stops it in `mode`, within the time that is promised wherever the machine was not seen to disturb it.
+    /// Stops it in `mode`, within the time that is promised wherever the machine was not seen to disturb it. Of Starting, which is
+    /// left for good, the time is printed and not judged.
     fn stop_in_time(&self, trail: &mut Trail, mode: Mode) {
         if self.beside == Beside::HungExchange {
             until_undisturbed("a stop as a signal", || {
@@ -104,7 +105,6 @@ impl Stops<'_> {
             });
             return;
         }
-        // What has left its mode for good is stopped there once.
         let tries = if mode == Mode::Starting { 1 } else { TRIES };
         let is_late = |timed: Timed| timed.is_undisturbed && timed.took > STOP_MAX;
         let late = (0..tries).all(|_| self.stop_and_tell(trail, mode).is_some_and(is_late));
@@ -182,7 +182,7 @@ impl Stops<'_> {
         timed
     }
 
-    /// Nobody answers, and it is not said that the robot is stopped; it is, in the next cycle after the signal.
+    /// Nobody answers, and it is not said that the robot is stopped; it is, long before the program gives up.
     fn stop_by_signal(&self, trail: &mut Trail, mode: Mode, hung: Hung) -> Timed {
         let begin = Instant::now();
         let output = self.daemon.place().cdcrctl(&["stop"]);
