@@ -132,9 +132,9 @@ fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
     assert!(matches!(full, ConnectError::Full { .. }), "{full:?}");
 }
 
-/// Who finds no place any more has taken none that is kept for a driver, not even for a moment.
+/// A client that finds no place takes none that is kept for a driver, not even for a moment.
 #[test]
-fn those_who_knock_at_a_full_house_keep_no_driver_out() {
+fn clients_that_try_to_connect_again_and_again_keep_no_driver_out() {
     let daemon = Daemon::start("[link]\nkind = \"driver\"\n");
     let location = daemon.place().location();
     let _crowd = Crowd::of(location);
