@@ -23,25 +23,31 @@ use scenario::{Control, Scenario};
 const EXPLANATION: &str = "\
 <p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s. The robot is not its model: its motors lag, its \
 sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
-second; every row is the mean of the seeds, the largest error is that of all of them. The controller is the one of \
-a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off.</p>\n";
+second: mean and settled are means over the seeds, rms, largest error and following are those of the worst seed. The controller is the one of \
+a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off. <em>At rest</em> is the largest error, in the worst \
+seed, of a robot that is sent somewhere and shall stay there; <em>following</em> is the largest difference of a motor from where it is commanded. <em>Reached</em>: all that \
+is wanted, and every command within its limits.</p>\n";
 
-const COLUMNS: [Column; 11] = [
+const COLUMNS: [Column; 15] = [
     word("robot", "name"),
+    word("plant", "plant"),
     word("controller", "controller"),
     word("interface", "interface"),
     plain("seeds", "seeds"),
     fixed("mean mm", "mean_error_mm", 3),
+    fixed("rms mm", "rms_error_mm", 3),
     fixed("settled mm", "settled_error_mm", 3),
     fixed("max mm", "max_error_mm", 3),
+    fixed("at rest mm", "rest_error_mm", 3),
     fixed("rate change rms rad/s", "rate_change_rms", 4),
     fixed("clearance mm", "min_clearance_mm", 2),
-    fixed("target mm", "target_mm", 2),
-    word("reached", "reached"),
+    fixed("following mm", "following_error_mm", 3),
+    word("wanted", "wanted"),
+    word("reached", "ok"),
 ];
 
 /// What the parts of the controller are for, one robot a line.
-const COMPARISON: [Column; 9] = [
+const COMPARISON: [Column; 10] = [
     word("robot", "name"),
     fixed("full", "full", 3),
     fixed("no actuator model", "no actuator model", 3),
@@ -53,10 +59,13 @@ const COMPARISON: [Column; 9] = [
     fixed("no tip", "no tip", 3),
     fixed("open loop", "open loop", 3),
     fixed("rate change rms rad/s", "rate_change_rms", 4),
-    fixed("wanted", "target_mm", 2),
-    word("reached", "reached"),
+    fixed("at rest", "rest_error_mm", 3),
+    word("wanted", "wanted"),
+    word("reached", "ok"),
 ];
 
+/// A command is within its limits when it is beyond none by more than this share of it: rounding.
+const LIMIT_EXCESS_MAX: f64 = 1e-9;
 /// Cycles of which the largest error is drawn.
 const DRAWN_CYCLES: usize = 10;
 /// What a run takes, about \[s\].
@@ -103,27 +112,33 @@ impl Benchmark for RobustnessOptions {
             explanation: EXPLANATION,
             ..Dataset::default()
         };
-        let (mut rows, mut panels) = (Vec::new(), Vec::<Panel>::new());
+        let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
         for (scenario, control) in cases() {
             for (interface, obeys_positions) in [("position", true), ("velocity", false)] {
-                let mut runs = Vec::new();
+                let mut runs = Runs::default();
                 for seed in 1..=u64::from(self.seeds) {
                     interrupt::check()?;
                     progress.begin(&format!("{}, {}", scenario.name, control.name()));
                     let driven = scenario.driven(control, obeys_positions, seed);
-                    runs.push(eight.run(driven, &ball[..usize::from(scenario.has_ball)])?);
+                    let obstacles = &ball[..usize::from(scenario.has_ball)];
+                    runs.rounds.push(eight.run(driven, obstacles)?);
+                    if control == Control::Full && scenario.targets.rest_mm.is_finite() {
+                        runs.rest_mm.push(eight.rest_error_mm(driven)?);
+                    }
                     progress.advance(RUN_S);
                 }
                 if obeys_positions {
-                    draw(&mut panels, &scenario, control, &runs[0]);
+                    draw(&mut panels, &scenario, control, &runs.rounds[0]);
                 }
                 // Without noise every run is the same.
                 let is_noisy = scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0;
                 if control == Control::Full && is_noisy {
                     let name = format!("robustness/{}/{interface}/mean_error", scenario.name);
-                    dataset.lower(name, "mm", runs.iter().map(FigureEightRun::mean_mm));
+                    dataset.lower(name, "mm", runs.rounds.iter().map(FigureEightRun::mean_mm));
                 }
-                rows.push(row(&scenario, control, interface, &runs));
+                // The first robot is the ideal one.
+                let ideal = rows.first().and_then(|row| row["rate_change_rms"].as_f64());
+                rows.push(row(&scenario, control, interface, &runs, ideal));
             }
         }
         dataset.plots.push(Plot {
@@ -171,7 +186,7 @@ pub fn comparison(rows: &[Value]) -> Sheet {
             robot[controller] = row["mean_error_mm"].clone();
         }
     }
-    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off; root mean square of what the rates change by from cycle to cycle";
+    let title = "Mean error of the tip in truth, mm, position interface: with all that the controller does, and with a part switched off; of the whole controller root mean square of what the rates change by from cycle to cycle, and largest error at rest, mm";
     Sheet::of(title, &COMPARISON, robots)
 }
 
@@ -180,29 +195,67 @@ pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
     tuning::table(knob, rows)
 }
 
-/// One line: a robot with a controller, over all seeds.
-fn row(scenario: &Scenario, control: Control, interface: &str, runs: &[FigureEightRun]) -> Value {
+/// What a robot did with a controller, seed by seed.
+#[derive(Default)]
+struct Runs {
+    rounds: Vec<FigureEightRun>,
+    /// Largest error at rest; empty where nothing is wanted of it.
+    rest_mm: Vec<f64>,
+}
+
+/// One line: a robot with a controller, over all seeds. `ideal_change`: root mean square of what the rates of the ideal robot change by \[rad/s\].
+fn row(
+    scenario: &Scenario,
+    control: Control,
+    interface: &str,
+    Runs { rounds, rest_mm }: &Runs,
+    ideal_change: Option<f64>,
+) -> Value {
     let average =
-        |of: fn(&FigureEightRun) -> f64| runs.iter().map(of).sum::<f64>() / runs.len() as f64;
-    let clearances = runs.iter().map(FigureEightRun::min_clearance_mm);
-    let mean_error_mm = average(FigureEightRun::mean_mm);
-    let target_mm = scenario.target_mm.filter(|_| control == Control::Full);
+        |of: fn(&FigureEightRun) -> f64| rounds.iter().map(of).sum::<f64>() / rounds.len() as f64;
+    let largest = |of: fn(&FigureEightRun) -> f64| rounds.iter().map(of).fold(0.0, f64::max);
+    let clearances = rounds.iter().map(FigureEightRun::min_clearance_mm);
+    let [mean_mm, settled_mm] = [FigureEightRun::mean_mm, FigureEightRun::settled_mm].map(average);
+    let [max_mm, limit_excess, following_mm, worst_rms_mm] = [
+        FigureEightRun::max_mm,
+        FigureEightRun::limit_excess,
+        FigureEightRun::following_mm,
+        FigureEightRun::rms_mm,
+    ]
+    .map(largest);
+    let rate_change = average(FigureEightRun::rate_change_square).sqrt();
+    let rest_mm = rest_mm.iter().copied().reduce(f64::max);
+    let targets = &scenario.targets;
+    let is_within = mean_mm <= targets.mean_mm
+        && worst_rms_mm <= targets.rms_mm
+        && settled_mm <= targets.settled_mm
+        && max_mm <= targets.max_mm
+        && rest_mm.unwrap_or(0.0) <= targets.rest_mm
+        && ideal_change.is_none_or(|ideal| rate_change <= targets.rate_change * ideal);
+    // Nothing is wanted of a controller with a part switched off.
+    let is_full = control == Control::Full;
     json!({
         "name": scenario.name,
+        "plant": scenario.plant(),
         "controller": control.name(),
         "interface": interface,
-        "seeds": runs.len(),
-        "mean_error_mm": mean_error_mm,
-        "settled_error_mm": average(FigureEightRun::settled_mm),
-        "max_error_mm": runs.iter().map(FigureEightRun::max_mm).fold(0.0, f64::max),
+        "seeds": rounds.len(),
+        "mean_error_mm": mean_mm,
+        "settled_error_mm": settled_mm,
+        "rms_error_mm": worst_rms_mm,
+        "max_error_mm": max_mm,
+        "rest_error_mm": rest_mm,
         // Root mean square of what the rates change by from cycle to cycle [rad/s].
-        "rate_change_rms": average(FigureEightRun::rate_change_square).sqrt(),
+        "rate_change_rms": rate_change,
         // Of the true body; none without an obstacle.
         "min_clearance_mm": clearances.reduce(f64::min).filter(|mm| mm.is_finite()),
         "safe_distance_mm": 1e3 * NmpcSettings::default().safe_distance_m,
-        "target_mm": target_mm,
-        // Whether the mean error is what is wanted.
-        "reached": target_mm.map(|mm| if mean_error_mm <= mm { "yes" } else { "no" }),
+        // Of the motor that is farthest from where it is commanded.
+        "following_error_mm": following_mm,
+        // By how much the worst command is beyond a limit, as a share of that.
+        "limit_excess": limit_excess,
+        "wanted": is_full.then(|| targets.text()),
+        "ok": is_full.then_some(is_within && limit_excess <= LIMIT_EXCESS_MAX),
     })
 }
 

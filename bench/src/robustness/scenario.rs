@@ -57,8 +57,53 @@ pub(super) struct Scenario {
     sensor: Sensor,
     /// A ball stands at the way.
     pub(super) has_ball: bool,
-    /// The mean error that is wanted \[mm\].
-    pub(super) target_mm: Option<f64>,
+    /// What is wanted.
+    pub(super) targets: Targets,
+}
+
+/// The largest value that is wanted of each figure; infinite where none is.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Targets {
+    pub(super) mean_mm: f64,
+    pub(super) rms_mm: f64,
+    /// Mean error of the second half.
+    pub(super) settled_mm: f64,
+    pub(super) max_mm: f64,
+    /// Largest error of a robot that is sent somewhere and shall stay there.
+    pub(super) rest_mm: f64,
+    /// Root mean square of what the rates change by, over that of the ideal robot.
+    pub(super) rate_change: f64,
+}
+
+impl Targets {
+    pub(super) const NONE: Self = Self {
+        mean_mm: f64::INFINITY,
+        rms_mm: f64::INFINITY,
+        settled_mm: f64::INFINITY,
+        max_mm: f64::INFINITY,
+        rest_mm: f64::INFINITY,
+        rate_change: f64::INFINITY,
+    };
+
+    /// In words, for a table.
+    pub(super) fn text(&self) -> String {
+        let all = [
+            ("mean", self.mean_mm, "mm"),
+            ("rms", self.rms_mm, "mm"),
+            ("settled", self.settled_mm, "mm"),
+            ("max", self.max_mm, "mm"),
+            ("at rest", self.rest_mm, "mm"),
+            ("rate change", self.rate_change, "× ideal"),
+        ];
+        let finite = all.into_iter().filter(|(_, most, _)| most.is_finite());
+        let wanted: Vec<String> = finite
+            .map(|(name, most, unit)| format!("{name} ≤ {most} {unit}"))
+            .collect();
+        if wanted.is_empty() {
+            return "within limits".to_owned();
+        }
+        wanted.join(", ")
+    }
 }
 
 impl Scenario {
@@ -70,7 +115,7 @@ impl Scenario {
             flaws,
             sensor: Sensor::Cables,
             has_ball: false,
-            target_mm: None,
+            targets: Targets::NONE,
         }
     }
 
@@ -78,9 +123,8 @@ impl Scenario {
         Self { sensor, ..self }
     }
 
-    fn target_mm(self, mm: f64) -> Self {
-        let target_mm = Some(mm);
-        Self { target_mm, ..self }
+    fn wants(self, targets: Targets) -> Self {
+        Self { targets, ..self }
     }
 
     /// In the order of the tables.
@@ -88,7 +132,11 @@ impl Scenario {
         let known = motors(0.015, 0.03);
         let lagging = |name, actuator| Self {
             actuator: known,
-            ..Self::new(name, with(|f| f.actuator = actuator)).target_mm(0.5)
+            ..Self::new(name, with(|f| f.actuator = actuator)).wants(Targets {
+                mean_mm: 0.5,
+                max_mm: 2.0,
+                ..Targets::NONE
+            })
         };
         let noisy_tip = |name, noise_m| {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
@@ -101,32 +149,45 @@ impl Scenario {
         });
         let play = with(|f| {
             f.actuator.play_m = 5e-4;
+            f.noise_m = 3e-5;
             f.tip_noise_m = 3e-4;
         });
+        let mean = |mean_mm| Targets {
+            mean_mm,
+            ..Targets::NONE
+        };
         let tip = |every| Sensor::CablesAndTip { every };
+        let with_play = |name, play_m| Self {
+            actuator: Actuator {
+                play_m,
+                ..Actuator::IDEAL
+            },
+            ..Self::new(name, play).sensor(tip(1)).wants(Targets {
+                rest_mm: 0.3,
+                ..Targets::NONE
+            })
+        };
         vec![
             Self::new("ideal", Flaws::default()),
-            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5)).target_mm(0.15),
+            Self::new("30 µm of noise", with(|f| f.noise_m = 3e-5)).wants(Targets {
+                rms_mm: 0.15,
+                rate_change: 2.0,
+                ..Targets::NONE
+            }),
             lagging("lag 30 ms, delay 15 ms", known),
             lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
             lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
             Self::new("wrong model", wrong_model)
                 .sensor(tip(2))
-                .target_mm(0.2),
-            Self::new("play of 0.5 mm", play)
-                .sensor(tip(1))
-                .target_mm(0.3),
-            Self {
-                actuator: Actuator {
-                    play_m: 4e-4,
-                    ..Actuator::IDEAL
-                },
-                ..Self::new("play of 0.5 mm, known as 0.4", play)
-                    .sensor(tip(1))
-                    .target_mm(0.3)
-            },
-            noisy_tip("tip alone, 0.1 mm", 1e-4).target_mm(0.1),
-            noisy_tip("tip alone, 0.5 mm", 5e-4).target_mm(0.25),
+                .wants(Targets {
+                    settled_mm: 0.2,
+                    ..Targets::NONE
+                }),
+            with_play("play of 0.5 mm", 5e-4),
+            with_play("play of 0.5 mm, known as 0.4", 4e-4),
+            with_play("play of 0.5 mm, taken for 0.6", 6e-4),
+            noisy_tip("tip alone, 0.1 mm", 1e-4).wants(mean(0.1)),
+            noisy_tip("tip alone, 0.5 mm", 5e-4).wants(mean(0.25)),
             of_preset("laboratory", Preset::Laboratory),
             Self {
                 has_ball: true,
@@ -136,6 +197,20 @@ impl Scenario {
             of_preset("slow", Preset::Slow),
             of_preset("blind", Preset::Blind).sensor(Sensor::Tip { every: 1 }),
         ]
+    }
+
+    /// The preset of `link.simulated` that it is, if any.
+    pub(super) fn plant(&self) -> &'static str {
+        let preset = Preset::ALL
+            .into_iter()
+            .find(|preset| preset.flaws() == self.flaws);
+        match preset {
+            Some(Preset::Laboratory) if matches!(self.sensor, Sensor::Tip { .. }) => {
+                Preset::Blind.name()
+            }
+            Some(preset) => preset.name(),
+            None => "of its own",
+        }
     }
 
     /// The controllers that differ on it.

@@ -98,6 +98,15 @@ impl DrivenRobot {
         self.estimator.slack_led()
     }
 
+    /// Of the motor that is farthest from where it is commanded (m).
+    pub(super) fn following_error_m(&self) -> f64 {
+        let commanded_m = self.model.cable_strokes(&self.commanded);
+        let pairs = commanded_m.iter().zip(self.plant.motor_strokes_m());
+        pairs
+            .map(|(commanded_m, motor_m)| (commanded_m - motor_m).abs())
+            .fold(0.0, f64::max)
+    }
+
     pub(super) fn tip_offset_m(&self) -> Vector3<f64> {
         self.estimator.tip_offset_m()
     }

@@ -10,6 +10,8 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotP
 
 /// Largest acceleration of a robot behind a driver, by default (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
+/// Cycles of a robot at rest that count.
+const REST_CYCLES: core::ops::Range<u32> = 1000..4000;
 /// Periods until the robot has reached the beginning of the reference.
 const APPROACH_CYCLES: u32 = 600;
 
@@ -38,6 +40,8 @@ pub struct FigureEightRun {
     errors_mm: Vec<f64>,
     rate_changes: f64,
     min_clearance_mm: f64,
+    following_mm: f64,
+    limit_excess: f64,
 }
 
 impl FigureEight {
@@ -127,6 +131,8 @@ impl FigureEight {
             errors_mm: Vec::with_capacity(Self::CYCLES as usize),
             rate_changes: 0.0,
             min_clearance_mm: f64::INFINITY,
+            following_mm: 0.0,
+            limit_excess: 0.0,
         };
         let mut before = BendRates::zero(robot.section_count());
         for cycle in 0..Self::CYCLES {
@@ -134,7 +140,9 @@ impl FigureEight {
             let rates = closed.command().rates;
             run.errors_mm.push(1e3 * closed.error_m());
             run.min_clearance_mm = run.min_clearance_mm.min(1e3 * closed.clearance_m());
+            run.limit_excess = run.limit_excess.max(excess(robot, &rates, &before));
             if cycle >= Self::BEGIN_CYCLES {
+                run.following_mm = run.following_mm.max(1e3 * closed.following_error_m());
                 let pairs = rates.as_slice().iter().zip(before.as_slice());
                 run.rate_changes += pairs.map(|(a, b)| (a - b) * (a - b)).sum::<f64>();
             }
@@ -142,6 +150,49 @@ impl FigureEight {
         }
         Ok(run)
     }
+
+    /// The robot is sent 36 mm away, and shall stay there: its largest error from the fifth second to the twentieth (mm).
+    ///
+    /// # Errors
+    /// As [`run`](Self::run).
+    pub fn rest_error_mm(&self, driven: Driven) -> Result<f64, FigureEightError> {
+        let (robot, settings) = (&self.robot, self.settings(&driven.flaws));
+        let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
+        let goal = ReferenceSample {
+            state: ReferenceState::Inside,
+            position_m: robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0),
+            orientation: Orientation::Free,
+        };
+        let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
+        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)
+            .with_acceleration(ACCELERATION_RAD_S2)
+            .with_driven(driven)?;
+        let mut most_mm = 0.0_f64;
+        for cycle in 0..REST_CYCLES.end {
+            closed.step(&mut nmpc);
+            if REST_CYCLES.contains(&cycle) {
+                most_mm = most_mm.max(1e3 * closed.error_m());
+            }
+        }
+        Ok(most_mm)
+    }
+}
+
+/// By how much a command is beyond a limit of the rates, the cable speeds or the acceleration, as a share of the limit; 0 inside all of them.
+fn excess(robot: &Robot, rates: &BendRates, before: &BendRates) -> f64 {
+    let pairs = rates.as_slice().iter().zip(before.as_slice()).enumerate();
+    let of_rates = pairs.map(|(i, (rate, before))| {
+        // To slow down is always allowed: only growth counts, after a turn that from zero.
+        let from_rad_s = before.abs() * f64::from(u8::from(rate * before > 0.0));
+        let acceleration_rad_s2 = (rate.abs() - from_rad_s) / FigureEight::PERIOD_S;
+        let faster = rate.abs() / robot.sections()[i / 2].rate_max_rad_s;
+        faster.max(acceleration_rad_s2 / ACCELERATION_RAD_S2)
+    });
+    let speeds_m_s = robot.cable_speeds(rates);
+    let of_cables = speeds_m_s
+        .iter()
+        .map(|speed_m_s| speed_m_s.abs() / robot.cable_speed_max_m_s());
+    of_rates.chain(of_cables).fold(1.0, f64::max) - 1.0
 }
 
 impl FigureEightRun {
@@ -179,6 +230,16 @@ impl FigureEightRun {
     /// Least clearance of the true body, over all cycles (mm); infinite without obstacles.
     pub fn min_clearance_mm(&self) -> f64 {
         self.min_clearance_mm
+    }
+
+    /// Largest difference of a motor from where it is commanded, in the cycles that count (mm).
+    pub fn following_mm(&self) -> f64 {
+        self.following_mm
+    }
+
+    /// By how much the worst command was beyond a limit of rates, cable speeds or acceleration, as a share of that limit; 0 when all were inside.
+    pub fn limit_excess(&self) -> f64 {
+        self.limit_excess
     }
 
     fn counted(&self) -> &[f64] {

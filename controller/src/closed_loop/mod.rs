@@ -200,6 +200,13 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         (self.tip_m() - goal_m).norm()
     }
 
+    /// Largest difference of a motor from where it is commanded (m); of the ideal robot 0.
+    pub fn following_error_m(&self) -> f64 {
+        self.driven
+            .as_ref()
+            .map_or(0.0, |driven| driven.following_error_m())
+    }
+
     /// Where the tip is in truth (m).
     pub fn tip_m(&self) -> Vector3<f64> {
         match &self.driven {

@@ -202,6 +202,11 @@ impl MisbehavingRobot {
         }
     }
 
+    /// Where the motors are, as lengths of cable counted from the model's straight robot (m).
+    pub fn motor_strokes_m(&self) -> &[f64; CABLES_MAX] {
+        &self.motor_m
+    }
+
     /// What the encoders say (m).
     pub fn measure_cables(&mut self) -> [f64; CABLES_MAX] {
         let mut lengths_m = [0.0; CABLES_MAX];

@@ -300,31 +300,7 @@ fn motors_run_through_the_play_of_their_cables() {
     }
 }
 
-/// A robot with 0.5 mm of play, tip sensor and noise, that is sent somewhere and shall stay there: its largest error from the fifth second on \[mm\].
-fn at_rest_mm(settings: NmpcSettings, driven: Driven) -> f64 {
-    let robot = Robot::new(&RobotParameters::paper(3)).unwrap();
-    let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
-    let goal = ReferenceSample {
-        state: ReferenceState::Inside,
-        position_m: robot.tip_position(&start) + Vector3::new(-0.02, 0.03, 0.0),
-        orientation: Orientation::Free,
-    };
-    let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
-    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], |_| goal)
-        .with_acceleration(40.0)
-        .with_driven(driven)
-        .unwrap();
-    let mut most_mm = 0.0_f64;
-    for cycle in 0..4000 {
-        closed.step(&mut nmpc);
-        if cycle >= 1000 {
-            most_mm = most_mm.max(1e3 * closed.error_m());
-        }
-    }
-    most_mm
-}
-
-/// What [`at_rest_mm`] moves: its play is taken for `known_m`, its motors lag.
+/// What is sent somewhere and shall stay there, with 0.5 mm of play, tip sensor and noise: its play is taken for `known_m`, its motors lag.
 fn resting(known_m: f64, lag_s: f64) -> Driven {
     let mut driven = with_play(known_m);
     driven.flaws.noise_m = 3e-5;
@@ -340,10 +316,7 @@ fn resting(known_m: f64, lag_s: f64) -> Driven {
 /// motors lag or not.
 #[test]
 fn a_robot_with_play_stays_where_it_is_sent() {
-    let settings = NmpcSettings {
-        rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
-        ..NmpcSettings::default()
-    };
+    let eight = FigureEight::new().unwrap();
     // Within how many mm with the first seed, and with each of five.
     let robots = [
         (5e-4, 0.02, 0.35, 0.51),
@@ -361,7 +334,7 @@ fn a_robot_with_play_stays_where_it_is_sent() {
                     seed,
                     ..resting(known_m, lag_s)
                 };
-                let mm = at_rest_mm(settings, driven);
+                let mm = eight.rest_error_mm(driven).unwrap();
                 println!("known as {known_m} m, lag {lag_s} s, seed {seed}: {mm} mm");
                 let within_mm = if seed == 1 { first_mm } else { each_mm };
                 assert!(mm < within_mm, "{known_m} m, {lag_s} s: {mm} mm");
@@ -378,6 +351,7 @@ fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
         rate_change_weight: 1e-5,
         ..NmpcSettings::default()
     };
+    let eight = FigureEight::new().unwrap().with_settings(settings);
     let robots = [
         (5e-4, 0.02),
         (0.0, 0.0),
@@ -391,7 +365,7 @@ fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
             time_constant_s: 0.3,
             ..resting(known_m, lag_s)
         };
-        let mm = at_rest_mm(settings, driven);
+        let mm = eight.rest_error_mm(driven).unwrap();
         println!("known as {known_m} m, lag {lag_s} s: {mm} mm");
         assert!((1.4..4.7).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
     }
