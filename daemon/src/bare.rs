@@ -20,7 +20,7 @@ use crate::config::{Config, Validated, ns};
 use crate::doctor::with_core;
 use crate::exit::{Ended, ExitCause};
 use crate::handover::Policy;
-use crate::rt::attribution::{Attribution, Blame, Judged, Scheduling, Timing};
+use crate::rt::attribution::{Attribution, Blame, EvaluatedCycle, Scheduling, Timing};
 use crate::rt::clock::Clock;
 use crate::rt::clock::MonotonicClock;
 use crate::rt::schedule::Lateness;
@@ -200,22 +200,27 @@ impl Recorder {
             newest = release.cycle;
             let lateness = self.accounting.judge(&release, handed_over_ns, false);
             let scheduling = looks.look();
-            let judged = self.judged(&release, handed_over_ns, lateness);
+            let evaluated = self.evaluated(&release, handed_over_ns, lateness);
             // There is room: each cycle has a higher number, and none but the last is beyond the last.
             self.cycles.push(BareCycle {
                 release,
                 handed_over_ns,
                 lateness,
-                blame: self.attribution.judge(&judged, scheduling.as_ref()),
+                blame: self.attribution.evaluate(&evaluated, scheduling.as_ref()),
                 interference: scheduling.as_ref().map(Interference::from),
             });
         }
     }
 
     /// The cycle as far as its lateness is concerned: all its computation is one look at the clock.
-    fn judged(&self, release: &Release, handed_over_ns: u64, lateness: Lateness) -> Judged {
+    fn evaluated(
+        &self,
+        release: &Release,
+        handed_over_ns: u64,
+        lateness: Lateness,
+    ) -> EvaluatedCycle {
         let compute_ns = handed_over_ns - release.start_ns;
-        Judged {
+        EvaluatedCycle {
             count: self.totals().cycles,
             lateness,
             skipped: release.skipped,

@@ -25,7 +25,7 @@ use iceoryx2::port::publisher::Publisher;
 
 use crate::config::{LinkKind, Validated, ns};
 use crate::handover::{CycleRecord, CycleReport, MeasurementUse, ReporterEnds, Shared, Summary};
-use crate::rt::attribution::{Attribution, Blame, Judged, Timing};
+use crate::rt::attribution::{Attribution, Blame, EvaluatedCycle, Timing};
 use crate::rt::clock::Clock;
 use crate::{convert, services};
 
@@ -97,8 +97,8 @@ impl Reporter {
             shared.beat_reporter();
             let record = &report.record;
             let looked = report.scheduling.as_ref();
-            let judged = judged(record, self.spin_ns);
-            let blame = self.attribution.judge(&judged, looked);
+            let evaluated = evaluated(record, self.spin_ns);
+            let blame = self.attribution.evaluate(&evaluated, looked);
             let scheduling = convert::scheduling(looked, record.longest_gap_ns, blame.cause());
             let mode = convert::mode(record.mode);
             let begins_fault = mode == Mode::Faulted && self.last_mode != Mode::Faulted;
@@ -222,9 +222,9 @@ impl Reporter {
 }
 
 /// The cycle as far as its lateness is concerned; its thread wakes up `spin_ns` before its release.
-fn judged(record: &CycleRecord, spin_ns: u64) -> Judged {
+fn evaluated(record: &CycleRecord, spin_ns: u64) -> EvaluatedCycle {
     let release = &record.release;
-    Judged {
+    EvaluatedCycle {
         count: record.totals.cycles,
         lateness: record.lateness,
         skipped: release.skipped,

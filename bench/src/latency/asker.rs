@@ -11,7 +11,7 @@ use iceoryx2::prelude::{BackpressureStrategy, Node};
 
 use crate::subject::place::ROBOT;
 
-const PATIENCE_NS: u64 = 2_000_000_000;
+const ANSWER_TIMEOUT_NS: u64 = 2_000_000_000;
 
 /// The asking end of a daemon's control service.
 pub(super) struct Asker {
@@ -115,10 +115,10 @@ impl Asker {
         let Some(response) = received.map(|response| *response.payload()) else {
             let waited_ns = received_ns.saturating_sub(asked.sent_ns);
             ensure!(
-                waited_ns < PATIENCE_NS,
+                waited_ns < ANSWER_TIMEOUT_NS,
                 "cannot {}: the daemon did not answer within {} s",
                 asked.kind,
-                PATIENCE_NS / 1_000_000_000
+                ANSWER_TIMEOUT_NS / 1_000_000_000
             );
             return Ok(None);
         };

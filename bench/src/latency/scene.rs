@@ -17,7 +17,7 @@ const BEGINS_NS: u64 = 500_000_000;
 /// How long the reference may take to be there, and how often the robot is asked to follow it.
 const TIMEOUT: Duration = Duration::from_secs(2);
 /// How long the daemon may take to know the robot of its driver.
-const PATIENCE_AWAKE: Duration = Duration::from_secs(10);
+const AWAKE_TIMEOUT: Duration = Duration::from_secs(10);
 const ASK_AGAIN: Duration = Duration::from_millis(5);
 /// When it ends: longer than any measurement \[ns\].
 const ENDS_NS: u64 = 3_600_000_000_000;
@@ -48,7 +48,7 @@ pub(super) fn aside(index: u32, length_m: f64) -> [f64; 3] {
 
 /// Measures until the daemon knows the robot behind its driver, and holds it.
 pub(super) fn awaken(hands: &Hands, measurement: &Source) -> Result<()> {
-    let deadline = Instant::now() + PATIENCE_AWAKE;
+    let deadline = Instant::now() + AWAKE_TIMEOUT;
     while hands.connection.status(TIMEOUT)?.mode != Mode::Holding.code() {
         ensure!(
             Instant::now() < deadline,

@@ -16,7 +16,7 @@ pub struct ReferenceWindow {
     first_cycle: u64,
     count: usize,
     /// How many periods past its last sample the window still holds.
-    patience: u64,
+    timeout_cycles: u64,
     /// At the releases; as many as the longest window has, made once.
     samples: Box<[ReferenceSample]>,
     /// The same ahead by the lead; not filled where that is 0.
@@ -41,7 +41,7 @@ impl Default for ReferenceWindow {
         Self {
             first_cycle: 0,
             count: 0,
-            patience: 0,
+            timeout_cycles: 0,
             led: samples.clone(),
             samples,
             has_lead: false,
@@ -55,8 +55,8 @@ impl ReferenceWindow {
     /// How long a cycle that gets no new window goes on with an old one \[ns\]; beyond its slack with the last sample,
     /// at which the robot waits. An exchange that makes or removes a file may wait for a starved client that has the
     /// folder's lock; 0.3 s were seen. One that hangs for longer is the watchdog's.
-    pub const PATIENCE_NS: u64 = 1_000_000_000;
-    /// Periods of slack at least, as long as they are no longer than the patience.
+    pub const TIMEOUT_NS: u64 = 1_000_000_000;
+    /// Periods of slack at least, as long as they are no longer than the timeout.
     pub const SLACK_MIN: usize = 20;
     /// Periods of slack at most.
     pub const SLACK_MAX: usize = 60;
@@ -66,12 +66,12 @@ impl ReferenceWindow {
     /// Samples of the longest window.
     pub const SAMPLES_MAX: usize = HORIZON_STEPS_MAX + 1 + Self::SLACK_MAX;
 
-    /// Periods of slack with this period: 60, 0.3 s, at 5 ms; no more than the [patience](Self::PATIENCE_NS) at longer
-    /// ones, fewer at shorter ones. Past them the last sample stands for those that are missing, as long as the
-    /// patience lasts.
+    /// Periods of slack with this period: 60, 0.3 s, at 5 ms; no more than the [timeout](Self::TIMEOUT_NS) at longer
+    /// ones, fewer at shorter ones. Past them the last sample stands for those that are missing, until the
+    /// timeout.
     pub fn slack(period_ns: u64) -> usize {
         let affordable = period_ns / Self::PERIOD_PER_SAMPLE_NS;
-        let useful = Self::PATIENCE_NS / period_ns.max(1);
+        let useful = Self::TIMEOUT_NS / period_ns.max(1);
         let wanted = affordable.clamp(Self::SLACK_MIN as u64, Self::SLACK_MAX as u64);
         wanted.min(useful) as usize
     }
@@ -98,7 +98,7 @@ impl ReferenceWindow {
         self.first_cycle = first_cycle;
         let slack = Self::slack(period_ns);
         self.count = horizon_steps.min(HORIZON_STEPS_MAX) + 1 + slack;
-        self.patience = (Self::PATIENCE_NS / period_ns.max(1)).saturating_sub(slack as u64);
+        self.timeout_cycles = (Self::TIMEOUT_NS / period_ns.max(1)).saturating_sub(slack as u64);
         if trajectory.is_empty() {
             self.count = 0;
         }
@@ -145,7 +145,7 @@ impl ReferenceWindow {
         self.first_cycle
     }
 
-    /// The sample at the release of `cycle`. Past the window its last one, as long as the patience lasts; then the
+    /// The sample at the release of `cycle`. Past the window its last one, until the timeout; then the
     /// reference counts as ended, because nobody has said for so long how it goes on.
     pub fn get(&self, cycle: u64) -> ReferenceSample {
         let offset = cycle.saturating_sub(self.first_cycle) as usize;
@@ -160,7 +160,7 @@ impl ReferenceWindow {
         let Some(last) = self.samples[..self.count].last() else {
             return ReferenceSample::default();
         };
-        let state = if past < self.patience {
+        let state = if past < self.timeout_cycles {
             last.state
         } else {
             ReferenceState::Ended
@@ -266,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn the_slack_costs_little_and_is_no_longer_than_the_patience() {
+    fn the_slack_costs_little_and_is_no_longer_than_the_timeout() {
         let slack = |period_us: u64| ReferenceWindow::slack(period_us * 1000);
         assert_eq!([100_000, 20_000, 10_000].map(slack), [10, 50, 60]);
         assert_eq!([5000, 2000, 500, 100].map(slack), [60, 25, 20, 20]);

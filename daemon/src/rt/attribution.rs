@@ -141,9 +141,9 @@ fn standstill_ns(timing: &Timing, known_ns: u64) -> u64 {
     beyond(timing.longest_gap_ns, STALL_NS).max(beyond(timing.after_solve_ns, STALL_AFTER_SOLVE_NS))
 }
 
-/// A cycle, as its accounting judged it.
+/// A cycle, as its accounting saw it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Judged {
+pub struct EvaluatedCycle {
     /// How many cycles ran, this one included.
     pub count: u64,
     /// Whether it was late.
@@ -185,7 +185,7 @@ pub struct Attribution {
 
 impl Attribution {
     /// What the next cycle has to answer for.
-    pub fn judge(&mut self, cycle: &Judged, scheduling: Option<&Scheduling>) -> Blame {
+    pub fn evaluate(&mut self, cycle: &EvaluatedCycle, scheduling: Option<&Scheduling>) -> Blame {
         let Lateness {
             late_start,
             deadline_miss,
@@ -367,8 +367,8 @@ mod tests {
         assert_eq!(spinning(0, 6000, 90, 5900), LateCause::Load);
     }
 
-    fn judged(count: u64, deadline_miss: bool, skipped: u32, compute: u64) -> Judged {
-        Judged {
+    fn evaluated(count: u64, deadline_miss: bool, skipped: u32, compute: u64) -> EvaluatedCycle {
+        EvaluatedCycle {
             count,
             lateness: Lateness {
                 late_start: false,
@@ -390,34 +390,35 @@ mod tests {
     #[test]
     fn a_punctual_cycle_after_an_overrun_has_the_cause_of_the_overrun() {
         let mut attribution = Attribution::default();
-        let mut judge = |cycle: Judged| attribution.judge(&cycle, Some(&Scheduling::default()));
+        let mut evaluate =
+            |cycle: EvaluatedCycle| attribution.evaluate(&cycle, Some(&Scheduling::default()));
         let overrun = Blame::Own(LateCause::Compute);
-        assert_eq!(judge(judged(1, false, 0, 30)), Blame::InTime);
-        assert_eq!(judge(judged(2, true, 0, 6000)), overrun);
-        let after = judge(judged(3, false, 1, 30));
+        assert_eq!(evaluate(evaluated(1, false, 0, 30)), Blame::InTime);
+        assert_eq!(evaluate(evaluated(2, true, 0, 6000)), overrun);
+        let after = evaluate(evaluated(3, false, 1, 30));
         assert_eq!(after, Blame::Before(LateCause::Compute));
         assert_eq!(after.cause(), overrun.cause());
         // The overrun is paid for: the next skip is another event, with the parts of its own cycle.
         let own = Blame::Own(LateCause::Platform);
-        assert_eq!(judge(judged(4, false, 1, 30)), own);
+        assert_eq!(evaluate(evaluated(4, false, 1, 30)), own);
         // Late itself, whatever came before.
-        assert_eq!(judge(judged(5, true, 0, 6000)), overrun);
-        assert_eq!(judge(judged(6, true, 1, 6000)), overrun);
+        assert_eq!(evaluate(evaluated(5, true, 0, 6000)), overrun);
+        assert_eq!(evaluate(evaluated(6, true, 1, 6000)), overrun);
         // The record between was lost, so nobody knows what the cycle before did.
-        assert_eq!(judge(judged(8, false, 1, 30)), own);
+        assert_eq!(evaluate(evaluated(8, false, 1, 30)), own);
     }
 
     #[test]
     fn a_late_start_that_met_its_deadline_took_no_release() {
         let mut attribution = Attribution::default();
-        let mut late = judged(1, false, 0, 30);
+        let mut late = evaluated(1, false, 0, 30);
         late.lateness.late_start = true;
         late.timing.wake_ns = 900 * US;
         assert_eq!(
-            attribution.judge(&late, None),
+            attribution.evaluate(&late, None),
             Blame::Own(LateCause::Platform)
         );
-        let next = attribution.judge(&judged(2, false, 1, 60), None);
+        let next = attribution.evaluate(&evaluated(2, false, 1, 60), None);
         assert_eq!(next, Blame::Own(LateCause::Compute));
     }
 

@@ -20,7 +20,7 @@ use crate::faults::trail::{Trail, assert_ramps_to_rest, late_ns, rests, say};
 const RAMP: &str = "[motion]\ndeceleration_rad_s2 = 2.0\n";
 const LEASE_MS: u64 = 400;
 /// Periods of 5 ms that a cycle goes on without new inputs.
-pub(crate) const WINDOW_PERIODS: u64 = ReferenceWindow::PATIENCE_NS / 5_000_000;
+pub(crate) const WINDOW_PERIODS: u64 = ReferenceWindow::TIMEOUT_NS / 5_000_000;
 
 fn short_lease() -> Daemon {
     Daemon::start(&format!(
