@@ -142,7 +142,7 @@ fn of_two_equally_near_places_one_is_found_and_clearance_does_not_jump() {
     let inwards = (centre_m - middle_m).normalize();
     let side = inwards.cross(&Vector3::y());
     let mut last_m: Option<f64> = None;
-    let steps = crate::repetitions(20, 100) as i32;
+    let steps = crate::repetitions(20, 100).cast_signed();
     let step_m = 0.01 / f64::from(steps);
     for i in -steps..=steps {
         let shift = f64::from(i) * step_m;

@@ -111,11 +111,22 @@ fn desired_rates_break_every_rule() {
     }
 }
 
+/// The seeds of a test.
+fn seeds(count: &str, otherwise: u64) -> core::ops::Range<u64> {
+    let first = number("CDCR_ORACLE_FIRST", 0);
+    first..first + number(count, otherwise)
+}
+
+/// Whether a test runs what it is meant to: only then it has to have seen so much.
+fn is_whole(count: &str) -> bool {
+    ["CDCR_ORACLE_FIRST", count]
+        .iter()
+        .all(|name| std::env::var_os(name).is_none())
+}
+
 /// The moments of a test, and a name for each.
 fn moments(count: &str, otherwise: u64) -> impl Iterator<Item = (String, Moment)> {
-    let first = number("CDCR_ORACLE_FIRST", 0);
-    let seeds = first..first + number(count, otherwise);
-    seeds.map(|seed| (format!("moment {seed}"), Moment::random(seed)))
+    seeds(count, otherwise).map(|seed| (format!("moment {seed}"), Moment::random(seed)))
 }
 
 #[test]
@@ -133,7 +144,8 @@ fn no_moment_breaks_a_rule() {
 fn no_moment_with_play_breaks_a_rule() {
     let (mut account, mut by_play) = (Account::NEW, 0);
     let count = crate::repetitions(500, 1000).into();
-    for (seed, (name, moment)) in (0..).zip(moments("CDCR_ORACLE_MOMENTS", count)) {
+    for seed in seeds("CDCR_ORACLE_MOMENTS", count) {
+        let (name, moment) = (format!("moment {seed}"), Moment::random(seed));
         let command = moment.command();
         let none = Slack::new(0.0, *Moment::slack(seed, 1e-3).slack_m());
         let same = moment.command_with(Some(&none));
@@ -146,7 +158,10 @@ fn no_moment_with_play_breaks_a_rule() {
         }
     }
     account.check();
-    assert!(by_play > 10, "{by_play}");
+    assert!(
+        by_play > 10 || !is_whole("CDCR_ORACLE_MOMENTS"),
+        "{by_play}"
+    );
 }
 
 /// Without obstacles a command is the nearest one inside every limit: no other that holds them, the oracle's among them, is nearer.
@@ -172,7 +187,11 @@ fn the_limits_give_the_nearest_rates() {
             "{name}: {found} rad/s instead of {best}"
         );
     }
-    assert!(compared > 150 && cut > 50, "{compared}, {cut}");
+    let is_enough = compared > 150 && cut > 50;
+    assert!(
+        is_enough || !is_whole("CDCR_ORACLE_LIMITS"),
+        "{compared}, {cut}"
+    );
 }
 
 #[test]
@@ -186,9 +205,8 @@ fn few_moments_stand_still_without_need() {
 
 #[test]
 fn no_closed_loop_breaks_a_rule() {
-    let first = number("CDCR_ORACLE_FIRST", 0);
     let mut account = Account::NEW;
-    for seed in first..first + number("CDCR_ORACLE_LOOPS", crate::repetitions(2, 12).into()) {
+    for seed in seeds("CDCR_ORACLE_LOOPS", crate::repetitions(2, 12).into()) {
         Scene::random(seed).run(&mut account);
     }
     account.check();
