@@ -1,7 +1,7 @@
 use crate::robot::{CABLES_MAX, Robot, SECTIONS_MAX};
 
-/// Watches the common mode of each section's three cables: the mean of their lengths, which is the length of the backbone however that is bent (§2 of
-/// docs/model.md). The bends that lengths tell have no part of it, but a cable that broke or came off its drum changes it, and so do cables that go slack together.
+/// Watches the common mode of each section's three cables: the mean of their lengths. Where they stand at equal angles it is the length of the backbone however that is bent (§2 of
+/// docs/model.md); angles that are off by δ change it by r δ Σθ at most. The bends that lengths tell have no part of it, but a cable that broke or came off its drum changes it, and so do cables that go slack together.
 #[derive(Debug, Clone, Copy)]
 pub struct CommonModeWatch {
     most_m: f64,

@@ -27,8 +27,8 @@ cdcr_controller::parameters! {
         following_fault_rad: f64 = 0.3, in 1e-6..=1e3, "at least safety.following_warning_rad";
         /// How far the motors may lag behind their commands without an error, {range}.
         following_lag_ms: f64 = 100.0, in 0.0..=10_000.0;
-        /// The mean length of a section's three cables may change by this since control began, {range}; 0: by any amount. No bend changes it, but a
-        /// cable that broke and cables that went slack do; beyond it is a fault. Only where cable lengths are measured.
-        cable_common_m: f64 = 0.003, in 0.0..=1.0;
+        /// The mean length of a section's three cables may change by this since control began, {range}; 0: by any amount. Bends change it
+        /// as far as the cables' angles are off, a cable that broke and cables that went slack do more; beyond it is a fault. Only where cable lengths are measured.
+        cable_common_m: f64 = 0.010, in 0.0..=1.0;
     }
 }
