@@ -24,8 +24,8 @@ message! {
         /// When the move to `bend_target_rad` ends: one period after the release \[ns, `CLOCK_MONOTONIC`\].
         target_ns: u64,
         /// Until when the speeds may be followed without a newer command \[ns, `CLOCK_MONOTONIC`\]. Then the driver stops at once, or shrinks all
-        /// speeds together by one factor, the fastest bend component by `motion.deceleration_rad_s2` or faster, and holds: the clearance guard has checked exactly
-        /// this way. Cables that stop one by one leave it.
+        /// speeds together by one factor, the fastest bend component by `motion.deceleration_rad_s2` or faster, and holds: the clearance guard has checked
+        /// this way at its ends, and within 1 mm between. A stop that is over earlier is not checked in time beside a moving obstacle. Cables that stop one by one leave it.
         /// It counts from the release, so a command that is delayed on its way is not valid for longer.
         valid_until_ns: u64,
         /// [`codes::Mode`](crate::codes::Mode) of the daemon.

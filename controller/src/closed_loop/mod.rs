@@ -26,8 +26,10 @@ pub struct ClosedLoop<R> {
     period_s: f64,
     settings: NmpcSettings,
     acceleration_rad_s2: f64,
-    valid_periods: f64,
-    deceleration_rad_s2: f64,
+    /// How long a command moves the robot (periods), and its deceleration after that (rad/s²). None: what the robot has by default.
+    stopping: Option<(f64, f64)>,
+    /// The body keeps so much more distance, whatever is measured of the tip (m).
+    tip_offset_m: f64,
     /// None: the ideal one.
     driven: Option<Box<DrivenRobot>>,
     reference_at: R,
@@ -42,10 +44,11 @@ pub struct ClosedLoop<R> {
     command: SafeCommand,
 }
 
-/// How long a driver follows a command without another one (periods).
-const VALID_PERIODS: f64 = 3.0;
-/// How fast it comes to rest then, as `motion.deceleration_rad_s2` is by default (rad/s²).
-const DECELERATION_RAD_S2: f64 = 40.0;
+/// How long a driver follows a command without another one (periods), and how fast it comes to rest then, as `motion.deceleration_rad_s2` is by
+/// default (rad/s²).
+const DRIVEN: (f64, f64) = (3.0, 40.0);
+/// The ideal robot gets every command, and stops at once.
+const IDEAL: (f64, f64) = (1.0, f64::INFINITY);
 
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are where they are then, and
@@ -63,9 +66,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             period_s,
             settings,
             acceleration_rad_s2: f64::INFINITY,
-            // The ideal robot gets every command, and stops at once.
-            valid_periods: 1.0,
-            deceleration_rad_s2: f64::INFINITY,
+            stopping: None,
+            tip_offset_m: 0.0,
             driven: None,
             reference_at,
             obstacles: Vec::with_capacity(obstacles.len()),
@@ -98,19 +100,29 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     #[must_use]
     pub fn with_stopping(self, valid_periods: f64, deceleration_rad_s2: f64) -> Self {
         Self {
-            valid_periods,
-            deceleration_rad_s2,
+            stopping: Some((valid_periods, deceleration_rad_s2)),
             ..self
         }
     }
 
-    /// The same with a robot that is not its model, and [`Self::with_stopping`] of 3 periods and 40 rad/s², the defaults of a daemon with a driver.
+    /// The same with a body that is known to be `tip_offset_m` (m) beside its model at the tip, and keeps as much more distance: [`Robot::thicker`].
+    /// Where the reference leads the model, `reference_at` says.
+    #[must_use]
+    pub fn with_tip_offset(self, tip_offset_m: f64) -> Self {
+        Self {
+            tip_offset_m,
+            ..self
+        }
+    }
+
+    /// The same with a robot that is not its model. Without [`Self::with_stopping`] its commands keep clear for 3 periods and a ramp of 40 rad/s², the
+    /// defaults of a daemon with a driver.
     ///
     /// # Errors
     /// When the flaws of its geometry make it no robot.
     pub fn with_driven(self, driven: Driven) -> Result<Self, RobotError> {
         let driven = DrivenRobot::new(&self.robot, &self.configuration, driven)?;
-        let mut begin = self.with_stopping(VALID_PERIODS, DECELERATION_RAD_S2);
+        let mut begin = self;
         begin.configuration = *driven.configuration();
         begin.driven = Some(Box::new(driven));
         begin.look_around();
@@ -131,7 +143,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             previous_rates: &self.command.rates,
             reference: &self.reference,
             obstacles: &self.obstacles,
-            tip_offset_m: self.tip_offset_m().norm(),
+            tip_offset_m: self.margin_m(),
             elapsed_periods: 1,
             seed: cycle_seed(self.settings.seed, self.cycle),
         }
@@ -140,6 +152,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// Makes `desired_rates` safe as a daemon does (acceleration, limits, clearance guard on the way to rest of [`Self::with_stopping`]), moves the robot by what is left of them and
     /// the obstacles by their velocity, and goes on to the next period.
     pub fn advance(&mut self, desired_rates: &BendRates) {
+        let otherwise = if self.driven.is_some() { DRIVEN } else { IDEAL };
+        let (valid_periods, deceleration_rad_s2) = self.stopping.unwrap_or(otherwise);
         let situation = Situation {
             robot: &self.robot,
             at: &self.configuration,
@@ -148,11 +162,11 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             previous: &self.command.rates,
             obstacles: &self.obstacles,
             safe_distance_m: self.settings.safe_distance_m,
-            tip_offset_m: self.tip_offset_m().norm(),
+            tip_offset_m: self.margin_m(),
             acceleration_rad_s2: self.acceleration_rad_s2,
             period_s: self.period_s,
-            moving_s: self.valid_periods * self.period_s,
-            deceleration_rad_s2: self.deceleration_rad_s2,
+            moving_s: valid_periods * self.period_s,
+            deceleration_rad_s2,
             comes_to_rest: false,
         };
         self.command = safe_command(&situation, desired_rates);
@@ -232,6 +246,11 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     fn tip_offset_m(&self) -> Vector3<f64> {
         let driven = self.driven.as_ref();
         driven.map_or_else(Vector3::zeros, |driven| driven.tip_offset_m())
+    }
+
+    /// How much more distance the body keeps (m).
+    fn margin_m(&self) -> f64 {
+        self.tip_offset_m().norm().max(self.tip_offset_m)
     }
 
     /// Obstacles, and the reference over the horizon, in the time of the robot that lags.

@@ -98,7 +98,7 @@ impl Estimator {
         self
     }
 
-    /// Begins anew at `configuration`, with motors at rest.
+    /// Begins anew at `configuration`, with motors at rest. How far the tip is beside its bends stays: it is the model that is off.
     pub fn begin(&mut self, configuration: Configuration) {
         self.stages = [configuration; STAGES];
         self.measured = configuration;
@@ -146,6 +146,11 @@ impl Estimator {
     /// How far the tip is measured beside where the bends place it (m), as [`Self::correct_tip`] has learnt: what the model is off by there.
     pub fn tip_offset_m(&self) -> Vector3<f64> {
         self.tip_offset.offset_m()
+    }
+
+    /// The tip is where the bends place it, until it is measured again.
+    pub fn forget_tip_offset(&mut self) {
+        self.tip_offset = self.tip_offset.forgotten();
     }
 
     /// The last estimate moved on by `elapsed_s` with the `rates` commanded meanwhile.

@@ -38,12 +38,21 @@ impl TipOffset {
         }
     }
 
-    /// Nothing is known any more.
+    /// Control begins anew: the next position is news. What was learnt stays, since it is the model that is off.
     pub(super) fn begin(&mut self) {
         *self = Self {
+            offset_m: self.offset_m,
+            learnt_m: self.learnt_m,
+            ..self.forgotten()
+        };
+    }
+
+    /// The same where nothing was learnt.
+    pub(super) fn forgotten(&self) -> Self {
+        Self {
             still_m: self.still_m,
             ..Self::new(0.0)
-        };
+        }
     }
 
     pub(super) fn offset_m(&self) -> Vector3<f64> {

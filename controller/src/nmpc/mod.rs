@@ -232,9 +232,8 @@ impl Nmpc {
         input: &SolveInput,
         budget: &mut Budget<'_>,
     ) -> (BendRates, SolveReport) {
-        let thicker = (input.tip_offset_m > 0.0)
-            .then(|| self.robot.thicker(input.configuration, input.tip_offset_m));
-        let robot = thicker.as_ref().unwrap_or(&self.robot);
+        let thicker = self.robot.thicker(input.configuration, input.tip_offset_m);
+        let robot: &Robot = &thicker;
         let motion = Motion::new(
             robot,
             self.period_s,

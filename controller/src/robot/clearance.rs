@@ -8,6 +8,8 @@
 //! that this point slides along the body is of second order. Where two points are equally near, it is the
 //! gradient of one of the two.
 
+use std::borrow::Cow;
+
 use nalgebra::Vector3;
 
 use super::chord::Chord;
@@ -274,9 +276,13 @@ impl Robot {
 
     /// This robot with a thicker body, for one whose tip is measured `tip_offset_m` (m) beside where the bends place it: a section of it keeps a
     /// distance where the true one does. Section j, up to whose end the body is `s_j` long, is thicker by `|offset| · min(1, s_j / |p|)`, with the
-    /// tip p from the base in the shape `at`. Why: §3 of docs/model.md. The fingerprint stays; a body radius may leave its range.
+    /// tip p from the base in the shape `at`. Why: §3 of docs/model.md. The fingerprint stays; a body radius may leave its range. An offset of 0 or less
+    /// changes nothing; one that is not a number is no distance that a body could keep.
     #[must_use]
-    pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Self {
+    pub fn thicker(&self, at: &Configuration, tip_offset_m: f64) -> Cow<'_, Self> {
+        if tip_offset_m <= 0.0 {
+            return Cow::Borrowed(self);
+        }
         let away_m = self.tip_position(at).norm();
         let mut thicker = self.clone();
         let mut length_m = 0.0;
@@ -284,7 +290,7 @@ impl Robot {
             length_m += section.length_m;
             section.body_radius_m += tip_offset_m * (length_m / away_m).min(1.0);
         }
-        thicker
+        Cow::Owned(thicker)
     }
 
     /// The same for a caller that has the frames already: those that [`Self::section_frames`] gives for this shape.

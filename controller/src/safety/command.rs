@@ -135,24 +135,16 @@ pub struct SafeCommand {
 /// A robot that comes to rest goes on along the stopping way of the command before, through its play, too: its ramp is only scaled down.
 /// Allocates nothing.
 pub fn safe_command(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
-    if situation.tip_offset_m > 0.0 {
-        let robot = situation
-            .robot
-            .thicker(situation.at, situation.tip_offset_m);
-        let robot = &robot;
-        return made_safe(
-            &Situation {
-                robot,
-                ..*situation
-            },
-            desired,
-        );
-    }
-    made_safe(situation, desired)
-}
-
-/// [`safe_command`] of this robot.
-fn made_safe(situation: &Situation<'_>, desired: &BendRates) -> SafeCommand {
+    let Situation {
+        robot,
+        at,
+        tip_offset_m,
+        ..
+    } = *situation;
+    let situation = &Situation {
+        robot: &robot.thicker(at, tip_offset_m),
+        ..*situation
+    };
     if situation.comes_to_rest {
         return situation.shortened(desired);
     }

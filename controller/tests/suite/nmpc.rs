@@ -154,6 +154,37 @@ fn without_a_finite_problem_the_rates_are_zero_and_the_status_says_so() {
     }
 }
 
+/// A tip that is measured beside its bends: the plan keeps that much more distance.
+#[test]
+fn a_plan_keeps_the_offset_of_the_tip_as_distance() {
+    let robot = paper(3);
+    let at = Configuration::from_slice(&[0.3, 0.0, 0.2, 0.0, 0.3, 0.0]).unwrap();
+    let tip_m = robot.tip_position(&at);
+    let centre_m = tip_m + Vector3::new(0.05, 0.0, -0.02);
+    let ball = [Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap()];
+    let goal = inside(tip_m + Vector3::new(0.01, 0.0, 0.0));
+    for kind in SOLVERS {
+        let nearness_m = [0.0, 0.03].map(|tip_offset_m| {
+            let input = SolveInput {
+                configuration: &at,
+                previous_rates: &BendRates::zero(3),
+                reference: &[goal, goal],
+                obstacles: &ball,
+                tip_offset_m,
+                elapsed_periods: 1,
+                seed: 1,
+            };
+            let mut nmpc = solver(&robot, kind, 2);
+            let (rates, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            robot.clearance_m(&at.advanced(&rates, PERIOD_S), &ball[0])
+        });
+        assert!(
+            nearness_m[1] > nearness_m[0] + 1e-6,
+            "{kind:?}: {nearness_m:?}"
+        );
+    }
+}
+
 #[test]
 fn a_state_of_another_robot_gives_zero_rates() {
     let robot = paper(2);

@@ -251,7 +251,7 @@ fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
             let run = eight.run(longer, &[ball(centre_m)]).unwrap();
             let nearest_mm = run.min_clearance_mm();
             println!("positions {obeys_positions}, ball at {centre_m:?}: {nearest_mm:.2} mm");
-            assert!((9.0..15.0).contains(&nearest_mm), "{nearest_mm}");
+            assert!((9.95..15.0).contains(&nearest_mm), "{nearest_mm}");
         }
     }
 }

@@ -225,6 +225,14 @@ fn a_margin_that_appears_neither_moves_nor_freezes_the_robot() {
     };
     let slower = ramp_to_zero(&away, 10.0, PERIOD_S);
     assert_eq!(safe_command(&ramp, &slower).rates, slower);
+    // An offset that is not a number is not one of 0: nothing moves.
+    let unknown = Situation {
+        tip_offset_m: f64::NAN,
+        ..moving
+    };
+    for desired in [&towards, &away] {
+        assert_eq!(safe_command(&unknown, desired).rates, rest);
+    }
     // The thinnest clearance that is told is that of the body which may be there.
     let told_m = safe_command(&moving, &rest).clearance_m;
     assert!((told_m - (clear_m(&at) - 0.03)).abs() < 1e-9, "{told_m}");

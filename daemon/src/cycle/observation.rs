@@ -13,6 +13,7 @@ impl Cycle {
         reference: &ReferenceSample,
         inputs: &CycleInputs,
     ) -> Observation {
+        self.give_up_wrong_tip();
         Observation {
             measured: measurement.is_some(),
             reference: reference.state,
@@ -46,7 +47,7 @@ impl Cycle {
         if let Some(fault) = self.state.measurement_fault() {
             return Some(fault);
         }
-        if self.clearance_m < self.policy.clearance_fault_m {
+        if self.is_contact() {
             return Some(Reason::ClearanceBroken);
         }
         // A robot that is stopped or faulted may be moved by hand, until control begins anew.
@@ -55,5 +56,12 @@ impl Cycle {
             return Some(Reason::FollowingError);
         }
         self.state.place_fault()
+    }
+
+    /// What a wrong tip said before must not refuse the reset of a robot that rests.
+    fn give_up_wrong_tip(&mut self) {
+        if self.modes.mode().is_latched() && self.is_at_rest() && self.is_contact() {
+            self.state.give_up_wrong_tip();
+        }
     }
 }

@@ -7,8 +7,13 @@ impl Cycle {
             return led_m;
         }
         let (present, offset_m) = (self.state.present(), self.state.tip_offset_m());
-        let body = (self.robot.thicker(present, offset_m.norm())).body(present);
+        let body = self.robot.thicker(present, offset_m.norm()).body(present);
         let obstacles = self.known_obstacles.iter();
         body.least_clearance_m(obstacles.map(|known| known.obstacle))
+    }
+
+    /// Whether the body touched, or was too near, in the cycle before.
+    pub(super) fn is_contact(&self) -> bool {
+        self.clearance_m < self.policy.clearance_fault_m
     }
 }

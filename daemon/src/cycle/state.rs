@@ -193,6 +193,8 @@ impl RobotState {
         self.estimator.correct(&self.robot, &measurement, age_s);
         self.measured = configuration_of(&self.robot, &measurement);
         if is_first {
+            // A tip that was measured before is beside bends that were a guess.
+            self.estimator.forget_tip_offset();
             self.take_control();
         }
         if let Some(measured) = &self.measured {
@@ -239,6 +241,13 @@ impl RobotState {
             MeasurementUse::Used
         } else {
             MeasurementUse::Implausible
+        }
+    }
+
+    /// A tip that froze or jumped for good is taken to be where the bends place it.
+    pub(super) fn give_up_wrong_tip(&mut self) {
+        if self.tip_is_wrong {
+            self.estimator.forget_tip_offset();
         }
     }
 

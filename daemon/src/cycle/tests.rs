@@ -9,6 +9,7 @@ mod common_mode;
 mod lead;
 mod play;
 mod rehearsal;
+mod tip_margin;
 mod trial;
 
 use std::path::Path;
@@ -26,6 +27,9 @@ use trial::{PERIOD_S, TRACK, Trial, Watch};
 
 /// A reference that is far away is gone to at once.
 const DIRECT: &str = "[motion]\napproach = \"direct\"\n";
+
+/// The solver sees no obstacle in its cost, so that the guard has to act.
+const BLIND_DIRECT: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
 
 fn is_at_rest(record: &CycleRecord) -> bool {
     record.rates.as_slice().iter().all(|rate| *rate == 0.0)

@@ -2,7 +2,8 @@
 //!
 //! The closed loop of the controller with the ideal robot of the daemon's model, from where it is now, with its tip offset, obstacles,
 //! acceleration and settings of the solver. First it goes to the first point, directly, then along the points as they would be
-//! sent; each has maxima of its own. A real robot has motors and a guard that looks ahead for longer: beside obstacles it may do less.
+//! sent; each has maxima of its own. The guard looks as far ahead as the daemon's, and keeps the margin of the tip offset as it is now.
+//! A real robot has motors, play and noise: beside obstacles it may do less.
 
 use std::fmt;
 use std::io::Write;
@@ -16,6 +17,7 @@ use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
 use cdcr_controller::reference::{self, Interpolation, ReferencePoint};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot};
 use cdcr_shared_types::codes::{self, Interface};
+use nalgebra::Vector3;
 
 use crate::bar::Bar;
 use crate::interrupt::Interrupt;
@@ -84,7 +86,7 @@ pub(crate) fn compute(
         );
     }
     let points = points(trajectory, options, robot.reach_m())?;
-    let offset_m = record.tip_offset_m.map(|m| -m).into();
+    let offset_m: Vector3<f64> = record.tip_offset_m.map(|m| -m).into();
     let at_s = |time_s: f64| points.sample((time_s * 1e9) as u64).moved(&offset_m);
     let known: Vec<Obstacle> = obstacles(&record).iter().filter_map(obstacle_of).collect();
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings)?;
@@ -102,7 +104,8 @@ pub(crate) fn compute(
     let first = |_: f64| at_s(0.0);
     let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)
         .with_acceleration(record.acceleration_rad_s2)
-        .with_stopping(valid_periods, record.deceleration_rad_s2);
+        .with_stopping(valid_periods, record.deceleration_rad_s2)
+        .with_tip_offset(offset_m.norm());
     let mut demands = Demands::new(&robot, &settings, way.error_m());
     let (mut nearest_m, mut since) = (f64::INFINITY, 0);
     while since < PATIENT_CYCLES && way.time_s() < WAY_MAX_S {
@@ -119,7 +122,8 @@ pub(crate) fn compute(
     let there = *way.configuration();
     let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)
         .with_acceleration(record.acceleration_rad_s2)
-        .with_stopping(valid_periods, record.deceleration_rad_s2);
+        .with_stopping(valid_periods, record.deceleration_rad_s2)
+        .with_tip_offset(offset_m.norm());
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new("dry run");
     for cycle in 0..cycles as u64 {

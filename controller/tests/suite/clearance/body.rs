@@ -46,7 +46,7 @@ proptest! {
             let is_within = (true_m - model_m).norm() <= more_m + 1e-12;
             prop_assert!(is_within || model_m.norm() > tip_m.norm());
         }
-        prop_assert_eq!(model.thicker(&at, 0.0), model);
+        prop_assert_eq!(&*model.thicker(&at, 0.0), &model);
     }
 
     #[test]

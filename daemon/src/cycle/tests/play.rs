@@ -7,8 +7,8 @@ use cdcr_controller::safety::Request;
 use nalgebra::Vector3;
 
 use super::super::*;
-use super::is_at_rest;
 use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
+use super::{BLIND_DIRECT, is_at_rest};
 use crate::config::Interface;
 use crate::obstacles::KnownObstacle;
 
@@ -16,9 +16,6 @@ const INTERFACES: [Interface; 2] = [Interface::Position, Interface::Velocity];
 const PLAY_M: f64 = 1.5e-3;
 /// What half of it is of a bend at most \[rad\]: two thirds of twice half the play, over the cables' distance from the backbone.
 const SLACK_RAD: f64 = 2.0 / 3.0 * PLAY_M / 0.0125;
-
-/// The solver sees no obstacle in its cost, so that the guard has to act.
-const BLIND: &str = "[controller]\nobstacle_step_penalty = 0.0\nobstacle_slope_penalty = 0.0\n[motion]\napproach = \"direct\"\n";
 
 /// A robot with play, of which the configuration knows this.
 fn with_play(interface: Interface, known_m: f64, more: &str) -> Trial {
@@ -174,7 +171,7 @@ fn motors_keep_their_limits_where_cables_reach_theirs() {
 fn a_body_whose_cables_may_have_play_keeps_clear() {
     for interface in INTERFACES {
         for true_m in [PLAY_M, 0.0] {
-            let mut trial = with_play(interface, PLAY_M, BLIND);
+            let mut trial = with_play(interface, PLAY_M, BLIND_DIRECT);
             let mut flaws = Flaws {
                 noise_m: 1e-9,
                 ..Flaws::default()
@@ -204,7 +201,7 @@ fn a_body_whose_cables_may_have_play_keeps_clear() {
 #[test]
 fn a_stop_beside_a_ball_slows_down_evenly() {
     const LOSS_RAD_S: f64 = 10.0 * 0.005;
-    let slow = format!("{BLIND}deceleration_rad_s2 = 10.0\n");
+    let slow = format!("{BLIND_DIRECT}deceleration_rad_s2 = 10.0\n");
     for interface in INTERFACES {
         let (mut beside, mut longest) = (0, 0);
         for before in (540..720).step_by(10) {

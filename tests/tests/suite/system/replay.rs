@@ -112,8 +112,8 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
         previous_rates: &before,
         reference: &reference,
         obstacles: &obstacles_of(record),
-        // The recorded warm start is moved on in time already.
         tip_offset_m: offset_m.norm(),
+        // The recorded warm start is moved on in time already.
         elapsed_periods: 0,
         seed: record.report.seed,
     };

@@ -1,0 +1,137 @@
+//! A body that is known to be beside its model, and what becomes of that when control begins anew.
+
+use cdcr_controller::plant::Flaws;
+use cdcr_controller::robot::{Obstacle, Shape};
+use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
+use nalgebra::Vector3;
+
+use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::{BLIND_DIRECT, is_at_rest};
+use crate::config::Interface;
+use crate::handover::MeasurementUse;
+use crate::obstacles::KnownObstacle;
+
+const CONTACT: Mode = Mode::Faulted {
+    reason: Reason::ClearanceBroken,
+};
+const BALL_RADIUS_M: f64 = 0.03;
+const SAFE_M: f64 = 0.01;
+
+/// Sections 5 % longer than their model, and a sensor of the tip, which has learnt that.
+fn longer(interface: Interface) -> Trial {
+    let flaws = Flaws {
+        length_error: 0.05,
+        noise_m: 3e-5,
+        tip_noise_m: 3e-4,
+        ..Flaws::default()
+    };
+    let mut trial = Trial::with(interface, flaws, BLIND_DIRECT);
+    trial.measures_tip = true;
+    let beside_m = trial.turns(300).tip_offset_m.norm();
+    assert!((0.03..0.06).contains(&beside_m), "{beside_m}");
+    trial
+}
+
+fn put_ball(trial: &mut Trial, centre_m: Vector3<f64>) -> Obstacle {
+    let obstacle =
+        Obstacle::new(Shape::Sphere { centre_m }, BALL_RADIUS_M, Vector3::zeros()).unwrap();
+    let known = KnownObstacle {
+        id: 1,
+        source: 1,
+        obstacle,
+        measured_ns: BEGIN_NS + trial.next() * PERIOD_NS,
+        expires_ns: None,
+    };
+    trial.inputs.obstacles.upsert(known).unwrap();
+    obstacle
+}
+
+/// The true clearance of the body \[m\].
+fn clearance_m(trial: &Trial, ball: &Obstacle) -> f64 {
+    let plant = &trial.plant;
+    plant.truth().clearance_m(&plant.configuration(), ball)
+}
+
+/// A stop, a reset, and a sensor that measures on, froze or says nothing any more: the true body keeps the distance, and the offset does not step.
+#[test]
+fn a_reset_keeps_what_is_known_of_the_body() {
+    for interface in [Interface::Position, Interface::Velocity] {
+        for sensor in ["measures", "froze", "is dead"] {
+            let mut trial = longer(interface);
+            let tip_m = trial.plant.tip_m();
+            let ball = put_ball(&mut trial, tip_m + Vector3::new(0.2, 0.0, -0.05));
+            match sensor {
+                "froze" => trial.frozen_tip_m = Some(tip_m),
+                "is dead" => trial.measures_tip = false,
+                _ => {}
+            }
+            let before_m = trial.turn().tip_offset_m;
+            trial.ask(Request::Stop);
+            assert!(is_at_rest(&trial.turns(50)));
+            let reset = trial.ask(Request::Reset);
+            assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
+            let stepped_m = (trial.turn().tip_offset_m - before_m).norm();
+            assert!(stepped_m < 2e-3, "{sensor}: {stepped_m} m");
+            // At the ball, from above.
+            let goal_m = Vector3::new(ball_centre(&ball).x, 0.0, tip_m.z - 0.07);
+            trial.feed_line(goal_m.into(), [0.0; 3], 0.0);
+            trial.ask(Request::Track);
+            let (mut nearest_m, mut guarded) = (f64::INFINITY, 0);
+            for _ in 0..800 {
+                let record = trial.turn();
+                assert!(matches!(record.mode, Mode::Tracking { .. }), "{sensor}");
+                guarded += u32::from(record.clearance_hit);
+                nearest_m = nearest_m.min(clearance_m(&trial, &ball));
+            }
+            println!("{interface:?}, the sensor {sensor}: {nearest_m} m");
+            assert!(guarded > 10, "{sensor}: {guarded}");
+            assert!(nearest_m > SAFE_M - 1e-3, "{sensor}: {nearest_m} m");
+        }
+    }
+}
+
+fn ball_centre(ball: &Obstacle) -> Vector3<f64> {
+    match ball.shape() {
+        Shape::Sphere { centre_m } => *centre_m,
+        other @ Shape::Capsule { .. } => unreachable!("{other:?}"),
+    }
+}
+
+/// A contact that is possible is one, and refuses a reset, also where the sensor fell silent. Where the tip is known to be wrong, it must not: what it said
+/// before is given up, but not while the robot could still be moving.
+#[test]
+fn a_contact_by_the_margin_alone_stands_until_the_tip_is_known_to_be_wrong() {
+    for is_wrong in [false, true] {
+        let mut trial = longer(Interface::Velocity);
+        let tip_m = trial.cycle.robot.tip_position(&trial.measured());
+        // 20 mm beside the body of the model.
+        let away_m = 0.015 + 0.02 + BALL_RADIUS_M;
+        let ball = put_ball(&mut trial, tip_m + Vector3::new(away_m, 0.0, 0.0));
+        let model_m = trial.cycle.robot.clearance_m(&trial.measured(), &ball);
+        assert!((0.015..0.03).contains(&model_m), "{model_m}");
+        let faulted = trial.turns(3);
+        assert_eq!(faulted.mode, CONTACT);
+        assert!(faulted.clearance_m < 0.0 && faulted.tip_offset_m.norm() > 0.03);
+        if is_wrong {
+            // It fell off its mount.
+            trial.tip_error_m = Vector3::new(1.5, 0.0, 0.0);
+        } else {
+            trial.measures_tip = false;
+        }
+        let rests = trial.turns(10);
+        let reset = trial.ask(Request::Reset);
+        let outcome = reset.answers[0].unwrap().outcome;
+        if !is_wrong {
+            assert_eq!(outcome, Err(Refusal::CauseStands));
+            trial.inputs.obstacles.remove(1);
+            trial.turns(2);
+            let reset = trial.ask(Request::Reset);
+            assert_eq!(reset.answers[0].unwrap().outcome, Ok(()));
+            continue;
+        }
+        assert_eq!(rests.tip_use, MeasurementUse::Implausible);
+        assert_eq!((outcome, rests.tip_offset_m), (Ok(()), Vector3::zeros()));
+        assert!((rests.clearance_m - model_m).abs() < 1e-3);
+        assert!(matches!(trial.turns(20).mode, Mode::Holding { .. }));
+    }
+}
