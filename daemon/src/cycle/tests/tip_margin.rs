@@ -5,7 +5,7 @@ use cdcr_controller::robot::{Obstacle, Shape};
 use cdcr_controller::safety::{Mode, Reason, Refusal, Request};
 use nalgebra::Vector3;
 
-use super::trial::{BEGIN_NS, PERIOD_NS, Trial};
+use super::trial::{BEGIN_NS, PERIOD_NS, TRACK, Trial};
 use super::{BLIND_DIRECT, is_at_rest};
 use crate::config::Interface;
 use crate::handover::MeasurementUse;
@@ -75,7 +75,7 @@ fn a_reset_keeps_what_is_known_of_the_body() {
             // At the ball, from above.
             let goal_m = Vector3::new(ball_centre(&ball).x, 0.0, tip_m.z - 0.07);
             trial.feed_line(goal_m.into(), [0.0; 3], 0.0);
-            trial.ask(Request::Track);
+            trial.ask(TRACK);
             let (mut nearest_m, mut guarded) = (f64::INFINITY, 0);
             for _ in 0..800 {
                 let record = trial.turn();

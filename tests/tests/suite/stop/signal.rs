@@ -161,7 +161,10 @@ fn a_configuration_that_is_read_again_changes_the_solver_and_a_wrong_one_nothing
         "[controller]\nhorizon_steps = 0\n",
         "robot.toml, line 2: controller.horizon_steps",
     );
-    reload("[controller]\nhorizon_steps =\n", "robot.toml, line 2");
+    reload(
+        "[controller]\nhorizon_steps =\n",
+        "robot.toml: TOML parse error at line 2",
+    );
     let nearer = "controller.safe_distance_m = 0.001 is below 0.01";
     reload("[controller]\nsafe_distance_m = 0.001\n", nearer);
     assert_eq!(connection.settings().unwrap(), in_force);
