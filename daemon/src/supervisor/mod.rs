@@ -2,7 +2,7 @@
 //!
 //! Invariant: nothing here is in the way of the cycle. It runs on another core where there is one, after all other
 //! real-time threads, and learns of the cycles through rings that never block who fills them. And it waits for no file: what it
-//! tells is published by the [status desk](crate::status_desk).
+//! tells is published by the `status_desk`.
 
 mod statistics;
 mod steal;
