@@ -1,7 +1,7 @@
 //! Whom the client does not talk to: services of another version. What a second user gets of a daemon is in `access`.
 
 use cdcr_client::{ConnectError, Connection};
-use cdcr_shared_types::{Service, Status, ipc};
+use cdcr_shared_types::{ReferenceChunk, Service, Status, ipc};
 use cdcr_tests::{Place, ROBOT};
 use iceoryx2::prelude::{Node, ZeroCopySend};
 
@@ -19,6 +19,12 @@ struct OtherStatus(Status);
 #[test]
 fn a_service_of_the_same_size_and_another_version_is_refused_and_not_misread() {
     let place = Place::new();
+    // Opened before, and as it should be.
+    let _reference = node(&place)
+        .service_builder(&Service::Reference.name(ROBOT).unwrap())
+        .publish_subscribe::<ReferenceChunk>()
+        .create()
+        .unwrap();
     let other = node(&place)
         .service_builder(&Service::Status.name(ROBOT).unwrap())
         .publish_subscribe::<OtherStatus>()
