@@ -292,14 +292,13 @@ fn a_thread_that_panics_ends_with_70() {
 fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too() {
     let place = Place::new();
     let node: Node<ipc::Service> = place.location().node_builder().unwrap().create().unwrap();
-    // What the daemon makes first, and what a client opens first.
-    let others = [Service::Status, Service::Reference].map(|service| {
-        node.service_builder(&service.name(ROBOT).unwrap())
-            .publish_subscribe::<u64>()
-            .create()
-            .unwrap()
-    });
-    let service = format!("cdcr/{ROBOT}/status");
+    // What a client opens first.
+    let other = node
+        .service_builder(&Service::Reference.name(ROBOT).unwrap())
+        .publish_subscribe::<u64>()
+        .create()
+        .unwrap();
+    let service = format!("cdcr/{ROBOT}/reference");
     let parts = [&*service, "another version", "end the clients"];
     place.says("cdcrd run", 71, &parts);
     let error = Connection::open(place.location(), ROBOT).expect_err("another version");
@@ -313,6 +312,6 @@ fn a_service_of_another_version_keeps_the_daemon_out_with_71_and_the_client_too(
     assert!(is_of_reference, "{error:?}");
     let parts = ["another version of the reference service", "of one version"];
     place.says("cdcrctl status", 1, &parts);
-    drop(others);
+    drop(other);
     drop(node);
 }
