@@ -145,7 +145,10 @@ fn follow(
     let mut error = TipError::default();
     let report = connection.feed(trajectory, options)?.run(|event| {
         match event {
-            FeedEvent::Scheduled { start_ns } => error.start_ns = start_ns,
+            FeedEvent::Scheduled { start_ns } => {
+                error.start_ns = start_ns;
+                error.fed_ns = start_ns - options.lead.as_nanos() as u64;
+            }
             FeedEvent::Record(record) => error.take(record),
             FeedEvent::Progress(progress) => bar.show(&progress),
             _ => {}

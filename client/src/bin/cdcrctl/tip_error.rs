@@ -7,7 +7,9 @@ use cdcr_shared_types::codes::{Mode, ReferenceState};
 /// How far the tip was from the reference while the robot tracked it. The approach counts for itself.
 #[derive(Debug, Default)]
 pub(crate) struct TipError {
-    /// Records of before are about another reference \[ns\].
+    /// The reference was fed from then on, and may have been approached \[ns\]. Records of before are about another one.
+    pub(crate) fed_ns: u64,
+    /// It begins then \[ns\].
     pub(crate) start_ns: u64,
     period_ns: u64,
     /// Until the tip was led along the reference itself.
@@ -26,14 +28,14 @@ impl TipError {
     pub(crate) fn take(&mut self, record: &Telemetry) {
         let is_tracking = record.mode == Mode::Tracking.code();
         let is_inside = record.reference.state == ReferenceState::Inside.code();
-        if !is_tracking || record.release_ns < self.start_ns {
+        if !is_tracking || record.release_ns < self.fed_ns {
             return;
         }
         if record.approach.duration_ns.max(record.approach.joining_ns) > 0 {
             self.approach_cycles += 1;
             self.approach_max_m = self.approach_max_m.max(record.position_error_m);
             self.period_ns = record.period_ns;
-        } else if is_inside {
+        } else if is_inside && record.release_ns >= self.start_ns {
             self.cycles += 1;
             self.limited_cycles += u64::from(record.guard_flags != 0);
             self.sum_m += record.position_error_m;
@@ -129,11 +131,21 @@ mod tests {
 
     #[test]
     fn an_approach_is_no_error() {
-        let mut error = TipError::default();
-        let mut record = record(Mode::Tracking, ReferenceState::Inside, 1, 0.1);
-        record.approach.duration_ns = 7;
-        record.period_ns = 5_000_000;
-        error.take(&record);
+        let mut error = TipError {
+            fed_ns: 1,
+            start_ns: 3,
+            ..TipError::default()
+        };
+        for (state, release_ns, error_m) in [
+            (ReferenceState::Inside, 0, 0.2),
+            // Most of the approach may be over before the reference begins.
+            (ReferenceState::Before, 1, 0.1),
+        ] {
+            let mut record = record(Mode::Tracking, state, release_ns, error_m);
+            record.approach.duration_ns = 7;
+            record.period_ns = 5_000_000;
+            error.take(&record);
+        }
         assert_eq!(
             (error.cycles, error.approach_cycles, error.approach_max_m),
             (0, 1, 0.1)
