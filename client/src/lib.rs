@@ -13,8 +13,8 @@
 //! * [`Requester`] is the short way to that: it opens nothing else, so [`Requester::stop`] gets in where a
 //!   connection does not, and falls back to a signal.
 //! * [`Connection::feed`] streams a [`Trajectory`] ahead of time, so that a late client never reaches
-//!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's, [`Straight`] is a way from rest to rest; [`FileTrajectory`] reads CSV (feature
-//!   `csv`); your own type may implement the trait.
+//!   the loop. [`Spiral`], [`Line`] and [`Circle`] are the paper's; `Straight` is a way from rest to rest (feature `model`);
+//!   [`FileTrajectory`] reads CSV (feature `csv`); your own type may implement the trait.
 //! * [`Connection::telemetry`] is a [`Stream`] of one record per cycle, which counts what was lost;
 //!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
 //!   kept whole.
@@ -114,6 +114,8 @@ pub use requester::{Requester, StopError};
 pub use robot::{realtime_missing, section_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};
 pub use tip_sensor::TipSensor;
-pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory};
+#[cfg(feature = "model")]
+pub use trajectory::Straight;
+pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Trajectory};
 #[cfg(feature = "csv")]
 pub use trajectory::{FileTrajectory, TrajectoryFileError};

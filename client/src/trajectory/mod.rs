@@ -7,6 +7,7 @@ mod circle;
 mod file;
 mod line;
 mod spiral;
+#[cfg(feature = "model")]
 mod straight;
 
 pub use circle::Circle;
@@ -14,6 +15,7 @@ pub use circle::Circle;
 pub use file::{FileTrajectory, TrajectoryFileError};
 pub use line::Line;
 pub use spiral::Spiral;
+#[cfg(feature = "model")]
 pub use straight::Straight;
 
 use cdcr_shared_types::ReferencePoint;

@@ -1,9 +1,7 @@
+use cdcr_controller::reference::{QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
+
 use super::Trajectory;
 
-/// Largest speed of the quintic from rest to rest, over distance / duration.
-const SPEED_PEAK: f64 = 1.875;
-/// Largest acceleration of the same, over distance / duration².
-const ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
 /// How long the end is kept, so that the tip comes to rest there \[s\].
 const KEPT_S: f64 = 1.0;
 
@@ -24,8 +22,8 @@ impl Straight {
             .zip(end_m)
             .map(|(from, to)| (to - from).powi(2));
         let distance_m = squares.sum::<f64>().sqrt();
-        let by_speed_s = SPEED_PEAK * distance_m / speed_m_s;
-        let by_acceleration_s = (ACCELERATION_PEAK * distance_m / acceleration_m_s2).sqrt();
+        let by_speed_s = QUINTIC_SPEED_PEAK * distance_m / speed_m_s;
+        let by_acceleration_s = (QUINTIC_ACCELERATION_PEAK * distance_m / acceleration_m_s2).sqrt();
         Self {
             start_m,
             end_m,

@@ -4,9 +4,9 @@ use super::{Orientation, ReferenceSample};
 use crate::robot::Pose;
 
 /// Largest speed of the quintic from rest to rest, over distance / duration: at its middle, 15/8.
-const SPEED_PEAK: f64 = 1.875;
+pub const QUINTIC_SPEED_PEAK: f64 = 1.875;
 /// Largest acceleration of the same, over distance / duration²: 10/√3.
-const ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
+pub const QUINTIC_ACCELERATION_PEAK: f64 = 5.773_502_691_896_258;
 /// Largest acceleration of the quintic that ends a speed, over speed / duration: at s = (16 - √76) / 30.
 const JOINING_PEAK: f64 = 3.941;
 /// How far the same goes, over speed · duration.
@@ -93,9 +93,9 @@ impl Approach {
     fn distance_s(&self, limits: &ApproachLimits) -> f64 {
         let distance_m = self.offset_m.norm();
         let most_m_s2 = 0.5 * limits.acceleration_m_s2;
-        let by_acceleration_s = (ACCELERATION_PEAK * distance_m / most_m_s2).sqrt();
-        let by_speed_s = SPEED_PEAK * distance_m / limits.speed_m_s;
-        let by_turn_s = SPEED_PEAK * self.turn_rad.norm() / limits.turn_rad_s;
+        let by_acceleration_s = (QUINTIC_ACCELERATION_PEAK * distance_m / most_m_s2).sqrt();
+        let by_speed_s = QUINTIC_SPEED_PEAK * distance_m / limits.speed_m_s;
+        let by_turn_s = QUINTIC_SPEED_PEAK * self.turn_rad.norm() / limits.turn_rad_s;
         by_acceleration_s.max(by_speed_s).max(by_turn_s)
     }
 

@@ -13,7 +13,7 @@ mod interpolation;
 mod trajectory;
 mod window;
 
-pub use approach::{Approach, ApproachLimits};
+pub use approach::{Approach, ApproachLimits, QUINTIC_ACCELERATION_PEAK, QUINTIC_SPEED_PEAK};
 pub use followed::{FollowedReference, GridPoint};
 pub use trajectory::{APART_MIN_NS, Trajectory, TrajectoryError};
 pub use window::{HORIZON_STEPS_MAX, ReferenceWindow};
