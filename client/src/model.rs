@@ -71,7 +71,7 @@ pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCod
                     codes::VelocityRule::Constriction => VelocityRule::Constriction,
                     codes::VelocityRule::Verbatim => VelocityRule::Verbatim,
                 },
-                $($number,)+
+                $($number: $number.into(),)+
             }
         }};
     }

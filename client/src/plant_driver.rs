@@ -88,12 +88,14 @@ impl PlantDriver {
         })
     }
 
-    /// Sends what the encoders say now.
+    /// Sends what the encoders say now, if anything.
     ///
     /// # Errors
     /// When iceoryx2 fails.
     pub fn send_cables(&mut self) -> Result<(), LinkError> {
-        let cable_length_m = self.plant.measure_cables();
+        let Some(cable_length_m) = self.plant.measure_cables() else {
+            return Ok(());
+        };
         self.send(&Measurement {
             kind: MeasurementKind::CableLengths.code(),
             cable_length_m,
@@ -101,15 +103,17 @@ impl PlantDriver {
         })
     }
 
-    /// Sends what a sensor of the tip says now.
+    /// Sends what a sensor of the tip says now, if anything.
     ///
     /// # Errors
     /// When iceoryx2 fails.
     pub fn send_tip(&mut self) -> Result<(), LinkError> {
-        let tip_position_m = self.plant.measure_tip().into();
+        let Some(position_m) = self.plant.measure_tip() else {
+            return Ok(());
+        };
         self.send(&Measurement {
             kind: MeasurementKind::TipPose.code(),
-            tip_position_m,
+            tip_position_m: position_m.into(),
             ..Measurement::default()
         })
     }

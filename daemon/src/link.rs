@@ -22,7 +22,7 @@ impl RobotLink {
     /// The robot of a configuration. An ideal one moves on for as long as its newest command lets it.
     ///
     /// # Errors
-    /// When its flaws make it no robot, which the presets do not.
+    /// When its flaws make it no robot.
     pub fn new(validated: &Validated) -> Result<Self, RobotError> {
         let Validated {
             config,
@@ -49,15 +49,14 @@ impl RobotLink {
 
     /// The newest measurement for the release at `release_ns`; none when there is none yet. Called once in each cycle.
     pub fn measure(&mut self, release_ns: u64, inputs: &CycleInputs) -> Option<TimedMeasurement> {
-        let measurement = match self {
-            Self::Ideal(robot) => robot.measure(release_ns),
+        match self {
+            Self::Ideal(robot) => Some(TimedMeasurement {
+                measurement: robot.measure(release_ns),
+                measured_ns: release_ns,
+            }),
             Self::Misbehaving(robot) => robot.measure(release_ns),
-            Self::Driver => return inputs.measurement,
-        };
-        Some(TimedMeasurement {
-            measurement,
-            measured_ns: release_ns,
-        })
+            Self::Driver => inputs.measurement,
+        }
     }
 
     /// The newest measurement of the tip beside bends or cables. Called once in each cycle, after [`Self::measure`].
@@ -67,10 +66,17 @@ impl RobotLink {
         inputs: &CycleInputs,
     ) -> Option<TimedMeasurement> {
         match self {
-            Self::Misbehaving(robot) => robot.measures_both.then(|| TimedMeasurement {
-                measurement: Measurement::TipPosition(robot.plant.measure_tip()),
-                measured_ns: release_ns,
-            }),
+            Self::Misbehaving(robot) => {
+                if robot.measures_both
+                    && let Some(position_m) = robot.plant.measure_tip()
+                {
+                    robot.last_tip = Some(TimedMeasurement {
+                        measurement: Measurement::TipPosition(position_m),
+                        measured_ns: release_ns,
+                    });
+                }
+                robot.last_tip
+            }
             Self::Ideal(_) | Self::Driver => inputs.tip,
         }
     }
@@ -112,6 +118,9 @@ pub struct MisbehavingLink {
     measures_tip: bool,
     /// The tip beside the cables.
     measures_both: bool,
+    /// What its sensors said last: they may say nothing at a release.
+    last: Option<TimedMeasurement>,
+    last_tip: Option<TimedMeasurement>,
     valid_ns: u64,
     rates: BendRates,
     /// Where position motors are sent (m).
@@ -131,11 +140,12 @@ impl MisbehavingLink {
             config,
             robot,
             truth,
+            flaws,
             initial,
             ..
         } = validated;
         let (preset, seed) = (config.link.simulated, u64::from(config.link.simulated_seed));
-        let plant = MisbehavingRobot::new(robot, initial, preset.flaws(), seed)?;
+        let plant = MisbehavingRobot::new(robot, initial, *flaws, seed)?;
         Ok(Self {
             plant: match truth {
                 Some(truth) => plant.with_truth(truth.clone()),
@@ -145,6 +155,8 @@ impl MisbehavingLink {
             model: robot.clone(),
             interface: config.link.interface,
             measures_tip: preset.measures_tip(),
+            last: None,
+            last_tip: None,
             valid_ns: Policy::new(config).moving_ns(u64::MAX, ns(config.cycle.period_ms)),
             rates: BendRates::zero(robot.section_count()),
             target_m: robot.cable_lengths(initial),
@@ -178,13 +190,19 @@ impl MisbehavingLink {
         }
     }
 
-    fn measure(&mut self, release_ns: u64) -> Measurement {
+    fn measure(&mut self, release_ns: u64) -> Option<TimedMeasurement> {
         self.move_to(release_ns);
-        if self.measures_tip {
-            Measurement::TipPosition(self.plant.measure_tip())
+        let measurement = if self.measures_tip {
+            self.plant.measure_tip().map(Measurement::TipPosition)
         } else {
-            Measurement::CableLengths(self.plant.measure_cables())
-        }
+            self.plant.measure_cables().map(Measurement::CableLengths)
+        };
+        let timed = measurement.map(|measurement| TimedMeasurement {
+            measurement,
+            measured_ns: release_ns,
+        });
+        self.last = timed.or(self.last);
+        self.last
     }
 
     fn command(&mut self, release_ns: u64, rates: &BendRates, commanded: &Configuration) {

@@ -197,10 +197,12 @@ impl Reporter {
     }
 
     fn counts(&self, record: &CycleRecord) -> wire::Statistics {
+        let has_solved = record.report.status != SolveStatus::Idle;
         let is_repeated = record.measurement_use == MeasurementUse::Repeated;
         wire::Statistics {
             budget_hits: u64::from(record.report.budget_spent),
             stale_inputs: u64::from(record.stale_inputs),
+            limited_cycles: u64::from(has_solved && convert::guard_flags(record) != 0),
             stale_measurements: u64::from(self.has_driver && is_repeated),
             longest_gap_ns: record.longest_gap_ns,
             ..wire::Statistics::default()

@@ -1,5 +1,7 @@
 //! What a configuration may say and hardly means.
 
+use cdcr_controller::nmpc::RateWeight;
+
 use crate::config::{Config, LinkKind, REST_MAX_S, TipSensor, ns};
 use crate::core_budget::{CoreBudget, Costs};
 
@@ -73,9 +75,9 @@ pub(crate) fn warnings(config: &Config) -> Vec<String> {
                 safety.measurement_frozen_rad, link.measurement_timeout_ms
             )
         }),
-        (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == 0.0).then(|| {
+        (!link.is_ideal() && config.robot.sections.len() > 1 && controller.rate_weight == RateWeight::Of(0.0)).then(|| {
             "controller.rate_weight = 0: noise of the sensors adds up to motion about the tip, which nothing holds \
-             back; leave the key out, or set 1e-10"
+             back; set \"auto\", or leave the key out"
                 .to_owned()
         }),
         source_timeout(config),

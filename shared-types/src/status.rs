@@ -55,7 +55,7 @@ message! {
 
     /// Counts and latencies of the cycles in one stretch of time.
     #[derive(Eq)]
-    pub struct Statistics "cdcr.Statistics.v2" {
+    pub struct Statistics "cdcr.Statistics.v3" {
         /// Cycles that ran.
         cycles: u64 [sum "cycles"],
         /// Cycles that started later than the late-start limit.
@@ -70,6 +70,8 @@ message! {
         budget_hits: u64 [sum "budget hits"],
         /// Cycles that used the inputs of the cycle before again, because no gather came between.
         stale_inputs: u64 [sum "stale inputs"],
+        /// Cycles that solved and whose command limits or guard changed.
+        limited_cycles: u64 [sum "limited cycles"],
         /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
         stale_measurements: u64 [sum "stale measurements"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
@@ -96,7 +98,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
-    pub struct Status "cdcr.Status.v5" {
+    pub struct Status "cdcr.Status.v6" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.
@@ -190,5 +192,7 @@ message! {
         safe_distance_min_m: f64,
         /// A sender of obstacles with a lifetime that is not heard for this long is silent \[ns\]; 0: nobody is watched.
         obstacle_source_timeout_ns: u64,
+        /// [`SolverSettings`] has this `rate_weight` where nobody sets another: it depends on the robot.
+        rate_weight_auto: f64 [unit "s²/rad²"],
     }
 }

@@ -81,10 +81,12 @@ impl DrivenRobot {
             ..Measurement::default()
         };
         if kind == MeasurementKind::TipPose {
-            measurement.tip_position_m = self.driver.plant().measure_tip().into();
+            let tip_m = self.driver.plant().measure_tip();
+            measurement.tip_position_m = tip_m.expect("its sensor says it").into();
             return measurement;
         }
         let lengths_m = self.driver.plant().measure_cables();
+        let lengths_m = lengths_m.expect("its encoders say it");
         if kind == MeasurementKind::CableLengths {
             measurement.cable_length_m = lengths_m;
         } else {

@@ -38,7 +38,7 @@ struct Knobs {
 
 /// The preset `precise` of a daemon.
 const PRECISE: Knobs = Knobs {
-    rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+    rate_weight: 1e-10,
     rate_change_weight: 0.0,
     time_constant_ms: 300.0,
 };
@@ -172,7 +172,7 @@ pub(super) fn run(run_s: f64, progress: &mut Progress) -> Result<Dataset> {
 fn follow(eight: &FigureEight, knobs: &Knobs, sensor: Sensor) -> Result<FigureEightRun> {
     let flaws = Preset::Laboratory.flaws();
     let settings = NmpcSettings {
-        rate_weight: knobs.rate_weight,
+        rate_weight: knobs.rate_weight.into(),
         rate_change_weight: knobs.rate_change_weight,
         ..NmpcSettings::default()
     };

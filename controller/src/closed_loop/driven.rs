@@ -59,14 +59,14 @@ impl DrivenRobot {
     pub(super) fn new(
         model: &Robot,
         start: &Configuration,
-        driven: Driven,
+        driven: &Driven,
     ) -> Result<Self, RobotError> {
         let plant = MisbehavingRobot::new(model, start, driven.flaws, driven.seed)?;
         let estimator = Estimator::new(*start)
             .with_actuator(model, driven.actuator)
             .with_time_constant(driven.time_constant_s);
         let mut robot = Self {
-            driven,
+            driven: *driven,
             model: model.clone(),
             plant,
             estimator,
@@ -146,12 +146,14 @@ impl DrivenRobot {
             Sensor::CablesAndTip { every } => (true, Some(every)),
             Sensor::Nothing => (false, None),
         };
-        if has_cables {
-            let cables = Measurement::CableLengths(self.plant.measure_cables());
+        let cables = has_cables.then(|| self.plant.measure_cables()).flatten();
+        if let Some(lengths_m) = cables {
+            let cables = Measurement::CableLengths(lengths_m);
             self.estimator.correct(&self.model, &cables, 0.0);
         }
-        if tip_every.is_some_and(|every| self.releases.is_multiple_of(every.max(1))) {
-            let tip_m = self.plant.measure_tip();
+        if tip_every.is_some_and(|every| self.releases.is_multiple_of(every.max(1)))
+            && let Some(tip_m) = self.plant.measure_tip()
+        {
             if has_cables {
                 self.estimator.correct_tip(&self.model, &tip_m, 0.0);
             } else {

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{ClosedLoop, Driven};
-use crate::nmpc::{Nmpc, NmpcSettings, SettingsError};
+use crate::nmpc::{Nmpc, NmpcSettings, RateWeight, SettingsError};
 use crate::plant::Flaws;
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotParameters};
@@ -98,11 +98,7 @@ impl FigureEight {
     fn settings(&self, flaws: &Flaws) -> NmpcSettings {
         let is_ideal = *flaws == Flaws::default();
         self.settings.unwrap_or_else(|| NmpcSettings {
-            rate_weight: if is_ideal {
-                0.0
-            } else {
-                NmpcSettings::MEASURED_RATE_WEIGHT
-            },
+            rate_weight: RateWeight::auto(is_ideal),
             ..NmpcSettings::default()
         })
     }

@@ -3,6 +3,11 @@
 //! Nothing is late, and modes and faults are left out. The robot is the ideal one, exactly where its commands bring it, or one that is
 //! not its model ([`Driven`]), with a driver and an estimate.
 
+#![allow(
+    clippy::large_types_passed_by_value,
+    reason = "a robot is given once for each simulation"
+)]
+
 mod driven;
 mod figure_eight;
 
@@ -121,7 +126,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// # Errors
     /// When the flaws of its geometry make it no robot.
     pub fn with_driven(self, driven: Driven) -> Result<Self, RobotError> {
-        let driven = DrivenRobot::new(&self.robot, &self.configuration, driven)?;
+        let driven = DrivenRobot::new(&self.robot, &self.configuration, &driven)?;
         let mut begin = self;
         begin.configuration = *driven.configuration();
         begin.driven = Some(Box::new(driven));
@@ -231,15 +236,12 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
 
     /// Clearance of the whole body in truth now (m); infinite without obstacles.
     pub fn clearance_m(&self) -> f64 {
-        let body = match &self.driven {
-            None => self.robot.body(&self.configuration),
-            Some(driven) => {
-                let plant = driven.plant();
-                plant.truth().body(&plant.configuration())
-            }
-        };
         let from_the_start = self.obstacles_at_start.iter();
-        body.least_clearance_m(from_the_start.map(|obstacle| obstacle.moved(self.time_s())))
+        let now = from_the_start.map(|obstacle| obstacle.moved(self.time_s()));
+        match &self.driven {
+            None => (self.robot.body(&self.configuration)).least_clearance_m(now),
+            Some(driven) => driven.plant().clearance_m(now),
+        }
     }
 
     /// How far the tip is measured beside where the bends place it (m).

@@ -36,7 +36,7 @@ mod solver;
 pub use crate::reference::HORIZON_STEPS_MAX;
 pub use horizon::Horizon;
 pub use report::{Constraint, SolveReport, SolveStatus};
-pub use settings::{Coordinates, NmpcSettings, SettingsError, SolverKind, ranges};
+pub use settings::{Coordinates, NmpcSettings, RateWeight, SettingsError, SolverKind, ranges};
 
 use crate::optimizer::{Bounds, Budget, Simd};
 use crate::reference::ReferenceSample;

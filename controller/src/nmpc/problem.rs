@@ -154,6 +154,7 @@ impl<'a> TrackingProblem<'a> {
             rate_change_weight,
             ..
         } = *self.settings;
+        let rate_weight = f64::from(rate_weight);
         let mut cost = Wide::splat(0.0);
         if rate_weight > 0.0 {
             for i in 0..self.dimension() {
@@ -177,6 +178,7 @@ impl<'a> TrackingProblem<'a> {
             rate_change_weight,
             ..
         } = *self.settings;
+        let rate_weight = f64::from(rate_weight);
         if rate_weight > 0.0 {
             let scale = rate_weight.sqrt();
             for (i, rate) in z.iter().enumerate() {

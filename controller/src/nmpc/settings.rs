@@ -1,4 +1,7 @@
-use serde::{Deserialize, Serialize};
+use std::fmt::{self, Formatter};
+
+use serde::de::{self, Unexpected, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::{CONTROL_BLOCKS_MAX, HORIZON_STEPS_MAX, SWARM_MAX};
 use crate::optimizer::{KpsoSettings, VelocityRule};
@@ -81,9 +84,9 @@ crate::parameters! {
         orientation_weight: f64 = 0.1, in ranges::WEIGHT;
         /// Orientation error that costs nothing, {range}.
         orientation_tolerance_rad: f64 = 0.0, in ranges::ORIENTATION_TOLERANCE_RAD;
-        /// Weight of the squared rates, per (rad/s)², {range}. Where nobody sets it: 0, the paper's cost, for the ideal simulated robot, and
+        /// Weight of the squared rates, per (rad/s)², {range}, or "auto": 0, the paper's cost, for the ideal simulated robot, and
         /// 1e-10 for every other. At 0 noise of the sensors makes a robot of more than one section turn about its tip.
-        rate_weight: f64 = 0.0, in ranges::WEIGHT;
+        rate_weight: RateWeight = RateWeight::Auto, in ranges::WEIGHT;
         /// Weight of the squared changes of rates, per (rad/s)², {range}.
         rate_change_weight: f64 = 0.0, in ranges::WEIGHT;
         /// Factor on the error of the last step, {range}.
@@ -100,6 +103,103 @@ crate::parameters! {
         obstacle_square_penalty: f64 = 0.0, in ranges::WEIGHT;
         /// Seed of the swarm, a whole number. The same seed gives the same bits.
         seed: u64 = 1;
+    }
+}
+
+/// Weight of the squared rates.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub enum RateWeight {
+    /// As the robot needs it. For the solver, which knows no sensors, it is that of the ideal robot.
+    #[default]
+    Auto,
+    /// This one, per (rad/s)².
+    Of(f64),
+}
+
+impl RateWeight {
+    /// Of a robot that is measured: so small that the tip does not notice, and enough to keep noise from moving the robot about its tip
+    /// (docs/robustness.md).
+    pub const MEASURED: Self = Self::Of(1e-10);
+
+    const WORD: &str = "auto";
+
+    /// That of a robot which is exactly its model, or is not.
+    pub fn auto(is_ideal: bool) -> Self {
+        if is_ideal {
+            Self::Of(0.0)
+        } else {
+            Self::MEASURED
+        }
+    }
+}
+
+impl From<f64> for RateWeight {
+    fn from(weight: f64) -> Self {
+        Self::Of(weight)
+    }
+}
+
+impl From<RateWeight> for f64 {
+    fn from(weight: RateWeight) -> Self {
+        match weight {
+            RateWeight::Auto => 0.0,
+            RateWeight::Of(weight) => weight,
+        }
+    }
+}
+
+impl Serialize for RateWeight {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Auto => serializer.serialize_str(Self::WORD),
+            Self::Of(weight) => serializer.serialize_f64(*weight),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for RateWeight {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct WordOrNumber;
+
+        impl Visitor<'_> for WordOrNumber {
+            type Value = RateWeight;
+
+            fn expecting(&self, text: &mut Formatter<'_>) -> fmt::Result {
+                write!(text, "a number or {:?}", RateWeight::WORD)
+            }
+
+            fn visit_f64<E>(self, weight: f64) -> Result<RateWeight, E> {
+                Ok(weight.into())
+            }
+
+            fn visit_i64<E>(self, weight: i64) -> Result<RateWeight, E> {
+                Ok((weight as f64).into())
+            }
+
+            fn visit_u64<E>(self, weight: u64) -> Result<RateWeight, E> {
+                Ok((weight as f64).into())
+            }
+
+            fn visit_str<E: de::Error>(self, word: &str) -> Result<RateWeight, E> {
+                if word == RateWeight::WORD {
+                    return Ok(RateWeight::Auto);
+                }
+                Err(E::invalid_value(Unexpected::Str(word), &self))
+            }
+        }
+
+        deserializer.deserialize_any(WordOrNumber)
+    }
+}
+
+#[cfg(feature = "schema")]
+impl schemars::JsonSchema for RateWeight {
+    fn schema_name() -> std::borrow::Cow<'static, str> {
+        "RateWeight".into()
+    }
+
+    fn json_schema(_: &mut schemars::SchemaGenerator) -> schemars::Schema {
+        schemars::json_schema!({ "anyOf": [{ "type": "number" }, { "const": Self::WORD }] })
     }
 }
 
@@ -156,10 +256,6 @@ pub(super) const STEP_TOLERANCE_RAD_S: f64 = 1e-12;
 const POSITION_TOLERANCE_M: f64 = 1e-15;
 
 impl NmpcSettings {
-    /// Rate weight of a robot that is measured, where none is set: so small that the tip does not notice, and enough to keep noise from
-    /// moving the robot about its tip (docs/robustness.md).
-    pub const MEASURED_RATE_WEIGHT: f64 = 1e-10;
-
     /// Checks every value against its range.
     ///
     /// # Errors

@@ -1,6 +1,19 @@
+use core::ops::RangeInclusive;
+
 use serde::{Deserialize, Serialize};
 
 use crate::estimator::Actuator;
+
+/// How a sensor gives what it measures. The default is at once, whenever it is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct Sampling {
+    /// It says what was so long ago, and does not tell (s); to a millisecond.
+    pub delay_s: f64,
+    /// From one measurement to the next (s); 0: it measures whenever it is asked.
+    pub interval_s: f64,
+    /// This part of the measurements is lost.
+    pub dropout: f64,
+}
 
 /// In what a robot differs from the one that the controller computes with. The default is none of it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -10,6 +23,11 @@ pub struct Flaws {
     pub actuator: Actuator,
     /// No motor runs faster (m/s).
     pub motor_speed_max_m_s: f64,
+    /// A cable that is pulled is longer by this part of the pull: the bends are less than its motor says.
+    pub stretch: f64,
+    /// Coulomb friction: for each radian that the body is bent up to the end of its section, a cable stays so far behind its motor (m/rad), on
+    /// the side that it was moved from. Where the play is the same everywhere, this grows with the bends.
+    pub friction_m_per_rad: f64,
     /// The motor of the second cable of each section stands so far beside where it was sent, as under a load (m). A
     /// speed has none.
     pub droop_m: f64,
@@ -19,8 +37,14 @@ pub struct Flaws {
     pub noise_m: f64,
     /// Cable length of one count of an encoder (m); 0: as fine as numbers are.
     pub tick_m: f64,
+    /// How the encoders give what they measure.
+    pub cables: Sampling,
     /// A measured coordinate of the tip is off by this: standard deviation (m).
     pub tip_noise_m: f64,
+    /// The sensor of the tip measures it so far beside (x, y, z) (m).
+    pub tip_bias_m: [f64; 3],
+    /// How that sensor gives what it measures.
+    pub tip: Sampling,
     /// Each section is longer than its model by this part.
     pub length_error: f64,
     /// The cables are farther from the backbone than in the model by this part.
@@ -29,6 +53,10 @@ pub struct Flaws {
     pub cable_angle_error_rad: f64,
     /// A load bends each section by this much more (u, v), times 1 + its bend in radians (rad).
     pub payload_rad: [f64; 2],
+    /// Its base stands so far beside where references and obstacles take it to be (x, y, z) (m).
+    pub base_m: [f64; 3],
+    /// And is turned by this: axis times angle (x, y, z) (rad).
+    pub base_turn_rad: [f64; 3],
 }
 
 impl Default for Flaws {
@@ -36,16 +64,130 @@ impl Default for Flaws {
         Self {
             actuator: Actuator::IDEAL,
             motor_speed_max_m_s: f64::INFINITY,
+            stretch: 0.0,
+            friction_m_per_rad: 0.0,
             droop_m: 0.0,
             offset_m: 0.0,
             noise_m: 0.0,
             tick_m: 0.0,
+            cables: Sampling::default(),
             tip_noise_m: 0.0,
+            tip_bias_m: [0.0; 3],
+            tip: Sampling::default(),
             length_error: 0.0,
             cable_radius_error: 0.0,
             cable_angle_error_rad: 0.0,
             payload_rad: [0.0; 2],
+            base_m: [0.0; 3],
+            base_turn_rad: [0.0; 3],
         }
+    }
+}
+
+/// Flaws by name.
+pub const FLAWS: usize = 31;
+
+/// Why a flaw cannot be set.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum FlawError {
+    /// None has this name.
+    #[error("no flaw is called {0:?}: there are {names}", names = Flaws::names().join(", "))]
+    Unknown(String),
+    /// It is too large, too small or not a number.
+    #[error("{name} = {value} is out of range: allowed is {} to {}", allowed.start(), allowed.end())]
+    OutOfRange {
+        /// Which one.
+        name: String,
+        /// What it should be.
+        value: f64,
+        /// What it may be.
+        allowed: RangeInclusive<f64>,
+    },
+}
+
+impl Flaws {
+    /// Each number by the name that people set it by, and what it may be. Lists have a name for each axis.
+    pub fn named(&mut self) -> [(&'static str, &mut f64, RangeInclusive<f64>); FLAWS] {
+        const DELAY_S: RangeInclusive<f64> = 0.0..=0.3;
+        const INTERVAL_S: RangeInclusive<f64> = 0.0..=1.0;
+        const LENGTH_M: RangeInclusive<f64> = -0.1..=0.1;
+        const PART: RangeInclusive<f64> = -0.2..=0.2;
+        const TURN_RAD: RangeInclusive<f64> = -0.5..=0.5;
+        const SMALL_M: RangeInclusive<f64> = 0.0..=0.01;
+        const DROPOUT: RangeInclusive<f64> = 0.0..=0.9;
+        let (actuator, cables, tip) = (&mut self.actuator, &mut self.cables, &mut self.tip);
+        let ([bias_x, bias_y, bias_z], [payload_u, payload_v]) =
+            (&mut self.tip_bias_m, &mut self.payload_rad);
+        let ([base_x, base_y, base_z], [turn_x, turn_y, turn_z]) =
+            (&mut self.base_m, &mut self.base_turn_rad);
+        [
+            ("delay_s", &mut actuator.delay_s, DELAY_S),
+            ("time_constant_s", &mut actuator.time_constant_s, DELAY_S),
+            ("play_m", &mut actuator.play_m, SMALL_M),
+            (
+                "motor_speed_max_m_s",
+                &mut self.motor_speed_max_m_s,
+                1e-3..=10.0,
+            ),
+            ("stretch", &mut self.stretch, 0.0..=0.2),
+            ("friction_m_per_rad", &mut self.friction_m_per_rad, SMALL_M),
+            ("droop_m", &mut self.droop_m, LENGTH_M),
+            ("offset_m", &mut self.offset_m, LENGTH_M),
+            ("noise_m", &mut self.noise_m, SMALL_M),
+            ("tick_m", &mut self.tick_m, SMALL_M),
+            ("cable_delay_s", &mut cables.delay_s, DELAY_S),
+            ("cable_interval_s", &mut cables.interval_s, INTERVAL_S),
+            ("cable_dropout", &mut cables.dropout, DROPOUT),
+            ("tip_noise_m", &mut self.tip_noise_m, SMALL_M),
+            ("tip_bias_x_m", bias_x, LENGTH_M),
+            ("tip_bias_y_m", bias_y, LENGTH_M),
+            ("tip_bias_z_m", bias_z, LENGTH_M),
+            ("tip_delay_s", &mut tip.delay_s, DELAY_S),
+            ("tip_interval_s", &mut tip.interval_s, INTERVAL_S),
+            ("tip_dropout", &mut tip.dropout, DROPOUT),
+            ("length_error", &mut self.length_error, PART),
+            ("cable_radius_error", &mut self.cable_radius_error, PART),
+            (
+                "cable_angle_error_rad",
+                &mut self.cable_angle_error_rad,
+                TURN_RAD,
+            ),
+            ("payload_u_rad", payload_u, TURN_RAD),
+            ("payload_v_rad", payload_v, TURN_RAD),
+            ("base_x_m", base_x, LENGTH_M),
+            ("base_y_m", base_y, LENGTH_M),
+            ("base_z_m", base_z, LENGTH_M),
+            ("base_turn_x_rad", turn_x, TURN_RAD),
+            ("base_turn_y_rad", turn_y, TURN_RAD),
+            ("base_turn_z_rad", turn_z, TURN_RAD),
+        ]
+    }
+
+    /// The names of all of them.
+    pub fn names() -> [&'static str; FLAWS] {
+        Self::default().named().map(|(name, ..)| name)
+    }
+
+    /// The same, and one of them set by its name.
+    ///
+    /// # Errors
+    /// [`FlawError`].
+    pub fn with(mut self, name: &str, value: f64) -> Result<Self, FlawError> {
+        let named = self.named().into_iter();
+        let found = named.filter(|(known, ..)| *known == name).last();
+        let Some((_, place, allowed)) = found else {
+            return Err(FlawError::Unknown(name.to_owned()));
+        };
+        if !allowed.contains(&value) {
+            let name = name.to_owned();
+            return Err(FlawError::OutOfRange {
+                name,
+                value,
+                allowed,
+            });
+        }
+        *place = value;
+        Ok(self)
     }
 }
 

@@ -2,12 +2,12 @@
 
 use std::collections::VecDeque;
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::Flaws;
-use crate::robot::{CABLES_MAX, Configuration, Robot, RobotError, RobotParameters};
+use super::{Flaws, Sampling};
+use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
 
 /// What the motors are told.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,8 +40,26 @@ pub struct MisbehavingRobot {
     order: MotorOrder,
     /// Orders that are under way to the motors, and when they arrive (s).
     coming: VecDeque<(f64, MotorOrder)>,
+    /// Where motors and cables were, millisecond by millisecond, for sensors with a delay.
+    past: VecDeque<Moment>,
+    /// When encoders and the sensor of the tip measure again (s).
+    due_s: [f64; 2],
     noise: Xoshiro256PlusPlus,
 }
+
+/// Where motors and cables were at a time.
+#[derive(Debug, Clone, Copy)]
+struct Moment {
+    time_s: f64,
+    motor_m: [f64; CABLES_MAX],
+    cable_m: [f64; CABLES_MAX],
+}
+
+/// As many as the longest delay has milliseconds.
+const PAST_MAX: usize = 320;
+const PAST_STEP_S: f64 = 1e-3;
+/// Rounding of a sum of steps is no time (s).
+const ROUNDING_S: f64 = 1e-9;
 
 /// Orders that can be under way at once: the longest delay of 0.3 s with one in each 0.1 ms. Of more the newest are lost.
 const COMING_MAX: usize = 3000;
@@ -68,7 +86,7 @@ impl MisbehavingRobot {
             section.cable_offset_rad += flaws.cable_angle_error_rad;
         }
         let cable_m = model.cable_strokes(at);
-        Ok(Self {
+        let mut robot = Self {
             model: model.clone(),
             truth: Robot::new(&truth)?,
             flaws,
@@ -78,8 +96,12 @@ impl MisbehavingRobot {
             now_s: 0.0,
             order: MotorOrder::Stand,
             coming: VecDeque::with_capacity(COMING_MAX),
+            past: VecDeque::with_capacity(PAST_MAX),
+            due_s: [0.0; 2],
             noise: Xoshiro256PlusPlus::seed_from_u64(seed),
-        })
+        };
+        robot.remember();
+        Ok(robot)
     }
 
     /// The same with cables and sections that are those of another robot, whatever the flaws say of its geometry. It has as many
@@ -112,8 +134,7 @@ impl MisbehavingRobot {
     pub fn advance(&mut self, dt_s: f64) {
         let end_s = self.now_s + dt_s;
         while let Some((from_s, order)) = self.coming.front().copied() {
-            // Rounding of a sum of steps is no time.
-            if from_s > end_s - 1e-9 {
+            if from_s > end_s - ROUNDING_S {
                 break;
             }
             self.run(from_s - self.now_s);
@@ -122,6 +143,48 @@ impl MisbehavingRobot {
         }
         self.run(end_s - self.now_s);
         self.now_s = end_s;
+        self.remember();
+    }
+
+    /// Keeps where it is for the sensors that say it later.
+    fn remember(&mut self) {
+        let is_old = |last: &Moment| self.now_s - last.time_s > PAST_STEP_S - ROUNDING_S;
+        if self.past.back().is_none_or(is_old) {
+            if self.past.len() == PAST_MAX {
+                self.past.pop_front();
+            }
+            self.past.push_back(self.here());
+        }
+    }
+
+    fn here(&self) -> Moment {
+        Moment {
+            time_s: self.now_s,
+            motor_m: self.motor_m,
+            cable_m: self.cable_m,
+        }
+    }
+
+    /// What a sensor that is asked now says: how it was at that time; `None`: it says nothing now.
+    fn sampled(&mut self, sensor: usize, sampling: Sampling) -> Option<Moment> {
+        if sampling.interval_s > 0.0 {
+            if self.now_s < self.due_s[sensor] - ROUNDING_S {
+                return None;
+            }
+            // On a grid, but for what was never asked for.
+            self.due_s[sensor] = (self.due_s[sensor] + sampling.interval_s).max(self.now_s);
+        }
+        if sampling.dropout > 0.0 && self.noise.random_bool(sampling.dropout.min(1.0)) {
+            return None;
+        }
+        if sampling.delay_s <= 0.0 {
+            return Some(self.here());
+        }
+        let then_s = self.now_s - sampling.delay_s + ROUNDING_S;
+        let mut past = self.past.iter().rev();
+        // Before the first of them it stood there.
+        let then = past.find(|moment| moment.time_s <= then_s);
+        then.or(self.past.front()).copied()
     }
 
     /// The motors at their order for `dt_s`.
@@ -194,11 +257,21 @@ impl MisbehavingRobot {
         }
     }
 
-    /// A motor takes its cable along when the play is over.
+    /// A motor takes its cable along when the play is over, and what friction adds to that.
     fn pull_cables(&mut self) {
-        let play_m = 0.5 * self.flaws.actuator.play_m;
-        for (cable_m, motor_m) in self.cable_m.iter_mut().zip(&self.motor_m) {
-            *cable_m = cable_m.clamp(motor_m - play_m, motor_m + play_m);
+        let mut band_m = 0.5 * self.flaws.actuator.play_m;
+        let bends = (self.flaws.friction_m_per_rad > 0.0)
+            .then(|| self.model.bend_from_cable_strokes(&self.motor_m));
+        let motors_m = self.motor_m.chunks_exact(3);
+        let cables_m = self.cable_m.chunks_exact_mut(3).zip(motors_m);
+        for (section, (cables_m, motors_m)) in cables_m.take(self.model.section_count()).enumerate()
+        {
+            if let Some(bends) = &bends {
+                band_m += self.flaws.friction_m_per_rad * bends.bend_rad(section);
+            }
+            for (cable_m, motor_m) in cables_m.iter_mut().zip(motors_m) {
+                *cable_m = cable_m.clamp(motor_m - band_m, motor_m + band_m);
+            }
         }
     }
 
@@ -207,8 +280,9 @@ impl MisbehavingRobot {
         &self.motor_m
     }
 
-    /// What the encoders say (m).
-    pub fn measure_cables(&mut self) -> [f64; CABLES_MAX] {
+    /// What the encoders say (m); `None`: they say nothing now, for their own rate or a drop-out.
+    pub fn measure_cables(&mut self) -> Option<[f64; CABLES_MAX]> {
+        let then = self.sampled(0, self.flaws.cables)?;
         let mut lengths_m = [0.0; CABLES_MAX];
         for cable in 0..self.model.cable_count() {
             let offset_m = if cable.is_multiple_of(3) {
@@ -217,7 +291,7 @@ impl MisbehavingRobot {
                 0.0
             };
             let noise_m = self.flaws.noise_m * self.noise.random_range(-1.0..=1.0);
-            let turned_m = self.motor_m[cable] + offset_m + noise_m;
+            let turned_m = then.motor_m[cable] + offset_m + noise_m;
             let tick_m = self.flaws.tick_m;
             let counted_m = if tick_m > 0.0 {
                 (turned_m / tick_m).round() * tick_m
@@ -226,22 +300,36 @@ impl MisbehavingRobot {
             };
             lengths_m[cable] = self.straight_m(cable) + counted_m;
         }
-        lengths_m
+        Some(lengths_m)
     }
 
-    /// What a sensor of the tip's position says (m).
-    pub fn measure_tip(&mut self) -> Vector3<f64> {
-        let tip_m = self.tip_m();
+    /// What a sensor of the tip's position says (m); `None`: it says nothing now, as [`Self::measure_cables`].
+    pub fn measure_tip(&mut self) -> Option<Vector3<f64>> {
+        let then = self.sampled(1, self.flaws.tip)?;
+        let tip_m = self.tip_at(&then.cable_m) + Vector3::from(self.flaws.tip_bias_m);
         // A sum of twelve uniform numbers is as good as a normal one out to four deviations.
-        tip_m.map(|coordinate_m| {
+        Some(tip_m.map(|coordinate_m| {
             let sum: f64 = (0..12).map(|_| self.noise.random_range(-0.5..=0.5)).sum();
             coordinate_m + self.flaws.tip_noise_m * sum
-        })
+        }))
     }
 
     /// How it is bent in truth (rad).
     pub fn configuration(&self) -> Configuration {
-        let mut bends = self.truth.bend_from_cable_strokes(&self.cable_m);
+        self.bent_by(&self.cable_m)
+    }
+
+    fn bent_by(&self, cable_m: &[f64; CABLES_MAX]) -> Configuration {
+        // Pulled is shorter.
+        let bends_m = cable_m.map(|stroke_m| {
+            let stretched = if stroke_m < 0.0 {
+                self.flaws.stretch
+            } else {
+                0.0
+            };
+            stroke_m * (1.0 - stretched)
+        });
+        let mut bends = self.truth.bend_from_cable_strokes(&bends_m);
         let (pairs, _) = bends.as_mut_slice().as_chunks_mut::<2>();
         for pair in pairs {
             let grown = 1.0 + pair[0].hypot(pair[1]);
@@ -252,9 +340,37 @@ impl MisbehavingRobot {
         bends
     }
 
-    /// Where its tip is in truth (m).
+    /// Where its tip is in truth (m), in the frame of the references.
     pub fn tip_m(&self) -> Vector3<f64> {
-        self.truth.tip_position(&self.configuration())
+        self.tip_at(&self.cable_m)
+    }
+
+    fn tip_at(&self, cable_m: &[f64; CABLES_MAX]) -> Vector3<f64> {
+        let tip_m = self.truth.tip_position(&self.bent_by(cable_m));
+        match self.base() {
+            None => tip_m,
+            Some(base) => (base * Point3::from(tip_m)).coords,
+        }
+    }
+
+    /// Where its base stands in the frame of the references; `None`: where they take it to be.
+    fn base(&self) -> Option<Isometry3<f64>> {
+        let Flaws {
+            base_m,
+            base_turn_rad,
+            ..
+        } = self.flaws;
+        let is_elsewhere = base_m.iter().chain(&base_turn_rad).any(|part| *part != 0.0);
+        is_elsewhere.then(|| Isometry3::new(base_m.into(), base_turn_rad.into()))
+    }
+
+    /// Least clearance of its whole body in truth (m) to `obstacles` in the frame of the references; infinite without.
+    pub fn clearance_m(&self, obstacles: impl Iterator<Item = Obstacle>) -> f64 {
+        let body = self.truth.body(&self.configuration());
+        match self.base().map(|base| base.inverse()) {
+            None => body.least_clearance_m(obstacles),
+            Some(seen) => body.least_clearance_m(obstacles.map(|obstacle| obstacle.seen_in(&seen))),
+        }
     }
 
     /// The robot that it is in truth.
@@ -265,213 +381,4 @@ impl MisbehavingRobot {
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-mod tests {
-    use super::*;
-    use crate::estimator::Actuator;
-    use crate::plant::Preset;
-    use crate::robot::BendRates;
-
-    const STEP_S: f64 = 0.001;
-
-    fn model() -> Robot {
-        Robot::new(&RobotParameters::paper(2)).unwrap()
-    }
-
-    fn bent(bend_rad: [f64; 4]) -> Configuration {
-        Configuration::from_slice(&bend_rad).unwrap()
-    }
-
-    fn robot(flaws: Flaws) -> MisbehavingRobot {
-        MisbehavingRobot::new(&model(), &bent([0.5, -0.2, 0.1, 0.0]), flaws, 7).unwrap()
-    }
-
-    fn lengths(bend_rad: [f64; 4]) -> MotorOrder {
-        MotorOrder::Lengths(model().cable_lengths(&bent(bend_rad)))
-    }
-
-    fn speeds(rad_s: [f64; 4]) -> MotorOrder {
-        let rates = BendRates::from_slice(&rad_s).unwrap();
-        MotorOrder::Speeds(model().cable_speeds(&rates))
-    }
-
-    fn lagging(delay_s: f64, time_constant_s: f64) -> Flaws {
-        Flaws {
-            actuator: Actuator {
-                delay_s,
-                time_constant_s,
-                play_m: 0.0,
-            },
-            ..Flaws::default()
-        }
-    }
-
-    fn near(robot: &MisbehavingRobot, expected: [f64; 4], within_rad: f64) {
-        let found = robot.configuration();
-        for (found, expected) in found.as_slice().iter().zip(expected) {
-            assert!(
-                (found - expected).abs() <= within_rad,
-                "{found}, {expected}"
-            );
-        }
-    }
-
-    fn run(robot: &mut MisbehavingRobot, order: MotorOrder, steps: u32, step_s: f64) {
-        for _ in 0..steps {
-            robot.order(order);
-            robot.advance(step_s);
-        }
-    }
-
-    #[test]
-    fn the_ideal_robot_goes_where_it_is_sent_at_once_and_measures_it() {
-        let mut robot = robot(Preset::Ideal.flaws());
-        near(&robot, [0.5, -0.2, 0.1, 0.0], 1e-12);
-        run(&mut robot, lengths([0.1, 0.2, 0.3, 0.4]), 1, STEP_S);
-        near(&robot, [0.1, 0.2, 0.3, 0.4], 1e-12);
-        run(&mut robot, speeds([1.0, 0.0, -2.0, 0.0]), 1, 0.1);
-        near(&robot, [0.2, 0.2, 0.1, 0.4], 1e-12);
-        let before = robot.measure_cables();
-        run(&mut robot, MotorOrder::Stand, 1, 1.0);
-        assert_eq!(robot.measure_cables(), before);
-        let measured = model().bend_from_cable_lengths(&before);
-        near(
-            &robot,
-            core::array::from_fn(|i| measured.as_slice()[i]),
-            1e-12,
-        );
-        let tip_m = model().tip_position(&robot.configuration());
-        assert!((robot.measure_tip() - tip_m).norm() < 1e-15);
-    }
-
-    #[test]
-    fn motors_lag_by_their_time_constant_whatever_the_step() {
-        let lag_s = 0.02;
-        for steps in [1, 7, 100] {
-            let mut robot = robot(lagging(0.0, lag_s));
-            let step_s = 0.1 / f64::from(steps);
-            run(&mut robot, speeds([1.0, 0.0, 0.0, 0.0]), steps, step_s);
-            let behind = lag_s * (1.0 - (-0.1 / lag_s).exp());
-            near(&robot, [0.6 - behind, -0.2, 0.1, 0.0], 1e-12);
-            // It runs on for a while when it is told to stand.
-            run(&mut robot, MotorOrder::Stand, 1, 10.0);
-            near(&robot, [0.6, -0.2, 0.1, 0.0], 1e-12);
-            run(&mut robot, lengths([0.0; 4]), 1, lag_s);
-            let left = (-1.0_f64).exp();
-            near(&robot, [0.6 * left, -0.2 * left, 0.1 * left, 0.0], 1e-12);
-        }
-    }
-
-    #[test]
-    fn orders_take_effect_after_the_delay_whatever_the_step() {
-        for (step_s, delay_s) in [
-            (0.0005, 0.015),
-            (STEP_S, 0.015),
-            (0.005, 0.015),
-            (0.0001, 0.05),
-        ] {
-            let mut robot = robot(lagging(delay_s, 0.0));
-            let steps = (0.1 / step_s).round() as u32;
-            run(&mut robot, speeds([1.0, 0.0, 0.0, 0.0]), steps, step_s);
-            near(&robot, [0.5 + 0.1 - delay_s, -0.2, 0.1, 0.0], 1e-12);
-            run(&mut robot, MotorOrder::Stand, steps, step_s);
-            near(&robot, [0.5 + 0.1, -0.2, 0.1, 0.0], 1e-12);
-        }
-    }
-
-    #[test]
-    fn a_cable_comes_along_when_the_play_is_over() {
-        let mut robot = robot(Flaws {
-            actuator: Actuator {
-                play_m: 1e-3,
-                ..Actuator::IDEAL
-            },
-            ..Flaws::default()
-        });
-        let straight = model().cable_strokes(&bent([0.5, -0.2, 0.1, 0.0]));
-        let mut pulled = model().cable_lengths(&bent([0.5, -0.2, 0.1, 0.0]));
-        pulled[0] += 2e-3;
-        run(&mut robot, MotorOrder::Lengths(pulled), 1, STEP_S);
-        assert!((robot.cable_m[0] - straight[0] - 1.5e-3).abs() < 1e-15);
-        pulled[0] -= 0.9e-3;
-        run(&mut robot, MotorOrder::Lengths(pulled), 1, STEP_S);
-        assert!(
-            (robot.cable_m[0] - straight[0] - 1.5e-3).abs() < 1e-15,
-            "in its play"
-        );
-        pulled[0] -= 0.3e-3;
-        run(&mut robot, MotorOrder::Lengths(pulled), 1, STEP_S);
-        assert!((robot.cable_m[0] - straight[0] - 1.3e-3).abs() < 1e-15);
-    }
-
-    #[test]
-    fn errors_of_the_geometry_and_a_load_bend_it_otherwise() {
-        let mut longer = robot(Flaws {
-            length_error: 0.05,
-            cable_radius_error: -0.5,
-            payload_rad: [0.01, 0.0],
-            ..Flaws::default()
-        });
-        run(&mut longer, lengths([0.1, 0.0, 0.0, 0.0]), 1, STEP_S);
-        // Half the radius: twice the bend; its encoders cannot know.
-        near(&longer, [0.2 + 0.012, 0.0, 0.01, 0.0], 1e-12);
-        let measured = model().bend_from_cable_lengths(&longer.measure_cables());
-        assert!((measured.as_slice()[0] - 0.1).abs() < 1e-12);
-        assert!((longer.truth().reach_m() - 0.63).abs() < 1e-12);
-    }
-
-    #[test]
-    fn sensors_are_as_bad_as_is_said_and_repeat() {
-        let flaws = Flaws {
-            droop_m: 0.0,
-            tick_m: 0.0,
-            ..Preset::Laboratory.flaws()
-        };
-        let (mut one, mut other) = (robot(flaws), robot(flaws));
-        let first = one.measure_cables();
-        assert_eq!(first, other.measure_cables());
-        assert_ne!(first, one.measure_cables());
-        let true_m = model().cable_lengths(&one.configuration());
-        let far =
-            |measured: [f64; CABLES_MAX], cable: usize| (measured[cable] - true_m[cable]).abs();
-        let most = (0..1000)
-            .map(|_| far(other.measure_cables(), 2))
-            .fold(0.0, f64::max);
-        assert!((2.9e-5..=3.0001e-5).contains(&most), "{most}");
-        let mean = (0..1000)
-            .map(|_| other.measure_cables()[3] - true_m[3])
-            .sum::<f64>()
-            / 1000.0;
-        assert!((mean - 1e-4).abs() < 2e-6, "{mean}");
-        let tip_m = one.tip_m();
-        let squares = (0..10_000).map(|_| (one.measure_tip() - tip_m).norm_squared());
-        let deviation_m = (squares.sum::<f64>() / 30_000.0).sqrt();
-        assert!((deviation_m / 3e-4 - 1.0).abs() < 0.02, "{deviation_m}");
-        let mut counted = robot(Flaws {
-            tick_m: 1e-3,
-            ..Flaws::default()
-        });
-        let ticks = (counted.measure_cables()[0] - 0.3) / 1e-3;
-        assert!((ticks - ticks.round()).abs() < 1e-9);
-    }
-
-    #[test]
-    fn sections_have_mechanical_ends_and_motors_a_largest_speed() {
-        for order in [speeds([3.0, 4.0, 0.0, 0.0]), lengths([3.0, 4.0, 0.1, 0.0])] {
-            let mut robot = robot(lagging(0.0, 0.02));
-            run(&mut robot, order, 10_000, STEP_S);
-            let [u, v, w, ..] = *robot.configuration().as_slice() else {
-                unreachable!("two sections")
-            };
-            assert!((u.hypot(v) - 2.8).abs() < 1e-9);
-            assert!((w - 0.1).abs() < 1e-9 && v > u);
-        }
-        let mut slow = robot(Flaws {
-            motor_speed_max_m_s: 0.01,
-            ..Flaws::default()
-        });
-        let before = slow.motor_m;
-        run(&mut slow, lengths([0.0; 4]), 10, STEP_S);
-        let most = (0..6).map(|cable| (slow.motor_m[cable] - before[cable]).abs());
-        assert!((most.fold(0.0, f64::max) - 1e-4).abs() < 1e-15);
-    }
-}
+mod tests;

@@ -6,6 +6,6 @@ mod flaws;
 mod kinematic;
 mod misbehaving;
 
-pub use flaws::{Flaws, Preset};
+pub use flaws::{FLAWS, FlawError, Flaws, Preset, Sampling};
 pub use kinematic::KinematicPlant;
 pub use misbehaving::{MisbehavingRobot, MotorOrder};

@@ -4,7 +4,7 @@
 
 use core::ops::RangeInclusive;
 
-use nalgebra::Vector3;
+use nalgebra::{Isometry3, Point3, Vector3};
 use thiserror::Error;
 
 use super::lanes::WideVector;
@@ -44,6 +44,19 @@ impl Shape {
             Self::Capsule { start_m, end_m } => Self::Capsule {
                 start_m: start_m + by_m,
                 end_m: end_m + by_m,
+            },
+        }
+    }
+
+    fn seen_in(self, frame: &Isometry3<f64>) -> Self {
+        let there = |point_m: Vector3<f64>| (frame * Point3::from(point_m)).coords;
+        match self {
+            Self::Sphere { centre_m } => Self::Sphere {
+                centre_m: there(centre_m),
+            },
+            Self::Capsule { start_m, end_m } => Self::Capsule {
+                start_m: there(start_m),
+                end_m: there(end_m),
             },
         }
     }
@@ -208,6 +221,18 @@ impl Obstacle {
     /// Its velocity (m/s, base frame).
     pub fn velocity_m_s(&self) -> Vector3<f64> {
         self.velocity_m_s
+    }
+
+    /// The same obstacle in another frame, into which `frame` takes points of this one.
+    #[must_use]
+    pub(crate) fn seen_in(&self, frame: &Isometry3<f64>) -> Self {
+        let shape = self.shape.seen_in(frame);
+        Self {
+            shape,
+            axis: shape.axis(),
+            velocity_m_s: frame * self.velocity_m_s,
+            ..*self
+        }
     }
 
     /// The obstacle `dt_s` (s, finite) later, at constant velocity without turning; earlier if negative.

@@ -76,8 +76,8 @@ impl Trial {
             let goal = path.bends(f64::from(row) * ROW_S);
             plant.order(MotorOrder::Lengths(model.cable_lengths(&goal)));
             plant.advance(ROW_S);
-            let cable_length_m = plant.measure_cables();
-            let noise_m = plant.measure_tip() - plant.tip_m();
+            let cable_length_m = plant.measure_cables().unwrap();
+            let noise_m = plant.measure_tip().unwrap() - plant.tip_m();
             let seen = plant.truth().tip_pose(&plant.configuration());
             let turn = UnitQuaternion::from_matrix(&seen.rotation);
             let placed =

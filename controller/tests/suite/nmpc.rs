@@ -1,6 +1,8 @@
 //! What `Nmpc::solve` promises, held against the robot and references that make it hard.
 
-use cdcr_controller::nmpc::{Coordinates, Nmpc, NmpcSettings, SolveInput, SolveStatus, SolverKind};
+use cdcr_controller::nmpc::{
+    Coordinates, Nmpc, NmpcSettings, RateWeight, SolveInput, SolveStatus, SolverKind,
+};
 use cdcr_controller::optimizer::{Budget, VelocityRule, cycle_seed};
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape};
@@ -258,7 +260,7 @@ fn the_largest_problems_look_at_their_budget_all_along() {
             swarm_size: 64,
             swarm_iterations: 3,
             refinement_steps: 1,
-            rate_weight: 1e-6,
+            rate_weight: 1e-6.into(),
             rate_change_weight: 1e-6,
             ..NmpcSettings::default()
         };
@@ -398,7 +400,7 @@ fn cases() -> impl Strategy<Value = Case> {
                         control_blocks: blocks.min(horizon_steps),
                         swarm_size,
                         swarm_iterations,
-                        rate_weight: weight,
+                        rate_weight: RateWeight::Of(weight),
                         rate_change_weight: weight,
                         coordinates: if angles {
                             Coordinates::BendAngles

@@ -2,7 +2,7 @@
 
 use cdcr_controller::closed_loop::{ClosedLoop, Driven, FigureEight, FigureEightRun, Sensor};
 use cdcr_controller::estimator::Actuator;
-use cdcr_controller::nmpc::{Nmpc, NmpcSettings};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, RateWeight};
 use cdcr_controller::plant::Flaws;
 use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{Configuration, Obstacle, Robot, RobotParameters, Shape};
@@ -41,6 +41,10 @@ impl Figures {
 }
 
 /// The worst of some seeds, for motors that obey positions and, where everything is repeated, for those that obey speeds.
+#[allow(
+    clippy::large_types_passed_by_value,
+    reason = "a robot is given once for each simulation"
+)]
 fn worst(name: &str, driven: Driven) -> Figures {
     let eight = FigureEight::new().unwrap();
     let mut worst = Figures::default();
@@ -347,7 +351,7 @@ fn a_robot_with_play_stays_where_it_is_sent() {
 #[test]
 fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
     let settings = NmpcSettings {
-        rate_weight: NmpcSettings::MEASURED_RATE_WEIGHT,
+        rate_weight: RateWeight::MEASURED,
         rate_change_weight: 1e-5,
         ..NmpcSettings::default()
     };

@@ -452,7 +452,7 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
             control_blocks: 3,
             swarm_size: 21,
             orientation_tolerance_rad: 0.002,
-            rate_weight: 1e-9,
+            rate_weight: 1e-9.into(),
             rate_change_weight: 1e-9,
             ..NmpcSettings::default()
         };

@@ -52,12 +52,12 @@ mod tests {
     #[test]
     fn a_preset_sets_its_keys_and_an_option_wins_over_it() {
         let default = config(&[]);
-        assert!(default.controller.rate_weight == 0.0);
+        assert!(f64::from(default.controller.rate_weight) == 0.0);
         for preset in Preset::value_variants() {
             let name = preset.to_possible_value().unwrap().get_name().to_owned();
             let set = config(&["--preset", &name]);
             let values = [
-                set.controller.rate_weight,
+                set.controller.rate_weight.into(),
                 set.controller.rate_change_weight,
                 set.estimator.time_constant_ms,
             ];

@@ -6,7 +6,7 @@ use super::{Config, DEFAULT_TEXT, keys};
 
 const HEAD: &str = "\
 # The default configuration of cdcrd: the paper's robot with three sections, simulated.
-# Every key is here with its default, one as a remark because its default depends on the robot; a file needs only the keys that differ.
+# Every key is here with its default; a file needs only the keys that differ.
 # Units end the names. Check a file with: cdcrd check --config FILE
 # One key, and where its value comes from: cdcrd config explain cycle.period_ms
 ";
@@ -30,10 +30,6 @@ fn made() -> String {
             Some(toml::Value::Array(list)) if list.iter().any(toml::Value::is_table) => {
                 text.push('\n');
                 format!("[[{key}]]\n")
-            }
-            // Written, it would be taken literally for every kind of robot.
-            Some(default) if key == "controller.rate_weight" => {
-                format!("# {}", line(name, default))
             }
             Some(default) => line(name, default),
         };

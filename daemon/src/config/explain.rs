@@ -70,12 +70,16 @@ fn kind(node: &Value) -> Option<String> {
     if node.get("oneOf").is_some() {
         return Some("one of these strings".to_owned());
     }
+    if node.get("anyOf").is_some() {
+        return Some("number or \"auto\"".to_owned());
+    }
     let words = match node.get("type")?.as_str()? {
         "number" => "number",
         "integer" => "whole number",
         "boolean" => "true or false",
         "array" => "list",
         "string" => "string",
+        "object" => "table",
         _ => return None,
     };
     Some(words.to_owned())

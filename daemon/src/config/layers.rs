@@ -221,7 +221,9 @@ fn not_settable(key: &str, origin: Origin) -> ConfigError {
 /// A value as TOML; where a string is expected, a bare word is one.
 fn value_of(text: &str, default: &Value) -> Result<toml_edit::Value, String> {
     let is_quoted = text.trim_start().starts_with(['"', '\'']);
-    if default.is_str() && !is_quoted {
+    // What is "auto" by default may be a number.
+    let is_number = default.as_str() == Some("auto") && text.trim().parse::<f64>().is_ok();
+    if default.is_str() && !is_quoted && !is_number {
         return Ok(text.into());
     }
     toml_edit::Value::from_str(text.trim())

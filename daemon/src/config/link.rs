@@ -1,4 +1,6 @@
-use cdcr_controller::plant::Preset;
+use std::collections::BTreeMap;
+
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_controller::robot::{Configuration, Robot, RobotParameters, SectionParameters};
 use serde::{Deserialize, Serialize};
 
@@ -58,6 +60,13 @@ cdcr_controller::parameters! {
         /// Whether the position of its tip is measured beside its cables, with 0.3 mm of noise; not of the ideal robot, which is exactly its
         /// model, and of "blind" anyway.
         simulated_tip: bool = false;
+        /// What else is wrong with it, or otherwise than with the preset: name = number. Of the motors delay_s, time_constant_s,
+        /// play_m, motor_speed_max_m_s and droop_m; of the cables stretch (of 1) and friction_m_per_rad; of the encoders offset_m, noise_m, tick_m,
+        /// cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of the tip tip_noise_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m,
+        /// tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
+        /// payload_u_rad and payload_v_rad; of the base base_x_m, base_y_m, base_z_m, base_turn_x_rad, base_turn_y_rad and
+        /// base_turn_z_rad. Not of the ideal robot.
+        simulated_flaws: BTreeMap<String, f64> = BTreeMap::new();
         /// What its sections are in truth, to try a configuration that is wrong: length in m, radius of the cables in m and angle of the
         /// first in rad, three numbers for each section; empty: those of [robot], and what the preset makes of them. Not of the ideal robot.
         simulated_geometry: Vec<[f64; 3]> = Vec::new();
@@ -78,6 +87,8 @@ cdcr_controller::parameters! {
     }
 }
 
+const FLAWS_KEY: &str = "link.simulated_flaws";
+
 impl LinkConfig {
     /// Whether the robot is exactly its model.
     pub fn is_ideal(&self) -> bool {
@@ -92,6 +103,14 @@ impl LinkConfig {
         }
     }
 
+    /// What is wrong with the simulated robot.
+    pub(super) fn flaws(&self, origins: &Origins) -> Result<Flaws, ConfigError> {
+        let mut given = self.simulated_flaws.iter();
+        let preset = self.simulated.flaws();
+        let flaws = given.try_fold(preset, |flaws, (name, value)| flaws.with(name, *value));
+        flaws.map_err(|error| origins.error(&[FLAWS_KEY], &error.to_string()))
+    }
+
     /// The robot that the simulated one is in truth, where that is given.
     pub(super) fn truth(
         &self,
@@ -100,11 +119,13 @@ impl LinkConfig {
     ) -> Result<Option<Robot>, ConfigError> {
         let (given, key) = (&self.simulated_geometry, "link.simulated_geometry");
         let is_refused = |message: &str| origins.error(&[key, "link.simulated"], message);
-        if self.is_ideal() && (!given.is_empty() || self.simulated_tip) {
+        let is_changed =
+            !given.is_empty() || self.simulated_tip || !self.simulated_flaws.is_empty();
+        if self.is_ideal() && is_changed {
             return Err(origins.error(
-                &["link.simulated_tip", key, "link.simulated"],
-                "the ideal robot is exactly its model: simulated_geometry and simulated_tip need another link.simulated, \
-                 for example \"laboratory\"",
+                &["link.simulated_tip", key, FLAWS_KEY, "link.simulated"],
+                "the ideal robot is exactly its model: simulated_geometry, simulated_flaws and simulated_tip need another \
+                 link.simulated, for example \"laboratory\"",
             ));
         }
         if given.is_empty() {

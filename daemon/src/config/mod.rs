@@ -34,6 +34,7 @@ mod transport;
 use std::path::Path;
 
 use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::plant::Flaws;
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::Location;
 use serde::{Deserialize, Serialize};
@@ -98,12 +99,14 @@ cdcr_controller::parameters! {
 #[derive(Debug, Clone)]
 pub struct Validated {
     /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`,
-    /// `obstacles.source_timeout_ms`, and `controller.rate_weight` where nobody set it.
+    /// `obstacles.source_timeout_ms` and `controller.rate_weight`.
     pub config: Config,
     /// The robot.
     pub robot: Robot,
     /// What the simulated robot is in truth, where that is given.
     pub truth: Option<Robot>,
+    /// What is wrong with the simulated robot.
+    pub flaws: Flaws,
     /// Where its simulation, or the estimate, begins.
     pub initial: Configuration,
     /// Where daemon and clients meet.

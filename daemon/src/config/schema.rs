@@ -164,6 +164,7 @@ mod tests {
             let has_range = keys::declared(key).unwrap().range.is_some();
             let is_limited = has_range || key == "controller.seed";
             let is_number = default.is_float() || default.is_integer();
+            let is_number = is_number || key == "controller.rate_weight";
             assert_eq!(is_limited, is_number, "{key}");
         }
         let solver = node(&schema, "controller.solver").unwrap();

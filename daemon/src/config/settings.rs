@@ -1,4 +1,4 @@
-use cdcr_controller::nmpc::NmpcSettings;
+use cdcr_controller::nmpc::RateWeight;
 
 use super::{Config, ConfigError, Origin, Origins, Validated, keys, ranges, rules};
 
@@ -18,12 +18,11 @@ impl From<Config> for Settings {
 }
 
 impl Settings {
-    /// Values as they were set. A rate weight that nobody set is 0 for the ideal robot alone.
+    /// Values as they were set, a rate weight that depends on the robot as it is in force.
     pub(super) fn new(mut config: Config, origins: Origins) -> Self {
         let weight = &mut config.controller.rate_weight;
-        let is_unset = *weight == 0.0 && origins.of("controller.rate_weight") == Origin::Default;
-        if is_unset && !config.link.is_ideal() {
-            *weight = NmpcSettings::MEASURED_RATE_WEIGHT;
+        if *weight == RateWeight::Auto {
+            *weight = RateWeight::auto(config.link.is_ideal());
         }
         Self { config, origins }
     }
@@ -40,6 +39,7 @@ impl Settings {
         ranges::check(&config, &origins)?;
         rules::check(&config, &origins)?;
         let robot = config.robot.robot(&origins)?;
+        let flaws = config.link.flaws(&origins)?;
         let truth = config.link.truth(&robot, &origins)?;
         let initial = config.link.initial(&robot, &origins)?;
         let kind = config.link.kind;
@@ -51,6 +51,7 @@ impl Settings {
             config,
             robot,
             truth,
+            flaws,
             initial,
             location,
             group_id,

@@ -12,7 +12,7 @@ pub use incoming::{
     Refused, measurement, mode_request, obstacle, reference_points, trajectory_refusal,
     updated_obstacles,
 };
-pub use outgoing::{command, position_error_m, robot, scheduling, telemetry, text};
+pub use outgoing::{command, guard_flags, position_error_m, robot, scheduling, telemetry, text};
 pub use settings::{settings_from_wire, settings_to_wire, with_changes};
 
 #[cfg(test)]
@@ -109,6 +109,7 @@ mod tests {
         let nmpc = NmpcSettings {
             solver: SolverKind::Kpso,
             seed: 99,
+            rate_weight: 1e-6.into(),
             ..Default::default()
         };
         let settings = Settings {

@@ -252,7 +252,8 @@ fn timing_flags(record: &CycleRecord) -> u32 {
     sum_of_set(&bits)
 }
 
-fn guard_flags(record: &CycleRecord) -> u32 {
+/// What limits and guard changed of its command: [`codes::guard`] bits.
+pub fn guard_flags(record: &CycleRecord) -> u32 {
     let hit = record.limits_hit;
     let bits = [
         (hit.rate, codes::guard::RATE),

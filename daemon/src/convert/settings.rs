@@ -20,7 +20,7 @@ macro_rules! both_ways {
             let NmpcSettings { $($choice,)+ $($number),+ } = *nmpc;
             wire::SolverSettings {
                 $($choice: match $choice { $($type::$variant => codes::$type::$variant,)+ }.code(),)+
-                $($number,)+
+                $($number: $number.into(),)+
                 budget_ns: *budget_ns,
                 reserved: 0,
             }
@@ -33,7 +33,7 @@ macro_rules! both_ways {
                 $($choice: match codes::$type::try_from($choice).map_err(unknown)? {
                     $(codes::$type::$variant => $type::$variant,)+
                 },)+
-                $($number,)+
+                $($number: $number.into(),)+
             })
         }
 

@@ -91,7 +91,7 @@ fn a_noisy_robot_that_rests_at_a_point_does_not_turn_about_its_tip() {
             let flaws = Preset::Laboratory.flaws();
             let mut trial = Trial::with(interface, flaws, &format!("{DIRECT}{lag}"));
             if let Some(rate_weight) = rate_weight {
-                trial.inputs.settings.nmpc.rate_weight = rate_weight;
+                trial.inputs.settings.nmpc.rate_weight = rate_weight.into();
                 trial.inputs.settings_revision += 1;
             }
             trial.turns(3);

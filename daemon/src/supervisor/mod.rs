@@ -10,6 +10,7 @@ mod watchdog;
 
 use std::time::{Duration, Instant};
 
+use cdcr_controller::nmpc::RateWeight;
 use cdcr_shared_types as wire;
 use cdcr_shared_types::codes::{LateCause, Mode};
 
@@ -386,6 +387,7 @@ fn first_status(validated: &Validated, daemon_id: u64) -> wire::Status {
         clearance_m: f64::INFINITY,
         safe_distance_min_m: config.controller.safe_distance_m,
         obstacle_source_timeout_ns: ns(config.obstacles.source_timeout_ms),
+        rate_weight_auto: RateWeight::auto(config.link.is_ideal()).into(),
         ..wire::Status::default()
     }
 }

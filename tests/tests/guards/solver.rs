@@ -31,7 +31,7 @@ fn no_solver_touches_the_heap() {
                 control_blocks: 3,
                 swarm_size: 20,
                 swarm_iterations: 10,
-                rate_weight: 1e-9,
+                rate_weight: 1e-9.into(),
                 rate_change_weight: 1e-9,
                 orientation_tolerance_rad: 1e-3,
                 ..NmpcSettings::default()

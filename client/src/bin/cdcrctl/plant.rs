@@ -34,8 +34,11 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
     let interface = options.interface.or(configured);
     let interface = interface.context("the daemon's interface is not known: give --interface")?;
     let mut telemetry = connection.telemetry()?;
-    let (preset, seed) = (options.preset, options.seed);
-    let mut robot = PlantDriver::new(&connection, interface, None, preset.flaws(), seed)?;
+    let (preset, seed, mut flaws) = (options.preset, options.seed, options.preset.flaws());
+    for (name, value) in &options.flaws {
+        flaws = flaws.with(name, *value)?;
+    }
+    let mut robot = PlantDriver::new(&connection, interface, None, flaws, seed)?;
     let interrupt = Interrupt::catch()?;
     writeln!(
         std::io::stdout(),

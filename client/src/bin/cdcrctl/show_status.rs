@@ -184,7 +184,8 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     // The number of cycles first, that of late starts last, where the causes follow.
     counters[1..].reverse();
     for ((field, left), (_, right)) in counters {
-        let (heading, left, right) = counter_texts(field, [left, right]);
+        let solved = both.map(|statistics| statistics.solve.count);
+        let (heading, left, right) = counter_texts(field, [left, right], solved);
         writeln!(out, "{heading:<30}{left:>23}   {right:>33}")?;
     }
     for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
@@ -217,9 +218,16 @@ fn latency_row(out: &mut String, name: &str, both: [&LatencySummary; 2]) -> std:
     writeln!(out, "{name:<20}{left}   {right}")
 }
 
-/// A count as it is; a time in µs.
-fn counter_texts(field: &Field, both: [u64; 2]) -> (String, String, String) {
+/// A count as it is, limited cycles with their share of those that solved; a time in µs.
+fn counter_texts(field: &Field, both: [u64; 2], solved: [u64; 2]) -> (String, String, String) {
     let heading = field.heading();
+    if field.name == "limited_cycles" {
+        let text = |index: usize| {
+            let share = both[index] as f64 / solved[index].max(1) as f64;
+            format!("{} ({:.1} %)", both[index], 100.0 * share)
+        };
+        return (format!("{heading} (of solved)"), text(0), text(1));
+    }
     match field.unit {
         "ns" => {
             let [left, right] = both.map(|ns| format!("{:.1}", ns as f64 * 1e-3));
@@ -329,6 +337,7 @@ mod tests {
         status.since_reset.wake.count = 1;
         status.since_reset.wake.p99_ns = 42_500;
         status.since_reset.solve.count = 7;
+        status.since_reset.limited_cycles = 1;
         status.since_reset.solve.p50_ns = 4_000_000;
         status.last_minute.deadline_misses = 12;
         status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
@@ -345,6 +354,10 @@ mod tests {
             "cycles that solved                    7 of the cycles                     0 of the cycles\n",
             "solve                    4000.0        0.0        0.0             -          -          -\n",
             &format!("deadline misses{:>38}{:>36}\n", 0, 12),
+            &format!(
+                "limited cycles (of solved){:>27}{:>36}\n",
+                "1 (14.3 %)", "0 (0.0 %)"
+            ),
             &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
             "obstacles   2, smallest clearance 10.50 mm",

@@ -55,7 +55,7 @@ fn cases() -> impl Strategy<Value = Case> {
                 orientation_tolerance_rad,
                 horizon_steps,
                 control_blocks: blocks.min(horizon_steps),
-                rate_weight: weights[0],
+                rate_weight: weights[0].into(),
                 rate_change_weight: weights[1],
                 terminal_weight: 3.0,
                 ..NmpcSettings::default()

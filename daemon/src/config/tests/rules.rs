@@ -22,6 +22,18 @@ fn rules_between_keys() {
         message.contains("line 2: link.simulated_tip: the ideal robot is exactly its model"),
         "{message}"
     );
+    for (flaws, part) in [
+        ("{ tip_delay = 0.01 }", "there are delay_s, time_constant_s"),
+        (
+            "{ tip_dropout = 2 }",
+            "tip_dropout = 2 is out of range: allowed is 0 to 0.9",
+        ),
+    ] {
+        let text = format!("[link]\nsimulated = \"slow\"\nsimulated_flaws = {flaws}\n");
+        let message = error_of(&text);
+        let is_at_its_key = message.contains("line 3: link.simulated_flaws");
+        assert!(is_at_its_key && message.contains(part), "{message}");
+    }
     let message = error_of("[link]\nsimulated = \"slow\"\nsimulated_geometry = [[0.3, 0.01, 0]]\n");
     assert!(
         message.contains("line 3: link.simulated_geometry") && message.contains("the robot has 3"),

@@ -94,7 +94,7 @@ fn bends_are_no_broken_cable() {
             let bends = Configuration::from_bend_angles(&[[bend_rad, turn_rad]; 3]);
             plant.order(MotorOrder::Lengths(robot.cable_lengths(&bends)));
             plant.advance(0.005);
-            let mut lengths_m = plant.measure_cables();
+            let mut lengths_m = plant.measure_cables().unwrap();
             // The sum of the bends of the sections that a cable passes, times its radius, times how far its cosine is off.
             for section in 0..3 {
                 let radius_m = robot.sections()[section].cable_radius_m;

@@ -141,7 +141,7 @@ impl Trial {
 
     /// What the encoders said a millisecond before the release: the robot is moved on to that.
     pub(super) fn measure(&mut self, release_ns: u64) {
-        let cables_m = self.plant.measure_cables();
+        let cables_m = self.plant.measure_cables().unwrap();
         let lengths_m = core::array::from_fn(|cable| cables_m[cable] + self.cable_error_m[cable]);
         self.inputs.measurement = Some(TimedMeasurement {
             measurement: Measurement::CableLengths(lengths_m),
@@ -151,7 +151,7 @@ impl Trial {
             self.inputs.tip = Some(TimedMeasurement {
                 measurement: Measurement::TipPosition(
                     self.frozen_tip_m
-                        .unwrap_or_else(|| self.plant.measure_tip() + self.tip_error_m),
+                        .unwrap_or_else(|| self.plant.measure_tip().unwrap() + self.tip_error_m),
                 ),
                 measured_ns: release_ns - MEASURED_BEFORE_NS,
             });

@@ -114,7 +114,6 @@ fn edit() -> impl Strategy<Value = Edit> {
 fn edited(edits: &[Edit]) -> String {
     let is_content = |line: &&str| !line.is_empty() && !line.starts_with('#');
     let mut lines: Vec<String> = DEFAULT_TEXT
-        .replace("\n# rate_weight = ", "\nrate_weight = ")
         .lines()
         .filter(is_content)
         .map(str::to_owned)

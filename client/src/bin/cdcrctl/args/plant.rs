@@ -1,4 +1,4 @@
-use cdcr_controller::plant::Preset;
+use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::Interface;
 use clap::Args;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
@@ -12,6 +12,10 @@ pub(crate) struct PlantOptions {
     /// the tip is measured, ideal is exactly its model
     #[arg(long, value_parser = preset(), default_value = "laboratory")]
     pub(crate) preset: Preset,
+    /// What else is wrong with it, or otherwise than with the preset: its name as in `link.simulated_flaws`, and how much in SI units; may be
+    /// repeated
+    #[arg(long = "flaw", value_name = "NAME=VALUE", value_parser = flaw)]
+    pub(crate) flaws: Vec<(String, f64)>,
     /// What of a command it obeys [default: link.interface of the daemon]
     #[arg(long, value_parser = interface())]
     pub(crate) interface: Option<Interface>,
@@ -33,6 +37,19 @@ fn preset() -> impl TypedValueParser<Value = Preset> {
             .find(|preset| preset.name() == name)
             .unwrap_or_default()
     })
+}
+
+fn flaw(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    let value = value
+        .trim()
+        .parse()
+        .map_err(|_| format!("{value:?} is no number"))?;
+    let (name, known) = (name.trim().to_owned(), Flaws::default());
+    known
+        .with(&name, value)
+        .map_err(|error| error.to_string())?;
+    Ok((name, value))
 }
 
 fn interface() -> impl TypedValueParser<Value = Interface> {

@@ -39,8 +39,7 @@ pub(crate) enum SettingsAction {
     #[command(
         after_help = "Examples:\n  cdcrctl settings save                 print them as a configuration\n  \
         cdcrctl settings save robot.toml      change the keys in this file that differ, or make it\n\n\
-        A key that the file lacks is added where the setting is not the default, and rate_weight always: \
-        its default depends on the robot. The file is replaced as a \
+        A key that the file lacks is added where the setting is not the default. The file is replaced as a \
         whole or not at all; links are followed, and its owner, group and mode stay. It has to be named, because \
         a daemon does not tell which files it was started with."
     )]

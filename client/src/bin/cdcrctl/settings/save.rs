@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::Connection;
-use cdcr_shared_types::SolverSettings;
+use cdcr_shared_types::{SolverSettings, Status};
 use serde_json::{Number, Value as Json};
 use toml_edit::{DocumentMut, Item, Table, Value};
 
@@ -14,8 +14,11 @@ use super::STATUS_TIMEOUT;
 use crate::Done;
 use crate::setting::Setting;
 
-/// What a daemon without a file uses, but for the rate weight: that depends on its robot, is a remark here, and so is always saved.
+/// What a daemon without a file uses.
 const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
+
+/// As a rate weight has it that depends on the robot.
+const AUTO: &str = "auto";
 
 /// As many as Linux follows.
 const LINKS_MAX: usize = 40;
@@ -23,10 +26,10 @@ const LINKS_MAX: usize = 40;
 /// `cdcrctl settings save`
 pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Result<Done> {
     let settings = connection.settings()?;
-    let period = Duration::from_nanos(connection.status(STATUS_TIMEOUT)?.period_ns);
+    let status = connection.status(STATUS_TIMEOUT)?;
     let mut out = io::stdout().lock();
     let Some(file) = file else {
-        let (text, _) = merged("", settings, period)?;
+        let (text, _) = merged("", settings, &status)?;
         write!(out, "{text}")?;
         return Ok(Done::Good);
     };
@@ -35,7 +38,7 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
         Err(cause) if cause.kind() == ErrorKind::NotFound => String::new(),
         text => text.with_context(|| format!("cannot read {name}"))?,
     };
-    let (text, changed) = merged(&before, settings, period).with_context(|| name.to_string())?;
+    let (text, changed) = merged(&before, settings, &status).with_context(|| name.to_string())?;
     if changed.is_empty() {
         writeln!(
             out,
@@ -54,18 +57,22 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
 fn merged(
     text: &str,
     settings: SolverSettings,
-    period: Duration,
+    status: &Status,
 ) -> anyhow::Result<(String, Vec<String>)> {
+    let period = Duration::from_nanos(status.period_ns);
     let defaults: DocumentMut = DEFAULTS.parse()?;
     let mut document: DocumentMut = text.parse()?;
     let mut changed = Vec::new();
     for setting in Setting::all() {
         let (table, key) = place(setting);
-        let value = value(setting, settings, period)?;
+        let number = value(setting, settings, period)?;
+        // What the robot gave it, another one gets anew.
+        let is_auto = key == "rate_weight" && settings.rate_weight == status.rate_weight_auto;
+        let value = if is_auto { AUTO.into() } else { number.clone() };
         let holds = |document: &DocumentMut| {
             let held = document.get(table).and_then(|table| table.get(key));
             held.and_then(Item::as_value)
-                .map(|held| is_same(held, &value))
+                .map(|held| is_same(held, &value) || is_same(held, &number))
         };
         if !holds(&document).or(holds(&defaults)).unwrap_or(false) {
             changed.push(format!("{table}.{key} = {value}"));
@@ -206,7 +213,13 @@ mod tests {
     use super::*;
     use crate::setting::Change;
 
-    const PERIOD: Duration = Duration::from_millis(5);
+    /// Of an ideal robot with the default period.
+    fn status() -> Status {
+        Status {
+            period_ns: 5_000_000,
+            ..Status::default()
+        }
+    }
 
     /// The defaults, changed.
     fn settings(changes: &[&str]) -> SolverSettings {
@@ -215,7 +228,8 @@ mod tests {
         let mut set = |text: &str| Change::parse(text).expect(text).apply(&mut settings);
         for (key, value) in defaults["controller"].as_table().expect("a table") {
             let value = value.as_value().expect("a value").clone().decorated("", "");
-            set(&format!("{key}={}", value.to_string().trim_matches('"')));
+            let value = value.to_string().replace(AUTO, "0");
+            set(&format!("{key}={}", value.trim_matches('"')));
         }
         for change in changes {
             set(change);
@@ -224,19 +238,21 @@ mod tests {
     }
 
     fn text_of(text: &str, changes: &[&str]) -> String {
-        merged(text, settings(changes), PERIOD).expect("merged").0
+        merged(text, settings(changes), &status())
+            .expect("merged")
+            .0
     }
 
     #[test]
     fn only_what_differs_is_written() {
-        assert_eq!(text_of("", &[]), "[controller]\nrate_weight = 0.0\n");
-        let saved = text_of(DEFAULTS, &[]);
-        assert!(saved.contains("\nrate_weight = 0.0\n"), "{saved}");
-        assert_eq!(saved.replacen("\nrate_weight = 0.0\n", "\n", 1), DEFAULTS);
-        assert_eq!(text_of(&saved, &[]), saved);
+        assert_eq!(text_of("", &[]), "");
+        assert_eq!(text_of(DEFAULTS, &[]), DEFAULTS);
         let driver = "controller.rate_weight = 1e-7\n";
         assert_eq!(text_of(driver, &["rate_weight=1e-7"]), driver);
-        assert_eq!(text_of(driver, &[]), "controller.rate_weight = 0.0\n");
+        assert_eq!(
+            text_of("", &["rate_weight=1e-7"]),
+            "[controller]\nrate_weight = 1e-7\n"
+        );
         assert_eq!(
             text_of(
                 "",
@@ -247,7 +263,7 @@ mod tests {
                     "budget_ms=2"
                 ]
             ),
-            "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\nrate_weight = 0.0\n\n[cycle]\nbudget_ms = 2.0\n"
+            "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\n\n[cycle]\nbudget_ms = 2.0\n"
         );
         // A daemon refuses one beyond its period.
         let held = "controller.rate_weight = 0.0\n";
@@ -259,6 +275,22 @@ mod tests {
             ),
             format!("{held}cycle.budget_ms = 0.0 # ms\n")
         );
+    }
+
+    /// The 0 of an ideal robot would make another one rattle; what was set for that one stays.
+    #[test]
+    fn a_rate_weight_that_depends_on_the_robot_is_saved_as_that() {
+        let driver = "controller.rate_weight = 1e-7\n";
+        assert_eq!(text_of(driver, &[]), "controller.rate_weight = \"auto\"\n");
+        let zero = "controller.rate_weight = 0.0\n";
+        assert_eq!(text_of(zero, &[]), zero, "it was set");
+        let measured = Status {
+            rate_weight_auto: 1e-10,
+            ..status()
+        };
+        let saved = |set: &str| merged("", settings(&[set]), &measured).expect("merged").0;
+        assert_eq!(saved("rate_weight=1e-10"), "");
+        assert_eq!(saved("rate_weight=0"), "[controller]\nrate_weight = 0.0\n");
     }
 
     #[test]
@@ -275,13 +307,13 @@ mod tests {
     #[test]
     fn what_a_configuration_cannot_have_is_told() {
         let largest = format!("seed={}", u64::MAX);
-        let error = merged("", settings(&[&largest]), PERIOD).expect_err("too large");
+        let error = merged("", settings(&[&largest]), &status()).expect_err("too large");
         assert!(
             error.to_string().contains("at most 9223372036854775807"),
             "{error}"
         );
-        assert!(merged("controller = 3", settings(&["seed=7"]), PERIOD).is_err());
-        assert!(merged("[controller", settings(&[]), PERIOD).is_err());
+        assert!(merged("controller = 3", settings(&["seed=7"]), &status()).is_err());
+        assert!(merged("[controller", settings(&[]), &status()).is_err());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use cdcr_controller::plant::{MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Command, Measurement};
@@ -32,7 +32,7 @@ pub(super) struct Driver {
     kind: MeasurementKind,
     /// It measures the tip, too.
     has_tip_sensor: bool,
-    preset: Preset,
+    flaws: Flaws,
     plant: MisbehavingRobot,
     command: Option<Command>,
     trouble: Trouble,
@@ -44,19 +44,19 @@ pub(super) struct Driver {
 
 impl Driver {
     pub(super) fn new(dice: &mut Dice, robot: &Robot, interface: Interface, now_ns: u64) -> Self {
-        let preset = dice.pick(&Preset::ALL);
+        let flaws = dice.pick(&Preset::ALL).flaws();
         let kinds = [
             MeasurementKind::Configuration,
             MeasurementKind::CableLengths,
             MeasurementKind::TipPose,
         ];
         Self {
-            plant: bent(dice, robot, preset),
+            plant: bent(dice, robot, flaws),
             kind: dice.pick(&kinds),
             has_tip_sensor: dice.chance(50),
             robot: robot.clone(),
             interface,
-            preset,
+            flaws,
             command: None,
             // Some come late.
             trouble: Trouble::Silent,
@@ -75,7 +75,7 @@ impl Driver {
 
     /// Somebody bends the robot by hand.
     pub(super) fn push(&mut self, dice: &mut Dice) {
-        self.plant = bent(dice, &self.robot, self.preset);
+        self.plant = bent(dice, &self.robot, self.flaws);
     }
 
     /// Lets the time pass until `now_ns`, and measures then.
@@ -93,14 +93,12 @@ impl Driver {
             Trouble::Late(delay_ns) => delay_ns,
             _ => 0,
         };
-        self.last = self.measure(now_ns);
-        self.under_way.push_back((now_ns + delay_ns, self.last));
-        if self.has_tip_beside() {
-            let tip = Measurement {
-                kind: MeasurementKind::TipPose.code(),
-                ..self.last
-            };
-            self.under_way.push_back((now_ns + delay_ns, tip));
+        let tip = MeasurementKind::TipPose;
+        let kinds = [Some(self.kind), self.has_tip_beside().then_some(tip)];
+        for kind in kinds.into_iter().flatten() {
+            if let Some(measurement) = self.measure(kind, now_ns) {
+                self.under_way.push_back((now_ns + delay_ns, measurement));
+            }
         }
     }
 
@@ -109,19 +107,23 @@ impl Driver {
         self.has_tip_sensor && self.kind != MeasurementKind::TipPose
     }
 
-    fn measure(&mut self, now_ns: u64) -> Measurement {
-        let cable_length_m = self.plant.measure_cables();
-        let bends = self.robot.bend_from_cable_lengths(&cable_length_m);
+    /// `None`: the sensor says nothing now.
+    fn measure(&mut self, kind: MeasurementKind, now_ns: u64) -> Option<Measurement> {
+        // What it does not say now stays.
         let mut measurement = Measurement {
             measured_ns: now_ns,
             sections: self.robot.section_count() as u32,
             interface: self.interface.code(),
-            kind: self.kind.code(),
-            cable_length_m,
-            tip_position_m: self.plant.measure_tip().into(),
-            ..Measurement::default()
+            kind: kind.code(),
+            ..self.last
         };
-        measurement.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+        if kind == MeasurementKind::TipPose {
+            measurement.tip_position_m = self.plant.measure_tip()?.into();
+        } else {
+            measurement.cable_length_m = self.plant.measure_cables()?;
+            let bends = (self.robot).bend_from_cable_lengths(&measurement.cable_length_m);
+            measurement.bend_rad[..bends.as_slice().len()].copy_from_slice(bends.as_slice());
+        }
         match self.trouble {
             Trouble::Frozen => {
                 measurement.bend_rad = self.last.bend_rad;
@@ -140,7 +142,8 @@ impl Driver {
             }
             _ => {}
         }
-        measurement
+        self.last = measurement;
+        Some(measurement)
     }
 
     /// The measurements that have arrived.
@@ -191,9 +194,9 @@ fn draw(dice: &mut Dice) -> Trouble {
 }
 
 /// The robot in any shape, now and then one beyond its limits.
-fn bent(dice: &mut Dice, robot: &Robot, preset: Preset) -> MisbehavingRobot {
+fn bent(dice: &mut Dice, robot: &Robot, flaws: Flaws) -> MisbehavingRobot {
     let most_rad = dice.pick(&[1e-9, 0.3, 1.0, 2.2]);
     let bends = (0..robot.coordinate_count()).map(|_| dice.between(-most_rad, most_rad));
     let at = Configuration::from_slice(&bends.collect::<Vec<_>>()).unwrap();
-    MisbehavingRobot::new(robot, &at, preset.flaws(), 1).unwrap()
+    MisbehavingRobot::new(robot, &at, flaws, 1).unwrap()
 }

@@ -351,7 +351,7 @@ impl World {
         nmpc.horizon_steps = 1 + dice.below(20);
         nmpc.control_blocks = 1 + dice.below(nmpc.horizon_steps);
         nmpc.safe_distance_m = dice.between(0.0, 0.03);
-        nmpc.rate_weight = dice.pick(&[0.0, 1e-3, 1.0]);
+        nmpc.rate_weight = dice.pick(&[0.0, 1e-3, 1.0]).into();
         self.inputs.settings.budget_ns = dice.pick(&[0, 100_000, 2_000_000]);
         self.inputs.settings_revision += 1;
     }
