@@ -73,7 +73,7 @@ fn solve(criterion: &mut Criterion) {
         );
         let mut nmpc =
             Nmpc::new(scene.robot.clone(), scene.period_s, settings).expect("legal settings");
-        let closed = ClosedLoop::new(&scene, settings);
+        let closed = ClosedLoop::new(&scene, settings).expect("legal settings");
         group.bench_function(solver.name(), |bencher| {
             bencher.iter(|| {
                 // The same start each time: a solve without a plan.

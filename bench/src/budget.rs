@@ -209,7 +209,7 @@ impl Case {
     /// that work is left; the way begins anew at its end.
     fn measure(&self, budget_us: u64, solves: u64) -> Result<Value> {
         let mut runner = Runner::new(self, Duration::from_micros(budget_us))?;
-        let mut closed = ClosedLoop::new(&self.scene, self.settings);
+        let mut closed = ClosedLoop::new(&self.scene, self.settings)?;
         for solve in 0..solves {
             let input = SolveInput {
                 seed: cycle_seed(self.settings.seed, solve),
@@ -219,7 +219,7 @@ impl Case {
             runner.solve(&input);
             closed.advance(&self.way[solve as usize % self.way.len()]);
             if closed.is_over() {
-                closed = ClosedLoop::new(&self.scene, self.settings);
+                closed = ClosedLoop::new(&self.scene, self.settings)?;
             }
         }
         let (name, worse) = (self.name, runner.worse);
@@ -256,7 +256,7 @@ impl Runner {
         let (robot, period_s) = (case.scene.robot.clone(), case.scene.period_s);
         let mut nmpc = Nmpc::new(robot, period_s, case.settings)?;
         // Touches all memory that a solve may need.
-        let closed = ClosedLoop::new(&case.scene, case.settings);
+        let closed = ClosedLoop::new(&case.scene, case.settings)?;
         nmpc.solve(&closed.input(), &mut Budget::unlimited());
         Ok(Self {
             budget,

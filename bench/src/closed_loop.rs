@@ -44,7 +44,7 @@ impl Sample {
 }
 
 impl<'a> ClosedLoop<'a> {
-    pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Self {
+    pub fn new(scene: &'a Scene, settings: NmpcSettings) -> Result<Self> {
         let reference_at = |time_s| ReferenceSample {
             state: ReferenceState::Inside,
             position_m: Vector3::from(scene.curve.position_m(time_s)),
@@ -57,8 +57,8 @@ impl<'a> ClosedLoop<'a> {
             scene.start,
             &scene.obstacles,
             Box::new(reference_at) as Box<dyn Fn(f64) -> ReferenceSample + 'a>,
-        );
-        Self { scene, inner }
+        )?;
+        Ok(Self { scene, inner })
     }
 
     pub fn is_over(&self) -> bool {
@@ -108,7 +108,7 @@ fn orientation(scene: &Scene, time_s: f64) -> Orientation {
 /// Runs the scene with one controller and tells of every cycle.
 pub fn run(scene: &Scene, settings: NmpcSettings) -> Result<Vec<Sample>> {
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
-    let mut closed = ClosedLoop::new(scene, settings);
+    let mut closed = ClosedLoop::new(scene, settings)?;
     let mut samples = Vec::with_capacity(scene.cycles as usize);
     while !closed.is_over() {
         let begin = Instant::now();

@@ -372,7 +372,7 @@ pub fn measure(size: &Size) -> Result<Vec<Case>> {
 
 /// The closed loop, in which every path solves every cycle.
 fn race(scene: &Scene, settings: NmpcSettings, runners: &mut [Runner]) -> Result<()> {
-    let mut closed = ClosedLoop::new(scene, settings);
+    let mut closed = ClosedLoop::new(scene, settings)?;
     let begin = Instant::now();
     for cycle in 0..scene.cycles {
         let mut desired_rates = None;

@@ -39,7 +39,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         ..ReferenceSample::default()
     };
 
-    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[ball], circle);
+    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[ball], circle)?;
     let (mut nearest_m, mut farthest_m) = (f64::INFINITY, 0.0_f64);
     while closed.time_s() < 3.0 {
         closed.step(&mut nmpc);

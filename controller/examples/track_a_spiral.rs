@@ -28,7 +28,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         ..ReferenceSample::default()
     };
 
-    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, bent(begin_s), &[], spiral);
+    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, bent(begin_s), &[], spiral)?;
     let mut largest_m = 0.0_f64;
     while closed.time_s() < 4.97 {
         closed.step(&mut nmpc);

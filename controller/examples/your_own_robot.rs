@@ -49,7 +49,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     };
     let start = Configuration::straight(2);
     let mut closed =
-        ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal).with_acceleration(5.0);
+        ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal)?.with_acceleration(5.0);
     while closed.error_m() > 1e-6 {
         closed.step(&mut nmpc);
         if closed.time_s() > 10.0 {

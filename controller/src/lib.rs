@@ -92,7 +92,7 @@
 //!         ..ReferenceSample::default()
 //!     }
 //! };
-//! let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], circle);
+//! let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], circle)?;
 //! while closed.time_s() < 2.0 {
 //!     closed.step(&mut nmpc);
 //!     assert!(closed.error_m() < 1e-9);

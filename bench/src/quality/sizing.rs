@@ -34,7 +34,7 @@ impl Sizing {
         };
         let mut driver = Nmpc::new(scene.robot.clone(), scene.period_s, driving)?;
         let mut swarm = Nmpc::new(scene.robot.clone(), scene.period_s, timed)?;
-        let mut closed = ClosedLoop::new(&scene, driving);
+        let mut closed = ClosedLoop::new(&scene, driving)?;
         let mut times_us = Vec::new();
         for cycle in 0.. {
             if closed.is_over() {

@@ -41,7 +41,7 @@ pub fn drive(variant: &Variant, scene: &Scene, seed: u64) -> Result<RunMetrics> 
     let settings = variant.settings(seed);
     let mut nmpc = Nmpc::new(scene.robot.clone(), scene.period_s, settings)?;
     let mut evaluator = PlanEvaluator::new(scene, settings)?;
-    let mut closed = ClosedLoop::new(scene, settings);
+    let mut closed = ClosedLoop::new(scene, settings)?;
     // Touches all memory that a solve may need; a seed decides nothing of a plan that is forgotten.
     nmpc.solve(&closed.input(), &mut Budget::of_quanta(20));
     nmpc.forget_plan();

@@ -76,7 +76,7 @@ impl FigureEight {
         let bent = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
         let begin = |_| Self::reference(0.0);
-        let mut closed = ClosedLoop::new(&robot, Self::PERIOD_S, settings, bent, &[], begin);
+        let mut closed = ClosedLoop::new(&robot, Self::PERIOD_S, settings, bent, &[], begin)?;
         for _ in 0..APPROACH_CYCLES {
             closed.step(&mut nmpc);
         }
@@ -120,7 +120,7 @@ impl FigureEight {
         let (robot, settings, start) = (&self.robot, self.settings(&driven.flaws), self.start);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
         let way = Self::reference;
-        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)
+        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)?
             .with_acceleration(ACCELERATION_RAD_S2)
             .with_driven(driven)?;
         let mut run = FigureEightRun {
@@ -160,7 +160,7 @@ impl FigureEight {
             orientation: Orientation::Free,
         };
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
-        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)
+        let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)?
             .with_acceleration(ACCELERATION_RAD_S2)
             .with_driven(driven)?;
         let mut most_mm = 0.0_f64;

@@ -13,7 +13,7 @@ mod figure_eight;
 
 use nalgebra::Vector3;
 
-use crate::nmpc::{Nmpc, NmpcSettings, SolveInput, SolveReport};
+use crate::nmpc::{Nmpc, NmpcSettings, SettingsError, SolveInput, SolveReport};
 use crate::optimizer::{Budget, cycle_seed};
 use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
@@ -58,6 +58,9 @@ const IDEAL: (f64, f64) = (1.0, f64::INFINITY);
 impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// A robot at rest at time 0 in the shape `start`, with a period of `period_s` (s). `obstacles` are where they are then, and
     /// move on at their velocity. `reference_at` is asked for times (s) of releases.
+    ///
+    /// # Errors
+    /// As [`Nmpc::new`]: when a setting, or the period, is out of its range.
     pub fn new(
         robot: &Robot,
         period_s: f64,
@@ -65,7 +68,8 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         start: Configuration,
         obstacles: &[Obstacle],
         reference_at: R,
-    ) -> Self {
+    ) -> Result<Self, SettingsError> {
+        settings.validate_with(period_s)?;
         let mut begin = Self {
             robot: robot.clone(),
             period_s,
@@ -88,7 +92,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
             },
         };
         begin.look_around();
-        begin
+        Ok(begin)
     }
 
     /// The same with a largest acceleration of each bend component (rad/s²), as a robot behind a driver has one.

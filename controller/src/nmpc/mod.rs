@@ -118,8 +118,7 @@ impl Nmpc {
         period_s: f64,
         settings: NmpcSettings,
     ) -> Result<Self, SettingsError> {
-        settings.validate()?;
-        settings::check("period_s", period_s, ranges::PERIOD_S)?;
+        settings.validate_with(period_s)?;
         let unknowns = robot.coordinate_count() * CONTROL_BLOCKS_MAX;
         let mut nmpc = Self {
             robot,

@@ -285,6 +285,12 @@ impl NmpcSettings {
         )
     }
 
+    /// The same, and the period against [`ranges::PERIOD_S`].
+    pub(crate) fn validate_with(&self, period_s: f64) -> Result<(), SettingsError> {
+        self.validate()?;
+        check("period_s", period_s, ranges::PERIOD_S)
+    }
+
     /// With a single step the weight of the last is that of all.
     fn terminal_range(&self) -> std::ops::RangeInclusive<f64> {
         if self.horizon_steps == 1 {
@@ -324,7 +330,7 @@ impl NmpcSettings {
 }
 
 /// Refuses a value outside its range, NaN included.
-pub(super) fn check(
+fn check(
     key: &'static str,
     value: f64,
     range: std::ops::RangeInclusive<f64>,

@@ -7,6 +7,7 @@
 
 mod calibration;
 mod clearance;
+mod closed_loop;
 mod examples;
 mod exciting_path;
 mod jacobian;

@@ -184,6 +184,7 @@ fn motors_with_a_lag_give_way_to_what_moves() {
         };
         let acceleration_rad_s2 = 40.0;
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, rest, &[ball], |_| goal)
+            .unwrap()
             .with_acceleration(acceleration_rad_s2)
             .with_driven(lagging)
             .unwrap();

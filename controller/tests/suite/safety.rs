@@ -170,7 +170,7 @@ fn a_plan_that_rests_at_a_limit_is_not_cut() {
             orientation: Orientation::Free,
         };
         let start = Configuration::from_slice(&[0.1, 0.0, 0.1, 0.0]).unwrap();
-        let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal);
+        let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[], goal).unwrap();
         for cycle in 0..600 {
             closed.step(&mut nmpc);
             let hit = closed.command().limits_hit;

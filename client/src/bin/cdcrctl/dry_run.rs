@@ -102,7 +102,7 @@ pub(crate) fn compute(
     let valid_periods = valid_ns as f64 / record.period_ns as f64;
 
     let first = |_: f64| at_s(0.0);
-    let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)
+    let mut way = ClosedLoop::new(&robot, period_s, settings, here, &known, first)?
         .with_acceleration(record.acceleration_rad_s2)
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(offset_m.norm());
@@ -120,7 +120,7 @@ pub(crate) fn compute(
     let lead_s = options.lead.as_secs_f64();
     let moved: Vec<_> = known.iter().map(|one| one.moved(lead_s)).collect();
     let there = *way.configuration();
-    let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)
+    let mut path = ClosedLoop::new(&robot, period_s, settings, there, &moved, at_s)?
         .with_acceleration(record.acceleration_rad_s2)
         .with_stopping(valid_periods, record.deceleration_rad_s2)
         .with_tip_offset(offset_m.norm());

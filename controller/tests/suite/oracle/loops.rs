@@ -140,6 +140,7 @@ impl Scene {
         let reference = |time_s| self.reference(time_s);
         let settings = *nmpc.settings();
         let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &obstacles, reference)
+            .unwrap()
             .with_acceleration(self.acceleration_rad_s2);
         for cycle in 0..CYCLES {
             let (desired_rates, _) = nmpc.solve(&closed.input(), &mut Budget::unlimited());
