@@ -53,7 +53,7 @@ fn is_compared_with_itself(file: &Path) {
 fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
     let place = tempfile::tempdir().expect("a folder");
     let folder = place.path().join("report");
-    let found = all(&folder, &["--only", "solver,budget", "--rounds", "3"]);
+    let found = all(&folder, &["--only", "solver,budget", "--rounds", "2"]);
     let errors = String::from_utf8_lossy(&found.stderr);
     assert!(found.status.success(), "{errors}");
     assert!(errors.contains("written into"), "{errors}");
@@ -79,7 +79,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "{report}"
     );
     assert_eq!(report["extent"]["quick"], true);
-    let options = json_of_options("solver,budget", "3");
+    let options = json_of_options("solver,budget", "2");
     assert_eq!(report["options"], options);
     assert_eq!(report["failed"], Value::Array(Vec::new()));
     let metrics = report["metrics"].as_array().expect("a list");
@@ -93,7 +93,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
             begins
                 && metric["rounds"]
                     .as_array()
-                    .is_some_and(|rounds| rounds.len() == 3)
+                    .is_some_and(|rounds| rounds.len() == 2)
         });
         assert!(own.count() > 3, "{name}");
     }

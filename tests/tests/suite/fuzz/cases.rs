@@ -7,12 +7,16 @@ use std::sync::Once;
 use proptest::strategy::Strategy;
 use proptest::test_runner::{Config, RngSeed, TestRunner};
 
-/// Tries `test` on `cases` values of `strategy`, always the same ones. With `CDCR_FUZZ_CASES` (or
-/// `PROPTEST_CASES`) in the environment it tries that many, if they are more, and others each time.
+/// Tries `test` on a quarter of `cases` values of `strategy`, on all of them with `CDCR_WHOLE`, always the same ones. With
+/// `CDCR_FUZZ_CASES` (or `PROPTEST_CASES`) in the environment it tries that many, if they are more, and others each time.
 pub(crate) fn try_cases<S: Strategy>(cases: u32, strategy: S, test: impl Fn(S::Value)) {
     let asked = asked();
+    let least = match std::env::var_os("CDCR_WHOLE") {
+        Some(_) => cases,
+        None => cases / 4,
+    };
     let mut config = Config {
-        cases: asked.map_or(cases, |asked| asked.max(cases)),
+        cases: asked.map_or(least, |asked| asked.max(least)),
         failure_persistence: None,
         max_shrink_iters: 4096,
         max_shrink_time: 60_000,

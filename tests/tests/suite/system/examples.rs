@@ -122,7 +122,7 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
 }
 
 /// Robots that the examples are given to.
-const SIDE_BY_SIDE: usize = 5;
+const SIDE_BY_SIDE: usize = 8;
 
 #[test]
 fn every_example_works_as_typed() {
