@@ -292,11 +292,13 @@ fn commit() -> Option<String> {
 mod tests {
     use std::fs;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     /// What is told of a machine with these files.
     fn machine(files: &[(&str, &str)]) -> Environment {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         for (name, text) in files {
             let file = folder.path().join(name);
             fs::create_dir_all(file.parent().expect("a folder above")).expect("made");

@@ -369,6 +369,8 @@ impl BenchReport {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
@@ -396,7 +398,7 @@ mod tests {
 
     #[test]
     fn a_folder_holds_the_files_and_nothing_else_or_the_older_ones() {
-        let place = tempfile::tempdir().expect("a folder");
+        let place = Scratch::temporary().expect("a folder");
         let folder = place.path().join("new");
         bundle("old").write(&folder).expect("written");
         bundle("new").write(&folder).expect("written over");

@@ -72,6 +72,8 @@ fn hash(file: &Path) -> String {
 mod tests {
     use std::fs;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
@@ -106,7 +108,7 @@ mod tests {
         );
 
         // A configuration is known by its text and not by its place.
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let with = |name: &str, text: &str| {
             let file = folder.path().join(name);
             fs::write(&file, text).expect("written");

@@ -7,6 +7,7 @@ use std::process::{Command, Output};
 use std::thread::sleep;
 use std::time::Duration;
 
+use cdcr_scratch::Scratch;
 use cdcr_shared_types::Location;
 
 /// Runs `cdcrctl` where no daemon can be.
@@ -39,7 +40,7 @@ fn stderr(output: &Output) -> String {
 
 #[test]
 fn without_a_daemon_every_command_says_where_it_looked_and_how_to_start_one() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let root = folder.path().join("none");
     for arguments in [
         &["status"][..],
@@ -68,7 +69,7 @@ fn without_a_daemon_every_command_says_where_it_looked_and_how_to_start_one() {
 
 #[test]
 fn an_empty_root_is_no_daemon_either() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let output = cdcrctl(folder.path(), &["status"]);
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
@@ -82,7 +83,7 @@ fn an_empty_root_is_no_daemon_either() {
 
 #[test]
 fn options_beat_the_environment() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let root = folder.path().join("none");
     let output = cdcrctl(&root, &["status", "--robot", "arm", "--prefix", "other_"]);
     let text = stderr(&output);
@@ -123,7 +124,7 @@ fn illegal_names_are_told_with_what_is_legal() {
 
 #[test]
 fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let file = folder.path().join("bad.csv");
     fs::write(&file, "t_s,x_m,y_m,z_m\n0,0,0,0.3\n0.1,0,NaN,0.3\n").expect("written");
     let path = file.to_str().expect("UTF-8");
@@ -137,7 +138,7 @@ fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
 
 #[test]
 fn the_demo_says_when_its_daemon_is_not_built() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let alone = folder.path().join("cdcrctl");
     fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
     let output = run_fresh(Command::new(&alone).args(["demo", "--duration", "1s"]));
@@ -149,7 +150,7 @@ fn the_demo_says_when_its_daemon_is_not_built() {
 
 #[test]
 fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let deep = folder.path().join("d".repeat(100));
     fs::create_dir(&deep).expect("made");
     let alone = folder.path().join("cdcrctl");
@@ -170,7 +171,7 @@ fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
 
 #[test]
 fn a_daemon_that_fails_is_quoted_and_nothing_is_left() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let temporary = folder.path().join("tmp");
     fs::create_dir(&temporary).expect("made");
     let alone = folder.path().join("cdcrctl");

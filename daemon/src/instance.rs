@@ -299,11 +299,13 @@ fn remove_if_there(path: &Path) {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
     fn a_link_in_the_place_of_the_lock_file_is_not_followed() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_lock_", &folder.path().join("root")).unwrap();
         root::prepare(&location, "a", None).unwrap();
         let elsewhere = folder.path().join("elsewhere");

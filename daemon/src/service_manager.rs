@@ -242,20 +242,21 @@ impl Listener {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
-    use tempfile::TempDir;
 
     const HOUR: Duration = Duration::from_secs(3600);
 
     /// A service manager of our own, on a real socket.
     struct Manager {
         socket: UnixDatagram,
-        folder: TempDir,
+        folder: Scratch,
     }
 
     impl Manager {
         fn start() -> Self {
-            let folder = tempfile::tempdir().unwrap();
+            let folder = Scratch::temporary().unwrap();
             let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
             socket.set_nonblocking(true).unwrap();
             Self { socket, folder }

@@ -167,6 +167,7 @@ mod tests {
         reason = "in a test a panic is the report, in its helpers, too"
     )]
 
+    use cdcr_scratch::Scratch;
     use clap::Arg;
 
     use super::*;
@@ -205,7 +206,7 @@ mod tests {
 
     #[test]
     fn what_is_stale_missing_or_left_over_is_found() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Scratch::temporary().unwrap();
         let folder = folder.path();
         let files = generate(&program("fast"), "1", None).unwrap();
         let text = |result: Result<()>| format!("{:#}", result.unwrap_err());

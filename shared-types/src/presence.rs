@@ -182,6 +182,8 @@ mod tests {
     use std::os::unix::net::{SocketAddr, UnixListener};
     use std::path::Path;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     fn listen(location: &Location, robot: &str) -> UnixListener {
@@ -208,10 +210,9 @@ mod tests {
 
     #[test]
     fn the_robots_of_a_place_are_those_whose_daemons_live() {
-        let root = std::env::temp_dir().join(format!("cdcrtest_robots_{}", std::process::id()));
-        std::fs::create_dir(&root).unwrap();
-        let location = Location::new("a_", &root).unwrap();
-        let longer = Location::new("a_b_", &root).unwrap();
+        let root = Scratch::temporary().unwrap();
+        let location = Location::new("a_", root.path()).unwrap();
+        let longer = Location::new("a_b_", root.path()).unwrap();
         for (of, robot) in [
             (&location, "y"),
             (&location, "x"),
@@ -227,7 +228,7 @@ mod tests {
         ];
         assert_eq!(location.robots(), ["x", "y"]);
         assert_eq!(longer.robots(), ["x"]);
-        std::fs::remove_dir_all(&root).unwrap();
+        drop(root);
         assert_eq!(location.robots(), Vec::<String>::new());
     }
 

@@ -187,6 +187,8 @@ fn files(paths: &[PathBuf]) -> (u64, u64) {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
@@ -204,7 +206,7 @@ mod tests {
 
     #[test]
     fn files_below_a_folder_are_counted() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Scratch::temporary().unwrap();
         fs::create_dir(folder.path().join("inner")).unwrap();
         fs::write(folder.path().join("a"), [1; 10]).unwrap();
         fs::write(folder.path().join("inner/b"), [1; 5]).unwrap();

@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, anyhow, ensure};
 use cdcr_client::{Connection, TelemetryStream, monotonic_ns};
+use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
 use crate::interrupt;
@@ -83,7 +84,7 @@ fn start(
     cores: &Cores,
     mut has_served: impl FnMut(&Daemon) -> Result<bool>,
 ) -> Result<(Daemon, u64, u64)> {
-    let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
+    let folder = Scratch::temporary();
     let folder = folder.context("a folder for temporary files")?;
     let path = folder.path().join("notify");
     let manager = UnixDatagram::bind(&path).context("a socket for READY=1")?;

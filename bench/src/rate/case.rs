@@ -4,8 +4,8 @@ use std::fs;
 
 use anyhow::{Context, Result};
 use cdcr_client::PAPER_SECTION_M;
+use cdcr_scratch::Scratch;
 use serde::Serialize;
-use tempfile::TempDir;
 
 use crate::benchmark::with_period;
 use crate::experiment::Solver;
@@ -64,12 +64,12 @@ pub struct Stage {
     pub realtime: bool,
     /// How long before a release they wake up to spin \[µs\], at most a quarter of the period; none: the daemon's default.
     pub spin_us: Option<f64>,
-    folder: TempDir,
+    folder: Scratch,
 }
 
 impl Stage {
     pub fn new(cores: Cores, realtime: bool, spin_us: Option<f64>) -> Result<Self> {
-        let folder = tempfile::Builder::new().prefix("cdcr-bench-").tempdir();
+        let folder = Scratch::temporary();
         let folder = folder.context("a folder for temporary files")?;
         for sections in 1..=3 {
             fs::write(folder.path().join(file_name(sections)), robot(sections))

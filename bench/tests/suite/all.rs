@@ -8,6 +8,7 @@ use std::thread;
 use std::time::Duration;
 
 use cdcr_bench::compare::{ChangeClass, Comparison, Input};
+use cdcr_scratch::Scratch;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
@@ -51,7 +52,7 @@ fn is_compared_with_itself(file: &Path) {
 
 #[test]
 fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let folder = place.path().join("report");
     let found = all(&folder, &["--only", "solver,budget", "--rounds", "2"]);
     let errors = String::from_utf8_lossy(&found.stderr);
@@ -144,7 +145,7 @@ fn page_is_whole(page: &str) {
 
 #[test]
 fn ctrl_c_leaves_nothing_in_the_folder() {
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let mut child = command(place.path(), &["--only", "solver", "--rounds", "100"])
         .stdout(Stdio::null())
         .stderr(Stdio::piped())
@@ -189,7 +190,7 @@ fn names_with(folder: &Path, words: &str) -> Vec<String> {
 
 #[test]
 fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let arguments = [
         "deadline",
         "--duration=6s",
@@ -237,15 +238,17 @@ fn ctrl_c_leaves_no_daemon_and_none_of_its_files() {
 
 #[test]
 fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
-    let file = tempfile::NamedTempFile::new().expect("a file");
-    let found = all(&file.path().join("inside"), &["--only", "budget"]);
+    let folder = Scratch::temporary().expect("a folder");
+    let file = folder.path().join("file");
+    fs::write(&file, "").expect("written");
+    let found = all(&file.join("inside"), &["--only", "budget"]);
     let errors = String::from_utf8_lossy(&found.stderr);
     assert!(
         errors.contains("cannot make the folder") && errors.contains("inside"),
         "{errors}"
     );
 
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let found = all(place.path(), &["--config", "nowhere.toml"]);
     let errors = String::from_utf8_lossy(&found.stderr);
     assert_eq!(found.status.code(), Some(1));
@@ -254,7 +257,7 @@ fn a_folder_that_cannot_be_made_and_a_missing_file_are_told_before_the_work() {
 
 #[test]
 fn a_benchmark_that_fails_does_not_lose_the_others() {
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let config = place.path().join("bad.toml");
     fs::write(&config, "[cycle]\nno_such_key = 1\n").expect("written");
     let config = config.to_string_lossy().into_owned();

@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use cdcr_scratch::Scratch;
 use serde_json::{Value, json};
 
 fn compare(arguments: &[&str], files: [&Path; 2]) -> Output {
@@ -34,7 +35,7 @@ fn write(folder: &Path, name: &str, count: usize, rounds: [f64; 3]) -> PathBuf {
 
 #[test]
 fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let before = write(folder.path(), "a.json", 5, [10.0, 11.0, 12.0]);
     let after = write(folder.path(), "b.json", 5, [20.0, 21.0, 22.0]);
     let found = compare(&[], [&before, &after]);
@@ -67,7 +68,7 @@ fn a_change_for_the_worse_is_told_and_fails_only_where_that_is_asked() {
 
 #[test]
 fn files_that_are_no_results_are_named_with_what_is_expected() {
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let good = write(folder.path(), "good.json", 1, [1.0, 2.0, 3.0]);
     let bad = folder.path().join("bad.json");
     for text in [

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::process::Command;
 
+use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
 use serde_json::Value;
 
@@ -60,7 +61,7 @@ fn assert_case(case: &Value, cycles_least: u64) {
 #[test]
 fn the_daemon_stands_beside_the_bare_loop_and_a_load_did_something() {
     let setup = if is_realtime() { "both" } else { "ordinary" };
-    let folder = tempfile::tempdir().expect("a folder");
+    let folder = Scratch::temporary().expect("a folder");
     let arguments = [
         "deadline",
         "--duration=2s",

@@ -2,6 +2,7 @@
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
+use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
 use cdcr_testbed::system::counts;
 use serde_json::Value;
@@ -27,7 +28,7 @@ fn left_by(process: u32) -> Vec<String> {
 
 #[test]
 fn one_daemon_is_measured_from_its_start_to_its_end_and_nothing_is_left() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Scratch::temporary().unwrap();
     let args = [
         "footprint",
         "--rounds",

@@ -11,6 +11,7 @@ use cdcr_bench::report::Start;
 use cdcr_bench::run_options::RunOptions;
 use cdcr_bench::simulation::{Effort, run};
 use cdcr_controller::nmpc::Coordinates;
+use cdcr_scratch::Scratch;
 use serde_json::Value;
 
 const QUICK: Effort = Effort {
@@ -86,7 +87,7 @@ fn every_experiment_has_numbers_of_its_own_for_every_seed() {
 
 #[test]
 fn the_folder_holds_figures_a_page_and_tables() {
-    let place = tempfile::tempdir().expect("a folder");
+    let place = Scratch::temporary().expect("a folder");
     let folder = place.path().join("new").join("paper");
     let start = Start::now(RunOptions::default()).expect("a machine");
     let bundle = start.bundle_of(&report()).expect("all formats");

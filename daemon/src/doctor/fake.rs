@@ -1,6 +1,6 @@
 //! A scene of its own for each test.
 
-use tempfile::TempDir;
+use cdcr_scratch::Scratch;
 
 use super::{Assessment, Load, Plan, Probe, Scene, Severity, System, checks};
 use crate::config::{Config, RealtimeMode};
@@ -8,7 +8,7 @@ use crate::core_budget::CoreBudget;
 
 /// A scene over a folder that plays the system.
 pub(super) struct Fake {
-    folder: TempDir,
+    folder: Scratch,
     /// The scene. Everything that is tried works, nothing happens on core 1, real time is preferred.
     pub(super) scene: Scene,
 }
@@ -16,7 +16,7 @@ pub(super) struct Fake {
 impl Fake {
     /// A system with these files.
     pub(super) fn new(files: &[(&str, &str)]) -> Self {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Scratch::temporary().unwrap();
         let root = std::path::PathBuf::from("/run/cdcr");
         let fake = Self {
             scene: Scene {

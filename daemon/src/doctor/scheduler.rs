@@ -181,6 +181,8 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::super::Severity::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
     use super::super::{System, kernel_share};
@@ -285,7 +287,7 @@ mod tests {
             ("-1", Some(0.95)),
             ("many", None),
         ] {
-            let folder = tempfile::tempdir().unwrap();
+            let folder = Scratch::temporary().unwrap();
             let kernel = folder.path().join("proc/sys/kernel");
             std::fs::create_dir_all(&kernel).unwrap();
             std::fs::write(kernel.join("sched_rt_runtime_us"), runtime_us).unwrap();

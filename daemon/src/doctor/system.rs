@@ -151,11 +151,13 @@ pub(super) fn chosen_of(text: &str, brackets: [char; 2]) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
     fn what_is_missing_differs_from_what_is_not_readable() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Scratch::temporary().unwrap();
         std::fs::write(folder.path().join("number"), " 12 \n").unwrap();
         std::fs::write(folder.path().join("odd"), b"\xff\xfe\0 x".as_slice()).unwrap();
         let system = System::at(folder.path());

@@ -5,10 +5,11 @@ mod references;
 
 use std::cell::Cell;
 
+use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Interface, MeasurementKind, ObstacleAction, Outcome, RequestKind};
 use cdcr_shared_types::{
-    Command, Header, Location, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, Request,
-    Response, Service, ipc,
+    Command, Header, Measurement, Obstacle, ObstacleUpdate, ReferenceChunk, Request, Response,
+    Service, ipc,
 };
 use iceoryx2::pending_response::PendingResponse;
 use iceoryx2::port::client::Client;
@@ -71,15 +72,12 @@ struct Rig {
     commands: Subscriber<ipc::Service, Command, ()>,
     control: Client<ipc::Service, Request, (), Response, ()>,
     node: Node<ipc::Service>,
-    _root: tempfile::TempDir,
+    _root: Scratch,
 }
 
 impl Rig {
     fn new(configuration: &str) -> Self {
-        let folder = tempfile::Builder::new()
-            .prefix("cdcr-exchange-")
-            .tempdir_in(Location::MEMORY)
-            .unwrap();
+        let folder = Scratch::in_memory().unwrap();
         let root = folder.path().join("root");
         let text = format!(
             "{configuration}\n[link]\nkind = \"driver\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\

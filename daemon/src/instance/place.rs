@@ -151,6 +151,8 @@ mod tests {
     use std::fs::Permissions;
     use std::os::unix::fs::PermissionsExt;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     /// Whom nobody has to know.
@@ -158,7 +160,7 @@ mod tests {
 
     #[test]
     fn whoever_changes_who_may_use_the_folder_it_is_set_back_and_stays_locked() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_place_", &folder.path().join("root")).unwrap();
         let instance = Instance::claim(&location, "a", None).unwrap();
         let mut watch = instance.watch("a");

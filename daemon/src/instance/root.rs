@@ -260,11 +260,21 @@ mod tests {
     use super::*;
     use std::fs::set_permissions;
 
+    use cdcr_scratch::Scratch;
+
     /// Whom nobody has to know.
     const GROUP: u32 = 64_321;
 
     fn location(root: &Path) -> Location {
         Location::new("cdcrtest_root_", root).expect("a legal place")
+    }
+
+    /// A folder in one of the test's own, which the test holds locked itself.
+    fn closed_in(folder: &Scratch) -> PathBuf {
+        let root = folder.path().join("root");
+        std::fs::create_dir(&root).expect("it is ours");
+        set_permissions(&root, Permissions::from_mode(0o700)).expect("it is ours");
+        root
     }
 
     fn prepare(root: &Path) -> Result<File, InstanceError> {
@@ -277,8 +287,8 @@ mod tests {
         before: Option<u32>,
         group_id: Option<u32>,
     ) -> Result<(), InstanceError> {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
-        let location = location(folder.path());
+        let folder = Scratch::in_memory().expect("a folder");
+        let location = location(&closed_in(&folder));
         let [of_it, of_another] = [0; 2].map(|_| File::open(location.root()).expect("it is there"));
         acl::set_for(&of_it, before).expect("it is ours");
         settle(&of_it, &location, robot, before).expect("it is right");
@@ -313,37 +323,39 @@ mod tests {
 
     #[test]
     fn a_process_that_locks_the_folder_alone_is_told_of() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
-        prepare(folder.path()).expect("it is closed to others");
-        let locked = File::open(folder.path()).expect("it is there");
+        let folder = Scratch::in_memory().expect("a folder");
+        let root = closed_in(&folder);
+        prepare(&root).expect("it is closed to others");
+        let locked = File::open(&root).expect("it is there");
         locked.lock().expect("nobody else has it");
-        let error = prepare(folder.path()).expect_err("it is locked");
+        let error = prepare(&root).expect_err("it is locked");
         assert!(matches!(error, InstanceError::RootLocked { .. }), "{error}");
         locked.lock_shared().expect("it is ours");
-        prepare(folder.path()).expect("it is shared");
+        prepare(&root).expect("it is shared");
         // Another daemon may live there.
-        set_permissions(folder.path(), Permissions::from_mode(0o755)).expect("it is ours");
-        let error = prepare(folder.path()).expect_err("it would be changed");
+        set_permissions(&root, Permissions::from_mode(0o755)).expect("it is ours");
+        let error = prepare(&root).expect_err("it would be changed");
         assert!(matches!(error, InstanceError::RootLocked { .. }), "{error}");
     }
 
     #[test]
     fn a_lock_that_is_given_up_in_time_keeps_no_daemon_out() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
-        let locked = File::open(folder.path()).expect("it is there");
+        let folder = Scratch::in_memory().expect("a folder");
+        let root = closed_in(&folder);
+        let locked = File::open(&root).expect("it is there");
         locked.lock().expect("nobody else has it");
         std::thread::scope(|scope| {
             scope.spawn(|| {
                 std::thread::sleep(TRY_AGAIN);
                 locked.unlock().expect("it was locked");
             });
-            prepare(folder.path()).expect("it is free after a while");
+            prepare(&root).expect("it is free after a while");
         });
     }
 
     #[test]
     fn a_new_root_is_open_to_nobody_else() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let folder = Scratch::in_memory().expect("a folder");
         let root = folder.path().join("a/root");
         prepare(&root).expect("it is made");
         let mode = std::fs::metadata(&root).expect("it is there").mode();
@@ -352,8 +364,8 @@ mod tests {
 
     #[test]
     fn a_root_that_others_may_write_to_is_refused_and_left_as_it_is() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
-        let root = folder.path();
+        let folder = Scratch::in_memory().expect("a folder");
+        let root = &closed_in(&folder);
         for mode in [0o777, 0o770, 0o757, 0o1777] {
             set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
             let error = prepare(root).expect_err("it is open");
@@ -374,8 +386,8 @@ mod tests {
 
     #[test]
     fn a_root_that_others_could_enter_is_refused_unless_it_is_empty() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
-        let root = folder.path();
+        let folder = Scratch::in_memory().expect("a folder");
+        let root = &closed_in(&folder);
         std::fs::write(root.join("left"), "").expect("it is ours");
         for mode in [0o711, 0o755, 0o750, 0o701] {
             set_permissions(root, Permissions::from_mode(mode)).expect("it is ours");
@@ -399,7 +411,7 @@ mod tests {
 
     #[test]
     fn a_link_of_our_own_may_lead_to_the_root() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let folder = Scratch::in_memory().expect("a folder");
         let (root, link) = (folder.path().join("root"), folder.path().join("link"));
         prepare(&root).expect("it is made");
         std::os::unix::fs::symlink(&root, &link).expect("a link");
@@ -413,7 +425,7 @@ mod tests {
 
     #[test]
     fn what_is_no_folder_is_refused() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).expect("a folder");
+        let folder = Scratch::in_memory().expect("a folder");
         let root = folder.path().join("root");
         for make in [
             |at: &Path| std::fs::write(at, ""),
@@ -429,7 +441,7 @@ mod tests {
     #[test]
     fn a_root_on_a_disk_is_refused() {
         // A file system that is neither memory nor ours; where it is memory, there is nothing to refuse.
-        let folder = tempfile::tempdir_in(env!("CARGO_MANIFEST_DIR")).expect("a folder");
+        let folder = Scratch::on_disk().expect("a folder");
         if is_in_memory(folder.path()).expect("it is there") {
             return;
         }

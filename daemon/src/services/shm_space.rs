@@ -112,6 +112,7 @@ pub fn mount_point(folder: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
     use cdcr_shared_types::Location;
 
     use super::super::{Ports, ServiceError, incidents, node, publisher, telemetry};
@@ -119,7 +120,7 @@ mod tests {
 
     #[test]
     fn a_daemon_takes_what_it_says_and_takes_it_for_good() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_room_", &folder.path().join("root")).unwrap();
         std::fs::create_dir(location.root()).unwrap();
         let node = node(&location).unwrap();

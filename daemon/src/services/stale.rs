@@ -210,6 +210,7 @@ fn old_entries(folder: &Path) -> impl Iterator<Item = PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
     use cdcr_shared_types::{Service, Status};
 
     use super::super::{ServiceError, node, publisher};
@@ -234,7 +235,7 @@ mod tests {
 
     #[test]
     fn a_port_that_outlived_its_node_gives_its_place_away_and_one_that_lives_keeps_it() {
-        let folder = tempfile::tempdir_in(Location::MEMORY).unwrap();
+        let folder = Scratch::in_memory().unwrap();
         let location = Location::new("cdcrtest_lost_", &folder.path().join("root")).unwrap();
         let first = node(&location).unwrap();
         let lost = publisher::<Status>(&first, Service::Status, "cdcr").unwrap();

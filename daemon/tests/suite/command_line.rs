@@ -2,7 +2,7 @@
 //! binary for the tests of the whole system.)
 use std::process::{Command, Output};
 
-use crate::place::Place;
+use cdcr_scratch::Scratch;
 
 /// `cdcrd` with no variable of ours but these.
 fn cdcrd_in(environment: &[(&str, &str)], arguments: &[&str]) -> Output {
@@ -55,7 +55,7 @@ fn options_win_over_defaults_and_are_checked() {
 
 #[test]
 fn an_option_wins_over_a_variable_over_the_file_over_the_default() {
-    let folder = Place::new("command-line1");
+    let folder = Scratch::in_memory().unwrap();
     let file = folder.path().join("robot.toml");
     std::fs::write(&file, "[cycle]\n\nperiod_ms = 2.0\n").unwrap();
     let file = file.to_str().unwrap();

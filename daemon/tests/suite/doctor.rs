@@ -4,9 +4,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::{Command, Output};
 
+use cdcr_scratch::Scratch;
 use serde_json::Value;
-
-use crate::place::Place;
 
 /// Every key, as programs know it.
 const KEYS: [&str; 24] = [
@@ -72,7 +71,7 @@ fn badness(verdict: &str) -> usize {
 
 #[test]
 fn the_report_has_every_check_and_its_worst_is_the_exit_status() {
-    let folder = Place::new("doctor1");
+    let folder = Scratch::in_memory().unwrap();
     let output = doctor(folder.path(), "mode = \"prefer\"", &["--format", "json"]);
     let report = json(&output);
     let verdicts = verdicts(&report);
@@ -95,7 +94,7 @@ fn the_report_has_every_check_and_its_worst_is_the_exit_status() {
 
 #[test]
 fn what_is_missing_is_as_bad_as_it_was_asked_for() {
-    let folder = Place::new("doctor2");
+    let folder = Scratch::in_memory().unwrap();
     // No machine has this core.
     let of_mode = |mode: &str| {
         let realtime = format!("mode = \"{mode}\"\ncore = 1023");
@@ -112,7 +111,7 @@ fn what_is_missing_is_as_bad_as_it_was_asked_for() {
 
 #[test]
 fn text_is_plain_where_there_is_no_terminal() {
-    let folder = Place::new("doctor3");
+    let folder = Scratch::in_memory().unwrap();
     let output = doctor(folder.path(), "mode = \"prefer\"", &[]);
     let text = String::from_utf8(output.stdout).unwrap();
     assert!(!text.contains('\u{1b}'), "{text}");
@@ -131,7 +130,7 @@ fn text_is_plain_where_there_is_no_terminal() {
 
 #[test]
 fn a_bad_configuration_is_no_report() {
-    let folder = Place::new("doctor4");
+    let folder = Scratch::in_memory().unwrap();
     let output = doctor(folder.path(), "core = -7", &[]);
     let error = String::from_utf8_lossy(&output.stderr).into_owned();
     assert_eq!(output.status.code(), Some(78), "{error}");

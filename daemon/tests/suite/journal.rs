@@ -9,9 +9,8 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use cdcr_scratch::Scratch;
 use cdcr_test_skip::{Need, skip};
-
-use crate::place::Place;
 
 /// How long anything may take before the test gives up. Generous: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -73,7 +72,7 @@ fn may_have_a_journal(folder: &Path) -> bool {
 /// The program, logging to a standard error that `JOURNAL_STREAM` names if `named`. Returns the fields of
 /// what came to the journal, and the text that came to the standard error.
 fn run(named: bool) -> Option<(Vec<BTreeMap<String, String>>, String)> {
-    let place = Place::new(&format!("journal-{named}"));
+    let place = Scratch::in_memory().unwrap();
     let journal = UnixDatagram::bind(place.path().join("socket")).unwrap();
     if !may_have_a_journal(place.path()) {
         return None;
@@ -155,7 +154,7 @@ fn lines_are_text_when_the_standard_error_is_something_else() {
 /// Whoever logs to a journal that takes nothing any more goes on: here the supervisor, which has to see the signal.
 #[test]
 fn a_journal_that_stands_still_holds_nobody_up() {
-    let place = Place::new("journal-full");
+    let place = Scratch::in_memory().unwrap();
     let socket = place.path().join("socket");
     let journal = UnixDatagram::bind(&socket).unwrap();
     if !may_have_a_journal(place.path()) {

@@ -9,5 +9,4 @@ mod command_line;
 mod doctor;
 mod journal;
 mod manual;
-mod place;
 mod service_manager;

@@ -7,10 +7,9 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use cdcr_daemon::exit::ExitCause;
+use cdcr_scratch::Scratch;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::{Pid, Signal, kill_process};
-
-use crate::place::Place;
 
 /// How long anything may take before the test gives up. Generous: machines stall.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -21,17 +20,17 @@ const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n";
 struct Manager {
     daemon: Child,
     socket: UnixDatagram,
-    place: Place,
+    place: Scratch,
 }
 
 impl Manager {
-    fn start(name: &str) -> Self {
-        Self::start_onto(name, Stdio::null())
+    fn start() -> Self {
+        Self::start_onto(Stdio::null())
     }
 
     /// Starts the daemon with this standard error.
-    fn start_onto(name: &str, stderr: impl Into<Stdio>) -> Self {
-        let place = Place::new(name);
+    fn start_onto(stderr: impl Into<Stdio>) -> Self {
+        let place = Scratch::in_memory().unwrap();
         let path = place.path().join("notify");
         let socket = UnixDatagram::bind(&path).unwrap();
         socket.set_read_timeout(Some(TIMEOUT)).unwrap();
@@ -110,7 +109,7 @@ impl Drop for Manager {
 }
 
 /// The daemon of `place`.
-fn cdcrd(place: &Place) -> Command {
+fn cdcrd(place: &Scratch) -> Command {
     let configuration = place.path().join("robot.toml");
     std::fs::write(&configuration, PATIENT).unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_cdcrd"));
@@ -149,7 +148,7 @@ fn count(heard: &[String], what: &str) -> usize {
 
 #[test]
 fn a_life_is_told_from_ready_to_stopping() {
-    let mut manager = Manager::start("life");
+    let mut manager = Manager::start();
     let mut heard = manager.hear_until("READY=1");
     heard.extend(manager.hear_until("STATUS="));
     heard.extend(manager.hear_until("WATCHDOG=1"));
@@ -172,7 +171,7 @@ fn a_life_is_told_from_ready_to_stopping() {
 
 #[test]
 fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
-    let mut manager = Manager::start("still");
+    let mut manager = Manager::start();
     manager.hear_until("WATCHDOG=1");
     kill_process(Pid::from_child(&manager.daemon), Signal::STOP).unwrap();
     manager.wait_until_it_stands_still();
@@ -190,7 +189,7 @@ fn a_daemon_that_stands_still_does_not_feed_the_watchdog() {
 
 #[test]
 fn a_daemon_that_cannot_start_is_never_ready() {
-    let mut manager = Manager::start("first");
+    let mut manager = Manager::start();
     manager.hear_until("READY=1");
     let path = manager.place.path().join("second");
     let socket = UnixDatagram::bind(&path).unwrap();
@@ -212,7 +211,7 @@ fn a_daemon_that_cannot_start_is_never_ready() {
 #[test]
 fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
     let (_reader, writer) = full_pipe();
-    let mut manager = Manager::start_onto("unread", writer);
+    let mut manager = Manager::start_onto(writer);
     manager.hear_until("READY=1");
     for _ in 0..3 {
         manager.hear_until("STATUS=");
@@ -224,7 +223,7 @@ fn a_log_that_nobody_reads_stops_neither_the_status_nor_the_end() {
 #[test]
 fn a_failure_whose_message_nobody_reads_ends_the_process_with_its_status() {
     let (_reader, writer) = full_pipe();
-    let place = Place::new("mute");
+    let place = Scratch::in_memory().unwrap();
     let mut daemon = cdcrd(&place)
         .args(["--set", "cycle.period_ms=-1"])
         .stderr(writer)

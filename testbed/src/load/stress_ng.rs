@@ -27,7 +27,7 @@ pub(super) fn program() -> Result<PathBuf> {
 /// core; stress-ng ends with the calling thread.
 pub(super) fn run(cores: &Cores, signals: &Signals) -> Result<Done> {
     cores.stay_off();
-    let folder = folder("stress-ng")?;
+    let folder = folder()?;
     let counts = folder.path().join("counts.yaml");
     let command = command(cores, folder.path(), &counts)?;
     let mut process = Process::start_in(folder, "stress-ng", command)?;

@@ -83,6 +83,8 @@ fn cycle(row: &Row) -> Result<Cycle> {
 mod tests {
     use std::fs;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
     use crate::system::thread::may_be_realtime;
 
@@ -152,7 +154,7 @@ mod tests {
 
     #[test]
     fn a_bad_configuration_says_what_is_wrong() {
-        let folder = tempfile::tempdir().unwrap();
+        let folder = Scratch::temporary().unwrap();
         let config = folder.path().join("bad.toml");
         fs::write(&config, "[cycle]\nperiod = 5\n").unwrap();
         let launch = Launch::patient(Some(config));

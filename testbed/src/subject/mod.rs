@@ -4,7 +4,6 @@ pub mod baseline;
 pub mod cyclictest;
 pub mod daemon;
 pub mod place;
-mod sweep;
 pub mod tracking;
 
 use cdcr_shared_types::codes::LateCause;

@@ -1,17 +1,15 @@
 //! A private place: a folder in memory, and one for temporary files. Dropping it removes every trace. What a killed
-//! process left, the next place of another one removes (`sweep`).
+//! process left, the next one removes (`cdcr_scratch`).
 
 use std::fs::{self, File, OpenOptions};
+use std::os::unix::ffi::OsStrExt as _;
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use anyhow::{Context, Result};
+pub use cdcr_scratch::PREFIX;
+use cdcr_scratch::Scratch;
 use cdcr_shared_types::Location;
-use tempfile::TempDir;
-
-use super::sweep;
-pub use super::sweep::PREFIX;
 
 pub const ROBOT: &str = "bench";
 
@@ -22,41 +20,32 @@ pub const ROOT: &str = "root";
 #[derive(Debug)]
 pub struct Place {
     location: Location,
-    folder: TempDir,
-    /// Of its folder, and of a file in memory: held as long as its process lives, however that ends. A process of another
-    /// container may see only one of them.
-    _locks: [File; 2],
+    folder: Scratch,
+    /// A file in memory: held as long as its process lives, however that ends, as the folder's is. A process of another container may
+    /// see only one of them.
+    _lock: File,
 }
 
 impl Place {
-    /// A fresh one. The first of a process sweeps what killed processes of this user left.
+    /// A fresh one.
     pub fn new() -> Result<Self> {
-        static COUNT: AtomicU32 = AtomicU32::new(0);
-        sweep::sweep_once();
         loop {
-            let number = COUNT.fetch_add(1, Ordering::Relaxed);
-            let prefix = sweep::place_name(std::process::id(), number);
+            let folder = Scratch::temporary().context("a folder for temporary files")?;
             let in_memory =
-                |part: &str| Path::new(Location::MEMORY).join(format!("{prefix}{part}"));
-            let location =
-                Location::new(&prefix, &in_memory(ROOT)).context("the names of a place")?;
-            let folder = tempfile::Builder::new().prefix(&prefix).tempdir();
-            let folder = folder.context("a folder for temporary files")?;
+                |part: &str| Path::new(Location::MEMORY).join(format!("{}{part}", folder.prefix()));
+            let location = Location::new(folder.prefix(), &in_memory(ROOT));
+            let location = location.context("the names of a place")?;
             let locked = in_memory("lock");
             let mut options = OpenOptions::new();
             let file = options.write(true).create(true).truncate(false).mode(0o600);
-            let file = file.open(&locked);
-            let locks = [
-                file.with_context(|| format!("cannot write {}", locked.display()))?,
-                File::open(folder.path())?,
-            ];
+            let lock = file.open(&locked);
+            let lock = lock.with_context(|| format!("cannot write {}", locked.display()))?;
             // A process of the same number in another container may have it, or its sweep may have been faster.
-            let is_ours = locks.iter().all(|lock| lock.try_lock().is_ok());
-            if is_ours && locked.exists() && folder.path().exists() {
+            if lock.try_lock().is_ok() && locked.exists() {
                 return Ok(Self {
                     location,
                     folder,
-                    _locks: locks,
+                    _lock: lock,
                 });
             }
         }
@@ -90,13 +79,19 @@ impl Drop for Place {
 pub fn in_public_memory(prefix: &str) -> Vec<PathBuf> {
     let entries = fs::read_dir(Location::MEMORY).into_iter().flatten();
     let paths = entries.flatten().map(|entry| entry.path());
-    let is_meant = |path: &PathBuf| sweep::name(path).starts_with(prefix.as_bytes());
+    let name = |path: &Path| path.file_name().unwrap_or_default().as_bytes().to_owned();
+    let is_meant = |path: &PathBuf| name(path).starts_with(prefix.as_bytes());
     paths.filter(is_meant).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_is_in_memory_is_swept() {
+        assert_eq!(cdcr_scratch::MEMORY, Location::MEMORY);
+    }
 
     #[test]
     fn two_places_are_apart_and_leave_nothing() {

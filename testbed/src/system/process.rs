@@ -8,10 +8,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
+use cdcr_scratch::Scratch;
 use rustix::process::{
     Pid, Signal, WaitId, WaitIdOptions, kill_process, kill_process_group, waitid,
 };
-use tempfile::TempDir;
 
 use crate::interrupt;
 
@@ -27,18 +27,18 @@ pub struct Process {
     child: Child,
     /// How it ended, once it is known: then its id is no longer its own.
     ended: Option<ExitStatus>,
-    folder: TempDir,
+    folder: Scratch,
 }
 
 impl Process {
     /// Starts it, in a process group of its own: Ctrl-C reaches us alone, and we end it in order. What it
     /// says goes into files, so that it never waits for a reader.
     pub fn start(name: &'static str, command: Command) -> Result<Self> {
-        Self::start_in(folder(name)?, name, command)
+        Self::start_in(folder()?, name, command)
     }
 
     /// The same with a folder that the command knows, and that is removed with the process.
-    pub fn start_in(folder: TempDir, name: &'static str, mut command: Command) -> Result<Self> {
+    pub fn start_in(folder: Scratch, name: &'static str, mut command: Command) -> Result<Self> {
         let file = |what: &str| File::create(folder.path().join(what)).context("its output");
         let child = command
             .stdin(Stdio::null())
@@ -167,10 +167,8 @@ const STDOUT: &str = "stdout";
 const STDERR: &str = "stderr";
 
 /// A folder for the files of a program.
-pub fn folder(name: &str) -> Result<TempDir> {
-    tempfile::Builder::new()
-        .prefix(&format!("cdcr-bench-{}-", name.replace(' ', "-")))
-        .tempdir()
+pub fn folder() -> Result<Scratch> {
+    Scratch::temporary()
         .context("a folder for temporary files: set TMPDIR to one that can be written")
 }
 

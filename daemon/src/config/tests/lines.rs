@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use cdcr_scratch::Scratch;
 use rustix::fs::{CWD, Mode, mkfifoat};
 
 use super::error_of;
@@ -174,7 +175,7 @@ fn an_error_quotes_no_more_than_a_line_however_long_the_value_is() {
 
 #[test]
 fn what_is_no_file_or_too_large_a_one_is_refused_at_once() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Scratch::temporary().unwrap();
     let (large, pipe) = (folder.path().join("large"), folder.path().join("pipe"));
     std::fs::write(&large, " ".repeat((1 << 20) + 1)).unwrap();
     mkfifoat(CWD, &pipe, Mode::from_raw_mode(0o600)).unwrap();

@@ -10,12 +10,11 @@ use cdcr_daemon::app::run_until;
 use cdcr_daemon::config::Config;
 use cdcr_daemon::exit::ExitCause;
 use cdcr_daemon::instance::is_in_memory;
+use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::RequestKind;
 use cdcr_shared_types::{Service, ipc};
 use cdcr_test_skip::{Need, skip};
-use cdcr_tests::{
-    Daemon, Place, Program, ROBOT, TIMEOUT, assert_says, binary, wait_status, wait_until,
-};
+use cdcr_tests::{Daemon, Place, Program, ROBOT, TIMEOUT, assert_says, wait_status, wait_until};
 use iceoryx2::prelude::Node;
 use rustix::process::Signal;
 
@@ -227,8 +226,7 @@ fn a_root_folder_of_another_user_ends_with_73() {
 fn a_root_folder_on_a_disk_ends_with_73() {
     // What is neither memory nor somebody else's: the folder of this build, or where that is another user's, one that outlives a boot.
     let place = Place::new();
-    let root = tempfile::tempdir_in(binary("cdcrd").parent().unwrap());
-    let root = root.or_else(|_| tempfile::tempdir_in("/var/tmp")).unwrap();
+    let root = Scratch::on_disk().unwrap();
     if is_in_memory(root.path()).unwrap() {
         println!("nothing to refuse: the target folder is in memory");
         return;

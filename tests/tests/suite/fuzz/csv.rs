@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use cdcr_client::{FileTrajectory, Orientation, Trajectory};
+use cdcr_scratch::Scratch;
 use proptest::collection::vec;
 use proptest::prelude::*;
 use proptest::sample::select;
@@ -150,7 +151,7 @@ fn any_bytes_are_a_reference_file_or_an_error() {
     corpus::replay("csv", |bytes| {
         evaluate(&String::from_utf8_lossy(bytes));
     });
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Scratch::temporary().unwrap();
     let path = folder.path().join("any.csv");
     let table = "(t_s,x_m,y_m,z_m\n)?([0-9e.,\"#\r\n-]{0,40}\n){0,8}".prop_map(String::into_bytes);
     let contents = prop_oneof![vec(any::<u8>(), 0..300), table];

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use cdcr_scratch::Scratch;
 use cdcr_tests::{Daemon, Place, text};
 use serde_json::Value;
 
@@ -80,7 +81,7 @@ fn rms_mm(found: &Value, robot: &str) -> f64 {
 
 #[test]
 fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = Scratch::temporary().unwrap();
     let folder = folder.path();
     let mut recorder = None;
     let mut configuration = blocks("toml")[0].to_owned();

@@ -90,11 +90,13 @@ fn float(value: &Value) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
     fn the_robot_of_a_file_is_read_and_what_lacks_is_named() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let path = folder.path().join("robot.toml");
         let default = include_str!("../../../../../configs/default.toml");
         fs::write(&path, default).expect("written");

@@ -156,12 +156,14 @@ mod tests {
     use std::fs;
     use std::time::Duration;
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     /// The tip is measured between two measurements of cables that move evenly, and arrives a cycle later.
     #[test]
     fn cables_are_taken_at_the_time_of_the_tip() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let output = folder.path().join("a.csv");
         let options = RecordOptions {
             output: output.clone(),

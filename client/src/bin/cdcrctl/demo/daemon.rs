@@ -144,11 +144,13 @@ pub(super) fn beside_ourselves(name: &str) -> anyhow::Result<PathBuf> {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_scratch::Scratch;
+
     use super::*;
 
     #[test]
     fn the_reason_comes_first() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let log = folder.path().join("log");
         let text = "2026-01-01T00:00:00.000001Z  INFO running robot=\"demo\"\n\
                     2026-01-01T00:00:00.000002Z  WARN late: platform\n\

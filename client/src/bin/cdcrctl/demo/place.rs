@@ -137,6 +137,8 @@ mod tests {
     use super::*;
     use std::process::Command;
 
+    use cdcr_scratch::Scratch;
+
     /// The process id of a program that has ended.
     fn ended() -> u32 {
         let mut child = Command::new("true").spawn().expect("it starts");
@@ -166,7 +168,7 @@ mod tests {
 
     #[test]
     fn only_the_folder_of_a_dead_demo_is_abandoned() {
-        let temporary = tempfile::tempdir().expect("a folder");
+        let temporary = Scratch::temporary().expect("a folder");
         let make = |name: &str| {
             let folder = temporary.path().join(name);
             fs::create_dir(&folder).expect("made");
@@ -192,7 +194,7 @@ mod tests {
 
     #[test]
     fn an_abandoned_place_is_removed_with_its_shared_memory() {
-        let temporary = tempfile::tempdir().expect("a folder");
+        let temporary = Scratch::temporary().expect("a folder");
         let folder = temporary.path().join(format!("{NAME}{}-0123abcd", ended()));
         fs::create_dir(&folder).expect("made");
         let location = location(&folder).expect("legal");

@@ -210,6 +210,8 @@ fn write_anew(new: &Path, old: &Path, text: &str) -> anyhow::Result<()> {
 mod tests {
     use std::os::unix::fs::{PermissionsExt, chown, symlink};
 
+    use cdcr_scratch::Scratch;
+
     use super::*;
     use crate::setting::Change;
 
@@ -318,7 +320,7 @@ mod tests {
 
     #[test]
     fn a_file_is_replaced_whole_with_its_rights_and_where_a_link_points() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let (file, link) = (folder.path().join("a.toml"), folder.path().join("link"));
         replace(&file, "one").expect("made");
         fs::set_permissions(&file, fs::Permissions::from_mode(0o640)).expect("ours");
@@ -339,7 +341,7 @@ mod tests {
 
     #[test]
     fn a_link_that_leads_nowhere_stays_and_the_file_is_made_there() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let [first, second, file] =
             ["first", "second", "a.toml"].map(|name| folder.path().join(name));
         symlink("second", &first).expect("made");

@@ -37,11 +37,12 @@ mod tests {
     use super::super::report::tests::report;
     use super::super::shape::Backbone;
     use super::*;
+    use cdcr_scratch::Scratch;
     use cdcr_shared_types::Status;
 
     #[test]
     fn pictures_have_titles_axes_and_units() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         // Keep the pictures to look at them.
         let folder = std::env::var_os("CDCR_KEEP_PICTURES")
             .map_or_else(|| folder.path().to_owned(), Into::into);
@@ -100,7 +101,7 @@ mod tests {
 
     #[test]
     fn skipped_periods_break_the_line_and_have_a_legend_only_when_there_are_any() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let folder = std::env::var_os("CDCR_KEEP_PICTURES")
             .map_or_else(|| folder.path().to_owned(), Into::into);
         let (whole, _) = synthetic(400);
@@ -130,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_perfect_run_can_be_drawn() {
-        let folder = tempfile::tempdir().expect("a folder");
+        let folder = Scratch::temporary().expect("a folder");
         let (mut cycles, spiral) = synthetic(1);
         cycles[0].error_m = 0.0;
         cycles[0].wake_us = 0.0;

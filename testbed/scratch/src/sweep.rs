@@ -1,5 +1,5 @@
-//! What a killed measurement or test run left behind: its places in shared memory and in the folder for temporary files,
-//! and the programs that a test ran there.
+//! What a killed measurement or test run left behind: its folders and files in memory, in the folder for temporary files and on a
+//! disk, and the programs that a test ran there.
 //!
 //! Everybody may write to these folders: only what belongs to this user and has a name of ours is opened or removed, no
 //! link is followed, nothing is waited for.
@@ -12,20 +12,14 @@ use std::path::{Path, PathBuf};
 use std::sync::Once;
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::Location;
 use rustix::fs::OFlags;
 use rustix::process::{Pid, Signal, geteuid, kill_process};
 
-/// What the names of all places begin with. The number of the process follows.
+/// What the names of all that is swept begin with. The number of the process follows, and a number that it counts.
 pub const PREFIX: &str = "cdcrbed_";
 
 /// How long a killed program may take to end: it writes its files until then.
 const END_TIMEOUT: Duration = Duration::from_secs(10);
-
-/// Name of place `number` of `process`.
-pub(super) fn place_name(process: u32, number: u32) -> String {
-    format!("{PREFIX}{process}_{number}_")
-}
 
 /// Sweeps when a process asks for it the first time, and says on standard error what was there.
 pub(super) fn sweep_once() {
@@ -41,10 +35,10 @@ pub(super) fn sweep_once() {
 /// Ends the programs and removes the files of this user whose test process is gone. Returns what they were.
 ///
 /// A process number that was given to another process since keeps its files.
-fn sweep() -> Vec<String> {
+pub fn sweep() -> Vec<String> {
     let mut swept = end_programs();
-    let folders = [Path::new(Location::MEMORY), &std::env::temp_dir()];
-    let found: Vec<PathBuf> = folders.into_iter().flat_map(entries).collect();
+    let parents = super::parents();
+    let found: Vec<PathBuf> = parents.iter().flat_map(|parent| entries(parent)).collect();
     let found = found
         .into_iter()
         .filter(|path| is_abandoned(name(path)) && is_ours(path));
@@ -61,7 +55,7 @@ fn sweep() -> Vec<String> {
     swept
 }
 
-pub(super) fn name(path: &Path) -> &[u8] {
+fn name(path: &Path) -> &[u8] {
     path.file_name().unwrap_or_default().as_bytes()
 }
 
@@ -126,7 +120,7 @@ fn wait_for_end(process: &Path) {
 
 /// Where a test finds the programs that were built with it: the folder above its own, `target/<profile>/deps`. None of any
 /// other program, whose daemons end with it.
-fn folder_of_test_programs() -> Option<PathBuf> {
+pub(super) fn folder_of_test_programs() -> Option<PathBuf> {
     let test = std::env::current_exe().ok()?;
     let folder = test.parent().filter(|folder| folder.ends_with("deps"))?;
     folder.parent().map(Path::to_owned)
@@ -182,70 +176,149 @@ fn remove(path: &Path) -> bool {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{BufRead as _, BufReader};
     use std::os::unix::process::ExitStatusExt as _;
     use std::process::{Child, Command, Stdio};
-    use std::sync::Mutex;
+    use std::sync::{Mutex, MutexGuard, PoisonError};
+
+    use cdcr_test_skip::{Need, skip};
 
     use super::*;
-    use crate::subject::daemon::program;
+    use crate::{MEMORY, Scratch};
 
-    /// One sweep at a time: while one removes a folder, another takes it for one in use.
-    static ONE: Mutex<()> = Mutex::new(());
+    /// Tells the test that is started again as a program of its own that it is to be killed.
+    const VICTIM: &str = "CDCR_TEST_VICTIM";
+
+    /// One sweep at a time: while one removes a folder, another takes it for one in use. That of the first folder is over.
+    fn alone() -> MutexGuard<'static, ()> {
+        static ONE: Mutex<()> = Mutex::new(());
+        sweep_once();
+        ONE.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What files of a process are called.
+    fn prefix_of(process: u32) -> String {
+        format!("{PREFIX}{process}_0_")
+    }
 
     /// A process that waits for its input to end.
-    fn waiting(prefix: &str) -> Child {
-        let mut command = Command::new("cat");
+    fn waiting(program: &Path, prefix: &str) -> Child {
+        let mut command = Command::new(program);
         command.env("CDCR_PREFIX", prefix).stdin(Stdio::piped());
         command.spawn().unwrap()
     }
 
     #[test]
-    fn what_a_killed_process_left_is_swept_and_what_a_living_one_has_is_not() {
-        let _one = ONE.lock();
-        let mut test = waiting("");
-        let name = place_name(test.id(), 0);
-        let memory = Path::new("/dev/shm").join(format!("{name}memory"));
-        let folder = std::env::temp_dir().join(format!("{name}folder"));
-        fs::write(&memory, "").unwrap();
-        fs::create_dir_all(folder.join("root")).unwrap();
-        fs::write(folder.join("root/file"), "").unwrap();
-        let mut daemon = Command::new(program("cdcrd").unwrap());
-        daemon.args(["bare", "--duration", "60s"]);
-        let mut daemon = daemon
-            .env("CDCR_PREFIX", &name)
-            .stdout(Stdio::null())
+    fn what_a_killed_process_left_is_swept_and_named_and_what_a_living_one_has_is_not() {
+        if std::env::var_os(VICTIM).is_some() {
+            let makers = [Scratch::temporary, Scratch::in_memory, Scratch::on_disk];
+            let folders = makers.map(|make| make().unwrap());
+            for folder in &folders {
+                fs::write(folder.path().join("file"), "").unwrap();
+                // Not by a macro, which the test harness hides.
+                let line = format!("has {}\n", folder.path().display());
+                std::io::stdout().write_all(line.as_bytes()).unwrap();
+            }
+            std::thread::sleep(Duration::from_secs(600));
+            return;
+        }
+        let _alone = alone();
+        let test = std::thread::current().name().unwrap().to_owned();
+        let mut victim = Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", &test, "--test-threads=2", "--nocapture"])
+            .env(VICTIM, "1")
+            .stdout(Stdio::piped())
             .spawn()
             .unwrap();
-        // A program that begins has no environment yet.
-        let environment = PathBuf::from(format!("/proc/{}/environ", daemon.id()));
-        while !String::from_utf8_lossy(&fs::read(&environment).unwrap()).contains(&name) {
-            std::thread::sleep(Duration::from_millis(1));
-        }
-        // What somebody else runs with a variable that was left over in a shell.
-        let mut foreign = waiting(&name);
+        let said = BufReader::new(victim.stdout.take().unwrap()).lines();
+        let said = said.map_while(Result::ok);
+        let has = said.filter_map(|line| line.strip_prefix("has ").map(PathBuf::from));
+        let folders: Vec<PathBuf> = has.take(3).collect();
+        assert_eq!(folders.len(), 3, "{folders:?}");
 
         sweep();
-        assert!(memory.exists() && folder.join("root/file").exists());
-        assert!(daemon.try_wait().unwrap().is_none());
+        assert!(folders.iter().all(|folder| folder.join("file").exists()));
+
+        victim.kill().unwrap();
+        victim.wait().unwrap();
+        let swept = sweep();
+        for folder in folders {
+            assert!(!folder.exists());
+            let folder = fs::canonicalize(folder.parent().unwrap())
+                .unwrap()
+                .join(folder.file_name().unwrap());
+            assert!(swept.contains(&folder.display().to_string()), "{swept:?}");
+        }
+    }
+
+    #[test]
+    fn a_program_of_a_killed_test_is_ended_and_no_other() {
+        let _alone = alone();
+        let built = Scratch::on_disk().unwrap();
+        let is_built = folder_of_test_programs().is_some_and(|all| built.path().starts_with(all));
+        if !is_built {
+            println!("not tried: the target folder cannot be written");
+            return;
+        }
+        let mut test = waiting(Path::new("cat"), "");
+        let prefix = prefix_of(test.id());
+        let program = built.path().join("cat");
+        fs::copy("/bin/cat", &program).unwrap();
+        let mut program = waiting(&program, &prefix);
+        // What somebody else runs with a variable that was left over in a shell.
+        let mut foreign = waiting(Path::new("cat"), &prefix);
+        // A program that begins has no environment yet.
+        for child in [&program, &foreign] {
+            let environment = PathBuf::from(format!("/proc/{}/environ", child.id()));
+            while !String::from_utf8_lossy(&fs::read(&environment).unwrap()).contains(&prefix) {
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        }
+        sweep();
+        assert!(program.try_wait().unwrap().is_none());
 
         test.kill().unwrap();
         test.wait().unwrap();
-        sweep();
-        assert!(!memory.exists() && !folder.exists());
-        assert_eq!(daemon.wait().unwrap().signal(), Some(Signal::KILL.as_raw()));
+        let named = format!("process {}", program.id());
+        assert!(sweep().contains(&named));
+        assert_eq!(
+            program.wait().unwrap().signal(),
+            Some(Signal::KILL.as_raw())
+        );
         assert!(foreign.try_wait().unwrap().is_none());
         foreign.kill().unwrap();
         foreign.wait().unwrap();
     }
 
+    #[test]
+    fn what_is_another_users_is_not_swept() {
+        let _alone = alone();
+        if !geteuid().is_root() {
+            skip(Need::Root, "a folder of another user");
+            return;
+        }
+        // No system has so many processes.
+        let prefix = prefix_of(4_000_000_003);
+        for parent in crate::parents() {
+            let folder = parent.join(format!("{prefix}folder"));
+            fs::create_dir(&folder).unwrap();
+            std::os::unix::fs::chown(&folder, Some(65_534), None).unwrap();
+            let swept = sweep();
+            let is_there = folder.exists();
+            std::os::unix::fs::chown(&folder, Some(0), None).unwrap();
+            assert!(is_there, "{swept:?}");
+            let swept = sweep();
+            assert!(swept.contains(&folder.display().to_string()), "{swept:?}");
+        }
+    }
+
     /// As of a process of another container: its number means nothing here.
     #[test]
-    fn a_place_that_is_locked_is_not_swept() {
-        let _one = ONE.lock();
-        // No system has so many processes.
-        let name = place_name(4_000_000_001, 0);
-        let parts = [Path::new(Location::MEMORY), &std::env::temp_dir()];
-        let [memory, folder] = parts.map(|folder| folder.join(format!("{name}part")));
+    fn what_is_locked_is_not_swept() {
+        let _alone = alone();
+        let prefix = prefix_of(4_000_000_001);
+        let parts = [Path::new(MEMORY), &std::env::temp_dir()];
+        let [memory, folder] = parts.map(|folder| folder.join(format!("{prefix}part")));
         for locked in [&memory, &folder] {
             fs::write(&memory, "").unwrap();
             fs::create_dir(&folder).unwrap();
@@ -260,11 +333,11 @@ mod tests {
     }
 
     #[test]
-    fn a_pipe_or_a_link_with_the_name_of_a_place_holds_up_nothing() {
-        let _one = ONE.lock();
-        let place = std::env::temp_dir().join(place_name(4_000_000_002, 0));
-        let kept = tempfile::NamedTempFile::new().unwrap();
-        let [pipe, link] = ["pipe", "link"].map(|part| format!("{}{part}", place.display()));
+    fn a_pipe_or_a_link_with_a_name_of_ours_holds_up_nothing() {
+        let _alone = alone();
+        let prefix = std::env::temp_dir().join(prefix_of(4_000_000_002));
+        let kept = Scratch::temporary().unwrap();
+        let [pipe, link] = ["pipe", "link"].map(|part| format!("{}{part}", prefix.display()));
         let made = Command::new("mkfifo").arg(&pipe).status().unwrap();
         assert!(made.success());
         std::os::unix::fs::symlink(kept.path(), &link).unwrap();
@@ -276,13 +349,13 @@ mod tests {
     }
 
     #[test]
-    fn only_names_of_places_are_swept() {
+    fn only_names_of_ours_are_swept() {
         // No system has so many processes.
         let gone = 4_000_000_000_u32;
-        assert!(is_abandoned(place_name(gone, 3).as_bytes()));
+        assert!(is_abandoned(prefix_of(gone).as_bytes()));
         for name in [
-            place_name(std::process::id(), 3),
-            place_name(1, 0),
+            prefix_of(std::process::id()),
+            prefix_of(1),
             PREFIX.to_owned(),
             format!("{PREFIX}unfinished_{gone}_left"),
             format!("cdcr-bench-{gone}-0_"),
