@@ -14,6 +14,8 @@ pub(super) struct SettingsInForce {
     pub(super) revision: u64,
     /// The least safe distance that clients may set: the configured one \[m\].
     safe_distance_min_m: f64,
+    /// The safe distance that a client set last, at first the configured one \[m\].
+    safe_distance_set_m: f64,
 }
 
 impl SettingsInForce {
@@ -23,6 +25,7 @@ impl SettingsInForce {
             settings: Settings::new(config),
             revision: 0,
             safe_distance_min_m: config.controller.safe_distance_m,
+            safe_distance_set_m: config.controller.safe_distance_m,
         }
     }
 
@@ -33,6 +36,11 @@ impl SettingsInForce {
                 Outcome::OutOfRange
             }
             Ok(settings) => {
+                let safe_distance_m = settings.nmpc.safe_distance_m;
+                // Clients send all settings, also those that they leave as they are.
+                if safe_distance_m != self.settings.nmpc.safe_distance_m {
+                    self.safe_distance_set_m = safe_distance_m;
+                }
                 self.take(settings);
                 Outcome::Accepted
             }
@@ -41,11 +49,14 @@ impl SettingsInForce {
     }
 
     /// What has changed in the configuration comes into force, beside what clients have set; where the two do not go together,
-    /// the configuration alone does.
+    /// the configuration alone does. A safe distance that a client set wider stays in either case.
     pub(super) fn reload(&mut self, changed: &ChangedSettings) {
         let together = convert::with_changes(&self.settings, changed);
         let go_together = together.nmpc.validate().is_ok();
-        self.take(if go_together { together } else { changed.after });
+        let mut settings = if go_together { together } else { changed.after };
+        let safe_distance_m = &mut settings.nmpc.safe_distance_m;
+        *safe_distance_m = safe_distance_m.max(self.safe_distance_set_m);
+        self.take(settings);
     }
 
     /// Checked settings come into force.

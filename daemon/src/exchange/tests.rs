@@ -331,7 +331,8 @@ fn what_changed_in_the_configuration_is_in_the_next_inputs_and_what_clients_set_
     (wanted.nmpc.horizon_steps, wanted.budget_ns) = (7, 1_000_000);
     assert_eq!(inputs.settings, wanted);
     drop(asked);
-    // Seven blocks, set by a client, have no room in five steps of the configuration: that alone is in force.
+    // Seven blocks, set by a client, have no room in five steps of the configuration: that alone is in force, but for the
+    // safe distance, which the client set wider.
     wanted.nmpc.control_blocks = 7;
     let outcome = rig
         .exchange
@@ -345,7 +346,46 @@ fn what_changed_in_the_configuration_is_in_the_next_inputs_and_what_clients_set_
         after: short,
     };
     rig.reloaded.push(changed).unwrap();
+    short.nmpc.safe_distance_m = 0.05;
     assert_eq!(rig.gather().settings, short);
+}
+
+#[test]
+fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_changes() {
+    let mut rig = Rig::new("[controller]\nsafe_distance_m = 0.02\n");
+    let file = rig.gather().settings;
+    let safe = |settings: Settings, safe_distance_m| {
+        let mut settings = settings;
+        settings.nmpc.safe_distance_m = safe_distance_m;
+        settings
+    };
+    let set = |rig: &mut Rig, settings: Settings| {
+        let settings = convert::settings_to_wire(&settings);
+        let outcome = rig.exchange.settings.change(&settings);
+        assert_eq!(outcome, Outcome::Accepted);
+    };
+    let reload = |rig: &mut Rig, before_m, after_m| {
+        let changed = ChangedSettings {
+            before: safe(file, before_m),
+            after: safe(file, after_m),
+        };
+        rig.reloaded.push(changed).unwrap();
+        rig.gather().settings.nmpc.safe_distance_m
+    };
+    set(&mut rig, safe(file, 0.05));
+    for (before_m, after_m, in_force_m) in [
+        (0.02, 0.03, 0.05),
+        (0.03, 0.08, 0.08),
+        (0.08, 0.02, 0.05),
+        (0.02, 0.04, 0.05),
+    ] {
+        assert_eq!(reload(&mut rig, before_m, after_m), in_force_m);
+    }
+    // What it set narrower again, and what it only sent along, holds back no file.
+    set(&mut rig, safe(file, 0.02));
+    assert_eq!(reload(&mut rig, 0.04, 0.06), 0.06);
+    set(&mut rig, safe(file, 0.06));
+    assert_eq!(reload(&mut rig, 0.06, 0.03), 0.03);
 }
 
 #[test]
