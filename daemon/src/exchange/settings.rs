@@ -14,7 +14,7 @@ pub(super) struct SettingsInForce {
     pub(super) revision: u64,
     /// The least safe distance that clients may set: the configured one \[m\].
     safe_distance_min_m: f64,
-    /// The safe distance that a client set last, at first the configured one \[m\].
+    /// The safe distance that a client set last; 0: none has \[m\].
     safe_distance_set_m: f64,
 }
 
@@ -25,7 +25,7 @@ impl SettingsInForce {
             settings: Settings::new(config),
             revision: 0,
             safe_distance_min_m: config.controller.safe_distance_m,
-            safe_distance_set_m: config.controller.safe_distance_m,
+            safe_distance_set_m: 0.0,
         }
     }
 

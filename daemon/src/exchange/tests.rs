@@ -372,6 +372,9 @@ fn a_safe_distance_that_a_client_set_wider_stays_when_that_of_the_configuration_
         rig.reloaded.push(changed).unwrap();
         rig.gather().settings.nmpc.safe_distance_m
     };
+    // Where no client has set one, that of the configuration is in force.
+    assert_eq!(reload(&mut rig, 0.02, 0.01), 0.01);
+    assert_eq!(reload(&mut rig, 0.01, 0.02), 0.02);
     set(&mut rig, safe(file, 0.05));
     for (before_m, after_m, in_force_m) in [
         (0.02, 0.03, 0.05),
