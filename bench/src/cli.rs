@@ -207,7 +207,6 @@ struct PeerArguments {
     /// The process that started it.
     #[arg(long)]
     parent: u32,
-    /// Its core.
     #[arg(long)]
     core: usize,
     /// Both processes are on one core.

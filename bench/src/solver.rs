@@ -78,14 +78,27 @@ pub struct SolverOptions {
     pub rounds: u32,
     #[arg(skip = sizes())]
     pub sizes: Vec<Size>,
+    /// Moments of each kind in which the safety checks are measured.
+    #[arg(skip = guard::MOMENTS)]
+    pub moments: u64,
+}
+
+impl SolverOptions {
+    fn guard_s(&self) -> f64 {
+        GUARD_S * self.moments as f64 / guard::MOMENTS as f64
+    }
 }
 
 impl Benchmark for SolverOptions {
     fn of_report(quick: bool) -> Self {
         let mut sizes = sizes();
         sizes.retain(|size| !quick || size.task == Task::Spiral { sections: 1 });
-        let rounds = if quick { 1 } else { 3 };
-        Self { rounds, sizes }
+        let (rounds, moments) = if quick { (1, 50) } else { (3, guard::MOMENTS) };
+        Self {
+            rounds,
+            sizes,
+            moments,
+        }
     }
 
     fn rounds_mut(&mut self) -> &mut u32 {
@@ -93,7 +106,7 @@ impl Benchmark for SolverOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + GUARD_S)
+        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + self.guard_s())
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
@@ -107,8 +120,8 @@ impl Benchmark for SolverOptions {
                 progress.advance(SIZE_S);
             }
             rounds.push(cases);
-            guarded.push(guard::measure()?);
-            progress.advance(GUARD_S);
+            guarded.push(guard::measure(self.moments)?);
+            progress.advance(self.guard_s());
         }
         let mut dataset = dataset(&rounds)?;
         guard::add(&mut dataset, &guarded)?;

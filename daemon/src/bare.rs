@@ -38,7 +38,6 @@ const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// One cycle, as it happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BareCycle {
-    /// Its release.
     pub release: Release,
     /// The clock, read right after the start \[ns\].
     pub handed_over_ns: u64,

@@ -92,7 +92,6 @@ pub enum InstanceError {
     OpenRoot {
         /// Root folder.
         root: String,
-        /// Its permissions.
         mode: u32,
     },
     /// Another daemon lives in the root folder, and other users may use it than this one wants.
@@ -119,7 +118,6 @@ pub enum InstanceError {
     EnteredRoot {
         /// Root folder.
         root: String,
-        /// Its permissions.
         mode: u32,
     },
     /// Somebody who is no daemon that runs has locked the root folder.

@@ -27,6 +27,10 @@
 //! | [`app`] | every concrete type | nothing is hidden from it |
 //! | [`cli`] | the command line | anything about a cycle |
 
+#![allow(
+    missing_docs,
+    reason = "the library of a program: a comment that repeats a name helps nobody"
+)]
 #![cfg_attr(
     test,
     allow(

@@ -29,7 +29,7 @@ impl Display for InsufficientSpace {
         write!(
             f,
             "the memory of {folder} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed, or \
-             make it larger (find its mount point with df {folder}, then mount -o remount,size=256M on that; a \
+             make it larger (find its mount point with df {folder}, then sudo mount -o remount,size=256M on that; a \
              container: --shm-size=256m)",
             mb(self.needed_bytes),
             mb(self.free_bytes)

@@ -4,7 +4,11 @@
 //! behind, a panic included, is removed when its [`Daemon`] is dropped; what a run left behind that was
 //! killed, the next one removes.
 
-#![allow(clippy::missing_panics_doc, reason = "in a test a panic is the report")]
+#![allow(
+    missing_docs,
+    clippy::missing_panics_doc,
+    reason = "of tests: a comment that repeats a name helps nobody, and a panic is the report"
+)]
 
 pub mod driver;
 pub mod load;
@@ -237,7 +241,6 @@ impl Daemon {
         }
     }
 
-    /// Its process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }
@@ -324,7 +327,6 @@ impl Program {
         }
     }
 
-    /// Its process.
     pub fn id(&self) -> u32 {
         self.child.id()
     }

@@ -190,7 +190,6 @@ fn around(record: &Telemetry) -> [Obstacle; 4] {
 /// A client that makes a daemon do everything, turn by turn.
 #[derive(Debug)]
 pub struct Busy {
-    /// Its connection.
     pub connection: Connection,
     /// Records of tracking cycles that it saw.
     pub tracked: u64,

@@ -221,7 +221,7 @@ fn six_sections_among_64_obstacles_beside_an_ordinary_task_are_never_halted() {
     assert!(records.len() > 100, "{}", records.len());
     assert!(own.is_empty(), "{}", daemon.log());
     if is_hogged(&records) || !begins_alone || others_run(slice::from_ref(&daemon)) {
-        println!("other real-time threads are there: the halts are theirs, too");
+        skip(Need::Alone, "other real-time threads: halts may be theirs");
         return;
     }
     // The solver had work for all of its time.
@@ -247,7 +247,7 @@ fn two_loops_have_a_core_each() {
     }
     // Where loops of others have all cores but one, there is nothing to choose.
     if others_run(&daemons) && statuses[0].core == statuses[1].core {
-        println!("another daemon runs, too");
+        skip(Need::Alone, "another daemon has a core");
         return;
     }
     assert_ne!(statuses[0].core, statuses[1].core);

@@ -18,7 +18,7 @@ use crate::quantiles::{histogram, quantile_us};
 const SECTIONS: usize = 6;
 const OBSTACLES: usize = 64;
 /// Random moments of each kind.
-const MOMENTS: u64 = 1000;
+pub const MOMENTS: u64 = 1000;
 /// Each command is computed so often, and the fastest counts: the work is the same, the machine is not.
 const REPEATS: usize = 5;
 const BEND_RAD: f64 = 0.8;
@@ -63,11 +63,11 @@ pub struct Guarded {
     pub changed_percent: f64,
 }
 
-/// Measures every kind of crowd, with the same moments in each round.
-pub fn measure() -> Result<Vec<Guarded>> {
+/// Measures every kind of crowd in `moments` moments, the same ones in each round.
+pub fn measure(moments: u64) -> Result<Vec<Guarded>> {
     Crowd::ALL
         .iter()
-        .map(|crowd| crowd.measure(MOMENTS))
+        .map(|crowd| crowd.measure(moments))
         .collect()
 }
 

@@ -167,12 +167,13 @@ fn motors_with_a_lag_give_way_to_what_moves() {
         control_blocks: 5,
         ..NmpcSettings::default()
     };
-    for (motors, obeys_positions) in [
-        (actuator(0.04, 0.0), true),
-        (actuator(0.04, 0.0), false),
+    let motors = [
         (actuator(0.01, 0.03), true),
+        (actuator(0.04, 0.0), false),
+        (actuator(0.04, 0.0), true),
         (actuator(0.01, 0.03), false),
-    ] {
+    ];
+    for &(motors, obeys_positions) in crate::cases(2, &motors) {
         let mut nmpc = Nmpc::new(robot.clone(), PERIOD_S, settings).unwrap();
         let lagging = Driven {
             obeys_positions,
@@ -247,12 +248,12 @@ fn ball(centre_m: [f64; 3]) -> Obstacle {
 #[test]
 fn a_body_that_is_known_to_be_beside_its_model_keeps_clear() {
     let eight = FigureEight::new().unwrap();
-    for obeys_positions in [true, false] {
+    for &obeys_positions in crate::cases(1, &[true, false]) {
         let longer = Driven {
             obeys_positions,
             ..longer()
         };
-        for centre_m in [[0.33, 0.0, 0.7], [0.17, 0.0, 0.74]] {
+        for &centre_m in crate::cases(1, &[[0.33, 0.0, 0.7], [0.17, 0.0, 0.74]]) {
             let run = eight.run(longer, &[ball(centre_m)]).unwrap();
             let nearest_mm = run.min_clearance_mm();
             println!("positions {obeys_positions}, ball at {centre_m:?}: {nearest_mm:.2} mm");

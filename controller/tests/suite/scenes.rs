@@ -203,7 +203,7 @@ fn the_body_keeps_its_distance_from_an_obstacle_on_the_reference() {
     let centre_m = circle(std::f64::consts::FRAC_PI_2).position_m;
     let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.0, Vector3::zeros()).unwrap();
     for coordinates in COORDINATES {
-        for safe_distance_m in [0.01, 0.02, 0.04] {
+        for &safe_distance_m in crate::cases(1, &[0.02, 0.01, 0.04]) {
             let settings = NmpcSettings {
                 coordinates,
                 safe_distance_m,

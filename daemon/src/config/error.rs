@@ -12,7 +12,6 @@ pub enum ConfigError {
     /// The file cannot be read.
     #[error("cannot read the configuration {}: {cause}{}", short(&file.display().to_string()), start(file, cause))]
     Unreadable {
-        /// The file.
         file: PathBuf,
         /// Why.
         cause: std::io::Error,
@@ -20,7 +19,6 @@ pub enum ConfigError {
     /// The text is no TOML.
     #[error("{}: {cause}", file.display())]
     Syntax {
-        /// The file.
         file: PathBuf,
         /// What the parser says: line, column, the line itself, and what was expected.
         cause: String,
@@ -30,7 +28,6 @@ pub enum ConfigError {
     Unknown {
         /// Where it was set.
         origin: Origin,
-        /// The key.
         key: String,
         /// The known key that is nearest to it.
         nearest: Option<&'static str>,

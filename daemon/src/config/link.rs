@@ -23,10 +23,8 @@ pub enum LinkKind {
 #[cfg_attr(test, derive(schemars::JsonSchema))]
 #[serde(rename_all = "kebab-case")]
 pub enum Interface {
-    /// The speeds.
     #[default]
     Velocity,
-    /// The positions.
     Position,
 }
 

@@ -101,7 +101,6 @@ pub struct Validated {
     /// The configuration as written, but for what depends on the kind of robot and was left to that: `realtime.mode`,
     /// `obstacles.source_timeout_ms` and `controller.rate_weight`.
     pub config: Config,
-    /// The robot.
     pub robot: Robot,
     /// What the simulated robot is in truth, where that is given.
     pub truth: Option<Robot>,

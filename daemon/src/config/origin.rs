@@ -12,9 +12,7 @@ use super::ConfigError;
 pub enum Origin {
     /// Nobody set it.
     Default,
-    /// A file.
     File {
-        /// The file.
         file: PathBuf,
         /// Line of the key, from 1; none when it is not known.
         line: Option<usize>,

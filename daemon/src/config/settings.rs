@@ -5,7 +5,6 @@ use super::{Config, ConfigError, Origin, Origins, Validated, keys, ranges, rules
 /// A typed configuration, not yet checked, and where its values come from.
 #[derive(Debug, Clone, Default)]
 pub struct Settings {
-    /// The values.
     pub config: Config,
     /// Where they come from.
     pub origins: Origins,

@@ -21,7 +21,6 @@ macro_rules! to_wire {
 to_wire! {
     /// A refusal of the mode machine.
     pub refusal: Refusal => Outcome { WrongMode, NoLease, NoReference, TooFar, CauseStands, Waits, Overruled, Ending }
-    /// The mode.
     pub mode: Mode => Mode { Starting, Holding, Tracking, Homing, Stopped, Faulted }
     /// Why a mode.
     pub reason: Reason => Reason {

@@ -38,14 +38,13 @@ impl Exchange {
         clock: &impl Clock,
         shared: &Shared,
     ) {
-        let unheard_ns = now_ns.saturating_sub(self.gather_began_ns + 2 * self.period_ns);
+        let unheard_ns = now_ns.saturating_sub(self.gather.began_ns + 2 * self.timing.period_ns);
         self.references
-            .extend_lease(self.gather_began_ns, unheard_ns);
+            .extend_lease(self.gather.began_ns, unheard_ns);
         self.measurements.extend(unheard_ns);
-        self.obstacles.extend(self.gather_began_ns, unheard_ns);
-        self.suspends = self.suspend_watch.look(&clock.slept_ns());
-        self.gather += 1;
-        self.gather_began_ns = now_ns;
+        self.obstacles.extend(self.gather.began_ns, unheard_ns);
+        self.gather.number += 1;
+        self.gather.began_ns = now_ns;
         self.events.begin_gather();
         self.requests.begin_gather();
         self.references.end_silent_lease(now_ns);
@@ -57,13 +56,13 @@ impl Exchange {
         }
         self.take_requests(now_ns, shared);
         self.references.forget_before(schedule, cycle);
-        self.hand_over(schedule, cycle, now_ns);
+        self.hand_over(schedule, cycle, now_ns, clock);
     }
 
-    fn hand_over(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64) {
+    fn hand_over(&mut self, schedule: &Schedule, cycle: u64, now_ns: u64, clock: &impl Clock) {
         let inputs = self.ends.inputs.input_buffer_mut();
-        inputs.gather = self.gather;
-        inputs.gather_ns = self.gather_began_ns;
+        inputs.gather = self.gather.number;
+        inputs.gather_ns = self.gather.began_ns;
         let Settings { nmpc, .. } = self.settings.settings;
         let horizon = nmpc.horizon_steps as usize;
         self.references
@@ -71,14 +70,14 @@ impl Exchange {
         inputs.lease = self.references.lease_state(now_ns);
         inputs.lease_number = self.references.lease_number();
         inputs.exchange_ns = self.own_costs.high_ns();
-        inputs.interruptions = self.interruptions;
+        inputs.interruptions = self.cycle_watch.interruptions();
         inputs.measurement = self.measurements.newest();
         inputs.tip = self.measurements.newest_tip();
         inputs.tip_sensors = self.measurements.tip_sensors();
         inputs.obstacles = self.obstacles.handed_over(now_ns);
         inputs.obstacle_source_silent = self.obstacles.want_hold(now_ns);
         inputs.stops = self.requests.stops();
-        inputs.suspends = self.suspends;
+        inputs.suspends = self.suspend_watch.look(&clock.slept_ns());
         inputs.settings = self.settings.settings;
         inputs.settings_revision = self.settings.revision;
         self.ends.inputs.publish();
@@ -92,7 +91,7 @@ impl Exchange {
             let chunk = received.message;
             let result = self.references.take(&chunk, &self.robot, now_ns);
             self.events.note(
-                self.gather,
+                self.gather.number,
                 EventKind::Reference,
                 &chunk.header,
                 now_ns,
@@ -103,16 +102,17 @@ impl Exchange {
 
     fn take_obstacles(&mut self, now_ns: u64, clock: &impl Clock) {
         self.obstacles.let_expire(now_ns);
-        for _ in 0..updates_per_gather(self.gather_lead_ns) {
+        for _ in 0..updates_per_gather(self.timing.gather_lead_ns) {
             let Some(Received { message, is_newer }) = self.ports.obstacles.receive() else {
                 break;
             };
             // This thread may have stood still since the gather began: what was seen meanwhile is not of the future.
             let now_ns = clock.now_ns();
-            let gather_ns = self.gather_began_ns;
+            let gather_ns = self.gather.began_ns;
             let result = self.obstacles.take(&message, is_newer, gather_ns, now_ns);
             let (kind, header) = (EventKind::Obstacles, &message.header);
-            self.events.note(self.gather, kind, header, now_ns, result);
+            self.events
+                .note(self.gather.number, kind, header, now_ns, result);
         }
     }
 
@@ -123,10 +123,10 @@ impl Exchange {
                 break;
             };
             let arrival = Arrival {
-                gather_ns: self.gather_began_ns,
+                gather_ns: self.gather.began_ns,
                 // As for obstacles: it may be newer than the gather.
                 now_ns: clock.now_ns(),
-                is_faulted: self.last_mode == Mode::Faulted,
+                is_faulted: self.newest.mode == Mode::Faulted,
             };
             let taken = self
                 .measurements
@@ -137,7 +137,7 @@ impl Exchange {
                     let (kind, header) = (EventKind::Measurement, &message.header);
                     let result = Err(refused);
                     self.events
-                        .note(self.gather, kind, header, arrival.now_ns, result);
+                        .note(self.gather.number, kind, header, arrival.now_ns, result);
                 }
             }
         }

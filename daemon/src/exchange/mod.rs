@@ -14,6 +14,7 @@
 //! [reporter](crate::reporter)'s.
 
 mod bound_sender;
+mod cycle_watch;
 mod events;
 mod gather;
 mod lease;
@@ -37,9 +38,9 @@ use crate::config::{Validated, ns};
 use crate::handover::{ExchangeEnds, REQUESTS_PER_CYCLE, Shared};
 use crate::rt::clock::Clock;
 use crate::rt::schedule::Schedule;
-use crate::rt::scheduler::SchedulerLooks;
 use crate::rt::suspend::SuspendWatch;
 use crate::services::Ports;
+use cycle_watch::CycleWatch;
 use events::Events;
 use measurements::Measurements;
 use obstacles::Obstacles;
@@ -54,10 +55,7 @@ pub struct Exchange {
     ports: Ports,
     ends: ExchangeEnds,
     robot: Robot,
-    period_ns: u64,
-    gather_lead_ns: u64,
-    /// How long before its release the cycle thread wakes up \[ns\].
-    spin_ns: u64,
+    timing: Timing,
     references: References,
     measurements: Measurements,
     obstacles: Obstacles,
@@ -65,27 +63,41 @@ pub struct Exchange {
     requests: RequestDesk,
     /// What became of all that.
     events: Events,
-    /// Number of the newest gather.
-    gather: u64,
-    /// When it began \[ns\].
-    gather_began_ns: u64,
-    /// How long it took \[ns\].
-    gather_took_ns: u64,
+    gather: NewestGather,
+    newest: Newest,
     daemon_id: u64,
     commands_sent: u64,
     /// Records so far, also those that the reporter had no room for.
     reports: u64,
-    last_cycle: u64,
-    last_mode: Mode,
-    scheduler: SchedulerLooks,
-    /// The cycle thread had some when they were last read.
-    page_faults: bool,
-    /// Times that the cycle thread lost its core while it ran.
-    interruptions: u64,
+    cycle_watch: CycleWatch,
     own_costs: OwnCosts,
     suspend_watch: SuspendWatch,
-    /// Times that the machine slept so far.
-    suspends: u64,
+}
+
+/// What the configuration says of the time of a cycle \[ns\].
+#[derive(Debug)]
+#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
+struct Timing {
+    period_ns: u64,
+    gather_lead_ns: u64,
+    /// How long before its release the cycle thread wakes up.
+    spin_ns: u64,
+}
+
+/// The gather that is under way, or was the last.
+#[derive(Debug, Default)]
+struct NewestGather {
+    number: u64,
+    /// \[ns, `CLOCK_MONOTONIC`\]
+    began_ns: u64,
+    took_ns: u64,
+}
+
+/// Of the newest record.
+#[derive(Debug)]
+struct Newest {
+    cycle: u64,
+    mode: Mode,
 }
 
 /// What one gather and its cycle can bring fits one record: chunks and obstacle updates, other refusals, requests that are
@@ -107,9 +119,11 @@ impl Exchange {
             ports,
             ends,
             robot: validated.robot.clone(),
-            period_ns: ns(config.cycle.period_ms),
-            gather_lead_ns: ns(config.cycle.gather_lead_ms),
-            spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
+            timing: Timing {
+                period_ns: ns(config.cycle.period_ms),
+                gather_lead_ns: ns(config.cycle.gather_lead_ms),
+                spin_ns: config.realtime.spin_ns(config.cycle.period_ms),
+            },
             references: References::new(
                 &validated.robot,
                 ns(config.reference.lease_ms),
@@ -120,29 +134,26 @@ impl Exchange {
             settings: SettingsInForce::new(config),
             requests: RequestDesk::new(),
             events: Events::new(),
-            gather: 0,
-            gather_began_ns: 0,
-            gather_took_ns: 0,
+            gather: NewestGather::default(),
+            newest: Newest {
+                cycle: 0,
+                mode: Mode::Starting,
+            },
             daemon_id,
             commands_sent: 0,
             reports: 0,
-            last_cycle: 0,
-            last_mode: Mode::Starting,
-            scheduler: SchedulerLooks::default(),
-            page_faults: false,
-            interruptions: 0,
+            cycle_watch: CycleWatch::default(),
             own_costs: OwnCosts::default(),
             suspend_watch: SuspendWatch::default(),
-            suspends: 0,
         }
     }
 
     /// Runs until the cycle thread has ended and its last record is published.
     pub fn run(&mut self, schedule: &Schedule, clock: &impl Clock, shared: &Shared) {
         // While the cycle thread spins to a release, nobody else has the core.
-        let lead_ns = self.gather_lead_ns + self.spin_ns;
+        let lead_ns = self.timing.gather_lead_ns + self.timing.spin_ns;
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
-        self.scheduler = SchedulerLooks::at(shared.cycle_thread());
+        self.cycle_watch = CycleWatch::at(shared.cycle_thread());
         loop {
             shared.beat_exchange();
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
@@ -155,7 +166,7 @@ impl Exchange {
             let now_ns = clock.now_ns();
             if now_ns >= gather_ns {
                 self.gather(schedule, next_cycle, now_ns, clock, shared);
-                self.gather_took_ns = clock.now_ns() - now_ns;
+                self.gather.took_ns = clock.now_ns() - now_ns;
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
             // In this order: the last record was handed over before the end was said.

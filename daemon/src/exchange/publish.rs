@@ -1,19 +1,11 @@
 //! Right after each cycle: the command first, then answers, then a report for those who watch.
-//!
-//! What the scheduler counted of the cycle thread is read here, on its core and before the next cycle, and not by the
-//! reporter: that may come later than the next cycle, whose lateness would then be told of this one.
 
 use cdcr_shared_types as wire;
 
-use super::Exchange;
+use super::{Exchange, Newest};
 use crate::handover::{CycleRecord, CycleReport, InputReport, Shared};
-use crate::rt::attribution::Scheduling;
 use crate::rt::clock::Clock;
-use crate::rt::schedule::Lateness;
 use crate::{convert, services};
-
-/// Page faults are read in one of so many cycles that were in time.
-const PAGE_FAULT_LOOKS: u64 = 16;
 
 impl Exchange {
     /// Publishes the command of the newest record that the cycle has handed over, and hands every record on. More than one
@@ -26,11 +18,14 @@ impl Exchange {
             let command = self.publish_command(&record, is_newest, clock.now_ns(), shared);
             let publish_ns = clock.now_ns().saturating_sub(record.handed_over_ns);
             self.answer_decided(&record, clock.now_ns());
-            self.last_cycle = record.release.cycle;
-            self.last_mode = convert::mode(record.mode);
+            self.newest = Newest {
+                cycle: record.release.cycle,
+                mode: convert::mode(record.mode),
+            };
             // Records that wait together share one reading.
-            let scheduling =
-                *scheduling.get_or_insert_with(|| self.look_at_cycle(&record, is_newest));
+            let number = self.reports;
+            let scheduling = *scheduling
+                .get_or_insert_with(|| self.cycle_watch.look(&record, is_newest, number));
             self.reports += 1;
             // A reporter that is held up loses records, which its readers see by the gap; what clients did is told with
             // a later one.
@@ -50,24 +45,8 @@ impl Exchange {
             let _ = self.ends.reports.push(report);
         }
         shared.count_dropped_records(self.ends.records.lost() - lost);
-        if let Some(scheduling) = scheduling {
-            let lost = scheduling.map_or(0, |scheduling| scheduling.switches);
-            self.interruptions += u64::from(lost);
+        if scheduling.is_some() {
             self.own_costs.note(clock.on_core_ns());
-        }
-    }
-
-    /// What the scheduler did to the cycle thread since the look before. Page faults are dear to read: of a cycle that was late or waited
-    /// beside another, in each cycle while there are some, and else now and then, so that few are told of another cycle.
-    fn look_at_cycle(&mut self, record: &CycleRecord, is_newest: bool) -> Option<Scheduling> {
-        let was_late = record.lateness != Lateness::default() || record.release.skipped > 0;
-        let by_turn = self.reports.is_multiple_of(PAGE_FAULT_LOOKS);
-        if was_late || !is_newest || by_turn || self.page_faults {
-            let told = self.scheduler.look();
-            self.page_faults = told.is_some_and(|told| told.page_faults > 0);
-            told
-        } else {
-            self.scheduler.look_quickly()
         }
     }
 
@@ -84,7 +63,7 @@ impl Exchange {
         let is_known = record.measurement.is_some() && record.configuration.is_finite();
         let mut command = wire::Command {
             header: self.header(0, now_ns),
-            ..convert::command(record, &self.robot, self.period_ns)
+            ..convert::command(record, &self.robot, self.timing.period_ns)
         };
         if is_newest && is_known && is_worth_sending(&command, now_ns) {
             self.commands_sent += 1;
@@ -105,7 +84,7 @@ impl Exchange {
             event_count,
             dropped_events: self.events.dropped(),
             outcomes: *self.events.outcomes(),
-            gather_took_ns: self.gather_took_ns,
+            gather_took_ns: self.gather.took_ns,
             lease_holder: self.references.holder(now_ns).unwrap_or(0),
             reference_end_ns: self.references.end_ns().unwrap_or(0),
             reference_points: self.references.points_ahead(now_ns) as u32,

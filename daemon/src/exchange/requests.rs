@@ -149,7 +149,7 @@ impl Exchange {
 
     fn answer_now(&mut self, asked: &Asked, outcome: Outcome, now_ns: u64) {
         let Request { header, kind, .. } = *asked.payload();
-        self.note_request(&header, kind, outcome, self.gather, now_ns);
+        self.note_request(&header, kind, outcome, self.gather.number, now_ns);
         let response = self.response(&header, outcome, now_ns);
         // A client that left does not get its answer; that is its own doing.
         let _ = asked.send_copy(response);
@@ -178,9 +178,9 @@ impl Exchange {
         Response {
             header: self.header(self.requests.answers_sent, now_ns),
             request_sequence: asked.sequence,
-            cycle: self.last_cycle,
+            cycle: self.newest.cycle,
             outcome: outcome.code(),
-            mode: self.last_mode.code(),
+            mode: self.newest.mode.code(),
             lease_holder: self.references.holder(now_ns).unwrap_or(0),
             lease_left_ns: self.references.lease_left_ns(now_ns),
         }

@@ -8,7 +8,6 @@ use crate::handover::{ChangedSettings, Settings};
 /// The settings in force, which clients may change.
 #[derive(Debug)]
 pub(super) struct SettingsInForce {
-    /// The settings.
     pub(super) settings: Settings,
     /// Grows with each change.
     pub(super) revision: u64,

@@ -37,13 +37,17 @@ const TIMEOUT_MS: u64 = 50;
 
 /// A clock that the test moves, on a machine that slept for as long as the test says.
 #[derive(Debug, Default)]
+#[allow(clippy::struct_field_names, reason = "the unit ends each name")]
 struct Still {
     now_ns: Cell<u64>,
+    /// What passes with each look at it, as for a thread that stands still between them \[ns\].
+    stall_ns: Cell<u64>,
     slept_ns: Cell<u64>,
 }
 
 impl Clock for Still {
     fn now_ns(&self) -> u64 {
+        self.now_ns.update(|now_ns| now_ns + self.stall_ns.get());
         self.now_ns.get()
     }
     fn sleep_until(&self, time_ns: u64) {
@@ -126,7 +130,7 @@ impl Rig {
 
     /// Gathers the inputs of the next cycle in time, and returns them.
     fn gather(&mut self) -> &CycleInputs {
-        let now_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        let now_ns = self.gather_ns();
         self.clock.sleep_until(now_ns);
         let (clock, shared) = (&self.clock, &self.shared);
         self.exchange
@@ -181,12 +185,20 @@ impl Rig {
         reports.map(|report| report.record.release.cycle).collect()
     }
 
+    /// When the next gather begins \[ns\].
+    fn gather_ns(&self) -> u64 {
+        self.schedule.release_ns(self.next_cycle) - self.exchange.timing.gather_lead_ns
+    }
+
     /// A driver says that the robot was bent like this some time before the next gather.
     fn measure(&self, sender_id: u64, bend_rad: f64, age_ms: u64) {
-        let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        self.measure_at(sender_id, bend_rad, self.gather_ns() - age_ms * MS);
+    }
+
+    fn measure_at(&self, sender_id: u64, bend_rad: f64, measured_ns: u64) {
         let mut message = Measurement {
             header: self.header(sender_id),
-            measured_ns: at_ns - age_ms * MS,
+            measured_ns,
             kind: MeasurementKind::Configuration.code(),
             sections: 3,
             interface: Interface::Velocity.code(),
@@ -234,7 +246,7 @@ impl Rig {
         action: ObstacleAction,
         lifetimes_ms: &[u64],
     ) -> ObstacleUpdate {
-        let at_ns = self.schedule.release_ns(self.next_cycle) - self.exchange.gather_lead_ns;
+        let at_ns = self.gather_ns();
         let mut update = ObstacleUpdate {
             header: Header {
                 sent_ns: at_ns,

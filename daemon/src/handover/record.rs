@@ -29,7 +29,6 @@ pub enum MeasurementUse {
 /// Everything of one cycle: what it used, what it did, when.
 #[derive(Debug, Clone, Copy)]
 pub struct CycleRecord {
-    /// Its release.
     pub release: Release,
     /// It was rehearsed: the thread woke up before the release.
     pub rehearsed: bool,
@@ -71,7 +70,6 @@ pub struct CycleRecord {
     pub window_first_cycle: u64,
     /// The reference lease.
     pub lease: LeaseState,
-    /// Its number.
     pub lease_number: u32,
     /// The fixed rules.
     pub policy: Policy,
@@ -115,9 +113,7 @@ pub struct CycleRecord {
     pub plan_length: usize,
     /// Warm start of the solver.
     pub warm_plan: [f64; PLAN_MAX],
-    /// Its solution.
     pub plan: [f64; PLAN_MAX],
-    /// The command.
     pub rates: BendRates,
     /// Which limits changed it.
     pub limits_hit: LimitsHit,

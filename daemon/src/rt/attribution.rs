@@ -150,7 +150,6 @@ pub struct EvaluatedCycle {
     pub lateness: Lateness,
     /// Releases before it that got no cycle.
     pub skipped: u32,
-    /// Its times.
     pub timing: Timing,
 }
 

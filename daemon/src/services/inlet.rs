@@ -23,7 +23,6 @@ pub struct Inlet<T: ZeroCopySend + Debug + 'static> {
 /// A message, and whether it is newer than those of the same writer before it.
 #[derive(Debug, Clone, Copy)]
 pub struct Received<T> {
-    /// The message.
     pub message: T,
     /// Whether it is newer than those of its writer before it.
     pub is_newer: bool,

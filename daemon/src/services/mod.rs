@@ -49,7 +49,6 @@ pub enum ServiceError {
          a client of another version may hold it open: end the clients, or use another prefix"
     )]
     Service {
-        /// Its name.
         service: String,
         /// What iceoryx2 says.
         cause: String,
@@ -59,15 +58,12 @@ pub enum ServiceError {
         "another process writes to the service {service} already\n\
          another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
     )]
-    Taken {
-        /// Its name.
-        service: String,
-    },
+    Taken { service: String },
     /// Shared memory has less room than is needed.
     #[error(
         "shared memory ({mount}) is full: {what} needs {needed_mb:.1} MB, {free_mb:.1} MB are free\n\
          remove what is not needed (ls -l {mount}), or make it larger \
-         (mount -o remount,size=256M {mount}); cdcrd doctor shows how much it should have"
+         (sudo mount -o remount,size=256M {mount}; a container: --shm-size=256m); cdcrd doctor shows how much it should have"
     )]
     Full {
         /// The file system that is full.

@@ -257,7 +257,7 @@ mod tests {
         let built = Scratch::on_disk().unwrap();
         let is_built = folder_of_test_programs().is_some_and(|all| built.path().starts_with(all));
         if !is_built {
-            println!("not tried: the target folder cannot be written");
+            skip(Need::Disk, "the target folder cannot be written");
             return;
         }
         let mut test = waiting(Path::new("cat"), "");

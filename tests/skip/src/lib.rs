@@ -33,6 +33,10 @@ pub enum Need {
     Clock,
     /// Nine of ten releases of a real-time loop on time.
     OnTime,
+    /// No other daemon, and no other real-time thread on its core.
+    Alone,
+    /// A target folder on a disk, which may be written.
+    Disk,
     /// `unshare`, `setpriv`.
     UtilLinux,
     /// `cyclictest`.
@@ -43,7 +47,7 @@ pub enum Need {
 
 impl Need {
     /// Each of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 13] = [
         Self::Root,
         Self::Realtime,
         Self::Cores,
@@ -52,6 +56,8 @@ impl Need {
         Self::Kernel,
         Self::Clock,
         Self::OnTime,
+        Self::Alone,
+        Self::Disk,
         Self::UtilLinux,
         Self::Cyclictest,
         Self::StressNg,
@@ -68,6 +74,8 @@ impl Need {
             Self::Kernel => "kernel",
             Self::Clock => "clock",
             Self::OnTime => "on-time",
+            Self::Alone => "alone",
+            Self::Disk => "disk",
             Self::UtilLinux => "util-linux",
             Self::Cyclictest => "cyclictest",
             Self::StressNg => "stress-ng",
@@ -96,6 +104,8 @@ impl Need {
             Self::OnTime => {
                 "run the tests on a machine that stalls for less than a tenth of the time"
             }
+            Self::Alone => "run the tests where no other daemon and no real-time program runs",
+            Self::Disk => "build into a target folder on a disk that the tests may write to",
             Self::UtilLinux => "install util-linux",
             Self::Cyclictest => "install cyclictest (Debian: apt install rt-tests)",
             Self::StressNg => "install stress-ng",

@@ -12,3 +12,4 @@ mod rest;
 mod soak;
 mod stop;
 mod system;
+mod tidy;

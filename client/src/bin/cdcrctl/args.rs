@@ -105,6 +105,7 @@ pub(crate) enum Task {
         wake_us, solve_us, response_us        p50, p99 and max of each\n  \
         deadline_misses, late_starts          counts, each also per second (..._per_s)\n  \
         misses_by_cause                       deadline misses by what caused them\n  \
+        misses_explained_by_steal             those in which the hypervisor had the core for half of the delay\n  \
         skipped_periods                       releases that got no command\n  \
         lost_records                          telemetry records that did not arrive\n  \
         steal                                 steal_s of window_s that the hypervisor took from the core; or null\n  \

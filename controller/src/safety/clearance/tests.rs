@@ -175,7 +175,7 @@ fn cases() -> ProptestConfig {
     if is_set("PROPTEST_CASES") {
         ProptestConfig::default()
     } else {
-        ProptestConfig::with_cases(if is_set("CDCR_WHOLE") { 1000 } else { 400 })
+        ProptestConfig::with_cases(if is_set("CDCR_WHOLE") { 1000 } else { 150 })
     }
 }
 

@@ -25,6 +25,23 @@ fn an_obstacle_whose_source_died_does_not_expire_while_the_daemon_stands_still()
     assert!(inputs.obstacle_source_silent);
 }
 
+/// What drivers and cameras see while this thread stands still, after its gather began, is not of the future.
+#[test]
+fn what_was_seen_while_the_gather_stood_still_is_taken() {
+    for (stall_ns, outcome) in [(0, Outcome::OutOfRange), (30 * MS, Outcome::Accepted)] {
+        let mut rig = Rig::new("");
+        rig.gather();
+        let seen_ns = rig.gather_ns() + 30 * MS;
+        let mut update = rig.update(4, ObstacleAction::Upsert, &[5000]);
+        update.obstacles[0].measured_ns = seen_ns;
+        rig.obstacles.send_copy(update).unwrap();
+        rig.measure_at(5, 0.0, seen_ns);
+        rig.clock.stall_ns.set(stall_ns);
+        rig.gather();
+        assert_eq!(rig.counted(outcome), 2, "{stall_ns} ns: {outcome:?}");
+    }
+}
+
 #[test]
 fn a_source_of_obstacles_that_dies_holds_the_robot_and_its_obstacles_stay() {
     let mut rig = Rig::new("[obstacles]\nsource_timeout_ms = 100.0\n");

@@ -154,6 +154,7 @@ fn a_daemon_that_has_no_room_is_refused_with_what_it_needs() {
             "is full",
             "MB are free",
             "remount,size=",
+            "--shm-size=",
             "cdcrd doctor",
         ] {
             assert!(text(&output).contains(part), "{part}: {}", text(&output));

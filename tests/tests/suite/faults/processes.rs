@@ -228,7 +228,10 @@ fn a_root_folder_on_a_disk_ends_with_73() {
     let place = Place::new();
     let root = Scratch::on_disk().unwrap();
     if is_in_memory(root.path()).unwrap() {
-        println!("nothing to refuse: the target folder is in memory");
+        skip(
+            Need::Disk,
+            "nothing to refuse: the target folder is in memory",
+        );
         return;
     }
     let options = ["--root", root.path().to_str().unwrap()];

@@ -124,20 +124,40 @@ impl Stranger {
         }
     }
 
-    /// A little of every kind.
-    fn burst(&mut self) {
-        self.pending.clear();
+    /// A little of every kind, each handed to `send` as soon as it is made.
+    fn draw(&mut self, mut send: impl FnMut(&mut Self, Step)) {
         for kind in REQUESTS {
-            self.send(&Step::Request(Request {
+            let request = Request {
                 kind: kind.code(),
                 ..Request::default()
-            }));
+            };
+            send(self, Step::Request(request));
         }
         for (kind, count) in BURST {
             for _ in 0..count {
                 let tree = nonsense(kind, monotonic_ns()).new_tree(&mut self.runner);
-                let step = tree.unwrap().current();
-                self.send(&step);
+                send(self, tree.unwrap().current());
+            }
+        }
+    }
+
+    fn burst(&mut self) {
+        self.pending.clear();
+        self.draw(|stranger, step| stranger.send(&step));
+    }
+
+    /// Bursts as fast as they can be sent, because they are made before.
+    fn flood(&mut self) {
+        let mut steps = Vec::new();
+        for _ in 0..10 {
+            self.draw(|_, step| steps.push(step));
+        }
+        for _ in 0..10 {
+            for step in &steps {
+                if self.pending.len() == REQUESTS.len() + 1 {
+                    self.pending.clear();
+                }
+                self.send(step);
             }
         }
     }
@@ -296,10 +316,8 @@ fn outlives(link: &str, must_follow: bool) {
         "{outcomes:?}"
     );
 
-    // A flood: what finds no room is lost, and the daemon does not mind.
-    for _ in 0..100 {
-        stranger.burst();
-    }
+    // What finds no room is lost, and the daemon does not mind.
+    stranger.flood();
     drop(stranger);
     watcher.recover();
     let (records, cycles) = (watcher.records, watcher.look().cycles);

@@ -54,8 +54,10 @@ fn assert_error_is_explained(report: &Value) {
         missing as f64 * PERIOD_S
     };
     assert!(max_mm >= mean_mm, "{report}");
-    // When they were lost, the report does not say.
-    let error_max_m = error_max_m(1e-3, [(lost_s, PERIOD_S)]);
+    // A solve that a stall cut short costs a little; where releases were lost, the report does not say.
+    let is_whole = count("skipped_periods") + count("lost_records") == 0;
+    let exact_m = if is_whole { 1e-5 } else { 1e-3 };
+    let error_max_m = error_max_m(exact_m, [(lost_s, PERIOD_S)]);
     assert!(mean_mm < 1e3 * error_max_m, "{report}");
 }
 
@@ -65,6 +67,8 @@ fn assert_misses_are_explained(report: &Value) {
     assert_eq!(causes.len(), 5, "{report}");
     let total: u64 = causes.values().map(|count| count.as_u64().unwrap()).sum();
     assert_eq!(total, report["deadline_misses"], "{report}");
+    let stolen = report["misses_explained_by_steal"].as_u64().unwrap();
+    assert!(stolen <= total, "{report}");
     let baseline = &report["baseline"];
     let bare_cycles = baseline["cycles"].as_u64().unwrap();
     assert!((1..=200).contains(&bare_cycles), "{report}");

@@ -8,7 +8,6 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_tests::{Daemon, PATIENT, Place, Program, binary, text, wait_status, wait_until};
 use rustix::process::Signal;
 
-/// The workspace.
 fn root() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
 }
@@ -151,15 +150,17 @@ fn every_example_works_as_typed() {
         of_their_own.iter().any(|command| line.contains(command)) || line.contains("--root")
     };
     let examples: Vec<_> = examples.iter().filter(|line| !is_left_out(line)).collect();
-    // Each beside as many others, with a daemon of its own.
+    // Each beside as many others, with a daemon of its own; neighbours in the list take equally long, so they are dealt out.
+    let examples = &examples;
     std::thread::scope(|scope| {
-        for some in examples.chunks(examples.len().div_ceil(SIDE_BY_SIDE)) {
-            scope.spawn(|| run_all(some));
+        for first in 0..SIDE_BY_SIDE {
+            scope
+                .spawn(move || run_all(examples.iter().copied().skip(first).step_by(SIDE_BY_SIDE)));
         }
     });
 }
 
-fn run_all(examples: &[&String]) {
+fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     let daemon = Daemon::start(PATIENT);
     let folder = daemon.place().folder();
     fs::create_dir(folder.join("configs")).unwrap();

@@ -74,7 +74,7 @@ impl Drop for PrivatePlace {
 
 /// Removes what killed demos of this user left, and reports each on the standard error.
 pub(super) fn sweep_abandoned() {
-    for folder in abandoned(&std::env::temp_dir()) {
+    for folder in abandoned(&std::env::temp_dir(), Path::new(Location::MEMORY)) {
         let removed = location(&folder)
             .map_err(io::Error::other)
             .and_then(|location| remove(&folder, &location));
@@ -86,11 +86,18 @@ pub(super) fn sweep_abandoned() {
     }
 }
 
-/// Folders of demos of this user whose process has ended and whose lock nobody holds.
-fn abandoned(temporary: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(temporary).into_iter().flatten().flatten();
-    let folders = entries.map(|entry| entry.path());
-    folders.filter(|folder| is_abandoned(folder)).collect()
+/// Folders of demos of this user whose process has ended and whose lock nobody holds, also those of which only the root folder in
+/// `memory` is left: theirs lay below another TMPDIR, or somebody removed it.
+fn abandoned(temporary: &Path, memory: &Path) -> Vec<PathBuf> {
+    let entries = |folder| fs::read_dir(folder).into_iter().flatten().flatten();
+    let folders = entries(temporary).map(|entry| entry.path());
+    let roots = entries(memory).filter(|root| !temporary.join(root.file_name()).exists());
+    // A daemon holds its root folder locked.
+    let roots = roots.filter(|root| is_abandoned(&root.path()));
+    let folders = folders.filter(|folder| is_abandoned(folder));
+    folders
+        .chain(roots.map(|root| temporary.join(root.file_name())))
+        .collect()
 }
 
 fn is_abandoned(folder: &Path) -> bool {
@@ -124,12 +131,14 @@ fn location(folder: &Path) -> Result<Location, cdcr_shared_types::LocationError>
 
 /// Removes the folder and the root folder.
 fn remove(folder: &Path, location: &Location) -> io::Result<()> {
-    match fs::remove_dir_all(location.root()) {
-        // Its daemon had not started.
-        Err(error) if error.kind() == io::ErrorKind::NotFound => {}
-        result => result?,
+    // There is no root folder before the daemon has started.
+    for folder in [location.root(), folder] {
+        match fs::remove_dir_all(folder) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            result => result?,
+        }
     }
-    fs::remove_dir_all(folder)
+    Ok(())
 }
 
 #[cfg(test)]
@@ -168,7 +177,7 @@ mod tests {
 
     #[test]
     fn only_the_folder_of_a_dead_demo_is_abandoned() {
-        let temporary = Scratch::temporary().expect("a folder");
+        let [temporary, memory] = [(); 2].map(|()| Scratch::temporary().expect("a folder"));
         let make = |name: &str| {
             let folder = temporary.path().join(name);
             fs::create_dir(&folder).expect("made");
@@ -185,11 +194,20 @@ mod tests {
         // Its daemon still ends.
         let lock = File::open(&held).expect("opened");
         lock.try_lock().expect("locked");
-        assert_eq!(abandoned(temporary.path()), std::slice::from_ref(&left));
+        let abandoned = || abandoned(temporary.path(), memory.path());
+        assert_eq!(abandoned(), std::slice::from_ref(&left));
         drop(lock);
-        let mut both = abandoned(temporary.path());
-        both.sort();
-        assert_eq!(both, [left, held]);
+        // Its own folder is gone, and that of another one with a daemon that still ends is not.
+        let lonely = format!("{NAME}{dead}-33333333");
+        let ending = memory.path().join(format!("{NAME}{dead}-44444444"));
+        for root in [&memory.path().join(&lonely), &ending] {
+            fs::create_dir(root).expect("made");
+        }
+        let lock = File::open(&ending).expect("opened");
+        lock.try_lock().expect("locked");
+        let mut all = abandoned();
+        all.sort();
+        assert_eq!(all, [left, held, temporary.path().join(lonely)]);
     }
 
     #[test]

@@ -37,6 +37,8 @@ pub(super) struct DemoReport {
     pub(super) deadline_misses: usize,
     pub(super) deadline_misses_per_s: f64,
     pub(super) misses_by_cause: MissCauses,
+    /// Those during which the hypervisor had the core for half of the delay or more.
+    pub(super) misses_explained_by_steal: usize,
     pub(super) late_starts: usize,
     pub(super) late_starts_per_s: f64,
     pub(super) skipped_periods: u64,
@@ -88,6 +90,7 @@ impl DemoReport {
             max_error_mm: errors_mm().fold(0.0, f64::max),
             deadline_misses,
             deadline_misses_per_s: deadline_misses as f64 / duration_s,
+            misses_explained_by_steal: causes.stolen(),
             misses_by_cause: causes,
             late_starts,
             late_starts_per_s: late_starts as f64 / duration_s,

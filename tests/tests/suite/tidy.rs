@@ -1,10 +1,5 @@
 //! The rules of ARCHITECTURE.md that the compiler does not keep: what a folder must not import, and how long a file may be.
 
-#![allow(
-    clippy::unwrap_used,
-    reason = "in a test a panic is the report, in its helpers, too"
-)]
-
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
@@ -232,6 +227,11 @@ fn the_folders_of_a_crate_import_each_other_in_one_direction_only() {
             "{name} has a circle among: {circles:#?}"
         );
     }
+}
+
+#[test]
+fn rt_imports_nothing_of_the_daemon() {
+    assert_eq!(graph("daemon/src")["rt"], BTreeSet::new());
 }
 
 #[test]
