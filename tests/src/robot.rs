@@ -115,6 +115,11 @@ impl DrivenRobot {
     }
 }
 
+/// Which part of a command the daemon of this connection has its driver obey.
+pub fn interface_of(connection: &Connection) -> Interface {
+    Interface::try_from(connection.status(TIMEOUT).unwrap().interface).unwrap()
+}
+
 fn padded(bends: &Configuration) -> [f64; COORDINATES_MAX] {
     core::array::from_fn(|i| bends.as_slice().get(i).copied().unwrap_or(0.0))
 }

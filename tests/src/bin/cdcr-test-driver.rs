@@ -1,5 +1,5 @@
 //! A robot behind a driver, in a process of its own, that has every fault it is told to have: the other end of
-//! `cdcr_tests::driver`. Arguments: prefix, root, and, if it is not where the last driver left it, the bend of its
+//! `cdcr_tests::driver`. It obeys the interface that the daemon has it obey. Arguments: prefix, root, and, if it is not where the last driver left it, the bend of its
 //! first section \[rad\]. It ends when its input does.
 
 #![allow(
@@ -12,9 +12,9 @@ use std::sync::mpsc::{self, Receiver, TryRecvError};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
-use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Location, Measurement};
-use cdcr_tests::robot::DrivenRobot;
+use cdcr_tests::robot::{DrivenRobot, interface_of};
 use cdcr_tests::{ROBOT, TIMEOUT};
 
 /// How old a late measurement is: beyond the timeout of the default configuration, or not.
@@ -80,7 +80,7 @@ impl RobotBehindDriver {
             bends = record.map_or(bends, |record| record.bend_rad);
         }
         Self {
-            robot: DrivenRobot::new(connection, Interface::Velocity, bends),
+            robot: DrivenRobot::new(connection, interface_of(connection), bends),
             measured: Measurement::default(),
             turns: 0,
         }

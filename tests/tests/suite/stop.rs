@@ -43,31 +43,40 @@ const TOLERANCE_RAD_S: f64 = 1e-9;
 
 #[test]
 fn a_simulated_robot_stops_within_one_period_and_the_ramp() {
-    let daemon = Daemon::start(&configuration("simulated"));
+    let daemon = Daemon::start(&configuration("simulated", Interface::Velocity));
     measure_stops("simulated", &daemon);
 }
 
 #[test]
 fn a_robot_behind_a_driver_stops_within_one_period_and_the_ramp() {
-    let daemon = Daemon::start(&configuration("driver"));
+    stops_behind_a_driver(Interface::Velocity);
+}
+
+#[test]
+fn a_robot_behind_a_driver_of_positions_stops_within_one_period_and_the_ramp() {
+    stops_behind_a_driver(Interface::Position);
+}
+
+fn stops_behind_a_driver(interface: Interface) {
+    let daemon = Daemon::start(&configuration("driver", interface));
     let ending = AtomicBool::new(false);
     std::thread::scope(|scope| {
-        scope.spawn(|| drive(daemon.place(), &ending));
+        scope.spawn(|| drive(daemon.place(), interface, &ending));
         let _ends = EndWhenDropped(&ending);
-        measure_stops("driver", &daemon);
+        measure_stops(&format!("driver, {interface}"), &daemon);
     });
 }
 
-fn configuration(link: &str) -> String {
+fn configuration(link: &str, interface: Interface) -> String {
     format!(
-        "{PATIENT}[link]\nkind = \"{link}\"\nmeasurement_timeout_ms = 2000.0\n\
+        "{PATIENT}[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
          [motion]\napproach = \"direct\"\ndeceleration_rad_s2 = {DECELERATION_RAD_S2:.1}\n"
     )
 }
 
-fn drive(place: &Place, ending: &AtomicBool) {
+fn drive(place: &Place, interface: Interface, ending: &AtomicBool) {
     let connection = cdcr_tests::load::connect(place);
-    let mut robot = DrivenRobot::new(&connection, Interface::Velocity, [0.0; 12]);
+    let mut robot = DrivenRobot::new(&connection, interface, [0.0; 12]);
     while !ending.load(Ordering::Relaxed) {
         robot.turn();
         std::thread::sleep(Duration::from_millis(1));

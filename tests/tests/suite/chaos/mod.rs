@@ -13,7 +13,7 @@ mod grid;
 mod limits;
 mod modes;
 mod obstacles;
-mod ramp;
+pub(crate) mod ramp;
 mod records;
 mod tally;
 mod unfinished;
@@ -24,7 +24,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::FeedOptions;
-use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, paper_line, wait_mode, wait_until};
 
@@ -83,10 +83,14 @@ fn whatever_happens_behind_a_driver_the_invariants_hold() {
 
 fn run(link: &str) {
     let (seed, duration) = (seed(), half());
-    println!("{link}: CDCR_CHAOS_SEED={seed}, {} s", duration.as_secs());
     let mut dice = Dice::new(seed);
+    let interface = dice.pick(&[Interface::Velocity, Interface::Position]);
+    println!(
+        "{link}, {interface}: CDCR_CHAOS_SEED={seed}, {} s",
+        duration.as_secs()
+    );
     let mut daemon = Daemon::start(&format!(
-        "[link]\nkind = \"{link}\"\ncommand_valid_ms = 100.0\n{CONFIGURATION}"
+        "[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\ncommand_valid_ms = 100.0\n{CONFIGURATION}"
     ));
     let has_driver = link == "driver";
     let driver = has_driver.then(|| DriverProcess::start(daemon.place()));

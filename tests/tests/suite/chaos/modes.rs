@@ -84,6 +84,7 @@ const ARROWS: &[Arrow] = &[
     world(NOT_FAULTED, Mode::Faulted, Reason::NonFinite),
     world(NOT_FAULTED, Mode::Faulted, Reason::LimitBroken),
     world(NOT_FAULTED, Mode::Faulted, Reason::ClearanceBroken),
+    world(NOT_FAULTED, Mode::Faulted, Reason::CommonMode),
     world(MOVING, Mode::Faulted, Reason::FollowingError),
     // Clients. A fault stays one when a stop comes.
     request(NOT_FAULTED, RequestKind::Stop, Mode::Stopped),

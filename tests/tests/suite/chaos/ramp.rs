@@ -29,6 +29,9 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     let shrink = if fastest > 0.0 { left / fastest } else { 0.0 };
     let ramp = record.previous_rate_rad_s.map(|rate| rate * shrink);
     let rates = &record.command.bend_rate_rad_s;
+    ensure(fastest > 0.0 || largest(rates) == 0.0, || {
+        format!("{mode}: at rest, and the rates are {rates:?}")
+    })?;
     if record.guard_flags == 0 {
         let apart = core::array::from_fn::<f64, 12, _>(|i| rates[i] - ramp[i]);
         return ensure(largest(&apart) <= TOLERANCE_RAD_S, || {
@@ -116,6 +119,12 @@ mod tests {
                 assert_eq!(check(&record, 0.005).is_ok(), shortened, "{rates:?}");
             }
         }
+        // From rest not even rounding makes it move.
+        record.previous_rate_rad_s = [0.0; 12];
+        record.command.bend_rate_rad_s = [0.0; 12];
+        assert_eq!(check(&record, 0.005), Ok(()));
+        record.command.bend_rate_rad_s[0] = 1e-300;
+        assert!(check(&record, 0.005).is_err());
         record.mode = Mode::Tracking.code();
         record.command.bend_rate_rad_s[0] = 2.0;
         assert_eq!(check(&record, 0.005), Ok(()));

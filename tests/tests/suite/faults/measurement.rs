@@ -6,12 +6,12 @@ use std::time::Duration;
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::Flaws;
 use cdcr_shared_types::Telemetry;
-use cdcr_shared_types::codes::{MeasurementState, Mode, Outcome, Reason, RequestKind};
+use cdcr_shared_types::codes::{Interface, MeasurementState, Mode, Outcome, Reason, RequestKind};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, TIMEOUT, wait_status, wait_until};
 use rustix::process::Signal;
 
-use crate::faults::robot::Robot;
+use crate::faults::robot::{Robot, behind_both, keep_going_home};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, say};
 
 /// Longer than a machine keeps a test from measuring.
@@ -24,13 +24,13 @@ const RATE_MAX_RAD_S: f64 = 2.0;
 const MADE_UP_MAX_NS: u64 = 300_000_000;
 
 /// A daemon with a driver; nothing but the measurement is a fault.
-fn daemon() -> Daemon {
-    daemon_with("")
+fn daemon(interface: Interface) -> Daemon {
+    daemon_with(interface, "")
 }
 
-fn daemon_with(more: &str) -> Daemon {
+fn daemon_with(interface: Interface, more: &str) -> Daemon {
     Daemon::start(&format!(
-        "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\
+        "[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = {TIMEOUT_MS}.0\n\
          [motion]\nhome_rate_rad_s = {HOME_RATE_RAD_S}\ndeceleration_rad_s2 = 5.0\n\
          [cycle]\nmiss_limit = 1000000\n{more}"
     ))
@@ -56,6 +56,7 @@ fn go_home(connection: &Connection, trail: &mut Trail, mut turn: impl FnMut()) {
     connection.request(RequestKind::Home).unwrap();
     let mut homing = 0;
     trail.until_while("homing", &mut turn, |record| {
+        keep_going_home(connection, record);
         homing += u64::from(record.mode == Mode::Homing.code());
         homing > 20
     });
@@ -81,140 +82,149 @@ fn assert_lost(trail: &mut Trail, what: &str, meanwhile: impl FnMut()) {
 
 #[test]
 fn a_late_measurement_is_moved_on_by_its_age_and_counted() {
-    // Compared exactly: nothing but the measurement is believed.
-    let daemon = daemon_with("[estimator]\ntime_constant_ms = 0.0\n");
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.5));
-    let delay_ns = 30_000_000;
-    let mut under_way = VecDeque::new();
-    let mut turn = |robot: &mut Robot| {
-        robot.follow();
-        under_way.push_back((monotonic_ns(), robot.sensed_rad()));
-        while let Some(&(measured_ns, bend_rad)) = under_way.front()
-            && measured_ns + delay_ns <= monotonic_ns()
-        {
-            robot.measure_at(measured_ns, bend_rad);
-            under_way.pop_front();
+    behind_both(|interface| {
+        // Compared exactly: nothing but the measurement is believed.
+        let daemon = daemon_with(interface, "[estimator]\ntime_constant_ms = 0.0\n");
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.5));
+        let delay_ns = 30_000_000;
+        let mut under_way = VecDeque::new();
+        let mut turn = |robot: &mut Robot| {
+            robot.follow();
+            under_way.push_back((monotonic_ns(), robot.sensed_rad()));
+            while let Some(&(measured_ns, bend_rad)) = under_way.front()
+                && measured_ns + delay_ns <= monotonic_ns()
+            {
+                robot.measure_at(measured_ns, bend_rad);
+                under_way.pop_front();
+            }
+        };
+        trail.until_while("holding", || turn(&mut robot), is(Mode::Holding));
+        go_home(&connection, &mut trail, || turn(&mut robot));
+        let mut judged = 0;
+        while judged < 50 {
+            let (_, record) = trail.until_while("a record", || turn(&mut robot), |_| true);
+            keep_going_home(&connection, &record);
+            let age_ns = record.release_ns - record.measurement.measured_ns;
+            if state(&record) != MeasurementState::Used || age_ns > MADE_UP_MAX_NS {
+                continue;
+            }
+            assert!(age_ns + 1_000_000 >= delay_ns, "{age_ns} ns");
+            let way_rad = trail.history().way_rad(record.measurement.measured_ns);
+            let error = (record.bend_rad[0] - record.measurement.bend_rad[0] - way_rad).abs();
+            assert!(error < 1e-9, "{error} rad beside, {age_ns} ns old");
+            judged += 1;
         }
-    };
-    trail.until_while("holding", || turn(&mut robot), is(Mode::Holding));
-    go_home(&connection, &mut trail, || turn(&mut robot));
-    let mut judged = 0;
-    while judged < 50 {
-        let (_, record) = trail.until_while("a record", || turn(&mut robot), |_| true);
-        assert_eq!(record.mode, Mode::Homing.code());
-        let age_ns = record.release_ns - record.measurement.measured_ns;
-        if state(&record) != MeasurementState::Used || age_ns > MADE_UP_MAX_NS {
-            continue;
-        }
-        assert!(age_ns + 1_000_000 >= delay_ns, "{age_ns} ns");
-        let way_rad = trail.history().way_rad(record.measurement.measured_ns);
-        let error = (record.bend_rad[0] - record.measurement.bend_rad[0] - way_rad).abs();
-        assert!(error < 1e-9, "{error} rad beside, {age_ns} ns old");
-        judged += 1;
-    }
-    // A pause inside the timeout: predicted, counted, no fault.
-    let before = connection
-        .status(TIMEOUT)
-        .unwrap()
-        .since_reset
-        .stale_measurements;
-    let mut repeated = 0;
-    trail.until("repeated", |record| {
-        repeated += u64::from(state(record) == MeasurementState::Repeated);
-        repeated == 10
-    });
-    // From here on it measures again, however long the status takes.
-    let turned = || turn(&mut robot);
-    trail.until_while("used", turned, |r| state(r) == MeasurementState::Used);
-    wait_until("they are counted", || {
-        turn(&mut robot);
-        let status = connection.status(TIMEOUT).unwrap();
-        assert_eq!(status.faults, 0);
-        status.since_reset.stale_measurements >= before + 10
+        // A pause inside the timeout: predicted, counted, no fault.
+        let before = connection
+            .status(TIMEOUT)
+            .unwrap()
+            .since_reset
+            .stale_measurements;
+        let mut repeated = 0;
+        trail.until("repeated", |record| {
+            repeated += u64::from(state(record) == MeasurementState::Repeated);
+            repeated == 10
+        });
+        // From here on it measures again, however long the status takes.
+        let turned = || turn(&mut robot);
+        trail.until_while("used", turned, |r| state(r) == MeasurementState::Used);
+        wait_until("they are counted", || {
+            turn(&mut robot);
+            let status = connection.status(TIMEOUT).unwrap();
+            assert_eq!(status.faults, 0);
+            status.since_reset.stale_measurements >= before + 10
+        });
     });
 }
 
 #[test]
 fn a_lost_measurement_is_a_fault_after_the_timeout() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
-    go_home(&connection, &mut trail, || robot.turn());
-    assert_lost(&mut trail, "measurement lost", || {});
-    assert!(
-        connection.request(RequestKind::Reset).is_err(),
-        "it still stands"
-    );
-    // Back again: the reset is granted.
-    until_used(&mut trail, &mut robot);
-    connection.request(RequestKind::Reset).unwrap();
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+        robot.until_held(&mut trail);
+        go_home(&connection, &mut trail, || robot.turn());
+        assert_lost(&mut trail, "measurement lost", || {});
+        assert!(
+            connection.request(RequestKind::Reset).is_err(),
+            "it still stands"
+        );
+        // Back again: the reset is granted.
+        until_used(&mut trail, &mut robot);
+        connection.request(RequestKind::Reset).unwrap();
+    });
 }
 
 #[test]
 fn measurements_that_are_no_numbers_are_refused_until_the_last_good_one_is_lost() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-    robot.until_held(&mut trail);
-    let mut bad = robot.sensed_rad();
-    bad[1] = f64::NAN;
-    assert_lost(&mut trail, "measurement not finite, then lost", || {
-        robot.measure(bad);
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+        robot.until_held(&mut trail);
+        let mut bad = robot.sensed_rad();
+        bad[1] = f64::NAN;
+        assert_lost(&mut trail, "measurement not finite, then lost", || {
+            robot.measure(bad);
+        });
+        let code = Outcome::NotFinite.code() as usize;
+        wait_status(&connection, |status| status.outcomes[code] > 0);
     });
-    let code = Outcome::NotFinite.code() as usize;
-    wait_status(&connection, |status| status.outcomes[code] > 0);
 }
 
 #[test]
 fn a_frozen_measurement_is_a_fault_once_the_robot_should_have_moved() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    robot.until_held(&mut trail);
-    trail.catch_up();
-    connection.request(RequestKind::Home).unwrap();
-    // One sensor says the same for ever, with new stamps. The others live.
-    let mut measured = robot.sensed_rad();
-    let frozen_rad = measured[0];
-    let (mut is_frozen, mut way_rad, mut judged_rad) = (false, 0.0_f64, 0.0);
-    let (_, now) = trail.until_while(
-        "the fault",
-        || {
-            robot.follow();
-            for live in &mut measured[1..6] {
-                *live = if *live > 0.0 { -1e-6 } else { 1e-6 };
-            }
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+        robot.until_held(&mut trail);
+        trail.catch_up();
+        connection.request(RequestKind::Home).unwrap();
+        // One sensor says the same for ever, with new stamps. The others live.
+        let mut measured = robot.sensed_rad();
+        let frozen_rad = measured[0];
+        let (mut is_frozen, mut way_rad, mut judged_rad) = (false, 0.0_f64, 0.0);
+        let (_, now) = trail.until_while(
+            "the fault",
+            || {
+                robot.follow();
+                for live in &mut measured[1..6] {
+                    *live = if *live > 0.0 { -1e-6 } else { 1e-6 };
+                }
+                robot.measure(measured);
+                std::thread::sleep(Duration::from_millis(1));
+            },
+            |record| {
+                keep_going_home(&connection, record);
+                if is_frozen {
+                    way_rad += record.previous_rate_rad_s[0] * moved_ns(record) as f64 * 1e-9;
+                }
+                is_frozen |= record.measurement.bend_rad[0] == frozen_rad;
+                let is_fault = record.mode == Mode::Faulted.code();
+                if state(record) == MeasurementState::Used && !is_fault {
+                    judged_rad = way_rad.abs();
+                }
+                is_fault
+            },
+        );
+        let way_rad = way_rad.abs();
+        assert_eq!(now.reason, Reason::MeasurementFrozen.code());
+        let limit_rad = now.measurement_frozen_rad;
+        println!(
+            "measurement frozen: after {way_rad:.6} rad of commanded way, {limit_rad} are allowed"
+        );
+        // The last one before it was inside the allowance, and this one is not.
+        assert!(judged_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
+        assert_ramps_to_rest(&mut trail, &now, || {
             robot.measure(measured);
-            std::thread::sleep(Duration::from_millis(1));
-        },
-        |record| {
-            if is_frozen {
-                way_rad += record.previous_rate_rad_s[0] * moved_ns(record) as f64 * 1e-9;
-            }
-            is_frozen |= record.measurement.bend_rad[0] == frozen_rad;
-            let is_fault = record.mode == Mode::Faulted.code();
-            if state(record) == MeasurementState::Used && !is_fault {
-                judged_rad = way_rad.abs();
-            }
-            is_fault
-        },
-    );
-    let way_rad = way_rad.abs();
-    assert_eq!(now.reason, Reason::MeasurementFrozen.code());
-    let limit_rad = now.measurement_frozen_rad;
-    println!(
-        "measurement frozen: after {way_rad:.6} rad of commanded way, {limit_rad} are allowed"
-    );
-    // The last one before it was inside the allowance, and this one is not.
-    assert!(judged_rad <= limit_rad * 1.000_001 && way_rad >= limit_rad * 0.999_999);
-    assert_ramps_to_rest(&mut trail, &now, || {
+        });
+        // At rest nobody sees that the sensor is still frozen: the reset is granted.
         robot.measure(measured);
+        connection.request(RequestKind::Reset).unwrap();
     });
-    // At rest nobody sees that the sensor is still frozen: the reset is granted.
-    robot.measure(measured);
-    connection.request(RequestKind::Reset).unwrap();
 }
 
 /// Measurements that no robot makes, one in each cycle, until `is_it`. Says how many were left out.
@@ -249,69 +259,73 @@ fn jump_until(
 
 #[test]
 fn a_jumping_measurement_is_left_out_and_a_series_is_a_fault() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-    robot.until_held(&mut trail);
-    // Two are left out, and nothing else happens.
-    let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
-    assert_eq!(two.mode, Mode::Holding.code());
-    until_used(&mut trail, &mut robot);
-    // The third in a row is a fault.
-    let mut counted = 0;
-    let (before, now) = jump_until(&mut trail, &mut robot, |record, jumps| {
-        counted = jumps;
-        record.mode == Mode::Faulted.code()
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+        robot.until_held(&mut trail);
+        // Two are left out, and nothing else happens.
+        let (_, two) = jump_until(&mut trail, &mut robot, |_, jumps| jumps == 2);
+        assert_eq!(two.mode, Mode::Holding.code());
+        until_used(&mut trail, &mut robot);
+        // The third in a row is a fault.
+        let mut counted = 0;
+        let (before, now) = jump_until(&mut trail, &mut robot, |record, jumps| {
+            counted = jumps;
+            record.mode == Mode::Faulted.code()
+        });
+        assert_eq!(now.reason, Reason::MeasurementJump.code());
+        assert_eq!(
+            (before.mode, counted),
+            (Mode::Holding.code(), now.measurement_jump_limit)
+        );
+        // The third came with this cycle: it is newer than the cycle before.
+        assert!(now.measurement.measured_ns > before.measurement.measured_ns);
+        println!("measurement jumping: in the cycle of number {counted} in a row");
+        assert_ramps_to_rest(&mut trail, &now, || robot.turn());
+        // The next measurement is believed.
+        until_used(&mut trail, &mut robot);
+        connection.request(RequestKind::Reset).unwrap();
+        trail.until_while("holding", || robot.turn(), is(Mode::Holding));
     });
-    assert_eq!(now.reason, Reason::MeasurementJump.code());
-    assert_eq!(
-        (before.mode, counted),
-        (Mode::Holding.code(), now.measurement_jump_limit)
-    );
-    // The third came with this cycle: it is newer than the cycle before.
-    assert!(now.measurement.measured_ns > before.measurement.measured_ns);
-    println!("measurement jumping: in the cycle of number {counted} in a row");
-    assert_ramps_to_rest(&mut trail, &now, || robot.turn());
-    // The next measurement is believed.
-    until_used(&mut trail, &mut robot);
-    connection.request(RequestKind::Reset).unwrap();
-    trail.until_while("holding", || robot.turn(), is(Mode::Holding));
 }
 
 #[test]
 fn a_measurement_that_runs_away_faster_than_the_robot_is_a_fault() {
-    // What runs away does not follow, either, which is a fault of its own.
-    let daemon = daemon_with("[safety]\nfollowing_fault_rad = 100.0\n");
-    let connection = daemon.connect();
-    // The bound is exact, and it counts from the exact place of the last measurement at rest.
-    let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::default());
-    let mut trail = Trail::new(&connection);
-    robot.until_held(&mut trail);
-    let rest = until_used(&mut trail, &mut robot);
-    // Half as fast again as the robot can move, from its last measurement at rest, each step a small one.
-    let rest_ns = rest.1.measurement.measured_ns;
-    let after_s = |measured_ns: u64| (measured_ns - rest_ns) as f64 * 1e-9;
-    let mut used_rad = 0.0;
-    let (_, now) = trail.until_while(
-        "the fault",
-        || {
-            let measured_ns = monotonic_ns();
-            let mut bend_rad = [0.0; 12];
-            bend_rad[0] = 1.5 * RATE_MAX_RAD_S * after_s(measured_ns);
-            robot.measure_at(measured_ns, bend_rad);
-        },
-        |record| {
-            if state(record) == MeasurementState::Used {
-                let way_rad = RATE_MAX_RAD_S * after_s(record.measurement.measured_ns);
-                used_rad = record.measurement.bend_rad[0] - way_rad;
-                assert!(used_rad <= record.measurement_jump_rad + 1e-9);
-            }
-            record.mode == Mode::Faulted.code()
-        },
-    );
-    assert_eq!(now.reason, Reason::MeasurementJump.code());
-    println!("measurement running away: the last that was used was {used_rad:.6} rad ahead");
-    assert_ramps_to_rest(&mut trail, &now, || {});
+    behind_both(|interface| {
+        // What runs away does not follow, either, which is a fault of its own.
+        let daemon = daemon_with(interface, "[safety]\nfollowing_fault_rad = 100.0\n");
+        let connection = daemon.connect();
+        // The bound is exact, and it counts from the exact place of the last measurement at rest.
+        let mut robot = Robot::with_flaws(&connection, 0.0, Flaws::default());
+        let mut trail = Trail::new(&connection);
+        robot.until_held(&mut trail);
+        let rest = until_used(&mut trail, &mut robot);
+        // Half as fast again as the robot can move, from its last measurement at rest, each step a small one.
+        let rest_ns = rest.1.measurement.measured_ns;
+        let after_s = |measured_ns: u64| (measured_ns - rest_ns) as f64 * 1e-9;
+        let mut used_rad = 0.0;
+        let (_, now) = trail.until_while(
+            "the fault",
+            || {
+                let measured_ns = monotonic_ns();
+                let mut bend_rad = [0.0; 12];
+                bend_rad[0] = 1.5 * RATE_MAX_RAD_S * after_s(measured_ns);
+                robot.measure_at(measured_ns, bend_rad);
+            },
+            |record| {
+                if state(record) == MeasurementState::Used {
+                    let way_rad = RATE_MAX_RAD_S * after_s(record.measurement.measured_ns);
+                    used_rad = record.measurement.bend_rad[0] - way_rad;
+                    assert!(used_rad <= record.measurement_jump_rad + 1e-9);
+                }
+                record.mode == Mode::Faulted.code()
+            },
+        );
+        assert_eq!(now.reason, Reason::MeasurementJump.code());
+        println!("measurement running away: the last that was used was {used_rad:.6} rad ahead");
+        assert_ramps_to_rest(&mut trail, &now, || {});
+    });
 }
 
 /// Has the robot measured at `bend_rad` until `is_it`.
@@ -330,74 +344,78 @@ fn measured_at(
 
 #[test]
 fn a_bend_that_no_robot_has_is_refused_or_a_fault_in_its_cycle() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
-    // Finite, and nothing that anybody could compute with.
-    let mut records = 0;
-    let (_, now) = measured_at(&mut trail, &robot, f64::MAX, |_| {
-        records += 1;
-        records > 50
-    });
-    assert_eq!(now.mode, Mode::Starting.code());
-    let code = Outcome::OutOfRange.code() as usize;
-    wait_status(&connection, |status| status.outcomes[code] > 0);
-    // A number that can be computed with, beyond the largest bend.
-    let (before, now) = measured_at(&mut trail, &robot, 3.0, is(Mode::Faulted));
-    assert_eq!(
-        (before.mode, now.reason),
-        (Mode::Starting.code(), Reason::LimitBroken.code())
-    );
-    assert_eq!(
-        (state(&before), state(&now)),
-        (MeasurementState::None, MeasurementState::Used)
-    );
-    println!("limit broken: in the cycle of the measurement");
-    // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
-    for kind in [None, Some(RequestKind::Stop)] {
-        if let Some(kind) = kind {
-            connection.request(kind).unwrap();
-        }
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, robot) = (Trail::new(&connection), Robot::new(&connection, 0.0));
+        // Finite, and nothing that anybody could compute with.
         let mut records = 0;
-        measured_at(&mut trail, &robot, 3.0, |record| {
+        let (_, now) = measured_at(&mut trail, &robot, f64::MAX, |_| {
             records += 1;
-            assert_eq!(record.mode, Mode::Faulted.code());
-            assert_eq!(record.command.bend_rate_rad_s, [0.0; 12]);
             records > 50
         });
-    }
-    assert!(
-        connection.request(RequestKind::Reset).is_err(),
-        "it still stands"
-    );
-    // Bent back, as far as a robot can in a cycle.
-    let mut bend_rad = 3.0_f64;
-    while bend_rad > 2.7 {
-        bend_rad -= 0.01;
-        measured_at(&mut trail, &robot, bend_rad, |r| {
-            (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
-        });
-    }
-    connection.request(RequestKind::Reset).unwrap();
-    trail.until("holding", is(Mode::Holding));
+        assert_eq!(now.mode, Mode::Starting.code());
+        let code = Outcome::OutOfRange.code() as usize;
+        wait_status(&connection, |status| status.outcomes[code] > 0);
+        // A number that can be computed with, beyond the largest bend.
+        let (before, now) = measured_at(&mut trail, &robot, 3.0, is(Mode::Faulted));
+        assert_eq!(
+            (before.mode, now.reason),
+            (Mode::Starting.code(), Reason::LimitBroken.code())
+        );
+        assert_eq!(
+            (state(&before), state(&now)),
+            (MeasurementState::None, MeasurementState::Used)
+        );
+        println!("limit broken: in the cycle of the measurement");
+        // Rest is rest: it is not driven back from beyond its limit, neither by itself nor by a stop.
+        for kind in [None, Some(RequestKind::Stop)] {
+            if let Some(kind) = kind {
+                connection.request(kind).unwrap();
+            }
+            let mut records = 0;
+            measured_at(&mut trail, &robot, 3.0, |record| {
+                records += 1;
+                assert_eq!(record.mode, Mode::Faulted.code());
+                assert_eq!(record.command.bend_rate_rad_s, [0.0; 12]);
+                records > 50
+            });
+        }
+        assert!(
+            connection.request(RequestKind::Reset).is_err(),
+            "it still stands"
+        );
+        // Bent back, as far as a robot can in a cycle.
+        let mut bend_rad = 3.0_f64;
+        while bend_rad > 2.7 {
+            bend_rad -= 0.01;
+            measured_at(&mut trail, &robot, bend_rad, |r| {
+                (r.measurement.bend_rad[0] - bend_rad).abs() < 1e-9
+            });
+        }
+        connection.request(RequestKind::Reset).unwrap();
+        trail.until("holding", is(Mode::Holding));
+    });
 }
 
 #[test]
 fn a_killed_driver_is_a_lost_measurement() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let mut trail = Trail::new(&connection);
-    let driver = DriverProcess::start_at(daemon.place(), 1.0);
-    trail.until("holding", is(Mode::Holding));
-    go_home(&connection, &mut trail, || {});
-    driver.signal(Signal::KILL);
-    drop(driver);
-    assert_lost(&mut trail, "driver killed", || {});
-    // Another driver takes its place.
-    let _driver = DriverProcess::start_at(daemon.place(), 1.0);
-    trail.until("measured", |record| state(record) == MeasurementState::Used);
-    connection.request(RequestKind::Reset).unwrap();
-    trail.until("holding", is(Mode::Holding));
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let mut trail = Trail::new(&connection);
+        let driver = DriverProcess::start_at(daemon.place(), 1.0);
+        trail.until("holding", is(Mode::Holding));
+        go_home(&connection, &mut trail, || {});
+        driver.signal(Signal::KILL);
+        drop(driver);
+        assert_lost(&mut trail, "driver killed", || {});
+        // Another driver takes its place.
+        let _driver = DriverProcess::start_at(daemon.place(), 1.0);
+        trail.until("measured", |record| state(record) == MeasurementState::Used);
+        connection.request(RequestKind::Reset).unwrap();
+        trail.until("holding", is(Mode::Holding));
+    });
 }
 
 /// Offset and noise of the robot's sensors are far below this.
@@ -407,66 +425,70 @@ const OTHER_RAD: [f64; 12] = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
 
 #[test]
 fn a_first_measurement_that_is_old_is_refused_and_the_daemon_waits_for_a_fresh_one() {
-    let daemon = daemon();
-    let connection = daemon.connect();
-    let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
-    let mut records = 0;
-    let (_, now) = trail.until_while(
-        "fifty records",
-        || robot.measure_at(monotonic_ns() - 10_000_000_000, [1.0; 12]),
-        |record| {
-            assert_eq!(record.mode, Mode::Starting.code());
-            assert_eq!(state(record), MeasurementState::None);
-            records += 1;
-            records > 50
-        },
-    );
-    assert_eq!(now.command.header.sequence, 0, "no command has left");
-    let code = Outcome::InThePast.code() as usize;
-    wait_status(&connection, |status| status.outcomes[code] > 0);
-    robot.until_held(&mut trail);
-    let begin_ns = now.release_ns;
-    let (_, held) = trail.until_while("used", || robot.turn(), |r| r.release_ns > begin_ns);
-    assert!((held.measurement.bend_rad[0] - 1.0).abs() < SENSED_RAD);
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let connection = daemon.connect();
+        let (mut trail, mut robot) = (Trail::new(&connection), Robot::new(&connection, 1.0));
+        let mut records = 0;
+        let (_, now) = trail.until_while(
+            "fifty records",
+            || robot.measure_at(monotonic_ns() - 10_000_000_000, [1.0; 12]),
+            |record| {
+                assert_eq!(record.mode, Mode::Starting.code());
+                assert_eq!(state(record), MeasurementState::None);
+                records += 1;
+                records > 50
+            },
+        );
+        assert_eq!(now.command.header.sequence, 0, "no command has left");
+        let code = Outcome::InThePast.code() as usize;
+        wait_status(&connection, |status| status.outcomes[code] > 0);
+        robot.until_held(&mut trail);
+        let begin_ns = now.release_ns;
+        let (_, held) = trail.until_while("used", || robot.turn(), |r| r.release_ns > begin_ns);
+        assert!((held.measurement.bend_rad[0] - 1.0).abs() < SENSED_RAD);
+    });
 }
 
 #[test]
 fn of_two_drivers_the_second_is_refused_until_the_first_is_lost() {
-    let daemon = daemon();
-    let (connection, other) = (daemon.connect(), daemon.connect());
-    let mut trail = Trail::new(&connection);
-    let mut first = Robot::new(&connection, 1.0);
-    first.until_held(&mut trail);
-    // The other one measures another robot.
-    let second = Robot::new(&other, -1.0);
-    let measure = || {
-        second.measure(OTHER_RAD);
-    };
-    let mut records = 0;
-    trail.until_while(
-        "both measure",
-        || {
-            first.turn();
-            measure();
-        },
-        |record| {
-            assert_eq!(record.mode, Mode::Holding.code());
-            assert!(
-                (record.bend_rad[0] - 1.0).abs() < SENSED_RAD,
-                "{:?}",
-                record.bend_rad
-            );
-            records += 1;
-            records > 100
-        },
-    );
-    let code = Outcome::OtherDriver.code() as usize;
-    wait_status(&connection, |status| status.outcomes[code] > 10);
-    // The first falls silent. That is a fault before the other one is believed.
-    let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
-    assert_eq!(now.reason, Reason::MeasurementLost.code());
-    assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);
-    trail.until_while("the other has the robot", measure, |record| {
-        record.measurement.bend_rad[0].to_bits() == OTHER_RAD[0].to_bits()
+    behind_both(|interface| {
+        let daemon = daemon(interface);
+        let (connection, other) = (daemon.connect(), daemon.connect());
+        let mut trail = Trail::new(&connection);
+        let mut first = Robot::new(&connection, 1.0);
+        first.until_held(&mut trail);
+        // The other one measures another robot.
+        let second = Robot::new(&other, -1.0);
+        let measure = || {
+            second.measure(OTHER_RAD);
+        };
+        let mut records = 0;
+        trail.until_while(
+            "both measure",
+            || {
+                first.turn();
+                measure();
+            },
+            |record| {
+                assert_eq!(record.mode, Mode::Holding.code());
+                assert!(
+                    (record.bend_rad[0] - 1.0).abs() < SENSED_RAD,
+                    "{:?}",
+                    record.bend_rad
+                );
+                records += 1;
+                records > 100
+            },
+        );
+        let code = Outcome::OtherDriver.code() as usize;
+        wait_status(&connection, |status| status.outcomes[code] > 10);
+        // The first falls silent. That is a fault before the other one is believed.
+        let (_, now) = trail.until_while("the fault", measure, is(Mode::Faulted));
+        assert_eq!(now.reason, Reason::MeasurementLost.code());
+        assert!((now.bend_rad[0] - 1.0).abs() < SENSED_RAD);
+        trail.until_while("the other has the robot", measure, |record| {
+            record.measurement.bend_rad[0].to_bits() == OTHER_RAD[0].to_bits()
+        });
     });
 }

@@ -1,14 +1,35 @@
 //! A robot behind a driver, played by the test.
 
+use std::thread::Builder;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode};
-use cdcr_shared_types::{Command, Measurement};
-use cdcr_tests::robot::DrivenRobot;
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason, RequestKind};
+use cdcr_shared_types::{Command, Measurement, Telemetry};
+use cdcr_tests::robot::{DrivenRobot, interface_of};
 
 use crate::faults::trail::{Trail, is};
+
+/// Runs a test behind a driver of each interface, both at the same time.
+pub(crate) fn behind_both(test: impl Fn(Interface) + Sync) {
+    std::thread::scope(|scope| {
+        for interface in [Interface::Velocity, Interface::Position] {
+            let (named, test) = (Builder::new().name(interface.text().to_owned()), &test);
+            named.spawn_scoped(scope, move || test(interface)).unwrap();
+        }
+    });
+}
+
+/// Sends the robot on its way home again where a stall of the machine held it: its inputs were stale. Nothing else holds it
+/// there.
+pub(crate) fn keep_going_home(connection: &Connection, record: &Telemetry) {
+    if record.mode == Mode::Holding.code() && record.reason != Reason::Start.code() {
+        assert_eq!(record.reason, Reason::InputsStale.code());
+        // Refused as long as they are.
+        let _ = connection.request(RequestKind::Home);
+    }
+}
 
 /// A robot whose driver measures what the test says, or what there is.
 pub(crate) struct Robot {
@@ -20,7 +41,7 @@ pub(crate) struct Robot {
 const EVERY: Duration = Duration::from_millis(1);
 
 impl Robot {
-    /// A straight robot whose first section is bent by `bend_rad`.
+    /// A straight robot that obeys what its daemon has it obey, and whose first section is bent by `bend_rad`.
     pub(crate) fn new(connection: &Connection, bend_rad: f64) -> Self {
         Self::with_flaws(connection, bend_rad, Preset::Laboratory.flaws())
     }
@@ -29,7 +50,7 @@ impl Robot {
     pub(crate) fn with_flaws(connection: &Connection, bend_rad: f64, flaws: Flaws) -> Self {
         let mut bends = [0.0; 12];
         bends[0] = bend_rad;
-        let interface = Interface::Velocity;
+        let interface = interface_of(connection);
         Self {
             robot: DrivenRobot::with_flaws(connection, interface, bends, flaws),
             measured: Instant::now(),

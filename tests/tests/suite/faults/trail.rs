@@ -9,6 +9,7 @@ use cdcr_shared_types::codes::Mode;
 use cdcr_tests::TIMEOUT;
 use cdcr_tests::record::largest;
 
+use crate::chaos::ramp;
 use crate::faults::history::History;
 
 /// The core of all the daemons: many may read, one may take it away.
@@ -29,7 +30,7 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
     }
 }
 
-/// A reader that loses no record, or fails. As long as it lives, no other test takes the daemon's core.
+/// A reader that loses no record, or fails, and holds each to it that rest is rest. As long as it lives, no other test takes the daemon's core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
     before: Option<Telemetry>,
@@ -62,7 +63,9 @@ impl Trail {
         if let Some(before) = &self.before {
             let expected = before.cycle + 1 + u64::from(record.skipped_periods);
             assert_eq!(record.cycle, expected, "a record was lost");
+            ramp::check_rest(before, &record).unwrap();
         }
+        ramp::check(&record, record.period_ns as f64 * 1e-9).unwrap();
         self.history.note(&record);
         self.before = Some(record);
         Some(record)

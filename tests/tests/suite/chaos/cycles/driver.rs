@@ -33,6 +33,7 @@ pub(super) struct Driver {
     /// It measures the tip, too.
     has_tip_sensor: bool,
     flaws: Flaws,
+    is_mild: bool,
     plant: MisbehavingRobot,
     command: Option<Command>,
     trouble: Trouble,
@@ -44,7 +45,8 @@ pub(super) struct Driver {
 
 impl Driver {
     pub(super) fn new(dice: &mut Dice, robot: &Robot, interface: Interface, now_ns: u64) -> Self {
-        let flaws = dice.pick(&Preset::ALL).flaws();
+        let is_mild = dice.chance(50);
+        let flaws = flaws(dice, is_mild);
         let kinds = [
             MeasurementKind::Configuration,
             MeasurementKind::CableLengths,
@@ -57,6 +59,7 @@ impl Driver {
             robot: robot.clone(),
             interface,
             flaws,
+            is_mild,
             command: None,
             // Some come late.
             trouble: Trouble::Silent,
@@ -65,6 +68,11 @@ impl Driver {
             under_way: VecDeque::new(),
             last: Measurement::default(),
         }
+    }
+
+    /// Whether its robot has no flaws but those of a preset: it can be expected to follow.
+    pub(super) fn is_mild(&self) -> bool {
+        self.is_mild
     }
 
     /// A command arrives.
@@ -191,6 +199,24 @@ fn draw(dice: &mut Dice) -> Trouble {
         Trouble::NotFinite,
         Trouble::Stuck,
     ])
+}
+
+/// Those of any of the presets, and, if they are not to be mild, single ones beside, small ones more often than large ones.
+fn flaws(dice: &mut Dice, is_mild: bool) -> Flaws {
+    let mut flaws = dice.pick(&Preset::ALL).flaws();
+    if is_mild {
+        return flaws;
+    }
+    let percent = 10 + dice.below(21);
+    for (_, flaw, allowed) in flaws.named() {
+        if dice.chance(percent) {
+            let (least, most) = allowed.into_inner();
+            let is_negative = least < 0.0 && dice.chance(50);
+            let end = if is_negative { least } else { most };
+            *flaw = (dice.between(0.0, 1.0).powi(3) * end).clamp(least, most);
+        }
+    }
+    flaws
 }
 
 /// The robot in any shape, now and then one beyond its limits.

@@ -100,6 +100,11 @@ impl World {
         }
     }
 
+    /// Whether its robot can be expected to follow.
+    pub(super) fn has_mild_robot(&self) -> bool {
+        self.driver.is_mild()
+    }
+
     /// Runs so many cycles, and says what was seen.
     pub(super) fn live(mut self, cycles: u32) -> Result<Seen, String> {
         for _ in 0..cycles {

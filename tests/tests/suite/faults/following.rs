@@ -1,0 +1,45 @@
+//! A robot that does not follow its commands.
+
+use cdcr_controller::plant::{Flaws, Preset};
+use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
+use cdcr_tests::Daemon;
+use cdcr_tests::record::largest;
+
+use crate::faults::robot::{Robot, behind_both, keep_going_home};
+use crate::faults::trail::{Trail, assert_ramps_to_rest, is};
+
+/// No motor runs faster: a hundredth of what it is commanded on its way home.
+const HELD_M_S: f64 = 1e-4;
+
+#[test]
+fn a_robot_that_does_not_follow_is_a_fault() {
+    behind_both(|interface| {
+        let daemon = Daemon::start(&format!(
+            "[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 5000.0\n\
+             [motion]\ndeceleration_rad_s2 = 5.0\n[cycle]\nmiss_limit = 1000000\n"
+        ));
+        let connection = daemon.connect();
+        let held = Flaws {
+            motor_speed_max_m_s: HELD_M_S,
+            ..Preset::Laboratory.flaws()
+        };
+        let mut trail = Trail::new(&connection);
+        let mut robot = Robot::with_flaws(&connection, 1.0, held);
+        robot.until_held(&mut trail);
+        connection.request(RequestKind::Home).unwrap();
+        let turn = || robot.turn();
+        let (_, now) = trail.until_while("the fault", turn, |record| {
+            keep_going_home(&connection, record);
+            record.mode == Mode::Faulted.code()
+        });
+        assert_eq!(now.reason, Reason::FollowingError.code());
+        println!(
+            "{interface}: faulted at a following error of {:.3} rad",
+            largest(&now.following_error_rad)
+        );
+        assert_ramps_to_rest(&mut trail, &now, || robot.turn());
+        // Control begins anew where it is.
+        connection.request(RequestKind::Reset).unwrap();
+        trail.until_while("holding", || robot.turn(), is(Mode::Holding));
+    });
+}
