@@ -12,27 +12,29 @@
 
 pub mod driver;
 pub mod load;
+mod program;
 pub mod record;
 pub mod robot;
 pub mod system_calls;
 
-use std::io::{ErrorKind, Read};
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
-use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, FeedEnd, FeedEvent, FeedOptions, Line, TelemetryStream, Trajectory};
+use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::Mode;
 use cdcr_shared_types::{Location, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
+pub use program::Program;
 use rustix::process::{Pid, Signal, kill_process};
 
 /// Robot name of every test.
 pub const ROBOT: &str = "cdcr";
+/// Which robot a daemon simulates; empty counts as not said.
+const SIMULATED: &str = "CDCR_LINK_SIMULATED";
 /// How long anything may take before a test gives up. Generous, because machines stall; only a test that fails
 /// takes so long.
 pub const TIMEOUT: Duration = Duration::from_secs(60);
@@ -89,7 +91,8 @@ impl Place {
         self.0.memory_files()
     }
 
-    /// A command of ours that looks at this place.
+    /// A command of ours that looks at this place. The robot that a daemon simulates there is the
+    /// [laboratory](Preset::Laboratory)'s.
     pub fn command(&self, name: &str) -> Command {
         let mut command = Command::new(binary(name));
         command
@@ -97,6 +100,7 @@ impl Place {
             .env("CDCR_ROBOT", ROBOT)
             .env("CDCR_PREFIX", self.location().prefix())
             .env("CDCR_ROOT", self.location().root())
+            .envs((name == "cdcrd").then_some((SIMULATED, Preset::Laboratory.name())))
             .stdin(Stdio::null());
         command
     }
@@ -189,19 +193,31 @@ pub struct Daemon {
     child: Child,
     log: PathBuf,
     configuration: String,
+    simulated: Preset,
 }
 
 impl Daemon {
-    /// Starts a daemon with `configuration` (TOML) at a fresh place, and waits until it is up.
+    /// Starts a daemon with `configuration` (TOML) at a fresh place, and waits until it is up. A simulated robot is the
+    /// [laboratory](Preset::Laboratory)'s, unless the configuration says which.
     pub fn start(configuration: &str) -> Self {
+        Self::start_simulated(configuration, Preset::Laboratory)
+    }
+
+    /// The same with the [ideal](Preset::Ideal) robot, for a test that needs one that is exactly its model.
+    pub fn ideal(configuration: &str) -> Self {
+        Self::start_simulated(configuration, Preset::Ideal)
+    }
+
+    fn start_simulated(configuration: &str, simulated: Preset) -> Self {
         let place = Place::new();
         let log = place.folder().join("cdcrd.log");
-        let child = spawn(&place, configuration, &log);
+        let child = spawn(&place, configuration, simulated, &log);
         let daemon = Self {
             place,
             child,
             log,
             configuration: configuration.to_owned(),
+            simulated,
         };
         daemon.wait_until_up();
         daemon
@@ -209,7 +225,7 @@ impl Daemon {
 
     /// Starts it again after its end, at the same place.
     pub fn restart(&mut self) {
-        self.child = spawn(&self.place, &self.configuration, &self.log);
+        self.child = spawn(&self.place, &self.configuration, self.simulated, &self.log);
         self.wait_until_up();
     }
 
@@ -299,127 +315,20 @@ impl Drop for Daemon {
     }
 }
 
-/// A program that runs beside the test. Killed when dropped.
-#[derive(Debug)]
-pub struct Program {
-    child: Child,
-    out: Printed,
-    err: Printed,
-}
-
-impl Program {
-    /// Starts it; what it prints is kept.
-    pub fn start(command: &mut Command) -> Self {
-        let command = command.stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = loop {
-            match command.spawn() {
-                // A fresh copy: while another test starts a program, that one's child holds it open for a moment.
-                Err(cause) if cause.kind() == ErrorKind::ExecutableFileBusy => {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                child => break child.expect("the program starts"),
-            }
-        };
-        Self {
-            out: Printed::read(child.stdout.take().expect("a pipe")),
-            err: Printed::read(child.stderr.take().expect("a pipe")),
-            child,
-        }
-    }
-
-    pub fn id(&self) -> u32 {
-        self.child.id()
-    }
-
-    /// Sends a signal.
-    pub fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.child), signal).expect("it is our child");
-    }
-
-    /// Whether it is still running.
-    pub fn runs(&mut self) -> bool {
-        let status = self.child.try_wait().expect("it is our child");
-        status.is_none()
-    }
-
-    /// Lines that it has printed on standard output so far.
-    pub fn lines(&self) -> usize {
-        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
-        text.split(|byte| *byte == b'\n').count() - 1
-    }
-
-    /// What it has printed on standard output so far.
-    pub fn printed(&self) -> String {
-        let text = self.out.text.lock().unwrap_or_else(PoisonError::into_inner);
-        String::from_utf8_lossy(&text).into_owned()
-    }
-
-    /// Waits for its end.
-    pub fn output(&mut self) -> Output {
-        let begin = Instant::now();
-        while self.runs() {
-            assert!(begin.elapsed() < TIMEOUT, "the program does not end");
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        Output {
-            status: self.child.wait().expect("it is our child"),
-            stdout: self.out.finish(),
-            stderr: self.err.finish(),
-        }
-    }
-}
-
-impl Drop for Program {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// What a program prints, read while it runs: a full pipe would hold it up.
-#[derive(Debug)]
-struct Printed {
-    text: Arc<Mutex<Vec<u8>>>,
-    reader: Option<JoinHandle<()>>,
-}
-
-impl Printed {
-    fn read(mut pipe: impl Read + Send + 'static) -> Self {
-        let text = Arc::<Mutex<Vec<u8>>>::default();
-        let kept = text.clone();
-        let reader = std::thread::spawn(move || {
-            let mut part = [0; 4096];
-            while let Ok(length @ 1..) = pipe.read(&mut part) {
-                let mut kept = kept.lock().unwrap_or_else(PoisonError::into_inner);
-                kept.extend_from_slice(&part[..length]);
-            }
-        });
-        Self {
-            text,
-            reader: Some(reader),
-        }
-    }
-
-    /// All of it, of a program that has ended.
-    fn finish(&mut self) -> Vec<u8> {
-        if let Some(reader) = self.reader.take() {
-            reader.join().expect("it only reads");
-        }
-        let text = self.text.lock().unwrap_or_else(PoisonError::into_inner);
-        text.clone()
-    }
-}
-
 /// Without a mode of its own, a configuration with a driver runs on machines that grant no real time, too.
-fn spawn(place: &Place, configuration: &str, log: &Path) -> Child {
+fn spawn(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Child {
     let path = place.write("robot.toml", configuration);
-    let says_mode = configuration.contains("\nmode = ");
+    let says = |key: &str| configuration.contains(&format!("\n{key} = "));
     let log = std::fs::File::create(log).expect("the folder is writable");
     place
         .command("cdcrd")
         .args(["run", "--config"])
         .arg(path)
-        .envs((!says_mode).then_some(("CDCR_REALTIME_MODE", "prefer")))
+        .envs((!says("mode")).then_some(("CDCR_REALTIME_MODE", "prefer")))
+        .env(
+            SIMULATED,
+            if says("simulated") { "" } else { preset.name() },
+        )
         .stdout(Stdio::null())
         .stderr(log)
         .spawn()
@@ -494,20 +403,3 @@ pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> 
 
 /// More than a machine needs that stalls for a third of the time.
 const UNDISTURBED_TRIES: usize = 20;
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_a_program_prints_may_be_more_than_a_pipe_holds() {
-        let mut command = Command::new("sh");
-        command.args(["-c", "yes | head -c 1000000; echo late >&2; exit 3"]);
-        let output = Program::start(&mut command).output();
-        assert_eq!(output.status.code(), Some(3));
-        assert_eq!(
-            (output.stdout.len(), &output.stderr[..]),
-            (1_000_000, &b"late\n"[..])
-        );
-    }
-}

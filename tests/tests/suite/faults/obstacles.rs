@@ -71,7 +71,8 @@ fn an_obstacle_at_once_inside_the_safe_distance_is_guarded_in_its_first_cycle() 
     // 18 mm a second: what the test needs to place the ball, the robot does not spend to reach it.
     let slowly = "[motion]\nhome_rate_rad_s = 0.02\n";
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{slowly}{bent}"));
+    // Ideal: the clearances of neighbouring records are compared exactly.
+    let daemon = Daemon::ideal(&format!("{PATIENT}{slowly}{bent}"));
     let connection = daemon.connect();
     let mut trail = Trail::new(&connection);
     let sender = connection.obstacle_sender().unwrap();

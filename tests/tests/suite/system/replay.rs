@@ -345,7 +345,7 @@ fn cycles_that_the_play_of_cables_changed_are_computed_again_bit_for_bit() {
 
 #[test]
 fn cycles_of_a_robot_that_obeys_positions_are_computed_again_bit_for_bit() {
-    let positions = "[link]\ninterface = \"position\"\n[motion]\nacceleration_rad_s2 = 15.0\n";
+    let positions = "[link]\ninterface = \"position\"\n[motion]\napproach = \"direct\"\nacceleration_rad_s2 = 15.0\n";
     let recording = Recording::make(&format!("{PATIENT}{positions}"), &[], &spiral());
     recording.replay();
     let is_cut = |record: &&Telemetry| record.guard_flags & codes::guard::ACCELERATION != 0;
