@@ -27,7 +27,7 @@ const STOP_MAX: Duration = Duration::from_millis(300);
 const START_MAX: Duration = Duration::from_millis(80);
 const OVERSLEPT_MAX: Duration = Duration::from_millis(10);
 /// A stop that the machine disturbed where nobody saw it is tried again so often.
-const TRIES: usize = 3;
+pub(super) const TRIES: usize = 3;
 /// A stop that goes as a signal is carried out so long before the program has given up.
 const LONG_BEFORE_NS: u64 = 500_000_000;
 
@@ -82,9 +82,16 @@ fn ball() -> Obstacle {
 
 /// What a stop took, and whether the machine was seen to disturb it.
 #[derive(Debug, Clone, Copy)]
-struct Timed {
-    took: Duration,
+pub(super) struct Timed {
+    pub(super) took: Duration,
     is_undisturbed: bool,
+}
+
+impl Timed {
+    /// Longer than is promised, and the machine was not seen to disturb it.
+    pub(super) fn is_late(&self) -> bool {
+        self.is_undisturbed && self.took > STOP_MAX
+    }
 }
 
 /// A daemon in a mode that is stopped there again and again.
@@ -106,7 +113,7 @@ impl Stops<'_> {
             return;
         }
         let tries = if mode == Mode::Starting { 1 } else { TRIES };
-        let is_late = |timed: Timed| timed.is_undisturbed && timed.took > STOP_MAX;
+        let is_late = |timed: Timed| timed.is_late();
         let late = (0..tries).all(|_| self.stop_and_tell(trail, mode).is_some_and(is_late));
         assert!(
             !late || mode == Mode::Starting,
@@ -212,7 +219,7 @@ impl Stops<'_> {
 }
 
 /// How long `stop` takes, beside a bare loop that sleeps, and between two starts of a program that does nothing.
-fn timed(place: &Place, stop: impl FnOnce()) -> Timed {
+pub(super) fn timed(place: &Place, stop: impl FnOnce()) -> Timed {
     let started = start_a_program(place);
     let ending = AtomicBool::new(false);
     let (took, overslept) = std::thread::scope(|scope| {

@@ -4,17 +4,21 @@
 use std::fs;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixStream};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Sender, channel};
 use std::thread::JoinHandle;
 
-use cdcr_shared_types::NameHolder;
-use cdcr_shared_types::codes::Mode;
-use cdcr_tests::{Daemon, PATIENT, Program, ROBOT, text, wait_mode, wait_until};
+use cdcr_client::Connection;
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::{Location, NameHolder};
+use cdcr_tests::{Daemon, PATIENT, Program, ROBOT, TIMEOUT, text, wait_mode, wait_until};
 use rustix::fs::{FlockOperation, flock};
 use rustix::process::Signal;
+
+use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
 
 /// A second daemon at the same place is refused, and names the first.
 fn assert_second_is_refused(daemon: &Daemon) {
@@ -56,12 +60,47 @@ fn assert_none_starts_beside(daemon: &mut Daemon) {
     }
 }
 
-/// Deletes with `delete`; then the daemon ends with a number of its own, and nobody took its place meanwhile.
-fn assert_ends_without_its_place(delete: impl FnOnce(&std::path::Path)) {
-    let mut daemon = Daemon::start(PATIENT);
-    let root = daemon.place().location().root().to_owned();
-    delete(&root);
-    assert_none_starts_beside(&mut daemon);
+/// Sends the robot home slowly, says when it moves, and follows it to its rest: it never stops on its way but by its ramp.
+fn follow_to_rest(location: &Location, moves: &Sender<()>) {
+    let connection = Connection::open_within(location, ROBOT, TIMEOUT).unwrap();
+    let mut trail = Trail::new(&connection);
+    connection.request(RequestKind::Home).unwrap();
+    trail.until("moving", |record| !rests(record));
+    moves.send(()).unwrap();
+    let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
+    assert_eq!(before.mode, Mode::Homing.code());
+    assert_ramps_to_rest(&mut trail, &stopped, || {});
+}
+
+/// Deletes with `delete` while the robot moves; then it comes to rest, the daemon ends with a number of its own, and nobody took
+/// its place meanwhile.
+fn assert_ends_without_its_place(delete: impl FnOnce(&Path)) {
+    let mut daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n[motion]\nhome_rate_rad_s = 0.05\n"
+    ));
+    let location = daemon.place().location().clone();
+    std::thread::scope(|scope| {
+        let (moves, moving) = channel();
+        let location = &location;
+        scope.spawn(move || follow_to_rest(location, &moves));
+        moving.recv().unwrap();
+        delete(location.root());
+        assert_stop_is_not_confirmed(&mut daemon);
+    });
+    let ended = daemon.stop_after_signal();
+    assert_eq!(ended.code(), Some(83), "{}", daemon.log());
+    assert!(daemon.log().contains("was emptied or replaced"));
+    // It left nothing, and its place is free.
+    daemon.restart();
+    daemon.place().says("cdcrctl stop", 0, &[]);
+    assert!(daemon.stop().success(), "{}", daemon.log());
+    let left = daemon.place().shared_memory_files();
+    assert_eq!(left, Vec::<PathBuf>::new());
+}
+
+/// Neither a second daemon nor a stop takes a daemon without its files for none.
+fn assert_stop_is_not_confirmed(daemon: &mut Daemon) {
+    assert_none_starts_beside(daemon);
     let output = daemon.place().cdcrctl(&["stop"]);
     let printed = text(&output);
     // The daemon may have ended meanwhile, where the machine stalls.
@@ -76,15 +115,6 @@ fn assert_ends_without_its_place(delete: impl FnOnce(&std::path::Path)) {
             "{printed}"
         );
     }
-    let ended = daemon.stop_after_signal();
-    assert_eq!(ended.code(), Some(83), "{}", daemon.log());
-    assert!(daemon.log().contains("was emptied or replaced"));
-    // It left nothing, and its place is free.
-    daemon.restart();
-    daemon.place().says("cdcrctl stop", 0, &[]);
-    assert!(daemon.stop().success(), "{}", daemon.log());
-    let left = daemon.place().shared_memory_files();
-    assert_eq!(left, Vec::<PathBuf>::new());
 }
 
 #[test]
