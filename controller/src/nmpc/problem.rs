@@ -117,12 +117,13 @@ impl<'a> TrackingProblem<'a> {
     ) -> Option<Evaluation<W>> {
         let (step_ns, is_free) = (self.step_ns(), self.is_free());
         let mut bends: Bends<W, P> = self.motion.start();
-        let mut before = bends.bend_rad;
         let mut evaluation = Evaluation::from_cost(self.regularisation(z));
         for step in 0..self.steps() {
             if !budget.spend(step_ns) {
                 return None;
             }
+            // Nothing is copied where nobody compares with it.
+            let before = (!is_free).then_some(bends.bend_rad);
             self.motion.advance(&mut bends, z, step);
             if let Some(target) = self.target(step) {
                 let bend_rad = |i: usize| bends.bend_rad[i];
@@ -130,7 +131,7 @@ impl<'a> TrackingProblem<'a> {
                 let error = pose_error::squared_error(self.robot, bend_rad, target, &weights);
                 evaluation.cost = evaluation.cost + error;
             }
-            if !is_free {
+            if let Some(before) = before {
                 let penalties = Penalties {
                     problem: self,
                     step,
@@ -140,7 +141,6 @@ impl<'a> TrackingProblem<'a> {
                     budget,
                 };
                 apart(instructions, penalties)?;
-                before = bends.bend_rad;
             }
         }
         Some(evaluation)
