@@ -15,6 +15,12 @@ use near::{Near, Stance};
 
 /// Times that a command is corrected before it is scaled down instead.
 const CORRECTIONS: usize = 12;
+/// Times that it is linearised anew where that leads to rest,
+const RENEWALS: usize = 4;
+/// with as many obstacles near at most: among more of them, nothing comes of it.
+const RENEWED_MAX: usize = 32;
+/// Shares of what is found then that are checked.
+const SHARES: [f64; 5] = [1.0, 0.95, 0.7, 0.4, 0.2];
 /// A correction that leaves less than this share of the fastest component is rest.
 const STANDING: f64 = 1e-6;
 /// Scales that are tried.
@@ -111,7 +117,8 @@ impl ClearanceGuard<'_> {
     /// obstacle: neither now, nor when no command follows. The rates stay inside the limits, and no component is
     /// faster than the fastest of `rates`. Where those break the rule, the nearest that keep it are looked for, which slide along the
     /// obstacle: clearances are made linear where they are too small, as often as it takes. Where that does not hold
-    /// exactly, what was found is scaled down, and then `rates` themselves. Slower rates stop sooner: each that are looked at
+    /// exactly, what was found is scaled down, and then `rates` themselves; and where nothing is left among few obstacles, all clearances that
+    /// matter are made linear anew at one place. Slower rates stop sooner: each that are looked at
     /// have the way and the time that are theirs. Standing still always holds. A robot that obeys
     /// positions keeps the same rule from where it is commanded to be, too.
     ///
@@ -121,7 +128,13 @@ impl ClearanceGuard<'_> {
     /// Nothing allocates; the work is bounded, and a few comparisons where no obstacle is near. The same inputs give the
     /// same bits.
     pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
-        self.guarded(rates, false, |near| self.corrected(near, limits, rates))
+        self.guarded(rates, false, |near| {
+            let found = self.corrected(near, limits, rates);
+            if found == self.rest() && near.allow_renewal() {
+                return self.renewed(near, limits, rates);
+            }
+            found
+        })
     }
 
     /// For a robot that comes to rest: `ramp` is only scaled down, so no component becomes larger.
@@ -185,9 +198,7 @@ impl ClearanceGuard<'_> {
         limits: &Limits<'_>,
         desired_rates: &BendRates,
     ) -> BendRates {
-        let mut region = limits.region();
-        // What is shortened afterwards may come nearer than what was found.
-        region.slow_down_to(fastest(desired_rates));
+        let mut region = region(limits, desired_rates);
         let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
             if !near.has_looks_to_correct()
@@ -217,6 +228,41 @@ impl ClearanceGuard<'_> {
             return self.scaled(near, desired_rates);
         }
         scaled
+    }
+
+    /// As [`Self::corrected`], where that leads to rest. Half-spaces from several linearisations may leave nothing between them, and those of the
+    /// standing robot nothing that holds exactly, because clearances are curved. So all of them are made anew from one linearisation:
+    /// around the standing robot, where rest is inside, and then around what was found with those.
+    fn renewed(
+        &self,
+        near: &Places<'_>,
+        limits: &Limits<'_>,
+        desired_rates: &BendRates,
+    ) -> BendRates {
+        let limited = region(limits, desired_rates);
+        let mut around = None;
+        for _ in 0..RENEWALS {
+            if near.is_out_of_looks() {
+                break;
+            }
+            let mut region = limited.clone();
+            near.bound_again(self, desired_rates, around.as_ref(), &mut region);
+            let Some(nearest) = limits.nearest_in(&mut region, desired_rates) else {
+                break;
+            };
+            let rates = shortened_to(nearest, fastest(desired_rates));
+            if fastest(&rates) <= STANDING * fastest(desired_rates) {
+                break;
+            }
+            for share in SHARES {
+                let shorter = times(&rates, share);
+                if near.check(self, &shorter).is_ok() {
+                    return shorter;
+                }
+            }
+            around = Some(rates);
+        }
+        self.rest()
     }
 
     /// `rates`, scaled down to where the rule holds: between a scale that does and one that does not, the one is tried where the
@@ -284,6 +330,28 @@ impl Places<'_> {
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
+    /// More work, where few obstacles are near; whether they are.
+    fn allow_renewal(&self) -> bool {
+        let are_few = |near: &Near<'_>| near.watched().count() <= RENEWED_MAX;
+        self.iter().all(are_few) && {
+            self.iter().for_each(Near::allow_renewal);
+            true
+        }
+    }
+
+    /// [`rows::bound_again`] of each.
+    fn bound_again(
+        &self,
+        guard: &ClearanceGuard<'_>,
+        desired_rates: &BendRates,
+        around: Option<&BendRates>,
+        region: &mut Region,
+    ) {
+        for near in self.iter() {
+            rows::bound_again(near, guard, desired_rates, around, region);
+        }
+    }
+
     /// [`rows::bound`] of each.
     fn bound(&self, guard: &ClearanceGuard<'_>, rates: &BendRates, region: &mut Region) -> bool {
         let is_bounded = |near: &Near<'_>| rows::bound(near, guard, rates, &mut *region);
@@ -291,6 +359,13 @@ impl Places<'_> {
             .map(is_bounded)
             .fold(false, |any, one| any | one)
     }
+}
+
+/// What the limits leave of rates that are not faster than these: what is shortened afterwards may come nearer than what was found.
+fn region(limits: &Limits<'_>, desired_rates: &BendRates) -> Region {
+    let mut region = limits.region();
+    region.slow_down_to(fastest(desired_rates));
+    region
 }
 
 pub(super) fn times(rates: &BendRates, factor: f64) -> BendRates {

@@ -73,6 +73,17 @@ impl Region {
         }
     }
 
+    /// Whether normal · x ≥ bound leaves out a part of the box.
+    pub(super) fn is_cut_by(&self, normal: &Vector, bound: f64) -> bool {
+        let sides = self.lower.iter().zip(&self.upper).take(self.dimensions);
+        let least: f64 = normal
+            .iter()
+            .zip(sides)
+            .map(|(normal, (lower, upper))| (normal * lower).min(normal * upper))
+            .sum();
+        least.is_nan() || least < bound
+    }
+
     /// Whether a half-space was left out, so that points which are found may be on the wrong side of it.
     pub(super) fn is_full(&self) -> bool {
         self.is_full
@@ -163,9 +174,9 @@ impl Region {
     fn most_violated(&self, at: &Vector) -> Option<Row> {
         let (mut most, mut found) = (INSIDE, None);
         let mut look = |side: Side, bound: f64, lack: f64| {
-            let lack = lack / (1.0 + bound.abs());
-            if lack > most {
-                (most, found) = (lack, Some(side));
+            let scale = 1.0 + bound.abs();
+            if lack > most * scale {
+                (most, found) = (lack / scale, Some(side));
             }
         };
         for (index, row) in self.rows[..self.row_count].iter().enumerate() {

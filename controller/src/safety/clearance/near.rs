@@ -18,6 +18,8 @@ const ROUNDING_M: f64 = 1e-6;
 /// The work for one command, in the time of an exact clearance from a sphere, about 22 ns: when it is used up, what is not known to
 /// be clear counts as not clear.
 const LOOKS: u32 = 4000;
+/// As many more where a command is linearised anew, among few obstacles.
+const RENEWAL_LOOKS: u32 = 2000;
 /// How many of them an exact clearance from a capsule takes the time of,
 const CAPSULE_LOOKS: u32 = 7;
 /// a place of the way,
@@ -374,6 +376,11 @@ impl<'a> Near<'a> {
     /// Takes these from what is left of [`LOOKS`].
     pub(super) fn count(&self, looks: u32) {
         self.looks.set(self.looks.get().saturating_sub(looks));
+    }
+
+    /// Adds [`RENEWAL_LOOKS`] to it.
+    pub(super) fn allow_renewal(&self) {
+        self.looks.set(self.looks.get() + RENEWAL_LOOKS);
     }
 
     /// Whether the time for one command is used up.

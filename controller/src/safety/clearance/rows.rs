@@ -49,12 +49,45 @@ pub(super) fn bound(
     }
     let shorts = || least.rows.iter().flatten();
     for short in shorts() {
-        short.bound(near, guard, rates, region);
+        let is_first = !near.has_row(short.index, short.section);
+        short.bound(near, guard, (!is_first).then_some(rates), region);
     }
     for short in shorts() {
         near.note_row(short.index, short.section);
     }
     least.count > 0
+}
+
+/// Bounds `region` at both ends of the way of `desired_rates` for every clearance that had a row, and for those that are too small: all of
+/// them to first order around the same rates, or around the robot that stands still.
+pub(super) fn bound_again(
+    near: &Near<'_>,
+    guard: &ClearanceGuard<'_>,
+    desired_rates: &BendRates,
+    around: Option<&BendRates>,
+    region: &mut Region,
+) {
+    let rest = BendRates::zero(desired_rates.section_count());
+    for way_s in ends_s(guard, desired_rates) {
+        let place = near.place(guard, around.unwrap_or(&rest), way_s);
+        for (index, watched) in near.watched().enumerate() {
+            for section in sections(watched.sections()) {
+                let floor_m = watched.floor_most_m(section, place.time_s);
+                let is_short = || near.clearance_m(&place, watched, section, floor_m) < floor_m;
+                if near.has_row(index, section) || around.is_some() && is_short() {
+                    near.note_row(index, section);
+                    let short = Short {
+                        spare_m: 0.0,
+                        place: &place,
+                        watched,
+                        index,
+                        section,
+                    };
+                    short.bound(near, guard, around, region);
+                }
+            }
+        }
+    }
 }
 
 /// Those with the least spare, in its order.
@@ -102,38 +135,35 @@ impl<'a> Least<'a> {
 }
 
 impl Short<'_> {
-    /// To first order around the robot that stands still, where each clearance is as large as it must be, so that there is a
-    /// region; around `rates` where that was not enough.
+    /// To first order around these rates, or around the robot that stands still: there each clearance is as large as it must be, so
+    /// that there is a region.
     fn bound(
         &self,
         near: &Near<'_>,
         guard: &ClearanceGuard<'_>,
-        rates: &BendRates,
+        around: Option<&BendRates>,
         region: &mut Region,
     ) {
         near.count(ROW_LOOKS + self.watched.looks());
         let obstacle = self.watched.obstacle_at(self.place.time_s);
-        let is_first = !near.has_row(self.index, self.section);
-        let stance = if is_first {
-            near.still()
-        } else {
-            &self.place.stance
-        };
+        let stance = around.map_or(near.still(), |_| &self.place.stance);
         let nearest = stance.body.nearest_of(self.section, &obstacle);
         let mut columns = [[0.0; 3]; COORDINATES_MAX];
         let motion = stance.motion(guard.robot);
         motion.point_jacobian(self.section, nearest.s, &mut columns);
         let d = &nearest.direction;
         let slope = columns.map(|[x, y, z]| self.place.way_s * (d.x * x + d.y * y + d.z * z));
-        let least_m = if is_first {
-            // The clearance is what is left to the robot that stands still, and at least the floor.
-            self.watched.kept_m.min(nearest.clearance_m) - nearest.clearance_m
-        } else {
+        let least_m = if let Some(rates) = around {
             let rates = rates.as_slice().iter();
             let gained_m: f64 = rates.zip(slope).map(|(rate, slope)| rate * slope).sum();
             let floor_m = near.floor_m(self.watched, self.section, self.place.time_s);
             gained_m + MARGIN_M + floor_m - nearest.clearance_m
+        } else {
+            // The clearance is what is left to the robot that stands still, and at least the floor.
+            self.watched.kept_m.min(nearest.clearance_m) - nearest.clearance_m
         };
-        region.bound(&slope, least_m);
+        if region.is_cut_by(&slope, least_m) {
+            region.bound(&slope, least_m);
+        }
     }
 }
