@@ -366,11 +366,11 @@ fn cycles_of_a_robot_whose_motors_lag_and_cables_have_play_are_computed_again_bi
     recording.replay();
 }
 
-/// A robot that is longer than its model, and measures its tip beside its cables.
+/// A robot that is longer than its model, and measures its tip beside its cables: the guard keeps the obstacles as much farther away.
 #[test]
 fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bit() {
     let driver = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n";
-    let daemon = Daemon::start(&format!("{PATIENT}{driver}"));
+    let daemon = Daemon::start(&format!("{PATIENT}{BLIND}{CONTACT}{driver}"));
     let ends = AtomicBool::new(false);
     let drive = || {
         let longer = Flaws {
@@ -392,11 +392,12 @@ fn cycles_of_a_robot_whose_tip_is_beside_its_bends_are_computed_again_bit_for_bi
         scope.spawn(drive);
         let connection = daemon.connect();
         wait_mode(&mut connection.telemetry().unwrap(), Mode::Holding);
-        Recording::of(&daemon, &[], &spiral())
+        Recording::of(&daemon, &in_the_way(), &Line::for_sections(&[0.3; 3]))
     });
     let is_beside =
         |record: &&Telemetry| record.plan_length > 0 && largest(&record.tip_offset_m) > 1e-3;
     let beside = recording.records.iter().filter(is_beside).count();
     assert!(beside > 50, "{beside} of {}", recording.records.len());
-    recording.replay();
+    let replayed = recording.replay();
+    assert!(replayed.guarded > 10, "{replayed:?}");
 }
