@@ -6,7 +6,10 @@
 mod scenario;
 mod tuning;
 
-use anyhow::{Context, Result};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use anyhow::{Context, Result, ensure};
 use cdcr_controller::closed_loop::{FigureEight, FigureEightRun};
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Obstacle, Shape};
@@ -21,7 +24,8 @@ use crate::progress::Progress;
 use scenario::{Control, Scenario};
 
 const EXPLANATION: &str = "\
-<p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s. The robot is not its model: its motors lag, its \
+<p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s; where a robot is said to go <em>through straight</em>, as many \
+sections as its name says follow one through the tip of the straight robot. The robot is not its model: its motors lag, its \
 sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
 second: mean and settled are means over the seeds, rms, largest error and following are those of the worst seed. The controller is the one of \
 a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off. <em>At rest</em> is the largest error, in the worst \
@@ -71,13 +75,16 @@ const DRAWN_CYCLES: usize = 10;
 /// What a run takes, about \[s\].
 const RUN_S: f64 = 0.12;
 
-#[derive(Debug, Clone, Copy, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct RobustnessOptions {
     /// Runs of each robot with each controller, each with other noise, 1 to 1000.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
+    /// Only the ideal robot, which others are compared with, and those with TEXT in their name.
+    #[arg(long, value_name = "TEXT")]
+    pub only: Option<String>,
     /// Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md.
-    #[arg(long, conflicts_with = "seeds")]
+    #[arg(long, conflicts_with_all = ["seeds", "only"])]
     pub sweep: bool,
 }
 
@@ -86,6 +93,7 @@ impl Benchmark for RobustnessOptions {
         let seeds = if quick { 1 } else { 20 };
         Self {
             seeds,
+            only: None,
             sweep: false,
         }
     }
@@ -94,18 +102,26 @@ impl Benchmark for RobustnessOptions {
         &mut self.seeds
     }
 
+    fn resolved(self) -> Result<Self> {
+        ensure!(
+            Scenario::all().iter().any(|scenario| self.names(scenario)),
+            "no robot has {:?} in its name; their names are in docs/robustness.md",
+            self.only.unwrap_or_default()
+        );
+        Ok(self)
+    }
+
     fn expected_s(&self) -> f64 {
         if self.sweep {
             return tuning::count() as f64 * RUN_S;
         }
-        f64::from(self.seeds) * 2.0 * cases().len() as f64 * RUN_S
+        f64::from(self.seeds) * self.cases().len() as f64 * RUN_S / cores() as f64
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         if self.sweep {
             return tuning::run(RUN_S, progress);
         }
-        let (eight, ball) = (FigureEight::new()?, ball()?);
         let mut dataset = Dataset {
             name: "robustness",
             heading: "Robots that are not their model",
@@ -113,33 +129,28 @@ impl Benchmark for RobustnessOptions {
             ..Dataset::default()
         };
         let (mut rows, mut panels) = (Vec::<Value>::new(), Vec::<Panel>::new());
-        for (scenario, control) in cases() {
-            for (interface, obeys_positions) in [("position", true), ("velocity", false)] {
-                let mut runs = Runs::default();
-                for seed in 1..=u64::from(self.seeds) {
-                    interrupt::check()?;
-                    progress.begin(&format!("{}, {}", scenario.name, control.name()));
-                    let driven = scenario.driven(control, obeys_positions, seed);
-                    let obstacles = &ball[..usize::from(scenario.has_ball)];
-                    runs.rounds.push(eight.run(driven, obstacles)?);
-                    if control == Control::Full && scenario.targets.rest_mm.is_finite() {
-                        runs.rest_mm.push(eight.rest_error_mm(driven)?);
-                    }
-                    progress.advance(RUN_S);
-                }
-                if obeys_positions {
-                    draw(&mut panels, &scenario, control, &runs.rounds[0]);
-                }
-                // Without noise every run is the same.
-                let is_noisy = scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0;
-                if control == Control::Full && is_noisy {
-                    let name = format!("robustness/{}/{interface}/mean_error", scenario.name);
-                    dataset.lower(name, "mm", runs.rounds.iter().map(FigureEightRun::mean_mm));
-                }
-                // The first robot is the ideal one.
-                let ideal = rows.first().and_then(|row| row["rate_change_rms"].as_f64());
-                rows.push(row(&scenario, control, interface, &runs, ideal));
+        let cases = self.cases();
+        for (case, runs) in cases.iter().zip(self.all_runs(&cases, progress)?) {
+            let Case {
+                scenario,
+                control,
+                obeys_positions,
+            } = case;
+            let interface = if *obeys_positions {
+                draw(&mut panels, scenario, *control, &runs.rounds[0]);
+                "position"
+            } else {
+                "velocity"
+            };
+            // Without noise every run is the same.
+            let is_noisy = scenario.flaws.noise_m + scenario.flaws.tip_noise_m > 0.0;
+            if *control == Control::Full && is_noisy {
+                let name = format!("robustness/{}/{interface}/mean_error", scenario.name);
+                dataset.lower(name, "mm", runs.rounds.iter().map(FigureEightRun::mean_mm));
             }
+            // The first robot is the ideal one.
+            let ideal = rows.first().and_then(|row| row["rate_change_rms"].as_f64());
+            rows.push(row(scenario, *control, interface, &runs, ideal));
         }
         dataset.plots.push(Plot {
             name: "robustness-error",
@@ -154,18 +165,114 @@ impl Benchmark for RobustnessOptions {
     }
 }
 
-/// Each scenario with the controllers that differ on it.
-fn cases() -> Vec<(Scenario, Control)> {
-    let with_controls = |scenario: Scenario| {
-        let controls: Vec<Control> = scenario.controls().collect();
-        controls
-            .into_iter()
-            .map(move |control| (scenario.clone(), control))
-    };
-    Scenario::all()
-        .into_iter()
-        .flat_map(with_controls)
-        .collect()
+/// A robot with a controller behind an interface.
+struct Case {
+    scenario: Scenario,
+    control: Control,
+    obeys_positions: bool,
+}
+
+impl RobustnessOptions {
+    fn names(&self, scenario: &Scenario) -> bool {
+        let only = self.only.as_deref();
+        only.is_none_or(|only| scenario.name.contains(only))
+    }
+
+    /// Each scenario with the controllers that differ on it, behind both interfaces.
+    fn cases(&self) -> Vec<Case> {
+        let is_wanted = |scenario: &Scenario| scenario.is_ideal() || self.names(scenario);
+        let scenarios = Scenario::all().into_iter().filter(is_wanted);
+        let controlled = scenarios.flat_map(|scenario| {
+            let controls: Vec<Control> = scenario.controls().collect();
+            controls
+                .into_iter()
+                .map(move |control| (scenario.clone(), control))
+        });
+        let both = controlled.flat_map(|(scenario, control)| {
+            [true, false].map(|obeys_positions| Case {
+                scenario: scenario.clone(),
+                control,
+                obeys_positions,
+            })
+        });
+        both.collect()
+    }
+
+    /// Runs all cases, each core one after the other; none depends on another.
+    fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
+        let arena = Arena::new()?;
+        let (next, progress) = (AtomicUsize::new(0), Mutex::new(progress));
+        let work = || {
+            let mut done = Vec::new();
+            loop {
+                let index = next.fetch_add(1, Ordering::Relaxed);
+                let Some(case) = cases.get(index) else {
+                    return anyhow::Ok(done);
+                };
+                let what = format!("{}, {}", case.scenario.name, case.control.name());
+                lock(&progress).begin(&what);
+                done.push((index, case.runs(&arena, self.seeds, &progress)?));
+            }
+        };
+        let done = std::thread::scope(|scope| {
+            let threads: Vec<_> = (0..cores()).map(|_| scope.spawn(work)).collect();
+            let ends = threads.into_iter().map(|thread| match thread.join() {
+                Ok(done) => done,
+                Err(panic) => std::panic::resume_unwind(panic),
+            });
+            ends.collect::<Result<Vec<_>>>()
+        })?;
+        let mut done: Vec<_> = done.into_iter().flatten().collect();
+        done.sort_by_key(|(index, _)| *index);
+        Ok(done.into_iter().map(|(_, runs)| runs).collect())
+    }
+}
+
+/// What the robots follow.
+struct Arena {
+    eight: FigureEight,
+    ball: [Obstacle; 1],
+}
+
+impl Arena {
+    fn new() -> Result<Self> {
+        Ok(Self {
+            eight: FigureEight::new()?,
+            ball: ball()?,
+        })
+    }
+}
+
+impl Case {
+    /// One run for each seed.
+    fn runs(&self, arena: &Arena, seeds: u32, progress: &Mutex<&mut Progress>) -> Result<Runs> {
+        let scenario = &self.scenario;
+        let eight = match scenario.through_straight {
+            Some(sections) => FigureEight::through_straight(sections)?,
+            None => arena.eight.clone(),
+        };
+        let obstacles = &arena.ball[..usize::from(scenario.has_ball)];
+        let mut runs = Runs::default();
+        for seed in 1..=u64::from(seeds) {
+            interrupt::check()?;
+            let driven = scenario.driven(self.control, self.obeys_positions, seed);
+            runs.rounds.push(eight.run(driven, obstacles)?);
+            if self.control == Control::Full && scenario.targets.rest_mm.is_finite() {
+                runs.rest_mm.push(eight.rest_error_mm(driven)?);
+            }
+            lock(progress).advance(RUN_S / cores() as f64);
+        }
+        Ok(runs)
+    }
+}
+
+fn cores() -> usize {
+    std::thread::available_parallelism().map_or(1, usize::from)
+}
+
+/// A thread that panics ends the run.
+fn lock<'a, 'p>(progress: &'a Mutex<&'p mut Progress>) -> MutexGuard<'a, &'p mut Progress> {
+    progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// 5 mm nearer to the tip than the safe distance where that turns.

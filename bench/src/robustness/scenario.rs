@@ -55,6 +55,8 @@ pub(super) struct Scenario {
     /// What its motors are taken for.
     actuator: Actuator,
     sensor: Sensor,
+    /// Sections whose figure eight goes through the straight robot; none: the three of the common one.
+    pub(super) through_straight: Option<usize>,
     /// A ball stands at the way.
     pub(super) has_ball: bool,
     /// What is wanted.
@@ -114,6 +116,7 @@ impl Scenario {
             actuator: flaws.actuator,
             flaws,
             sensor: Sensor::Cables,
+            through_straight: None,
             has_ball: false,
             targets: Targets::NONE,
         }
@@ -140,6 +143,10 @@ impl Scenario {
         };
         let noisy_tip = |name, noise_m| {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
+        };
+        let straight = |sections, name, noise_m| Self {
+            through_straight: Some(sections),
+            ..noisy_tip(name, noise_m)
         };
         let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
         let wrong_model = with(|f| {
@@ -188,6 +195,12 @@ impl Scenario {
             with_play("play of 0.5 mm, taken for 0.6", 6e-4),
             noisy_tip("tip alone, 0.1 mm", 1e-4).wants(mean(0.1)),
             noisy_tip("tip alone, 0.5 mm", 5e-4).wants(mean(0.25)),
+            straight(1, "tip alone, 0.1 mm, 1 section, through straight", 1e-4).wants(mean(0.1)),
+            straight(1, "tip alone, 0.5 mm, 1 section, through straight", 5e-4).wants(mean(0.25)),
+            straight(2, "tip alone, 0.1 mm, 2 sections, through straight", 1e-4).wants(mean(0.1)),
+            straight(2, "tip alone, 0.5 mm, 2 sections, through straight", 5e-4).wants(mean(0.25)),
+            straight(3, "tip alone, 0.1 mm, 3 sections, through straight", 1e-4).wants(mean(0.1)),
+            straight(3, "tip alone, 0.5 mm, 3 sections, through straight", 5e-4).wants(mean(0.25)),
             of_preset("laboratory", Preset::Laboratory),
             Self {
                 has_ball: true,
@@ -197,6 +210,11 @@ impl Scenario {
             of_preset("slow", Preset::Slow),
             of_preset("blind", Preset::Blind).sensor(Sensor::Tip { every: 1 }),
         ]
+    }
+
+    /// Whether nothing is wrong with it.
+    pub(super) fn is_ideal(&self) -> bool {
+        self.flaws == Flaws::default()
     }
 
     /// The preset of `link.simulated` that it is, if any.

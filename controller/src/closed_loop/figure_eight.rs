@@ -1,4 +1,4 @@
-//! Three sections on a figure eight: the task on which robots that are not their model are compared.
+//! A figure eight: the task on which robots that are not their model are compared. Of three sections, or through the straight robot.
 
 use nalgebra::Vector3;
 
@@ -10,6 +10,8 @@ use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError, RobotP
 
 /// Largest acceleration of a robot behind a driver, by default (rad/s²).
 const ACCELERATION_RAD_S2: f64 = 40.0;
+/// Half of the length of the figure eight (m).
+const SIZE_M: f64 = 0.08;
 /// Cycles of a robot at rest that count.
 const REST_CYCLES: core::ops::Range<u32> = 1000..4000;
 /// Periods until the robot has reached the beginning of the reference.
@@ -21,6 +23,8 @@ pub struct FigureEight {
     robot: Robot,
     settings: Option<NmpcSettings>,
     start: Configuration,
+    /// It goes through the straight robot, whose sections all bend so far (rad).
+    bend_rad: Option<f64>,
 }
 
 /// Why there is no run.
@@ -54,16 +58,20 @@ impl FigureEight {
 
     /// 160 mm by 80 mm across the robot's axis, at up to 52 mm/s; `time_s` in seconds.
     pub fn reference(time_s: f64) -> ReferenceSample {
-        let (turn, size_m) = (0.46 * time_s, 0.08);
-        ReferenceSample {
-            state: ReferenceState::Inside,
-            position_m: Vector3::new(
-                0.25 + size_m * turn.sin(),
-                0.5 * size_m * (2.0 * turn).sin(),
-                0.7,
-            ),
-            orientation: Orientation::Free,
+        let [x, y] = lying_eight(time_s);
+        at(Vector3::new(0.25 + SIZE_M * x, SIZE_M * y, 0.7))
+    }
+
+    fn sample(&self, time_s: f64) -> ReferenceSample {
+        let Some(bend_rad) = self.bend_rad else {
+            return Self::reference(time_s);
+        };
+        let mut bends = self.start;
+        let eight = lying_eight(time_s);
+        for (i, bend) in bends.as_mut_slice().iter_mut().enumerate() {
+            *bend = bend_rad * eight[i % 2];
         }
+        at(self.robot.tip_position(&bends))
     }
 
     /// Lets the ideal robot go to the beginning of the figure eight.
@@ -84,6 +92,23 @@ impl FigureEight {
             start: *closed.configuration(),
             robot,
             settings: None,
+            bend_rad: None,
+        })
+    }
+
+    /// About as large and as fast, through the tip of the straight robot of `sections` sections, 1 to 6, which it can reach.
+    ///
+    /// # Errors
+    /// [`FigureEightError::Robot`] for another number of sections.
+    pub fn through_straight(sections: usize) -> Result<Self, FigureEightError> {
+        let robot = Robot::new(&RobotParameters::paper(sections))?;
+        // Bent by b each, n sections turn by n b in all: their tip moves aside by half of that times their length.
+        let bend_rad = SIZE_M / (0.5 * sections as f64 * robot.reach_m());
+        Ok(Self {
+            start: Configuration::straight(sections),
+            robot,
+            settings: None,
+            bend_rad: Some(bend_rad),
         })
     }
 
@@ -105,7 +130,7 @@ impl FigureEight {
 
     /// Distance of the tip from the reference where a run begins (m).
     pub fn begin_error_m(&self) -> f64 {
-        (self.robot.tip_position(&self.start) - Self::reference(0.0).position_m).norm()
+        (self.robot.tip_position(&self.start) - self.sample(0.0).position_m).norm()
     }
 
     /// Once round with a robot that is not its model, behind a driver. `obstacles` are where they are at the beginning.
@@ -119,7 +144,7 @@ impl FigureEight {
     ) -> Result<FigureEightRun, FigureEightError> {
         let (robot, settings, start) = (&self.robot, self.settings(&driven.flaws), self.start);
         let mut nmpc = Nmpc::new(robot.clone(), Self::PERIOD_S, settings)?;
-        let way = Self::reference;
+        let way = |time_s| self.sample(time_s);
         let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, obstacles, way)?
             .with_acceleration(ACCELERATION_RAD_S2)
             .with_driven(driven)?;
@@ -171,6 +196,20 @@ impl FigureEight {
             }
         }
         Ok(most_mm)
+    }
+}
+
+/// Twice across, once along: a figure eight within 1 and 1/2.
+fn lying_eight(time_s: f64) -> [f64; 2] {
+    let turn = 0.46 * time_s;
+    [turn.sin(), 0.5 * (2.0 * turn).sin()]
+}
+
+fn at(position_m: Vector3<f64>) -> ReferenceSample {
+    ReferenceSample {
+        state: ReferenceState::Inside,
+        position_m,
+        orientation: Orientation::Free,
     }
 }
 

@@ -381,13 +381,17 @@ _cdcr__bench() {
             return 0
             ;;
         cdcr__subcmd__bench__subcmd__robustness)
-            opts="-h --seeds --sweep --format --out --help"
+            opts="-h --seeds --only --sweep --format --out --help"
             if [[ ${cur} == -* || ${COMP_CWORD} -eq 2 ]] ; then
                 COMPREPLY=( $(compgen -W "${opts}" -- "${cur}") )
                 return 0
             fi
             case "${prev}" in
                 --seeds)
+                    COMPREPLY=($(compgen -f "${cur}"))
+                    return 0
+                    ;;
+                --only)
                     COMPREPLY=($(compgen -f "${cur}"))
                     return 0
                     ;;
