@@ -17,7 +17,7 @@ use clap_complete::ArgValueCandidates;
 
 use crate::value;
 pub(crate) use calibrate::{
-    CalibrateAction, CalibrateOptions, GeometryOptions, NoiseOptions, RecordOptions,
+    CalibrateAction, CalibrateOptions, ExciteOptions, GeometryOptions, NoiseOptions, RecordOptions,
 };
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
@@ -190,7 +190,7 @@ pub(crate) enum Task {
     /// Find lengths, cables, base and sensor of the robot, and the noise of its sensors
     #[command(
         after_help = "Example:\n  cdcrctl home --wait\n  cdcrctl calibrate noise\n  \
-        cdcrctl calibrate record -o moved.csv\n  cdcrctl calibrate geometry moved.csv"
+        cdcrctl calibrate excite -o moved.csv\n  cdcrctl calibrate geometry moved.csv"
     )]
     Calibrate(CalibrateOptions),
 }

@@ -59,6 +59,7 @@ struct Motion {
     /// The largest part of its limit that a rate takes.
     rate_share: f64,
     acceleration_rad_s2: f64,
+    bend_rad: f64,
     stroke_m: f64,
     /// The smallest one.
     clearance_m: f64,
@@ -173,6 +174,7 @@ impl Motion {
         rate_rad_s: 0.0,
         rate_share: 0.0,
         acceleration_rad_s2: 0.0,
+        bend_rad: 0.0,
         stroke_m: 0.0,
         clearance_m: f64::INFINITY,
     };
@@ -197,6 +199,9 @@ impl Motion {
                 self.rate_rad_s = self.rate_rad_s.max(rate.abs());
                 self.rate_share = self.rate_share.max(rate.abs() / section.rate_max_rad_s);
             }
+        }
+        for j in 0..closed.robot().section_count() {
+            self.bend_rad = self.bend_rad.max(closed.configuration().bend_rad(j));
         }
         let strokes_m = closed.robot().cable_strokes(closed.configuration());
         let largest_m = strokes_m.iter().fold(0.0_f64, |most, m| most.max(m.abs()));
@@ -243,6 +248,11 @@ impl Demands {
             "{name}: nothing moved; the ideal robot would need\n{self}"
         )?;
         Ok(())
+    }
+
+    /// Largest bend of a section \[rad\] and largest rate \[rad/s\] along the reference.
+    pub(crate) fn bend_and_rate(&self) -> (f64, f64) {
+        (self.along.bend_rad, self.along.rate_rad_s)
     }
 
     /// Fails where a point is missed by more than `allowed_m`.
@@ -294,6 +304,8 @@ impl fmt::Display for Demands {
         let [here, there] =
             [along, before].map(|motion| format!("{:.2} rad/s²", motion.acceleration_rad_s2));
         line("acceleration", &here, &there)?;
+        let [here, there] = [along, before].map(|motion| format!("{:.3} rad", motion.bend_rad));
+        line("bend", &here, &there)?;
         let most = 1e3 * self.stroke_max_m;
         let [here, there] =
             [along, before].map(|motion| format!("{:.1} mm", 1e3 * motion.stroke_m));

@@ -27,7 +27,7 @@ const STATUS: Duration = Duration::from_secs(1);
 /// A tip that is farther than this from where its way was computed from has moved, whatever error is allowed \[m\].
 const MOVED_M: f64 = 2e-3;
 /// A point that is missed by more than this is not reached, where nothing else was asked for \[m\].
-const MISSED_M: f64 = 1e-3;
+pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
 const FAR: f64 = 10.0;
 
@@ -42,7 +42,7 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
         demands.check(arguments.max_error.unwrap_or(MISSED_M))?;
         return Ok(Done::Good);
     }
-    let (done, error) = follow(&connection, &*trajectory, feed)?;
+    let (done, error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
         error.tell(arguments.max_error)?;
     }
@@ -71,11 +71,7 @@ pub(crate) fn go(
     let begin_m = within(start_m, reach_m);
     let way = Straight::new(begin_m, goal_m, arguments.speed, arguments.acceleration);
     check_unit(&way, reach_m)?;
-    let options = FeedOptions {
-        track: true,
-        lead: GO_LEAD,
-        ..FeedOptions::default()
-    };
+    let options = go_options();
     let demands = dry_run::compute(&connection, &way, &options)?;
     if arguments.dry_run {
         demands.print(way.name())?;
@@ -83,14 +79,8 @@ pub(crate) fn go(
         return Ok(Done::Good);
     }
     demands.check_end(arguments.max_error)?;
-    let now = newest(&connection)?;
-    let moved = distance_m(now.tip_position_m, start_m) > MOVED_M;
-    if moved || !rests(&before) || !rests(&now) {
-        bail!(
-            "the tip moved while the way was computed; nothing was sent: try again when it rests"
-        );
-    }
-    let (done, _) = follow(&connection, &way, options)?;
+    check_stands(&connection, &before)?;
+    let (done, _) = follow(&connection, &way, options, |_| Ok(()))?;
     if done == Done::Good {
         let end_m = newest(&connection)?.tip_position_m;
         tell_end(distance_m(end_m, goal_m), arguments.max_error)?;
@@ -98,8 +88,29 @@ pub(crate) fn go(
     Ok(done)
 }
 
+/// How a way is fed that begins where the tip is.
+pub(crate) fn go_options() -> FeedOptions {
+    FeedOptions {
+        track: true,
+        lead: GO_LEAD,
+        ..FeedOptions::default()
+    }
+}
+
+/// Fails where the robot does not rest where it was `before`.
+pub(crate) fn check_stands(connection: &Connection, before: &Telemetry) -> anyhow::Result<()> {
+    let now = newest(connection)?;
+    let moved = distance_m(now.tip_position_m, before.tip_position_m) > MOVED_M;
+    if moved || !rests(before) || !rests(&now) {
+        bail!(
+            "the tip moved while the way was computed; nothing was sent: try again when it rests"
+        );
+    }
+    Ok(())
+}
+
 /// The record of this cycle; a status may be 0.1 s old.
-fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
+pub(crate) fn newest(connection: &Connection) -> anyhow::Result<Telemetry> {
     let record = connection.telemetry()?.next_within(STATUS)?;
     record.context("no telemetry within 1 s: the place of the tip is unknown")
 }
@@ -124,42 +135,51 @@ fn tell_end(left_m: f64, limit_m: f64) -> anyhow::Result<()> {
 }
 
 /// The nearest point that the daemon takes: the tip of a robot that is longer than its model may be farther away.
-fn within(point_m: [f64; 3], reach_m: f64) -> [f64; 3] {
+pub(crate) fn within(point_m: [f64; 3], reach_m: f64) -> [f64; 3] {
     let factor = (0.999 * reach_m / distance_m(point_m, [0.0; 3])).min(1.0);
     point_m.map(|m| factor * m)
 }
 
-fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
+pub(crate) fn distance_m(a: [f64; 3], b: [f64; 3]) -> f64 {
     let squares = a.iter().zip(b).map(|(a, b)| (a - b).powi(2));
     squares.sum::<f64>().sqrt()
 }
 
-/// Feeds a trajectory, and watches the tip.
-fn follow(
+/// Feeds a trajectory, and watches the tip. Where `watch` refuses a record, the robot holds, and that is the error.
+pub(crate) fn follow(
     connection: &Connection,
     trajectory: &dyn Trajectory,
     options: FeedOptions,
+    mut watch: impl FnMut(&Telemetry) -> anyhow::Result<()>,
 ) -> anyhow::Result<(Done, TipError)> {
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new(trajectory.name());
     let mut error = TipError::default();
+    let mut refused = None;
     let report = connection.feed(trajectory, options)?.run(|event| {
         match event {
             FeedEvent::Scheduled { start_ns } => {
                 error.start_ns = start_ns;
                 error.fed_ns = start_ns - options.lead.as_nanos() as u64;
             }
-            FeedEvent::Record(record) => error.take(record),
+            FeedEvent::Record(record) => {
+                error.take(record);
+                refused = watch(record).err();
+            }
             FeedEvent::Progress(progress) => bar.show(&progress),
             _ => {}
         }
-        if interrupt.is_raised() {
+        if refused.is_some() || interrupt.is_raised() {
             ControlFlow::Break(())
         } else {
             ControlFlow::Continue(())
         }
     })?;
     drop(bar);
+    if let Some(refused) = refused {
+        connection.request(RequestKind::Hold)?;
+        return Err(refused.context("the daemon holds"));
+    }
     let done = finish(connection, trajectory.name(), &report)?;
     Ok((done, error))
 }

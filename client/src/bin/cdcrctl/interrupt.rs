@@ -1,8 +1,11 @@
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
+
+/// One for all: a signal that comes between two parts of a command counts for the second.
+static RAISED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
 /// Whether the user or the system wants us to end.
 #[derive(Debug, Clone)]
@@ -13,7 +16,11 @@ pub(crate) struct Interrupt {
 impl Interrupt {
     /// Catches SIGINT, SIGTERM and SIGHUP from now on.
     pub(crate) fn catch() -> io::Result<Self> {
-        let raised = Arc::new(AtomicBool::new(false));
+        if let Some(raised) = RAISED.get() {
+            let raised = Arc::clone(raised);
+            return Ok(Self { raised });
+        }
+        let raised = Arc::clone(RAISED.get_or_init(Arc::default));
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             signal_hook::flag::register(signal, Arc::clone(&raised))?;
         }

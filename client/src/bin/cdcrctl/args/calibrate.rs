@@ -18,6 +18,15 @@ pub(crate) struct CalibrateOptions {
 /// What to calibrate, or to record for it.
 #[derive(Debug, Subcommand)]
 pub(crate) enum CalibrateAction {
+    /// Move the robot so that a calibration can tell all, and record it, from rest to rest where it began
+    #[command(
+        after_help = "Examples:\n  cdcrctl calibrate excite -o moved.csv --dry-run\n  \
+        cdcrctl calibrate excite -o moved.csv --bend-max 1.0\n\n\
+        The tip goes to all sides, near and far, as far and as fast as the bounds allow: large bends tell most. Known obstacles are kept \
+        clear of; where they are in the way, the path is smaller, or refused. The robot has to rest (cdcrctl home --wait), with cable lengths and tip measured. Where anything goes \
+        wrong, Ctrl-C included, it holds, and the rows until then are kept."
+    )]
+    Excite(ExciteOptions),
     /// Record measured cables and tips while something else moves the robot
     #[command(after_help = "Example:\n  cdcrctl calibrate record -o moved.csv\n\n\
         It moves nothing itself: feed references meanwhile that bend every section in every direction. Refused where cable lengths and \
@@ -48,6 +57,25 @@ pub(crate) struct RecordOptions {
     /// How long to record
     #[arg(long, value_name = "TIME", default_value = "60s", value_parser = value::curve_duration)]
     pub(crate) duration: Duration,
+}
+
+/// Options of `calibrate excite`.
+#[derive(Debug, Args)]
+pub(crate) struct ExciteOptions {
+    #[command(flatten)]
+    pub(crate) record: RecordOptions,
+    /// Largest bend of each section, in rad [default: nine tenths of what the robot may]
+    #[arg(long, value_name = "RAD", value_parser = value::positive)]
+    pub(crate) bend_max: Option<f64>,
+    /// Largest rate of each bend, in rad/s [default: half of what the robot may]
+    #[arg(long, value_name = "RAD/S", value_parser = value::positive)]
+    pub(crate) rate_max: Option<f64>,
+    /// Another path for each
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    pub(crate) seed: u64,
+    /// Move and write nothing: say whether all of the path can be reached, how long it is, and what it asks of the robot
+    #[arg(long)]
+    pub(crate) dry_run: bool,
 }
 
 /// Options of `calibrate geometry`.

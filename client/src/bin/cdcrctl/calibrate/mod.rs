@@ -1,5 +1,6 @@
 //! Records what a robot measures, and finds which robot it is.
 
+mod excite;
 mod geometry;
 mod noise;
 mod record;
@@ -13,6 +14,7 @@ use crate::args::{CalibrateAction, CalibrateOptions, Target};
 /// `cdcrctl calibrate …`
 pub(crate) fn run(target: &Target, options: &CalibrateOptions) -> anyhow::Result<Done> {
     match &options.action {
+        CalibrateAction::Excite(options) => excite::run(target, options),
         CalibrateAction::Record(options) => record::run(target, options),
         CalibrateAction::Geometry(options) => geometry::run(target, options),
         CalibrateAction::Noise(options) => noise::run(target, options),

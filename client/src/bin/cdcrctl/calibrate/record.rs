@@ -1,6 +1,7 @@
 use std::collections::VecDeque;
 use std::fs::File;
 use std::io::{BufWriter, Write};
+use std::path::Path;
 
 use anyhow::{Context, ensure};
 use cdcr_shared_types::Telemetry;
@@ -21,14 +22,7 @@ const REMEMBERED: usize = 200;
 pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Done> {
     let mut telemetry = target.connect()?.telemetry()?;
     let first = next(&mut telemetry)?;
-    let sensors = Sensors::of(&first);
-    ensure!(
-        sensors.cables && sensors.tip,
-        "measured are {}: calibration needs cable lengths and the tip, which a driver sends beside them (docs/drivers.md)",
-        sensors.text()
-    );
-    let sections = first.command.sections as usize;
-    let mut rows = Rows::create(options, 3 * sections, first.release_ns)?;
+    let mut rows = Rows::create(&options.output, &first)?;
     let interrupt = Interrupt::catch()?;
     let bar = Bar::new("record");
     let duration_ns = options.duration.as_nanos() as u64;
@@ -40,24 +34,39 @@ pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Do
         bar.show_share(passed_ns as f64 / duration_ns as f64);
     }
     drop(bar);
-    let written = rows.finish()?;
-    ensure!(
-        written > 0,
-        "{}: no row: the tip was not measured meanwhile",
-        options.output.display()
-    );
-    writeln!(
-        std::io::stdout(),
-        "{}: {written} rows in {:.1} s; next: cdcrctl calibrate geometry {0}",
-        options.output.display(),
-        passed_ns as f64 * 1e-9
-    )?;
+    tell(&options.output, rows.finish()?, passed_ns as f64 * 1e-9)?;
     Ok(Done::Good)
 }
 
+/// Refuses a robot of which too little is measured.
+pub(super) fn check_sensors(record: &Telemetry) -> anyhow::Result<()> {
+    let sensors = Sensors::of(record);
+    ensure!(
+        sensors.cables && sensors.tip,
+        "measured are {}: calibration needs cable lengths and the tip, which a driver sends beside them (docs/drivers.md)",
+        sensors.text()
+    );
+    Ok(())
+}
+
+/// Says what was written in `passed_s`, and fails where that is nothing.
+pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()> {
+    let name = output.display();
+    ensure!(
+        rows > 0,
+        "{name}: no row: the tip was not measured meanwhile"
+    );
+    writeln!(
+        std::io::stdout(),
+        "{name}: {rows} rows in {passed_s:.1} s; next: cdcrctl calibrate geometry {name}"
+    )?;
+    Ok(())
+}
+
 /// Rows of cables and tips, as they were at the time of the tip.
-struct Rows {
+pub(super) struct Rows {
     out: csv::Writer<BufWriter<File>>,
+    name: String,
     cables: usize,
     /// When the recording begins \[ns\].
     start_ns: u64,
@@ -70,16 +79,19 @@ struct Rows {
 }
 
 impl Rows {
-    fn create(options: &RecordOptions, cables: usize, start_ns: u64) -> anyhow::Result<Self> {
-        let name = options.output.display();
-        let file =
-            File::create_new(&options.output).with_context(|| format!("cannot write {name}"))?;
+    /// A new file, for what is measured from the cycle of `first` on.
+    pub(super) fn create(output: &Path, first: &Telemetry) -> anyhow::Result<Self> {
+        check_sensors(first)?;
+        let cables = 3 * first.command.sections as usize;
+        let name = output.display().to_string();
+        let file = File::create_new(output).with_context(|| format!("cannot write {name}"))?;
         let mut out = csv::Writer::from_writer(BufWriter::new(file));
         out.write_record(header(cables))?;
         Ok(Self {
             out,
+            name,
             cables,
-            start_ns,
+            start_ns: first.release_ns,
             seen: VecDeque::new(),
             waiting: VecDeque::new(),
             newest_tip_ns: 0,
@@ -87,7 +99,7 @@ impl Rows {
         })
     }
 
-    fn take(&mut self, record: &Telemetry) -> anyhow::Result<()> {
+    pub(super) fn take(&mut self, record: &Telemetry) -> anyhow::Result<()> {
         let measured = &record.measurement;
         let newest_ns = self.seen.back().map_or(0, |(newest_ns, _)| *newest_ns);
         let is_cables = measured.kind == MeasurementKind::CableLengths.code();
@@ -140,13 +152,15 @@ impl Rows {
         let numbers = lengths_m[..self.cables].iter().chain(tip_m);
         let texts = numbers.map(|number| format!("{number:.7}"));
         self.out
-            .write_record([format!("{time_s:.6}")].into_iter().chain(texts))?;
+            .write_record([format!("{time_s:.6}")].into_iter().chain(texts))
+            .with_context(|| format!("cannot write {}", self.name))?;
         self.written += 1;
         Ok(())
     }
 
-    fn finish(mut self) -> anyhow::Result<u64> {
-        self.out.flush()?;
+    pub(super) fn finish(mut self) -> anyhow::Result<u64> {
+        let flushed = self.out.flush();
+        flushed.with_context(|| format!("cannot write {}", self.name))?;
         Ok(self.written)
     }
 }
@@ -154,7 +168,6 @@ impl Rows {
 #[cfg(test)]
 mod tests {
     use std::fs;
-    use std::time::Duration;
 
     use cdcr_scratch::Scratch;
 
@@ -165,11 +178,14 @@ mod tests {
     fn cables_are_taken_at_the_time_of_the_tip() {
         let folder = Scratch::temporary().expect("a folder");
         let output = folder.path().join("a.csv");
-        let options = RecordOptions {
-            output: output.clone(),
-            duration: Duration::from_secs(1),
+        let mut first = Telemetry {
+            release_ns: 4_000_000,
+            tip_measured_ns: 1,
+            ..Telemetry::default()
         };
-        let mut rows = Rows::create(&options, 3, 4_000_000).expect("a new file");
+        first.measurement.kind = MeasurementKind::CableLengths.code();
+        first.command.sections = 1;
+        let mut rows = Rows::create(&output, &first).expect("a new file");
         for cycle in 1..=4_u64 {
             let mut record = Telemetry::default();
             record.measurement.kind = MeasurementKind::CableLengths.code();
@@ -189,6 +205,6 @@ mod tests {
              0.008000,0.0000000,0.2400000,0.0000000,0.0000000,0.0000000,3.0000000\n\
              0.013000,0.0000000,0.3400000,0.0000000,0.0000000,0.0000000,4.0000000\n"
         );
-        assert!(Rows::create(&options, 3, 0).is_err(), "it exists");
+        assert!(Rows::create(&output, &first).is_err(), "it exists");
     }
 }

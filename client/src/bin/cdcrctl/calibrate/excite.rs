@@ -1,0 +1,321 @@
+use core::f64::consts::{FRAC_1_SQRT_2, TAU};
+use std::io::Write;
+use std::time::Duration;
+
+use anyhow::{Context, bail, ensure};
+use cdcr_client::model::robot_of;
+use cdcr_client::{Connection, Trajectory};
+use cdcr_controller::robot::{Configuration, Robot, SectionParameters};
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::RequestKind;
+use nalgebra::Vector3;
+
+use super::record::{Rows, check_sensors, tell};
+use super::resting::rests;
+use crate::Done;
+use crate::args::{ExciteOptions, Target};
+use crate::dry_run::{self, Demands};
+use crate::feed::{MISSED_M, check_stands, distance_m, follow, go_options, newest, within};
+use crate::wait;
+
+/// Without bounds, so much of the bends and rates that the robot may.
+const ROBOT_SHARE: (f64, f64) = (0.9, 0.5);
+/// The ideal robot uses so much of the bounds at the most; the rest is for what the robot is beside its model.
+const IDEAL_SHARE: f64 = 0.95;
+/// A path that takes too much is made smaller and slower so many times, each time by this at least.
+const TRIES: u32 = 12;
+const SMALLER: f64 = 0.97;
+/// A round takes this long at least \[s\], and a path has so many of them at least: fewer do not reach every side of the robot.
+const ROUND_MIN_S: f64 = 15.0;
+const ROUNDS_MIN: f64 = 1.0;
+/// Turns in a round across the robot, in both directions, and along it: no two alike, so that all meet in many ways.
+const TURNS: [f64; 3] = [1.0, 1.25, 1.55];
+/// The path swells and fades in this time \[s\], or a quarter of it.
+const FADE_S: f64 = 5.0;
+/// Of the length of the robot: how far the largest path goes to the side, how high its middle is, and how far it leaves that.
+const SIDE: f64 = 0.444;
+const MIDDLE: f64 = 0.556;
+const HEIGHT: f64 = 0.222;
+/// How long the end is kept, so that the tip comes to rest there \[s\].
+const KEPT_S: f64 = 1.0;
+/// A robot with no larger bend is straight \[rad\]: home is where it began.
+const STRAIGHT_RAD: f64 = 0.02;
+/// How long the end may take.
+const END: Duration = Duration::from_secs(60);
+/// A tip that is farther than this from where it began has not come back \[m\].
+const BACK_M: f64 = 5e-3;
+/// Steps in which the length of the path is measured.
+const STEPS: u32 = 10_000;
+
+/// `cdcrctl calibrate excite`
+pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Done> {
+    let connection = target.connect()?;
+    let before = rests(&mut connection.telemetry()?)?;
+    check_sensors(&before)?;
+    let bounds = Bounds::new(&robot_of(&before.robot)?, options);
+    check_bends(&before, bounds.bend_rad)?;
+    let (excitation, demands) = plan(&connection, &before, bounds, options)?;
+    if options.dry_run {
+        demands.print(excitation.name())?;
+        excitation.print()?;
+        return Ok(Done::Good);
+    }
+    check_stands(&connection, &before)?;
+    let output = &options.record.output;
+    let mut rows = Rows::create(output, &newest(&connection)?)?;
+    let followed = follow(&connection, &excitation, go_options(), |record| {
+        rows.take(record)?;
+        check_bends(record, bounds.bend_rad)
+    });
+    let written = rows.finish();
+    let (done, _) = followed.with_context(|| match &written {
+        Ok(rows) => format!("{}: {rows} rows until then", output.display()),
+        Err(_) => format!("{}: not all rows until then", output.display()),
+    })?;
+    let written = written?;
+    if done == Done::Interrupted {
+        return Ok(done);
+    }
+    tell(output, written, excitation.duration_s())?;
+    // Home is nearer to straight than the tip of a robot that is not its model can be sent.
+    let is_straight = excitation.begins_straight();
+    let end = if is_straight {
+        RequestKind::Home
+    } else {
+        RequestKind::Hold
+    };
+    let done = wait::run(target, end, END)?;
+    if done == Done::Good {
+        let left_m = distance_m(newest(&connection)?.tip_position_m, before.tip_position_m);
+        let left_mm = 1e3 * left_m;
+        ensure!(
+            is_straight || left_m <= BACK_M,
+            "the tip rests {left_mm:.1} mm from where it began"
+        );
+        writeln!(
+            std::io::stdout(),
+            "the tip is {left_mm:.1} mm from where it began"
+        )?;
+    }
+    Ok(done)
+}
+
+/// What the path may ask of the robot: what was asked for, and else a part of what the robot may.
+#[derive(Debug, Clone, Copy)]
+struct Bounds {
+    bend_rad: f64,
+    rate_rad_s: f64,
+}
+
+impl Bounds {
+    fn new(robot: &Robot, options: &ExciteOptions) -> Self {
+        let sections = robot.sections();
+        let least = |of: fn(&SectionParameters) -> f64| {
+            let values = sections.iter().map(of);
+            values.fold(f64::INFINITY, f64::min)
+        };
+        let bend_rad = ROBOT_SHARE.0 * least(|section| section.bend_max_rad);
+        let rate_rad_s = ROBOT_SHARE.1 * least(|section| section.rate_max_rad_s);
+        Self {
+            bend_rad: options.bend_max.unwrap_or(bend_rad),
+            rate_rad_s: options.rate_max.unwrap_or(rate_rad_s),
+        }
+    }
+}
+
+/// The largest and fastest path that the ideal robot follows within `bounds`.
+fn plan(
+    connection: &Connection,
+    record: &Telemetry,
+    bounds: Bounds,
+    options: &ExciteOptions,
+) -> anyhow::Result<(Excitation, Demands)> {
+    let mut excitation = Excitation::new(record, options)?;
+    for _ in 0..TRIES {
+        ensure!(
+            excitation.rounds >= ROUNDS_MIN,
+            "{:.1} s are too short for --rate-max {:.3}; nothing moved: choose a longer --duration",
+            excitation.duration_s(),
+            bounds.rate_rad_s
+        );
+        let demands = dry_run::compute(connection, &excitation, &go_options())?;
+        let (bend_rad, rate_rad_s) = demands.bend_and_rate();
+        let bend_share = IDEAL_SHARE * bounds.bend_rad / bend_rad;
+        let rate_share = IDEAL_SHARE * bounds.rate_rad_s / rate_rad_s;
+        let is_reached = demands.check(MISSED_M);
+        if bend_share >= 1.0 && rate_share >= 1.0 && is_reached.is_ok() {
+            return Ok((excitation, demands));
+        }
+        if bend_share < 1.0 || is_reached.is_err() {
+            excitation.size *= bend_share.min(SMALLER);
+        }
+        if rate_share < 1.0 {
+            excitation.rounds *= rate_share.min(SMALLER);
+        }
+    }
+    bail!(
+        "no path was found on which the robot keeps within {:.3} rad and {:.3} rad/s and clear of obstacles; nothing moved: choose \
+         another --seed, or other bounds",
+        bounds.bend_rad,
+        bounds.rate_rad_s
+    )
+}
+
+/// Fails where a section bends too far.
+fn check_bends(record: &Telemetry, bend_max_rad: f64) -> anyhow::Result<()> {
+    let pairs = record.present_rad.chunks(2).enumerate();
+    for (section, pair) in pairs {
+        let bend_rad = pair[0].hypot(pair[1]);
+        ensure!(
+            bend_rad <= bend_max_rad,
+            "section {} bends by {bend_rad:.3} rad, more than {bend_max_rad:.3} rad",
+            section + 1
+        );
+    }
+    Ok(())
+}
+
+/// The tip goes to all sides, near and far, from rest to rest where it is.
+struct Excitation {
+    robot: Robot,
+    start: Configuration,
+    start_m: Vector3<f64>,
+    /// Where the tip is beside its bends at the beginning \[m\].
+    offset_m: Vector3<f64>,
+    moving_s: f64,
+    /// 1: the largest.
+    size: f64,
+    rounds: f64,
+    /// Of each direction at the beginning \[turns\].
+    phases: [f64; 3],
+}
+
+impl Excitation {
+    fn new(record: &Telemetry, options: &ExciteOptions) -> anyhow::Result<Self> {
+        let robot = robot_of(&record.robot)?;
+        let start = Configuration::from_slice(&record.bend_rad[..robot.coordinate_count()])
+            .context("the daemon does not know the pose of the robot")?;
+        let moving_s = options.record.duration.as_secs_f64();
+        // Multiples of an irrational number: no two seeds have the same.
+        let golden = 0.618_033_988_749_895 * options.seed as f64;
+        Ok(Self {
+            start,
+            start_m: record.tip_position_m.into(),
+            offset_m: record.tip_offset_m.into(),
+            moving_s,
+            size: 1.0,
+            rounds: moving_s / ROUND_MIN_S,
+            phases: [0.0, 1.0, 2.0].map(|i| (i * golden).fract()),
+            robot,
+        })
+    }
+
+    fn begins_straight(&self) -> bool {
+        self.start
+            .as_slice()
+            .iter()
+            .all(|rad| rad.abs() < STRAIGHT_RAD)
+    }
+
+    /// Where it is across the robot and along it, each from -1 to 1, and how much of that it has swollen to.
+    fn sway(&self, time_s: f64) -> ([f64; 3], f64) {
+        let time_s = time_s.clamp(0.0, self.moving_s);
+        let fade_s = FADE_S.min(0.25 * self.moving_s);
+        let edge = (time_s.min(self.moving_s - time_s) / fade_s).min(1.0);
+        // Smooth in position, speed and acceleration.
+        let swell = edge.powi(3) * (10.0 - 15.0 * edge + 6.0 * edge * edge);
+        let turns = self.rounds * time_s / self.moving_s;
+        let sway = |i: usize| (TAU * (turns * TURNS[i] + self.phases[i])).sin();
+        (core::array::from_fn(sway), swell)
+    }
+
+    fn tip_m(&self, time_s: f64) -> Vector3<f64> {
+        let ([x, y, z], swell) = self.sway(time_s);
+        if let [section] = self.robot.sections() {
+            // Its tip has one distance from the base in each direction.
+            let bend_rad = self.size * section.bend_max_rad * FRAC_1_SQRT_2;
+            let mut bends = self.start;
+            for (bend, sway) in bends.as_mut_slice().iter_mut().zip([x, y]) {
+                *bend += swell * (bend_rad * sway - *bend);
+            }
+            return self.robot.tip_position(&bends) + self.offset_m;
+        }
+        let side = self.size * SIDE;
+        let height = 1.0 - self.size * (1.0 - MIDDLE - HEIGHT * z);
+        let goal_m = self.robot.reach_m() * Vector3::new(side * x, side * y, height);
+        self.start_m.lerp(&goal_m, swell)
+    }
+
+    fn print(&self) -> anyhow::Result<()> {
+        let step_s = self.duration_s() / f64::from(STEPS);
+        let points = (0..=STEPS).map(|k| self.position_m(f64::from(k) * step_s));
+        let points: Vec<_> = points.collect();
+        let pairs = points.windows(2);
+        let length_m: f64 = pairs.map(|pair| distance_m(pair[0], pair[1])).sum();
+        let length = format!("{length_m:.2} m of the tip in {:.1} s", self.duration_s());
+        writeln!(std::io::stdout(), "  {:<14}{length}", "length")?;
+        Ok(())
+    }
+}
+
+impl Trajectory for Excitation {
+    fn name(&self) -> &'static str {
+        "exciting path"
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.moving_s + KEPT_S
+    }
+
+    fn position_m(&self, time_s: f64) -> [f64; 3] {
+        within(self.tip_m(time_s).into(), self.robot.reach_m())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use cdcr_controller::robot::RobotParameters;
+
+    use super::*;
+
+    fn excitation(sections: usize, seed: f64) -> Excitation {
+        let robot = Robot::new(&RobotParameters::paper(sections)).expect("a robot");
+        let start = Configuration::from_bend_angles(&vec![[0.3, 1.0]; sections]);
+        Excitation {
+            start_m: robot.tip_position(&start),
+            start,
+            offset_m: Vector3::zeros(),
+            moving_s: 30.0,
+            size: 1.0,
+            rounds: 2.0,
+            phases: [0.0, seed, 2.0 * seed],
+            robot,
+        }
+    }
+
+    #[test]
+    fn it_begins_and_ends_at_rest_where_the_tip_is_and_goes_to_all_sides() {
+        for sections in 1..=6 {
+            let path = excitation(sections, 0.6);
+            let start_m = path.start_m.into();
+            let reach_m = path.robot.reach_m();
+            for end_s in [0.0, 1e-3, 30.0 - 1e-3, 30.0, path.duration_s()] {
+                assert!(distance_m(path.position_m(end_s), start_m) < 1e-6 * reach_m);
+            }
+            let points = (0..3000).map(|k| path.position_m(0.01 * f64::from(k)));
+            let (mut least_m, mut most_m) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+            for point_m in points {
+                assert!(distance_m(point_m, [0.0; 3]) <= reach_m);
+                for axis in 0..3 {
+                    least_m[axis] = least_m[axis].min(point_m[axis]);
+                    most_m[axis] = most_m[axis].max(point_m[axis]);
+                }
+            }
+            for axis in 0..2 {
+                assert!(least_m[axis] < -0.4 * reach_m && most_m[axis] > 0.4 * reach_m);
+            }
+            let other = excitation(sections, 0.2);
+            assert!(distance_m(path.position_m(9.0), other.position_m(9.0)) > 0.01 * reach_m);
+        }
+    }
+}
