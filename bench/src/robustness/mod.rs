@@ -80,11 +80,12 @@ pub struct RobustnessOptions {
     /// Runs of each robot with each controller, each with other noise, 1 to 1000.
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
-    /// Only the ideal robot, which others are compared with, and those with TEXT in their name.
+    /// Only the ideal robot, which others are compared with, and those with TEXT in their name; with --sweep, only the
+    /// presets and the knobs with TEXT in their key.
     #[arg(long, value_name = "TEXT")]
     pub only: Option<String>,
     /// Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md.
-    #[arg(long, conflicts_with_all = ["seeds", "only"])]
+    #[arg(long, conflicts_with = "seeds")]
     pub sweep: bool,
 }
 
@@ -103,24 +104,33 @@ impl Benchmark for RobustnessOptions {
     }
 
     fn resolved(self) -> Result<Self> {
-        ensure!(
-            Scenario::all().iter().any(|scenario| self.names(scenario)),
-            "no robot has {:?} in its name; their names are in docs/robustness.md",
-            self.only.unwrap_or_default()
-        );
+        let only = self.only.as_deref();
+        if self.sweep {
+            ensure!(
+                tuning::knobs(only).next().is_some(),
+                "no knob has {:?} in its key; their keys are in docs/tuning.md",
+                only.unwrap_or_default()
+            );
+        } else {
+            ensure!(
+                Scenario::all().iter().any(|scenario| self.names(scenario)),
+                "no robot has {:?} in its name; their names are in docs/robustness.md",
+                only.unwrap_or_default()
+            );
+        }
         Ok(self)
     }
 
     fn expected_s(&self) -> f64 {
         if self.sweep {
-            return tuning::count() as f64 * RUN_S;
+            return tuning::count(self.only.as_deref()) as f64 * RUN_S;
         }
         f64::from(self.seeds) * self.cases().len() as f64 * RUN_S / cores() as f64
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
         if self.sweep {
-            return tuning::run(RUN_S, progress);
+            return tuning::run(self.only.as_deref(), RUN_S, progress);
         }
         let mut dataset = Dataset {
             name: "robustness",

@@ -107,13 +107,20 @@ const PRESETS: [(&str, Knobs); 4] = [
     ),
 ];
 
-/// Runs.
-pub(super) fn count() -> usize {
-    2 * (PRESETS.len() + KNOBS.iter().map(|knob| knob.values.len()).sum::<usize>())
+/// Those with `only` in their key, or all.
+pub(super) fn knobs(only: Option<&str>) -> impl Iterator<Item = &'static Knob> {
+    KNOBS
+        .iter()
+        .filter(move |knob| only.is_none_or(|only| knob.key.contains(only)))
 }
 
-/// Turns every knob; a run takes about `run_s` \[s\].
-pub(super) fn run(run_s: f64, progress: &mut Progress) -> Result<Dataset> {
+/// Runs.
+pub(super) fn count(only: Option<&str>) -> usize {
+    2 * (PRESETS.len() + knobs(only).map(|knob| knob.values.len()).sum::<usize>())
+}
+
+/// Turns the knobs with `only` in their key; a run takes about `run_s` \[s\].
+pub(super) fn run(only: Option<&str>, run_s: f64, progress: &mut Progress) -> Result<Dataset> {
     let eight = FigureEight::new()?;
     let mut row = |knob: &str, turned_to: String, value: Option<f64>, knobs: &Knobs| {
         interrupt::check()?;
@@ -135,7 +142,7 @@ pub(super) fn run(run_s: f64, progress: &mut Progress) -> Result<Dataset> {
     for (name, knobs) in &PRESETS {
         rows.push(row("preset", (*name).to_owned(), None, knobs)?);
     }
-    for knob in &KNOBS {
+    for knob in knobs(only) {
         let turned = knob.values.iter();
         let turned = turned.map(|value| {
             let is_small = *value > 0.0 && *value < 1e-3;
