@@ -107,7 +107,7 @@ impl Benchmark for RobustnessOptions {
         let only = self.only.as_deref();
         if self.sweep {
             ensure!(
-                tuning::knobs(only).next().is_some(),
+                tuning::is_any(only),
                 "no knob has {:?} in its key; their keys are in docs/tuning.md",
                 only.unwrap_or_default()
             );

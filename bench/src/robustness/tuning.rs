@@ -108,10 +108,15 @@ const PRESETS: [(&str, Knobs); 4] = [
 ];
 
 /// Those with `only` in their key, or all.
-pub(super) fn knobs(only: Option<&str>) -> impl Iterator<Item = &'static Knob> {
+fn knobs(only: Option<&str>) -> impl Iterator<Item = &'static Knob> {
     KNOBS
         .iter()
         .filter(move |knob| only.is_none_or(|only| knob.key.contains(only)))
+}
+
+/// Whether there is one.
+pub(super) fn is_any(only: Option<&str>) -> bool {
+    knobs(only).next().is_some()
 }
 
 /// Runs.
