@@ -118,20 +118,18 @@ pub(crate) fn process_text(process_id: Option<u32>) -> String {
 }
 
 impl LinkError {
-    pub(crate) fn port(service: Service, cause: impl Debug) -> Self {
+    pub(crate) fn port(service: Service, cause: String) -> Self {
         let queues = service.queues();
         Self::Port {
             service: service.key(),
-            cause: ipc::words(&cause),
+            cause,
             writers: queues.publishers,
             readers: queues.watchers(),
         }
     }
 
-    pub(crate) fn askers(cause: impl Debug) -> Self {
-        Self::Askers {
-            cause: ipc::words(&cause),
-        }
+    pub(crate) fn askers(cause: String) -> Self {
+        Self::Askers { cause }
     }
 
     pub(crate) fn memory(service: Service, lack: impl Display) -> Self {

@@ -1,4 +1,3 @@
-use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Header, ipc};
 use iceoryx2::port::publisher::Publisher;
 use iceoryx2::prelude::BackpressureStrategy;
@@ -19,14 +18,17 @@ pub(crate) struct Outlet<T: Message> {
 impl<T: Message> Outlet<T> {
     pub(crate) fn open(service: &Channel<T>, sender: Sender) -> Result<Self, LinkError> {
         let bytes = T::SERVICE.queues().writer_bytes(size_of::<T>());
-        service
-            .ask_space(bytes + PORT_BYTES)
-            .map_err(|lack| LinkError::memory(T::SERVICE, lack))?;
-        let publisher = service
-            .publisher_builder()
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(|cause| LinkError::port(T::SERVICE, ipc::words(&cause)))?;
+        let publisher = service.make_port(
+            T::SERVICE,
+            bytes,
+            |service| {
+                service
+                    .publisher_builder()
+                    .backpressure_strategy(BackpressureStrategy::DiscardData)
+                    .create()
+            },
+            |cause| LinkError::port(T::SERVICE, cause),
+        )?;
         Ok(Self { publisher, sender })
     }
 

@@ -3,7 +3,6 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_shared_types::codes::{Mode, Outcome, RequestKind, UnknownCode};
-use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Request, Response, Service, SolverSettings, ipc};
 use iceoryx2::port::client::Client;
 use iceoryx2::prelude::BackpressureStrategy;
@@ -110,18 +109,20 @@ impl Control {
         if let Some(port) = self.port.get() {
             return Ok(port);
         }
-        self.channel
-            .ask_space(PORT_BYTES)
-            .map_err(|lack| LinkError::memory(Service::Control, lack))?;
         if self.channel.dynamic_config().number_of_clients() >= self.clients_max {
-            return Err(LinkError::askers("all places are taken"));
+            return Err(LinkError::askers("all places are taken".to_owned()));
         }
-        let port = self
-            .channel
-            .client_builder()
-            .backpressure_strategy(BackpressureStrategy::DiscardData)
-            .create()
-            .map_err(|cause| LinkError::askers(ipc::words(&cause)))?;
+        let port = self.channel.make_port(
+            Service::Control,
+            0,
+            |service| {
+                service
+                    .client_builder()
+                    .backpressure_strategy(BackpressureStrategy::DiscardData)
+                    .create()
+            },
+            LinkError::askers,
+        )?;
         Ok(self.port.get_or_init(|| port))
     }
 

@@ -1,9 +1,10 @@
+use core::fmt::Debug;
 use std::io;
 use std::ops::Deref;
 use std::os::unix::fs::MetadataExt;
 use std::path::PathBuf;
 
-use cdcr_shared_types::shm_space::{self, InsufficientSpace};
+use cdcr_shared_types::shm_space::{self, NODE_FILES, PORT_BYTES, PORT_FILES};
 use cdcr_shared_types::{
     Command, Incident, Location, Measurement, ObstacleUpdate, ReferenceChunk, Request, Response,
     Service, Status, Telemetry, ipc,
@@ -12,7 +13,7 @@ use iceoryx2::prelude::Node;
 use iceoryx2::service::port_factory::{publish_subscribe, request_response};
 
 use crate::connect_error::{OpenTrouble, Place};
-use crate::{ConnectError, Message};
+use crate::{ConnectError, LinkError, Message};
 
 /// What a connection takes without further ports \[bytes\]. No more than it needs: a stop has to get in.
 const CONNECTION_BYTES: u64 = 64 * 1024;
@@ -31,9 +32,24 @@ pub(crate) struct Open<S> {
 }
 
 impl<S> Open<S> {
-    /// Whether a port may take `bytes`.
-    pub(crate) fn ask_space(&self, bytes: u64) -> Result<(), InsufficientSpace> {
-        shm_space::ask(&self.root, bytes)
+    /// Makes a port whose messages take `bytes`, where there is room for it. A lack of room may also show while it is made:
+    /// then that is the reason, and not what iceoryx2 calls it.
+    pub(crate) fn make_port<P, E: Debug>(
+        &self,
+        service: Service,
+        bytes: u64,
+        create: impl FnOnce(&S) -> Result<P, E>,
+        refused: impl FnOnce(String) -> LinkError,
+    ) -> Result<P, LinkError> {
+        let ask = || {
+            shm_space::ask(&self.root, bytes + PORT_BYTES, PORT_FILES)
+                .map_err(|lack| LinkError::memory(service, lack))
+        };
+        ask()?;
+        create(&self.service).map_err(|cause| match ask() {
+            Err(lack) => lack,
+            Ok(()) => refused(ipc::words(&cause)),
+        })
     }
 }
 
@@ -62,8 +78,7 @@ pub(crate) struct Services {
 impl Services {
     /// Opens what a daemon has created; creates nothing. [`check_owner`] comes first.
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
-        ask_space(location, place)?;
-        let opener = Opener::new(location, place)?;
+        let opener = Opener::new(location, place, Service::ALL.len())?;
         // The daemon clears away what the dead left, too, but this client may be the one that needs their places.
         location.clear_dead_nodes(DEAD_NODES);
         Ok(Self {
@@ -91,8 +106,7 @@ pub(crate) struct DriverServices {
 impl DriverServices {
     /// As [`Services::open`].
     pub(crate) fn open(location: &Location, place: &Place) -> Result<Self, ConnectError> {
-        ask_space(location, place)?;
-        let opener = Opener::new(location, place)?;
+        let opener = Opener::new(location, place, 3)?;
         location.clear_dead_nodes(DEAD_NODES);
         Ok(Self {
             status: opener.channel()?,
@@ -110,26 +124,26 @@ pub(crate) fn open_control(
     location: &Location,
     place: &Place,
 ) -> Result<ControlChannel, ConnectError> {
-    ask_space(location, place)?;
-    Opener::new(location, place)?.control()
-}
-
-fn ask_space(location: &Location, place: &Place) -> Result<(), ConnectError> {
-    shm_space::ask(location.root(), CONNECTION_BYTES)
-        .map_err(|lack| memory_error(place, &lack.to_string()))
+    Opener::new(location, place, 1)?.control()
 }
 
 struct Opener<'a> {
     node: Node<ipc::Service>,
     place: &'a Place,
+    /// Files that a connection takes without further ports.
+    files: u64,
 }
 
 impl<'a> Opener<'a> {
-    fn new(location: &Location, place: &'a Place) -> Result<Self, ConnectError> {
+    /// Of so many services.
+    fn new(location: &Location, place: &'a Place, services: usize) -> Result<Self, ConnectError> {
+        let files = NODE_FILES + services as u64;
+        ask_space(place, files)?;
         let node = location.client_node_builder()?.create::<ipc::Service>();
         Ok(Self {
-            node: node.map_err(|cause| memory_error(place, &ipc::words(&cause)))?,
+            node: node.map_err(|cause| memory_error(place, files, &ipc::words(&cause)))?,
             place,
+            files,
         })
     }
 
@@ -173,7 +187,7 @@ impl<'a> Opener<'a> {
                 version: env!("CARGO_PKG_VERSION"),
             },
             OpenTrouble::Full => ConnectError::Full { place, service },
-            OpenTrouble::Other(cause) => memory_error(self.place, &cause),
+            OpenTrouble::Other(cause) => memory_error(self.place, self.files, &cause),
         }
     }
 }
@@ -206,9 +220,20 @@ pub(crate) fn check_owner(location: &Location, place: &Place) -> Result<(), Conn
     })
 }
 
-fn memory_error(place: &Place, cause: &str) -> ConnectError {
-    ConnectError::Memory {
+/// Whether there is room for a connection.
+fn ask_space(place: &Place, files: u64) -> Result<(), ConnectError> {
+    shm_space::ask(&place.root, CONNECTION_BYTES, files).map_err(|lack| ConnectError::Memory {
         place: place.clone(),
-        cause: cause.to_owned(),
-    }
+        cause: lack.to_string(),
+    })
+}
+
+/// A lack of room that showed when a connection was made already, else `cause`.
+fn memory_error(place: &Place, files: u64, cause: &str) -> ConnectError {
+    ask_space(place, files)
+        .err()
+        .unwrap_or_else(|| ConnectError::Memory {
+            place: place.clone(),
+            cause: cause.to_owned(),
+        })
 }

@@ -2,7 +2,6 @@ use std::collections::HashMap;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::shm_space::PORT_BYTES;
 use cdcr_shared_types::{Command, Header, Telemetry, ipc};
 use iceoryx2::port::subscriber::Subscriber;
 use iceoryx2::service::port_factory::PortFactory as _;
@@ -37,20 +36,22 @@ impl<T: Message> Stream<T> {
     pub(crate) fn open(service: &Channel<T>) -> Result<Self, LinkError> {
         let readers = service.dynamic_config().number_of_subscribers();
         if readers >= T::SERVICE.queues().watchers() {
-            return Err(LinkError::port(T::SERVICE, "all places are taken"));
+            return Err(LinkError::port(
+                T::SERVICE,
+                "all places are taken".to_owned(),
+            ));
         }
         Self::open_kept(service)
     }
 
     /// For who takes part.
     pub(crate) fn open_kept(service: &Channel<T>) -> Result<Self, LinkError> {
-        service
-            .ask_space(PORT_BYTES)
-            .map_err(|lack| LinkError::memory(T::SERVICE, lack))?;
-        let subscriber = service
-            .subscriber_builder()
-            .create()
-            .map_err(|cause| LinkError::port(T::SERVICE, ipc::words(&cause)))?;
+        let subscriber = service.make_port(
+            T::SERVICE,
+            0,
+            |service| service.subscriber_builder().create(),
+            |cause| LinkError::port(T::SERVICE, cause),
+        )?;
         Ok(Self {
             subscriber,
             gaps: GapCounter::default(),

@@ -52,20 +52,81 @@ impl service::Service for Service {
 
 impl service::internal::ServiceInternal<Service> for Service {}
 
-/// What iceoryx2 says of a failure, in words: `ExceedsMaxSupportedPublishers` → "exceeds max supported publishers".
+/// What users meet of the failures of iceoryx2, and what it means to them.
+const FAILURES: [(&str, &str); 17] = [
+    (
+        "ConnectionBrokenSinceSenderNoLongerExists",
+        "the other side has ended",
+    ),
+    ("ConnectionCorrupted", "the connection is damaged"),
+    ("ConnectionError", NO_CONNECTION),
+    ("ConnectionFailure", NO_CONNECTION),
+    (
+        "ExceedsMaxActiveRequests",
+        "too many requests wait for their answers",
+    ),
+    (
+        "ExceedsMaxBorrows",
+        "too many received messages are held at one time",
+    ),
+    (
+        "ExceedsMaxLoans",
+        "too many messages are written at one time",
+    ),
+    ("ExceedsMaxSupportedClients", ALL_TAKEN),
+    ("ExceedsMaxSupportedPublishers", ALL_TAKEN),
+    ("ExceedsMaxSupportedSubscribers", ALL_TAKEN),
+    (
+        "FailedToEstablishConnection",
+        "its file cannot be made or opened",
+    ),
+    (
+        "InsufficientPermissions",
+        "this user has no right to its files",
+    ),
+    ("InternalError", SYSTEM_REFUSED),
+    ("InternalFailure", SYSTEM_REFUSED),
+    (
+        "UnableToCreateDataSegment",
+        "the memory for its messages cannot be made",
+    ),
+    (
+        "UnableToCreatePortTag",
+        "the file that marks it cannot be made",
+    ),
+    (
+        "UnableToMapSendersDataSegment",
+        "the memory of the sender cannot be mapped",
+    ),
+];
+const ALL_TAKEN: &str = "all places are taken";
+const NO_CONNECTION: &str = "no connection";
+const SYSTEM_REFUSED: &str = "the system refused a file, a lock or memory";
+
+/// What a failure of iceoryx2 means, in words; a cause that has no words here by its name: `SystemCorrupted` → "system
+/// corrupted".
 pub fn words(cause: &dyn Debug) -> String {
+    let names = format!("{cause:?}");
+    let names = names.split(['(', ')']).filter(|name| !name.is_empty());
+    let words: Vec<_> = names
+        .map(|name| {
+            let own = FAILURES.iter().find(|(known, _)| *known == name);
+            own.map_or_else(|| split_name(name), |(_, words)| (*words).to_owned())
+        })
+        .collect();
+    words.join(": ")
+}
+
+fn split_name(name: &str) -> String {
     let mut words = String::new();
-    for character in format!("{cause:?}").chars() {
-        match character {
-            ')' => {}
-            '(' => words.push_str(": "),
-            letter if letter.is_ascii_uppercase() => {
-                if words.ends_with(|before: char| before.is_ascii_alphanumeric()) {
-                    words.push(' ');
-                }
-                words.push(letter.to_ascii_lowercase());
+    for character in name.chars() {
+        if character.is_ascii_uppercase() {
+            if words.ends_with(|before: char| before.is_ascii_alphanumeric()) {
+                words.push(' ');
             }
-            other => words.push(other),
+            words.push(character.to_ascii_lowercase());
+        } else {
+            words.push(character);
         }
     }
     words
@@ -73,23 +134,36 @@ pub fn words(cause: &dyn Debug) -> String {
 
 #[cfg(test)]
 mod tests {
+    use iceoryx2::node::NodeCreationFailure;
     use iceoryx2::port::ReceiveError;
+    use iceoryx2::port::publisher::PublisherCreateError;
     use iceoryx2::port::update_connections::ConnectionFailure;
+    use iceoryx2::service::builder::publish_subscribe::PublishSubscribeOpenError;
     use iceoryx2_cal::zero_copy_connection::ZeroCopyCreationError;
 
-    use super::words;
+    use super::{ALL_TAKEN, FAILURES, SYSTEM_REFUSED, words};
 
     #[test]
     fn failures_are_told_in_words() {
+        assert!(FAILURES.is_sorted_by_key(|(name, _)| name));
         assert_eq!(
-            words(&ReceiveError::ExceedsMaxBorrows),
-            "exceeds max borrows"
+            words(&PublishSubscribeOpenError::InternalFailure),
+            SYSTEM_REFUSED
+        );
+        assert_eq!(
+            words(&PublisherCreateError::ExceedsMaxSupportedPublishers),
+            ALL_TAKEN
         );
         let cause = ZeroCopyCreationError::InternalError;
         let failed = ConnectionFailure::FailedToEstablishConnection(cause);
         assert_eq!(
             words(&ReceiveError::ConnectionFailure(failed)),
-            "connection failure: failed to establish connection: internal error"
+            "no connection: its file cannot be made or opened: the system refused a file, a lock or memory"
+        );
+        // Without words of its own.
+        assert_eq!(
+            words(&NodeCreationFailure::SystemCorrupted),
+            "system corrupted"
         );
     }
 }

@@ -1,39 +1,61 @@
 //! Space in shared memory, asked for before it is used.
 //!
 //! The system looks for memory when a page is first touched, and kills the process that touches one when there is none
-//! left (SIGBUS). A process that asks first can report what is wrong instead.
+//! left (SIGBUS). A process that asks first can report what is wrong instead. The same file system may also run out of
+//! files (inodes), which iceoryx2 reports as an internal error.
 
 use core::fmt::{Display, Formatter};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use rustix::fs::statvfs;
 
 /// What a port takes beside its messages \[bytes\].
 pub const PORT_BYTES: u64 = 64 * 1024;
+/// Files of a port: its mark, its memory, a connection, and one back from the daemon.
+pub const PORT_FILES: u64 = 4;
+/// Files of a node without services: its folder, its description, three that show that it lives. Each service adds one.
+pub const NODE_FILES: u64 = 5;
 
 /// There is less space than is needed.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct InsufficientSpace {
-    /// The folder whose file system is full.
-    pub folder: PathBuf,
-    /// What is needed \[bytes\].
-    pub needed_bytes: u64,
-    /// What is free \[bytes\].
-    pub free_bytes: u64,
+    /// Where the file system is mounted that is full.
+    pub mount: PathBuf,
+    /// Of what there is too little.
+    pub resource: Resource,
+    /// What is needed.
+    pub needed: u64,
+    /// What is free.
+    pub free: u64,
+}
+
+/// What a file system can be short of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Resource {
+    /// Memory \[bytes\].
+    Bytes,
+    /// Files (inodes).
+    Files,
 }
 
 impl Display for InsufficientSpace {
     fn fmt(&self, f: &mut Formatter<'_>) -> core::fmt::Result {
-        let mb = |bytes: u64| bytes as f64 * 1e-6;
-        let folder = self.folder.display();
-        write!(
-            f,
-            "the memory of {folder} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed, or \
-             make it larger (find its mount point with df {folder}, then sudo mount -o remount,size=256M on that; a \
-             container: --shm-size=256m)",
-            mb(self.needed_bytes),
-            mb(self.free_bytes)
-        )
+        let (mount, needed, free) = (self.mount.display(), self.needed, self.free);
+        match self.resource {
+            Resource::Bytes => write!(
+                f,
+                "the memory of {mount} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed (ls -l {mount}), \
+                 or make it larger (mount -o remount,size=256M {mount}; a container: --shm-size=256m)",
+                needed as f64 * 1e-6,
+                free as f64 * 1e-6
+            ),
+            Resource::Files => write!(
+                f,
+                "{mount} has too few inodes left: {needed} files are needed, {free} can be made; remove files that are not \
+                 needed (ls -l {mount}), or allow more (mount -o remount,nr_inodes=100k {mount})"
+            ),
+        }
     }
 }
 
@@ -43,19 +65,39 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
     (sizes.f_blocks > 0).then_some(sizes.f_bavail * sizes.f_frsize)
 }
 
-/// Checks that `folder` has `needed_bytes` free. Where the system does not tell, it has.
+fn free_files(folder: &Path) -> Option<u64> {
+    let sizes = statvfs(folder).ok()?;
+    (sizes.f_files > 0).then_some(sizes.f_favail)
+}
+
+/// Checks that `folder` has `needed_bytes` free and room for `needed_files`. Where the system does not tell, it has.
 ///
 /// # Errors
 /// There is less.
-pub fn ask(folder: &Path, needed_bytes: u64) -> Result<(), InsufficientSpace> {
-    match free_bytes(folder) {
-        Some(free_bytes) if free_bytes < needed_bytes => Err(InsufficientSpace {
-            folder: folder.to_owned(),
-            needed_bytes,
-            free_bytes,
-        }),
-        _ => Ok(()),
+pub fn ask(folder: &Path, needed_bytes: u64, needed_files: u64) -> Result<(), InsufficientSpace> {
+    let asked = [
+        (Resource::Bytes, needed_bytes, free_bytes(folder)),
+        (Resource::Files, needed_files, free_files(folder)),
+    ];
+    for (resource, needed, free) in asked {
+        if let Some(free) = free.filter(|free| *free < needed) {
+            return Err(InsufficientSpace {
+                mount: mount_point(folder),
+                resource,
+                needed,
+                free,
+            });
+        }
     }
+    Ok(())
+}
+
+/// The topmost folder of the file system in which `folder` is.
+pub fn mount_point(folder: &Path) -> PathBuf {
+    let device = |folder: &Path| folder.metadata().map(|folder| folder.dev()).ok();
+    let own = device(folder);
+    let same = folder.ancestors().take_while(|above| device(above) == own);
+    same.last().unwrap_or(folder).to_owned()
 }
 
 #[cfg(test)]
@@ -65,25 +107,31 @@ mod tests {
     #[test]
     fn more_than_there_is_is_refused_with_the_numbers() {
         let folder = std::env::temp_dir();
-        assert_eq!(ask(&folder, 0), Ok(()));
-        let lack = ask(&folder, u64::MAX).expect_err("nobody has so much");
-        let InsufficientSpace {
-            needed_bytes,
-            free_bytes,
-            ..
-        } = lack;
-        assert!(needed_bytes == u64::MAX && free_bytes < u64::MAX);
-        let (text, folder) = (lack.to_string(), folder.display().to_string());
-        assert!(
-            text.contains(&folder) && text.contains("MB are free"),
-            "{text}"
-        );
+        assert_eq!(ask(&folder, 0, 0), Ok(()));
+        for (bytes, files, resource, words) in [
+            (u64::MAX, 0, Resource::Bytes, "MB are free"),
+            (0, u64::MAX, Resource::Files, "nr_inodes="),
+        ] {
+            if resource == Resource::Files && free_files(&folder).is_none() {
+                continue;
+            }
+            let lack = ask(&folder, bytes, files).expect_err("nobody has so much");
+            assert!(lack.resource == resource && lack.needed == u64::MAX && lack.free < u64::MAX);
+            let (text, mount) = (lack.to_string(), mount_point(&folder).display().to_string());
+            assert!(text.contains(&mount) && text.contains(words), "{text}");
+        }
     }
 
     #[test]
     fn a_folder_without_a_limit_has_room_for_everything() {
         let folder = Path::new("/proc");
         assert_eq!(free_bytes(folder), None);
-        assert_eq!(ask(folder, u64::MAX), Ok(()));
+        assert_eq!(ask(folder, u64::MAX, u64::MAX), Ok(()));
+    }
+
+    #[test]
+    fn the_file_system_of_a_folder_begins_where_it_is_mounted() {
+        assert_eq!(mount_point(Path::new("/proc/self")), Path::new("/proc"));
+        assert_eq!(mount_point(Path::new("/")), Path::new("/"));
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use cdcr_shared_types::shm_space::mount_point;
 use rustix::fs::statvfs;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::process::{Resource, geteuid, getrlimit};
@@ -11,7 +12,6 @@ use super::plan::Plan;
 use super::system::System;
 use crate::instance::is_in_memory;
 use crate::rt::sys;
-use crate::services::mount_point;
 
 #[derive(Debug, Clone)]
 pub(crate) struct Probe {

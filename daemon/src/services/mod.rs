@@ -2,7 +2,7 @@
 
 use std::fmt::Debug;
 
-use cdcr_shared_types::shm_space::{InsufficientSpace, PORT_BYTES};
+use cdcr_shared_types::shm_space::{InsufficientSpace, NODE_FILES, PORT_BYTES, PORT_FILES};
 use cdcr_shared_types::{
     Command, Header, Incident, Location, Measurement, ObstacleUpdate, QueueLengths, ReferenceChunk,
     Request, Response, Service, Telemetry, ipc,
@@ -25,7 +25,7 @@ pub mod stale;
 use shm_space::ShmSpace;
 
 pub use inlet::{Inlet, Received};
-pub use shm_space::{daemon_bytes, mount_point};
+pub use shm_space::daemon_bytes;
 
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
@@ -49,6 +49,7 @@ pub enum ServiceError {
          a client of another version may hold it open: end the clients, or use another prefix"
     )]
     Service {
+        /// Its name.
         service: String,
         /// What iceoryx2 says.
         cause: String,
@@ -58,34 +59,21 @@ pub enum ServiceError {
         "another process writes to the service {service} already\n\
          another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
     )]
-    Taken { service: String },
+    Taken {
+        /// Its name.
+        service: String,
+    },
     /// Shared memory has less room than is needed.
     #[error(
-        "shared memory ({mount}) is full: {what} needs {needed_mb:.1} MB, {free_mb:.1} MB are free\n\
-         remove what is not needed (ls -l {mount}), or make it larger \
-         (sudo mount -o remount,size=256M {mount}; a container: --shm-size=256m); cdcrd doctor shows how much it should have"
+        "shared memory has no room for {what}: {lack}\n\
+         cdcrd doctor shows how much memory it should have"
     )]
     Full {
-        /// The file system that is full.
-        mount: String,
         /// Who needs it.
         what: String,
-        /// How much \[MB\].
-        needed_mb: f64,
-        /// How much there is \[MB\].
-        free_mb: f64,
+        /// How much, and what there is.
+        lack: InsufficientSpace,
     },
-}
-
-impl ServiceError {
-    fn full(what: String, lack: &InsufficientSpace) -> Self {
-        Self::Full {
-            mount: mount_point(&lack.folder).display().to_string(),
-            what,
-            needed_mb: lack.needed_bytes as f64 * 1e-6,
-            free_mb: lack.free_bytes as f64 * 1e-6,
-        }
-    }
 }
 
 /// An iceoryx2 node at `location`. Creating it removes what dead processes left behind.
@@ -100,8 +88,13 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
     };
     let room = ShmSpace::new(location.root(), &location.file_prefix());
     // What a dead daemon left here is removed with it, and what another thread made here is ours.
-    room.ask(daemon_bytes().saturating_sub(room.taken_bytes()))
-        .map_err(|lack| ServiceError::full("the daemon".to_owned(), &lack))?;
+    let needed_bytes = daemon_bytes().saturating_sub(room.taken_bytes());
+    // With the folders of nodes and services.
+    room.ask(needed_bytes, NODE_FILES + 2)
+        .map_err(|lack| ServiceError::Full {
+            what: "the daemon".to_owned(),
+            lack,
+        })?;
     let mut config = location
         .iceoryx2_config()
         .map_err(|cause| error(cause.to_string()))?;
@@ -183,12 +176,14 @@ fn with_room<P>(
     create: impl FnOnce() -> Result<P, ServiceError>,
 ) -> Result<P, ServiceError> {
     let full = |lack: InsufficientSpace| {
-        let service = format!("the service {}", full_name(service, robot));
-        ServiceError::full(service, &lack)
+        let what = format!("the service {}", full_name(service, robot));
+        ServiceError::Full { what, lack }
     };
     let room = ShmSpace::of(node);
-    room.ask(bytes + PORT_BYTES).map_err(full)?;
-    let port = create()?;
+    // The service itself has two files, and a mark at the node.
+    let ask = || room.ask(bytes + PORT_BYTES, PORT_FILES + 3).map_err(full);
+    ask()?;
+    let port = create().or_else(|refused| ask().and(Err(refused)))?;
     room.take().map_err(full)?;
     Ok(port)
 }

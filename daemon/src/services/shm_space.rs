@@ -8,7 +8,9 @@ use std::fs::{File, OpenOptions};
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
-use cdcr_shared_types::shm_space::{self, InsufficientSpace, PORT_BYTES, free_bytes};
+use cdcr_shared_types::shm_space::{
+    self, InsufficientSpace, PORT_BYTES, Resource, free_bytes, mount_point,
+};
 use cdcr_shared_types::{
     Command, Incident, Response, Service, Status, Telemetry, ipc, memory_files,
 };
@@ -63,9 +65,13 @@ impl ShmSpace {
         }
     }
 
-    /// Whether `needed_bytes` are free. Where the system does not tell, they are.
-    pub(super) fn ask(&self, needed_bytes: u64) -> Result<(), InsufficientSpace> {
-        shm_space::ask(&self.root, needed_bytes)
+    /// Whether `needed_bytes` are free, and room for `needed_files`. Where the system does not tell, they are.
+    pub(super) fn ask(
+        &self,
+        needed_bytes: u64,
+        needed_files: u64,
+    ) -> Result<(), InsufficientSpace> {
+        shm_space::ask(&self.root, needed_bytes, needed_files)
     }
 
     /// Has every page of the files allocated; what they hold stays.
@@ -77,9 +83,10 @@ impl ShmSpace {
             };
             if fallocate(&file, FallocateFlags::empty(), 0, size) == Err(Errno::NOSPC) {
                 return Err(InsufficientSpace {
-                    folder: self.root.clone(),
-                    needed_bytes: size,
-                    free_bytes: free_before.unwrap_or(0),
+                    mount: mount_point(&self.root),
+                    resource: Resource::Bytes,
+                    needed: size,
+                    free: free_before.unwrap_or(0),
                 });
             }
             free_before = free_bytes(&self.root);
@@ -100,14 +107,6 @@ impl ShmSpace {
             .into_iter()
             .filter_map(open)
     }
-}
-
-/// The topmost folder of the file system in which `folder` is.
-pub fn mount_point(folder: &Path) -> PathBuf {
-    let device = |folder: &Path| folder.metadata().map(|folder| folder.dev()).ok();
-    let own = device(folder);
-    let same = folder.ancestors().take_while(|above| device(above) == own);
-    same.last().unwrap_or(folder).to_owned()
 }
 
 #[cfg(test)]
@@ -148,21 +147,21 @@ mod tests {
         let Some(free_bytes) = free_bytes(&room.root) else {
             return;
         };
-        let refused = room.ask(u64::MAX).unwrap_err();
-        assert_eq!(refused.needed_bytes, u64::MAX);
-        assert!(room.ask(0).is_ok());
-        let error = ServiceError::full("the daemon".to_owned(), &refused).to_string();
+        let refused = room.ask(u64::MAX, 0).unwrap_err();
+        assert_eq!(refused.needed, u64::MAX);
+        assert!(room.ask(0, 0).is_ok());
+        let free = refused.free;
+        let what = "the daemon".to_owned();
+        let error = ServiceError::Full {
+            what,
+            lack: refused,
+        }
+        .to_string();
         assert!(
             error.contains("/dev/shm") && error.contains("MB"),
             "{error}"
         );
         // Others use it, too: what is free now was about that a moment ago.
-        assert!(refused.free_bytes / 2 < free_bytes, "{error}");
-    }
-
-    #[test]
-    fn the_file_system_of_a_folder_begins_where_it_is_mounted() {
-        assert_eq!(mount_point(Path::new("/proc/self")), Path::new("/proc"));
-        assert_eq!(mount_point(Path::new("/")), Path::new("/"));
+        assert!(free / 2 < free_bytes, "{error}");
     }
 }

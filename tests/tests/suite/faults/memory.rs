@@ -29,8 +29,12 @@ fn is_root() -> bool {
 impl SmallMemory {
     /// None: the system does not let us; it is said why.
     fn new(kilobytes: u32) -> Option<Self> {
-        let mount =
-            format!("mount -t tmpfs -o size={kilobytes}k tmpfs /dev/shm && echo ready && exec cat");
+        Self::mounted(&format!("size={kilobytes}k"))
+    }
+
+    /// With these options of the mount.
+    fn mounted(options: &str) -> Option<Self> {
+        let mount = format!("mount -t tmpfs -o {options} tmpfs /dev/shm && echo ready && exec cat");
         let mut command = Command::new("unshare");
         if !is_root() {
             command.arg("--map-root-user");
@@ -105,6 +109,20 @@ impl SmallMemory {
         let script = format!(
             "rm -f /dev/shm/fill; free=$(df -k --output=avail /dev/shm | tail -1)\n\
              head -c $(( (free - {kilobytes}) * 1024 )) /dev/zero > /dev/shm/fill"
+        );
+        let output = self.shell(&script);
+        assert!(output.status.success(), "{}", text(&output));
+    }
+
+    /// Takes all files that are left but `files`.
+    fn fill_files(&self, files: u32) {
+        // The daemon may still remove what the client before left: twice the same, then there is no more.
+        let script = format!(
+            "mkdir -p /dev/shm/fill; cd /dev/shm/fill; name=0; calm=0\n\
+             while [ $calm -lt 3 ]; do\n\
+             if [ $(stat -f -c %d .) -eq {files} ]; then calm=$((calm + 1)); sleep 0.2; continue; fi\n\
+             calm=0; rm -f $(ls | head -{files})\n\
+             while [ $(stat -f -c %d .) -gt {files} ]; do : > $name.$$; name=$((name + 1)); done; done"
         );
         let output = self.shell(&script);
         assert!(output.status.success(), "{}", text(&output));
@@ -238,6 +256,48 @@ fn a_stop_gets_through_to_a_daemon_without_room_for_clients() {
     let other = memory.cdcrctl(&["hold"]);
     assert!(text(&other).contains("is full"), "{}", text(&other));
     memory.shell("rm /dev/shm/fill");
+    wait_until("it is stopped", || {
+        let status = memory.status();
+        status.is_some_and(|status| status["mode"].as_str() == Some(Mode::Stopped.text()))
+    });
+    daemon.signal(Signal::TERM);
+    assert_eq!(daemon.output().status.code(), Some(0));
+}
+
+#[test]
+fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through() {
+    for inodes in [8, 30, 50] {
+        let Some(memory) = SmallMemory::mounted(&format!("size=64000k,nr_inodes={inodes}")) else {
+            return;
+        };
+        let output = memory.daemon("").output().unwrap();
+        assert_eq!(output.status.code(), Some(71), "{}", text(&output));
+        assert!(text(&output).contains("nr_inodes="), "{}", text(&output));
+    }
+    let Some(memory) = SmallMemory::mounted("size=64000k,nr_inodes=400") else {
+        return;
+    };
+    let mut daemon = Program::start(&mut memory.daemon("[cycle]\nmiss_limit = 1000000\n"));
+    wait_until("the daemon is up", || memory.status().is_some());
+    // Without any, and where each client gets stuck somewhere else on its way in.
+    for files in [0, 3, 6, 8, 12, 16] {
+        memory.fill_files(files);
+        for request in ["status", "reset", "stop"] {
+            let output = memory.cdcrctl(&[request]);
+            let printed = text(&output);
+            println!("{files} files left, cdcrctl {request}: {printed}");
+            let got_in = output.status.success();
+            assert!(!got_in || files > 8, "{request}: {printed}");
+            assert!(got_in || printed.contains("nr_inodes="), "{printed}");
+            let is_vague = printed.contains("internal") || printed.contains("held up");
+            assert!(!is_vague, "{printed}");
+            if request == "stop" && !got_in {
+                assert!(printed.contains("SIGUSR1"), "{printed}");
+            }
+        }
+        assert!(daemon.runs());
+    }
+    memory.shell("rm -r /dev/shm/fill");
     wait_until("it is stopped", || {
         let status = memory.status();
         status.is_some_and(|status| status["mode"].as_str() == Some(Mode::Stopped.text()))
