@@ -106,6 +106,7 @@ mod tests {
 
     #[test]
     fn settings_round_trip_and_unsupported_ones_are_refused() {
+        const PERIOD_NS: u64 = 5_000_000;
         let nmpc = NmpcSettings {
             solver: SolverKind::Kpso,
             seed: 99,
@@ -117,17 +118,18 @@ mod tests {
             budget_ns: 400_000,
         };
         assert_eq!(
-            settings_from_wire(&settings_to_wire(&settings)),
+            settings_from_wire(&settings_to_wire(&settings), PERIOD_NS),
             Ok(settings)
         );
         let with = |change: fn(&mut wire::SolverSettings)| {
             let mut message = settings_to_wire(&settings);
             change(&mut message);
-            settings_from_wire(&message)
+            settings_from_wire(&message, PERIOD_NS)
         };
         assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
+        assert!(with(|m| m.budget_ns = PERIOD_NS).is_ok());
         assert_eq!(
-            with(|m| m.budget_ns = 100_000_001),
+            with(|m| m.budget_ns = PERIOD_NS + 1),
             Err(Outcome::OutOfRange)
         );
         assert_eq!(

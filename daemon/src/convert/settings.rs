@@ -7,9 +7,6 @@ use cdcr_shared_types::codes::{self, Outcome};
 
 use crate::handover::{ChangedSettings, Settings};
 
-/// Longest budget of a solve that can be asked for \[ns\]: the longest period.
-const BUDGET_MAX_NS: u64 = 100_000_000;
-
 /// Both conversions, and the changes of a configuration, from one list: choices with their enumerations, then numbers. A field
 /// that is missing does not compile.
 macro_rules! both_ways {
@@ -65,16 +62,19 @@ both_ways! {
     obstacle_square_penalty, seed,
 }
 
-/// Settings from the wire, checked.
+/// Settings from the wire, checked for a daemon of this period.
 ///
 /// # Errors
 /// `UnknownCode` or `OutOfRange`.
-pub fn settings_from_wire(message: &wire::SolverSettings) -> Result<Settings, Outcome> {
+pub fn settings_from_wire(
+    message: &wire::SolverSettings,
+    period_ns: u64,
+) -> Result<Settings, Outcome> {
     if message.reserved != 0 {
         return Err(Outcome::UnknownCode);
     }
     let budget_ns = message.budget_ns;
-    if budget_ns > BUDGET_MAX_NS {
+    if budget_ns > period_ns {
         return Err(Outcome::OutOfRange);
     }
     let nmpc = nmpc_from_wire(message)?;

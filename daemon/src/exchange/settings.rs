@@ -1,7 +1,7 @@
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::Outcome;
 
-use crate::config::Config;
+use crate::config::{Config, ns};
 use crate::convert;
 use crate::handover::{ChangedSettings, Settings};
 
@@ -11,6 +11,8 @@ pub(super) struct SettingsInForce {
     pub(super) settings: Settings,
     /// Grows with each change.
     pub(super) revision: u64,
+    /// Of the cycle: no solve may take longer \[ns\].
+    period_ns: u64,
     /// The least safe distance that clients may set: the configured one \[m\].
     safe_distance_min_m: f64,
     /// The safe distance that a client set last; 0: none has \[m\].
@@ -23,14 +25,15 @@ impl SettingsInForce {
         Self {
             settings: Settings::new(config),
             revision: 0,
+            period_ns: ns(config.cycle.period_ms),
             safe_distance_min_m: config.controller.safe_distance_m,
             safe_distance_set_m: 0.0,
         }
     }
 
-    /// Nobody who is connected may let the body come nearer than the configuration does.
+    /// Nobody who is connected may let the body come nearer than the configuration does, or a solve take longer than a period.
     pub(super) fn change(&mut self, wanted: &SolverSettings) -> Outcome {
-        match convert::settings_from_wire(wanted) {
+        match convert::settings_from_wire(wanted, self.period_ns) {
             Ok(settings) if settings.nmpc.safe_distance_m < self.safe_distance_min_m => {
                 Outcome::OutOfRange
             }

@@ -25,8 +25,9 @@ const BUDGET: Setting = Setting {
     key: "budget_ms",
     field: "budget_ns",
 };
-/// Longest budget \[ms\]: the longest period.
+/// Longest budget \[ms\]: the longest period that a daemon can have. Its own period bounds it further.
 const BUDGET_MS: RangeInclusive<f64> = 0.0..=100.0;
+const BUDGET_NOTE: &str = "; 0: all that is left of the period";
 
 impl From<&'static Parameter> for Setting {
     fn from(parameter: &'static Parameter) -> Self {
@@ -105,6 +106,10 @@ impl Setting {
                 number_text(status.safe_distance_min_m),
                 number_text(*range.end())
             ),
+            Some(_) if self == BUDGET => {
+                let period_ms = number_text(status.period_ns as f64 / 1e6);
+                format!("0 to {period_ms}{BUDGET_NOTE}")
+            }
             _ => self.allowed(),
         }
     }
@@ -114,6 +119,7 @@ impl Setting {
         let words = self.words();
         let range = match (words.split_last(), self.range()) {
             (Some((last, others)), _) => format!("{} or {last}", others.join(", ")),
+            (None, Some(_)) if self == BUDGET => "0 to the period of the daemon".to_owned(),
             (None, Some(range)) => {
                 format!(
                     "{} to {}",
@@ -126,7 +132,7 @@ impl Setting {
         let note = match self.key {
             "control_blocks" => "; at most horizon_steps; 0: as many",
             "regenerate_after" => "; 0: never",
-            "budget_ms" => "; 0: all that is left of the period",
+            "budget_ms" => BUDGET_NOTE,
             _ => "",
         };
         range + note
@@ -269,7 +275,7 @@ mod tests {
             ("solver=newton", "kpso, gauss-newton or kpso-refined"),
             ("position_weight=0", "1e-12 to 1e12"),
             ("inertia=NaN", "0 to 1"),
-            ("budget_ms=-1", "0 to 100"),
+            ("budget_ms=-1", "0 to the period of the daemon;"),
             ("seed=-1", "0 to 18446744073709551615"),
         ] {
             let error = Change::parse(text).expect_err(text);

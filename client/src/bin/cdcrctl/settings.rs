@@ -145,6 +145,14 @@ fn broken_bound(wanted: &SolverSettings, status: &Status) -> Option<String> {
             "safe_distance_m = {wanted_m} is less than the configuration of the daemon allows: at least {least_m}"
         ));
     }
+    if wanted.budget_ns > status.period_ns {
+        let ms = |ns: u64| ns as f64 / 1e6;
+        return Some(format!(
+            "budget_ms = {} is longer than the period of the daemon: at most {}",
+            ms(wanted.budget_ns),
+            ms(status.period_ns)
+        ));
+    }
     let rules = NmpcSettings {
         horizon_steps: wanted.horizon_steps,
         control_blocks: wanted.control_blocks,
@@ -196,13 +204,14 @@ mod tests {
         assert_eq!((settings.seed, settings.budget_ns), (u64::MAX, 2_500_000));
         let status = Status {
             safe_distance_min_m: 0.02,
+            period_ns: 5_000_000,
             ..Status::default()
         };
         let table = table(settings, &status).expect("formatted");
         for line in [
             "solver                    gauss-newton   kpso, gauss-newton or kpso-refined\n",
             "damping                   1e-14          1e-20 to 1\n",
-            "budget_ms                 2.5            0 to 100; 0: all that is left of the period\n",
+            "budget_ms                 2.5            0 to 5; 0: all that is left of the period\n",
             "safe_distance_m           0              0.02 to 10; no less than in the configuration\n",
         ] {
             assert!(table.contains(line), "{line} in\n{table}");
@@ -213,6 +222,7 @@ mod tests {
     fn a_refusal_names_the_bound_that_was_broken() {
         let status = Status {
             safe_distance_min_m: 0.01,
+            period_ns: 5_000_000,
             ..Status::default()
         };
         let legal = SolverSettings {
@@ -224,6 +234,10 @@ mod tests {
         assert_eq!(broken_bound(&legal, &status), None);
         for (change, bound) in [
             ("safe_distance_m=0.005", "at least 0.01"),
+            (
+                "budget_ms=9",
+                "budget_ms = 9 is longer than the period of the daemon: at most 5",
+            ),
             (
                 "control_blocks=3",
                 "control_blocks = 3 is out of range: allowed is 0 to 2",

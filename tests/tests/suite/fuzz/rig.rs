@@ -173,7 +173,7 @@ impl Rig {
         if kind != RequestKind::Settings {
             return false;
         }
-        let settings = convert::settings_from_wire(&request.settings);
+        let settings = convert::settings_from_wire(&request.settings, self.period_ns);
         let taken = settings.map(|settings| {
             self.inputs.settings = settings;
             self.inputs.settings_revision += 1;

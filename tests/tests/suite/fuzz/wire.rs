@@ -128,7 +128,7 @@ fn judge_request(request: &message::Request) -> bool {
         assert_eq!(mode_request(kind, 0).is_some(), is_mode, "{kind:?}");
         return true;
     }
-    let Ok(settings) = settings_from_wire(&request.settings) else {
+    let Ok(settings) = settings_from_wire(&request.settings, PERIOD_NS) else {
         return false;
     };
     let echo = message::SolverSettings {

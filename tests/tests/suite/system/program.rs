@@ -335,6 +335,12 @@ fn settings_are_shown_and_changed_by_their_keys() {
     // More blocks than steps: in the range of the key, but not for the daemon.
     let out_of_range = "control_blocks = 5 is out of range: allowed is 0 to 4";
     refused("control_blocks=5", 1, out_of_range);
+    // As the configuration of a daemon of 5 ms has it.
+    refused(
+        "budget_ms=9",
+        1,
+        "budget_ms = 9 is longer than the period of the daemon: at most 5",
+    );
     refused("horizon=5", 2, "did you mean horizon_steps?");
     assert_eq!(shown(), expected, "a refusal changes nothing");
 }

@@ -81,7 +81,8 @@ fn approach_of(record: &Telemetry) -> Approach {
 
 /// Computes the solve of a record again; the rates that it wants.
 fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> BendRates {
-    let settings = convert::settings_from_wire(&record.settings).expect("they were in force");
+    let settings = convert::settings_from_wire(&record.settings, record.period_ns);
+    let settings = settings.expect("they were in force");
     let settings = settings.nmpc;
     let period_s = record.period_ns as f64 * 1e-9;
     let mut nmpc = Nmpc::new(robot.clone(), period_s, settings).expect("they were in force");

@@ -280,7 +280,7 @@ impl<'a> Director<'a> {
             control_blocks: dice.below(2),
             swarm_size: dice.pick(&[1, 6, 40, 512]),
             swarm_iterations: dice.pick(&[0, 10, 30, 1000]),
-            budget_ns: dice.pick(&[0, 1_000, 200_000, 3_000_000, 100_000_000]),
+            budget_ns: dice.pick(&[0, 1_000, 200_000, 3_000_000, 5_000_000]),
             safe_distance_m: dice.between(0.01, 0.04),
             seed: u64::from(dice.below(u32::MAX)),
             ..first
