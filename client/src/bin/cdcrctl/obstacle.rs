@@ -110,16 +110,36 @@ fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
             add.id
         );
     }
-    let norm = |v: [f64; 3]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
-    let nearest_m = norm(add.at).min(norm(add.to.unwrap_or(add.at))) - add.radius;
+    let from_base_m = distance_m(add.at, add.to.unwrap_or(add.at)) - add.radius;
     let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
-    if !add.far && nearest_m > FAR * reach_m {
+    let odd = if from_base_m > FAR * reach_m {
+        format!("is {from_base_m:.1} m away")
+    } else if from_base_m < 0.0 {
+        format!("contains the base, which is {:.3} m inside", -from_base_m)
+    } else {
+        return Ok(());
+    };
+    if !add.far {
         bail!(
-            "the obstacle is {nearest_m:.1} m away, and the robot {reach_m:.2} m long: are these millimetres?\n--at, --to and \
-             --radius are in m: 150 mm are 0.15. If it is really so far away: --far"
+            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\n--at, --to and \
+             --radius are in m: 150 mm are 0.15. If it is really there: --far"
         );
     }
     Ok(())
+}
+
+/// From the base, the origin, to a segment \[m\].
+fn distance_m(start: [f64; 3], end: [f64; 3]) -> f64 {
+    let dot = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let along: [f64; 3] = std::array::from_fn(|i| end[i] - start[i]);
+    let squared = dot(along, along);
+    let part = if squared > 0.0 {
+        (-dot(start, along) / squared).clamp(0.0, 1.0)
+    } else {
+        0.0
+    };
+    let nearest: [f64; 3] = std::array::from_fn(|i| start[i] + part * along[i]);
+    dot(nearest, nearest).sqrt()
 }
 
 /// What to do, in the words of this command where it has its own.
@@ -187,6 +207,8 @@ mod tests {
             // A wall, and a machine across the hall.
             ([0.0, 0.0, -1000.0], 999.9, true),
             ([8.0, 0.0, 0.0], 1.0, true),
+            // The radius alone is in mm: the base is inside.
+            ([0.5, 0.6, 0.1], 20.0, false),
         ] {
             let said = check(&add(at, radius), &status());
             assert_eq!(said.is_ok(), is_legal, "{at:?}: {said:?}");
@@ -201,6 +223,17 @@ mod tests {
             ..add([50.0, 0.0, 0.0], 0.1)
         };
         assert!(check(&capsule, &status()).is_ok(), "one end is near");
+        let through = ObstacleAdd {
+            to: Some([-0.5, 0.0, 0.0]),
+            ..add([0.5, 0.0, 0.0], 0.02)
+        };
+        let error = check(&through, &status()).expect_err("inside").to_string();
+        assert!(error.contains("contains the base"), "{error}");
+        let meant = ObstacleAdd {
+            far: true,
+            ..through
+        };
+        assert!(check(&meant, &status()).is_ok());
     }
 
     #[test]

@@ -71,7 +71,7 @@ pub(crate) struct ObstacleAdd {
     /// supervises the sources of obstacles
     #[arg(long, value_name = "TIME", value_parser = value::curve_duration)]
     pub(crate) lifetime: Option<Duration>,
-    /// Accept positions that are far away: the numbers are in m
+    /// Accept an obstacle that is far away or contains the base: the numbers are in m
     #[arg(long)]
     pub(crate) far: bool,
 }
