@@ -245,6 +245,16 @@ fn drive_until(daemon: &Daemon, interface: Interface, ending: &AtomicBool) -> f6
 fn saved_settings_are_those_of_the_next_daemon() {
     let mut daemon = Daemon::start(PATIENT);
     let file = daemon.place().folder().join("robot.toml");
+    // A file that another program or a unit is told of is there, also where nothing differs.
+    let made = done(&daemon, "settings save new.toml");
+    assert!(
+        made.contains("made; every setting has its default"),
+        "{made}"
+    );
+    let check = "cdcrd check --config new.toml";
+    daemon.place().says(check, 0, &[]);
+    let same = done(&daemon, "settings save new.toml");
+    assert!(same.contains("nothing to change"), "{same}");
     done(
         &daemon,
         "settings set horizon_steps=4 solver=gauss-newton damping=1e-12 budget_ms=1.5 seed=9",

@@ -2,12 +2,11 @@ use std::fs::{self, File};
 use std::io::{self, ErrorKind, Write};
 use std::os::unix::fs::{MetadataExt, fchown};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::Connection;
 use cdcr_shared_types::{SolverSettings, Status};
-use serde_json::{Number, Value as Json};
+use serde_json::Value as Json;
 use toml_edit::{DocumentMut, Item, Table, Value};
 
 use super::STATUS_TIMEOUT;
@@ -19,6 +18,9 @@ const DEFAULTS: &str = include_str!("../../../../../configs/default.toml");
 
 /// As a rate weight has it that depends on the robot.
 const AUTO: &str = "auto";
+
+/// First line of a file that is made.
+const HEAD: &str = "# Settings of cdcrd that differ from its defaults.\n";
 
 /// As many as Linux follows.
 const LINKS_MAX: usize = 40;
@@ -35,11 +37,14 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
     };
     let name = file.display();
     let before = match fs::read_to_string(file) {
-        Err(cause) if cause.kind() == ErrorKind::NotFound => String::new(),
-        text => text.with_context(|| format!("cannot read {name}"))?,
+        Err(cause) if cause.kind() == ErrorKind::NotFound => None,
+        text => Some(text.with_context(|| format!("cannot read {name}"))?),
     };
-    let (text, changed) = merged(&before, settings, &status).with_context(|| name.to_string())?;
-    if changed.is_empty() {
+    let old = before.as_deref().unwrap_or_default();
+    let (mut text, changed) = merged(old, settings, &status).with_context(|| name.to_string())?;
+    if before.is_none() {
+        text.insert_str(0, HEAD);
+    } else if changed.is_empty() {
         writeln!(
             out,
             "{name}: nothing to change, it has these values already"
@@ -47,6 +52,9 @@ pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Resul
         return Ok(Done::Good);
     }
     replace(file, &text).with_context(|| format!("cannot write {name}"))?;
+    if changed.is_empty() {
+        writeln!(out, "{name}: made; every setting has its default")?;
+    }
     for change in changed {
         writeln!(out, "{name}: {change}")?;
     }
@@ -59,13 +67,12 @@ fn merged(
     settings: SolverSettings,
     status: &Status,
 ) -> anyhow::Result<(String, Vec<String>)> {
-    let period = Duration::from_nanos(status.period_ns);
     let defaults: DocumentMut = DEFAULTS.parse()?;
     let mut document: DocumentMut = text.parse()?;
     let mut changed = Vec::new();
     for setting in Setting::all() {
         let (table, key) = place(setting);
-        let number = value(setting, settings, period)?;
+        let number = value(setting, settings)?;
         // What the robot gave it, another one gets anew.
         let is_auto = key == "rate_weight" && settings.rate_weight == status.rate_weight_auto;
         let value = if is_auto { AUTO.into() } else { number.clone() };
@@ -90,13 +97,10 @@ fn place(setting: Setting) -> (&'static str, &'static str) {
     }
 }
 
-/// The setting as TOML. A budget beyond the period is as good as none, and a configuration must not have it.
-fn value(setting: Setting, settings: SolverSettings, period: Duration) -> anyhow::Result<Value> {
-    let endless_ms = 1e3 * period.as_secs_f64();
-    let is_endless = |number: &Number| number.as_f64().is_some_and(|ms| ms > endless_ms);
+/// The setting as TOML.
+fn value(setting: Setting, settings: SolverSettings) -> anyhow::Result<Value> {
     Ok(match setting.json(settings) {
         Json::String(word) => word.into(),
-        Json::Number(number) if setting.key == "budget_ms" && is_endless(&number) => 0.0.into(),
         Json::Number(number) if number.is_f64() => float(&setting.text(settings))?,
         Json::Number(number) => match number.as_i64() {
             Some(whole) => whole.into(),
@@ -215,14 +219,6 @@ mod tests {
     use super::*;
     use crate::setting::Change;
 
-    /// Of an ideal robot with the default period.
-    fn status() -> Status {
-        Status {
-            period_ns: 5_000_000,
-            ..Status::default()
-        }
-    }
-
     /// The defaults, changed.
     fn settings(changes: &[&str]) -> SolverSettings {
         let defaults: DocumentMut = DEFAULTS.parse().expect("TOML");
@@ -240,7 +236,7 @@ mod tests {
     }
 
     fn text_of(text: &str, changes: &[&str]) -> String {
-        merged(text, settings(changes), &status())
+        merged(text, settings(changes), &Status::default())
             .expect("merged")
             .0
     }
@@ -267,16 +263,6 @@ mod tests {
             ),
             "[controller]\nsolver = \"kpso\"\nhorizon_steps = 5\ndamping = 1e-12\n\n[cycle]\nbudget_ms = 2.0\n"
         );
-        // A daemon refuses one beyond its period.
-        let held = "controller.rate_weight = 0.0\n";
-        assert_eq!(text_of(held, &["budget_ms=50"]), held);
-        assert_eq!(
-            text_of(
-                &format!("{held}cycle.budget_ms = 3 # ms\n"),
-                &["budget_ms=50"]
-            ),
-            format!("{held}cycle.budget_ms = 0.0 # ms\n")
-        );
     }
 
     /// The 0 of an ideal robot would make another one rattle; what was set for that one stays.
@@ -288,7 +274,7 @@ mod tests {
         assert_eq!(text_of(zero, &[]), zero, "it was set");
         let measured = Status {
             rate_weight_auto: 1e-10,
-            ..status()
+            ..Status::default()
         };
         let saved = |set: &str| merged("", settings(&[set]), &measured).expect("merged").0;
         assert_eq!(saved("rate_weight=1e-10"), "");
@@ -309,13 +295,13 @@ mod tests {
     #[test]
     fn what_a_configuration_cannot_have_is_told() {
         let largest = format!("seed={}", u64::MAX);
-        let error = merged("", settings(&[&largest]), &status()).expect_err("too large");
+        let error = merged("", settings(&[&largest]), &Status::default()).expect_err("too large");
         assert!(
             error.to_string().contains("at most 9223372036854775807"),
             "{error}"
         );
-        assert!(merged("controller = 3", settings(&["seed=7"]), &status()).is_err());
-        assert!(merged("[controller", settings(&[]), &status()).is_err());
+        assert!(merged("controller = 3", settings(&["seed=7"]), &Status::default()).is_err());
+        assert!(merged("[controller", settings(&[]), &Status::default()).is_err());
     }
 
     #[test]
