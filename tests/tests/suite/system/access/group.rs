@@ -4,7 +4,7 @@
 
 use std::fs::{self, Permissions};
 use std::os::unix::fs::{MetadataExt, PermissionsExt, chown};
-use std::os::unix::process::CommandExt;
+use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
@@ -166,6 +166,29 @@ fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
     member.output();
     wait_until("nothing of it is left", || shared.left().is_empty());
     drop(daemon);
+}
+
+/// Not wanted, and true of every memory that two processes share: docs/security.md tells it to whoever chooses the members.
+#[test]
+fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
+    if !have_a_stranger() {
+        return;
+    }
+    let shared = Shared::new();
+    let mut daemon = shared.started();
+    let feeds = "ref spiral --duration 20s";
+    let _member = Program::start(&mut shared.cdcrctl(GROUP, feeds));
+    let is_data = |path: &PathBuf| path.extension().is_some_and(|end| end == "data");
+    wait_until("the member feeds", || shared.left().iter().any(is_data));
+    wait_until("the daemon has ended", || {
+        for path in shared.left().into_iter().filter(|path| path.is_file()) {
+            let file = fs::OpenOptions::new().write(true).open(path);
+            let _ = file.and_then(|file| file.set_len(0));
+        }
+        !daemon.runs()
+    });
+    let ended_by = daemon.output().status.signal();
+    assert_eq!(ended_by, Some(Signal::BUS.as_raw()));
 }
 
 #[test]
