@@ -46,14 +46,14 @@ impl Display for InsufficientSpace {
             Resource::Bytes => write!(
                 f,
                 "the memory of {mount} is full: {:.2} MB are needed, {:.2} MB are free; remove what is not needed (ls -l {mount}), \
-                 or make it larger (mount -o remount,size=256M {mount}; a container: --shm-size=256m)",
+                 or make it larger (sudo mount -o remount,size=256M {mount}; a container: --shm-size=256m)",
                 needed as f64 * 1e-6,
                 free as f64 * 1e-6
             ),
             Resource::Files => write!(
                 f,
                 "{mount} has too few inodes left: {needed} files are needed, {free} can be made; remove files that are not \
-                 needed (ls -l {mount}), or allow more (mount -o remount,nr_inodes=100k {mount})"
+                 needed (ls -l {mount}), or allow more (sudo mount -o remount,nr_inodes=100k {mount})"
             ),
         }
     }
