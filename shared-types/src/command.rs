@@ -13,7 +13,7 @@ message! {
     /// sequence of such a command is 0. The last command of a daemon that ends with status 0 is rest.
     ///
     /// The daemon sends none before it knows the robot's configuration, that is before the first
-    /// measurement. A driver holds the robot still from `valid_until_ns` on, whatever it does until then.
+    /// measurement. The robot comes to rest from `valid_until_ns` on, as described there.
     pub struct Command "cdcr.Command.v2" {
         /// The daemon, sequence, time of sending.
         header: Header,
