@@ -317,6 +317,25 @@ mod tests {
         }
     }
 
+    /// The figures of decision 4: as shares of a step between two points of twelve.
+    #[test]
+    fn cubic_overshoots_a_step_by_known_shares() {
+        for (step, share) in [(6, 0.093), (9, 0.126), (3, 0.126), (10, 0.382), (2, 0.382)] {
+            let x_m = |k| if k < step { 0.4 } else { 0.6 };
+            let trajectory = filled(
+                &(0..12)
+                    .map(|k| point(5 * k * MS, x_m(k)))
+                    .collect::<Vec<_>>(),
+            );
+            let samples = (0..55 * MS).step_by(50_000);
+            let most_m = samples
+                .map(|time_ns| trajectory.sample(time_ns).position_m.x)
+                .map(|x_m| (0.4 - x_m).max(x_m - 0.6))
+                .fold(0.0, f64::max);
+            assert!((most_m / 0.2 - share).abs() < 1e-3, "{step}: {most_m} m");
+        }
+    }
+
     #[test]
     fn linear_does_not_overshoot_a_corner() {
         let corner = [0.0, 0.0, 1.0, 1.0]
