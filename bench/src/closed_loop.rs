@@ -14,7 +14,8 @@ use nalgebra::{Quaternion, Unit, UnitQuaternion, Vector3};
 use crate::scene::Scene;
 
 /// The ideal robot before a scene, and the safety checks of its commands, around whatever solves. The solver sees the exact
-/// curve at each step of its horizon; the command is what a daemon would send.
+/// curve at each step of its horizon. No command is lost, and the robot stops at once: the clearance guard certifies each command for one period, where a
+/// daemon certifies three and a ramp.
 pub struct ClosedLoop<'a> {
     scene: &'a Scene,
     inner: closed_loop::ClosedLoop<Box<dyn Fn(f64) -> ReferenceSample + 'a>>,

@@ -39,7 +39,9 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         ..ReferenceSample::default()
     };
 
-    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[ball], circle)?;
+    // As a daemon does: clear for three periods and the ramp that follows, if no other command comes.
+    let mut closed = ClosedLoop::new(&robot, PERIOD_S, settings, start, &[ball], circle)?
+        .with_stopping(3.0, 40.0);
     let (mut nearest_m, mut farthest_m) = (f64::INFINITY, 0.0_f64);
     while closed.time_s() < 3.0 {
         closed.step(&mut nmpc);
