@@ -1,34 +1,29 @@
 //! A robot behind a driver, played by the test.
 
-use std::thread::Builder;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason, RequestKind};
+use cdcr_shared_types::codes::{Interface, MeasurementKind, Mode, Reason};
 use cdcr_shared_types::{Command, Measurement, Telemetry};
 use cdcr_tests::robot::{DrivenRobot, interface_of};
+use cdcr_tests::until_undisturbed;
 
 use crate::faults::trail::{Trail, is};
 
-/// Runs a test behind a driver of each interface, both at the same time.
-pub(crate) fn behind_both(test: impl Fn(Interface) + Sync) {
-    std::thread::scope(|scope| {
-        for interface in [Interface::Velocity, Interface::Position] {
-            let (named, test) = (Builder::new().name(interface.text().to_owned()), &test);
-            named.spawn_scoped(scope, move || test(interface)).unwrap();
-        }
-    });
+/// Runs a case behind a driver of each interface, and once more where a stall of the machine made another case of it.
+pub(crate) fn behind_both(case: impl Fn(Interface) -> Option<()>) {
+    for interface in [Interface::Velocity, Interface::Position] {
+        println!("behind a driver that obeys the {interface}");
+        until_undisturbed("a robot behind a driver", || case(interface));
+    }
 }
 
-/// Sends the robot on its way home again where a stall of the machine held it: its inputs were stale. Nothing else holds it
-/// there.
-pub(crate) fn keep_going_home(connection: &Connection, record: &Telemetry) {
-    if record.mode == Mode::Holding.code() && record.reason != Reason::Start.code() {
-        assert_eq!(record.reason, Reason::InputsStale.code());
-        // Refused as long as they are.
-        let _ = connection.request(RequestKind::Home);
-    }
+/// Whether a stall of the machine holds the robot that was on its way: its inputs were stale. Nothing else holds it.
+pub(crate) fn is_held_by_a_stall(record: &Telemetry) -> bool {
+    let is_held = record.mode == Mode::Holding.code() && record.reason != Reason::Start.code();
+    assert!(!is_held || record.reason == Reason::InputsStale.code());
+    is_held
 }
 
 /// A robot whose driver measures what the test says, or what there is.

@@ -106,7 +106,7 @@ fn measure_straight(driver: &Driver) {
 
 #[test]
 fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
-    let daemon = Daemon::start("[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 5000.0\n");
+    let daemon = Daemon::start("[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n");
     let location = daemon.place().location();
     let crowd = Crowd::of(location);
     let mut telemetry = crowd.connections[0].telemetry().unwrap();

@@ -6,7 +6,7 @@ use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use cdcr_client::{FeedEvent, Line, Spiral, Trajectory as Curve, events, monotonic_ns};
+use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, events, monotonic_ns};
 use cdcr_controller::estimator::Slack;
 use cdcr_controller::nmpc::{Nmpc, SolveInput};
 use cdcr_controller::optimizer::Budget;
@@ -16,7 +16,7 @@ use cdcr_controller::robot::{BendRates, Configuration, Robot};
 use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
 use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{
-    ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome,
+    ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome, Reason,
 };
 use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
 use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
@@ -24,7 +24,7 @@ use nalgebra::Vector3;
 
 use cdcr_tests::record::{configuration_of, largest, obstacles_of, robot_of};
 use cdcr_tests::robot::DrivenRobot;
-use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, TIMEOUT, tracked, wait_mode};
+use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, TIMEOUT, tracked, until_undisturbed, wait_mode};
 
 /// The events of a recording by the gather that they took effect with, in order.
 fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
@@ -227,12 +227,9 @@ impl Recording {
         let verdict = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
         assert_eq!(verdict.unwrap(), Outcome::Accepted);
         let mut sent = connection.references().unwrap();
-        let mut recording = Self::default();
-        let options = tracked();
-        connection
-            .feed(curve, options)
-            .unwrap()
-            .run(|event| {
+        until_undisturbed("a curve is tracked to its end", || {
+            let mut recording = Self::default();
+            let fed = connection.feed(curve, tracked()).unwrap().run(|event| {
                 if let FeedEvent::Record(record) = event {
                     recording.records.push(*record);
                 }
@@ -241,9 +238,17 @@ impl Recording {
                     recording.chunks.insert(of, chunk);
                 }
                 ControlFlow::Continue(())
-            })
-            .unwrap();
-        recording
+            });
+            match fed {
+                // The machine held the exchange up: its inputs were stale.
+                Err(FeedError::LeftTracking { reason, .. })
+                    if reason == Reason::InputsStale.text() =>
+                {
+                    None
+                }
+                fed => fed.map(|_| recording).map(Some).unwrap(),
+            }
+        })
     }
 
     /// Computes every cycle again.
