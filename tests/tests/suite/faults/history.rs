@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
 use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::Interface;
 
 use crate::faults::trail::late_ns;
 
@@ -23,7 +24,16 @@ struct Kept {
     gather_ns: u64,
     measured_ns: u64,
     elapsed_ns: u64,
+    moved_ns: u64,
     previous_rate_rad_s: f64,
+}
+
+/// How long the robot moved by the command before this record \[ns\]: to the target of its positions, which is a period away, or as
+/// long as its speeds are valid, three periods.
+pub(crate) fn moved_ns(record: &Telemetry) -> u64 {
+    let is_position = record.command.interface == Interface::Position.code();
+    let periods = if is_position { 1 } else { 3 };
+    record.elapsed_ns.min(periods * record.period_ns)
 }
 
 impl History {
@@ -42,6 +52,7 @@ impl History {
             gather_ns: record.gather_ns,
             measured_ns: record.measurement.measured_ns,
             elapsed_ns: record.elapsed_ns,
+            moved_ns: moved_ns(record),
             previous_rate_rad_s: record.previous_rate_rad_s[0],
         });
     }
@@ -53,12 +64,11 @@ impl History {
         since.map(|kept| kept.late_ns).sum()
     }
 
-    /// How far the commands have moved the first bend since `begin_ns` until the newest release \[rad\]: each from its release,
-    /// for three periods at most.
+    /// How far the commands have moved the first bend since `begin_ns` until the newest release \[rad\]: each from its release.
     pub(crate) fn way_rad(&self, begin_ns: u64) -> f64 {
         let way_rad = |kept: &Kept| {
             let from_ns = kept.release_ns - kept.elapsed_ns;
-            let until_ns = from_ns + kept.elapsed_ns.min(3 * kept.period_ns);
+            let until_ns = from_ns + kept.moved_ns;
             let moved_ns = until_ns.saturating_sub(from_ns.max(begin_ns));
             kept.previous_rate_rad_s * moved_ns as f64 * 1e-9
         };

@@ -11,6 +11,7 @@ use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, TIMEOUT, wait_status, wait_until};
 use rustix::process::Signal;
 
+use crate::faults::history::moved_ns;
 use crate::faults::robot::{Robot, behind_both, is_held_by_a_stall};
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, say};
 
@@ -44,11 +45,6 @@ fn state(record: &Telemetry) -> MeasurementState {
 fn until_used(trail: &mut Trail, robot: &mut Robot) -> (Telemetry, Telemetry) {
     let is_used = |record: &Telemetry| state(record) == MeasurementState::Used;
     trail.until_while("used", || robot.turn(), is_used)
-}
-
-/// How long the robot moved by the command before this record \[ns\]: a command is valid for three periods.
-fn moved_ns(record: &Telemetry) -> u64 {
-    record.elapsed_ns.min(3 * record.period_ns)
 }
 
 /// Has the robot go home, and waits until its rate has been steady for a while.

@@ -106,7 +106,10 @@ fn measure_straight(driver: &Driver) {
 
 #[test]
 fn a_crowd_that_takes_every_place_does_not_keep_a_driver_out() {
-    let daemon = Daemon::start("[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n");
+    // Before the first measurement a machine that stalls could stop it for its misses.
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n"
+    ));
     let location = daemon.place().location();
     let crowd = Crowd::of(location);
     let mut telemetry = crowd.connections[0].telemetry().unwrap();
