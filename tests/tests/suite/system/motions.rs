@@ -2,9 +2,12 @@
 
 use std::time::Duration;
 
-use cdcr_shared_types::codes::Mode;
+use cdcr_shared_types::codes::{Mode, Reason};
 use cdcr_tests::driver::DriverProcess;
-use cdcr_tests::{Daemon, PATIENT, Program, assert_says, text, wait_mode, wait_record, wait_until};
+use cdcr_tests::{
+    Daemon, PATIENT, Program, assert_says, text, until_undisturbed, wait_mode, wait_record,
+    wait_until,
+};
 use rustix::process::Signal;
 
 fn says(daemon: &Daemon, line: &str, status: i32) -> String {
@@ -99,7 +102,16 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
             distance_m(tip_m(&daemon), before_m) < 5e-4
         });
         let fast = "--speed 0.2 --acceleration 2 --max-error 3mm";
-        says(&daemon, &format!("goto 0.05,0.02,0.87 {fast}"), 0);
+        let line = format!("goto 0.05,0.02,0.87 {fast}");
+        let words: Vec<_> = line.split(' ').collect();
+        until_undisturbed("the tip goes to a point", || {
+            let output = daemon.place().cdcrctl(&words);
+            if text(&output).contains(Reason::InputsStale.text()) {
+                return None;
+            }
+            assert_says(&output, 0, &[]);
+            Some(())
+        });
         plant.signal(Signal::INT);
         let output = plant.output();
         assert_eq!(output.status.code(), Some(0), "{}", text(&output));
