@@ -81,7 +81,7 @@ pub struct RobustnessOptions {
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     pub seeds: u32,
     /// Only the ideal robot, which others are compared with, and those with TEXT in their name; with --sweep, only the
-    /// presets and the knobs with TEXT in their key.
+    /// presets and the knobs with TEXT in their key ("preset" for none of these).
     #[arg(long, value_name = "TEXT")]
     pub only: Option<String>,
     /// Turn one knob after the other instead, on the robot of the laboratory: the tables and the picture of docs/tuning.md.

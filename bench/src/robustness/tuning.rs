@@ -114,9 +114,9 @@ fn knobs(only: Option<&str>) -> impl Iterator<Item = &'static Knob> {
         .filter(move |knob| only.is_none_or(|only| knob.key.contains(only)))
 }
 
-/// Whether there is one.
+/// Whether there is one; the presets are turned to always.
 pub(super) fn is_any(only: Option<&str>) -> bool {
-    knobs(only).next().is_some()
+    only == Some("preset") || knobs(only).next().is_some()
 }
 
 /// Runs.

@@ -9,13 +9,13 @@ use cdcr_bench::quality::course::Course;
 use cdcr_bench::quality::restarts::Contender;
 use cdcr_bench::quality::{Field, QualityOptions};
 
-/// Two courses, one with an obstacle, for a quarter of a second each.
+/// Two courses, one with an obstacle, for an eighth of a second each.
 fn small() -> QualityOptions {
     QualityOptions {
         rounds: 2,
         quick: true,
         courses: vec![Course::Line, Course::Crossing],
-        cycles_max: 50,
+        cycles_max: 25,
         budgets_us: vec![20, 500],
         swarms: vec![(6, 10)],
         horizons: vec![2, 5],

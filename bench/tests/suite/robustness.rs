@@ -115,7 +115,7 @@ fn is_what_was_committed(document: &Value) {
 
 #[test]
 fn what_the_knobs_do_is_what_was_committed() {
-    let today = of_today(&["--sweep"], "rate_weight");
+    let today = of_today(&["--sweep"], "preset");
     let [new, old] = [today, committed("tuning.json")].map(|document| list(&document, "knobs"));
     assert!(std::env::var_os("CDCR_WHOLE").is_none() || new.len() == old.len());
     let keys = ["knob", "turned_to", "value"];

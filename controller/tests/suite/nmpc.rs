@@ -450,7 +450,7 @@ fn solve_case(
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 200)))]
+    #![proptest_config(ProptestConfig::with_cases(crate::repetitions(25, 200)))]
 
     #[test]
     fn the_result_is_finite_inside_the_box_and_never_worse_than_the_warm_start(case in cases()) {

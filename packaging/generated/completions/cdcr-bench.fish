@@ -112,7 +112,7 @@ complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l out -d
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -l quick -d 'One round of a part of it: a look of some seconds, no measurement'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand quality" -s h -l help -d 'Print help (see more with \'--help\')'
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l seeds -d 'Runs of each robot with each controller, each with other noise, 1 to 1000' -r
-complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l only -d 'Only the ideal robot, which others are compared with, and those with TEXT in their name; with --sweep, only the presets and the knobs with TEXT in their key' -r
+complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l only -d 'Only the ideal robot, which others are compared with, and those with TEXT in their name; with --sweep, only the presets and the knobs with TEXT in their key ("preset" for none of these)' -r
 complete -c cdcr-bench -n "__fish_cdcr_bench_using_subcommand robustness" -l format -d 'How to print the result' -r -f -a "text\t'A table for people'
 markdown\t'The same table for a page on the web'
 json\t'One JSON object'

@@ -115,14 +115,15 @@ fn half_a_circle_and_more_know_their_centre_their_gap_and_their_back() {
 fn an_obstacle_at_the_centre_of_the_circle_still_has_a_nearest_point_on_the_arc() {
     // A regression: within rounding of the centre, the point was computed with none of its digits left.
     let robot = line_robot();
-    let ways = crate::repetitions(3, 12);
+    let ways = crate::repetitions(2, 12);
     for theta in [0.8, 2.0, 2.8, PI, 4.0, TAU, 8.0] {
         for phi in [0.0, 0.7, -2.0] {
             let shape = bent(theta, phi);
             let centre_m = Vector3::new(phi.cos(), phi.sin(), 0.0) * (0.3 / theta);
+            check_against_oracle(&robot, &shape, &sphere(centre_m, 0.0));
             for i in 0..ways {
                 let (sin, cos) = (TAU * f64::from(i) / f64::from(ways)).sin_cos();
-                for size in [0.0, 1e-17, 1e-16, 1e-15, 1e-12] {
+                for size in [1e-17, 1e-16, 1e-15, 1e-12] {
                     let off_m = Vector3::new(cos * phi.cos(), cos * phi.sin(), sin) * size;
                     let ball = sphere(centre_m + off_m, 0.0);
                     check_against_oracle(&robot, &shape, &ball);
