@@ -10,7 +10,7 @@ use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::RequestKind;
 use nalgebra::Vector3;
 
-use super::record::{Rows, check_sensors, tell};
+use super::record::{Rows, check_new, check_sensors, tell};
 use super::resting::rests;
 use crate::Done;
 use crate::args::{ExciteOptions, Target};
@@ -49,6 +49,10 @@ const STEPS: u32 = 10_000;
 
 /// `cdcrctl calibrate excite`
 pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Done> {
+    let output = &options.record.output;
+    if !options.dry_run {
+        check_new(output)?;
+    }
     let connection = target.connect()?;
     let before = rests(&mut connection.telemetry()?)?;
     check_sensors(&before)?;
@@ -61,7 +65,6 @@ pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Do
         return Ok(Done::Good);
     }
     check_stands(&connection, &before)?;
-    let output = &options.record.output;
     let mut rows = Rows::create(output, &newest(&connection)?)?;
     let followed = follow(&connection, &excitation, go_options(), |record| {
         rows.take(record)?;

@@ -63,6 +63,13 @@ pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()
     Ok(())
 }
 
+/// Before anything is computed or moves: what was recorded before is kept.
+pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
+    let name = output.display();
+    ensure!(!output.exists(), "{name} exists: remove it or name another file");
+    Ok(())
+}
+
 /// Rows of cables and tips, as they were at the time of the tip.
 pub(super) struct Rows {
     out: csv::Writer<BufWriter<File>>,
@@ -205,6 +212,6 @@ mod tests {
              0.008000,0.0000000,0.2400000,0.0000000,0.0000000,0.0000000,3.0000000\n\
              0.013000,0.0000000,0.3400000,0.0000000,0.0000000,0.0000000,4.0000000\n"
         );
-        assert!(Rows::create(&output, &first).is_err(), "it exists");
+        assert!(check_new(&output).is_err() && Rows::create(&output, &first).is_err());
     }
 }
