@@ -10,16 +10,18 @@ const SOURCES: [&str; 7] = [
     "daemon/src",
     "client/src",
     "client/src/bin/cdcrctl",
+    "interchange/src",
     "testbed/src",
     "bench/src",
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 8] = [
+const CRATES: [&str; 9] = [
     "controller",
     "shared-types",
     "daemon",
     "client",
+    "interchange",
     "testbed",
     "bench",
     "tests",
@@ -69,6 +71,21 @@ const FORBIDDEN: &[(&str, &str, &str)] = &[
         "daemon/src/handover",
         "iceoryx2",
         "what threads exchange knows no shared memory",
+    ),
+    (
+        "interchange/src",
+        "iceoryx2",
+        "what leaves the machine knows no shared memory",
+    ),
+    (
+        "interchange/src",
+        "std::time",
+        "what leaves the machine knows no clock",
+    ),
+    (
+        "interchange/src",
+        "std::fs",
+        "what leaves the machine knows no file",
     ),
     (
         "daemon/src/bare",

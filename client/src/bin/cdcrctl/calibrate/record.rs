@@ -66,7 +66,10 @@ pub(super) fn tell(output: &Path, rows: u64, passed_s: f64) -> anyhow::Result<()
 /// Before anything is computed or moves: what was recorded before is kept.
 pub(super) fn check_new(output: &Path) -> anyhow::Result<()> {
     let name = output.display();
-    ensure!(!output.exists(), "{name} exists: remove it or name another file");
+    ensure!(
+        !output.exists(),
+        "{name} exists: remove it or name another file"
+    );
     Ok(())
 }
 
