@@ -1,8 +1,14 @@
 //! A scene of its own for each test.
 
+use std::fmt::Debug;
+use std::fs::{Permissions, set_permissions};
+use std::os::unix::fs::PermissionsExt;
+use std::str::FromStr;
+
 use cdcr_scratch::Scratch;
 
-use super::{Assessment, Load, Plan, Probe, Scene, Severity, System, checks};
+use super::sample::{InterruptRate, Neighbour, Thread};
+use super::{CoreSet, Finding, Load, Plan, Probe, Scene, Severity, System, checks};
 use crate::config::{Config, RealtimeMode};
 use crate::core_budget::CoreBudget;
 
@@ -64,24 +70,128 @@ impl Fake {
         std::fs::write(path, text).unwrap();
     }
 
+    /// Sets something of the scene that a line of `findings.txt` names.
+    pub(super) fn set(&mut self, name: &str, value: &str) {
+        let Scene { plan, probe, .. } = &mut self.scene;
+        let words: Vec<&str> = value.split(' ').collect();
+        let refused = || Err(value.to_owned());
+        match name {
+            "plan.core" => plan.core = value.parse().ok(),
+            "plan.cycle_priority" => plan.cycle_priority = parsed(value),
+            "plan.no_deep_sleep" => plan.no_deep_sleep = parsed(value),
+            "plan.period_ms" => plan.period_ms = parsed(value),
+            "plan.spin_us" => {
+                let mut config = Config::default();
+                config.realtime.spin_us = parsed(value);
+                plan.core_budget = CoreBudget::new(&config);
+            }
+            "probe.deep_sleep_lock" => probe.deep_sleep_lock = refused(),
+            "probe.fifo" => probe.fifo = refused(),
+            "probe.memlock_max_bytes" => probe.memlock_max_bytes = Some(parsed(value)),
+            "probe.memory_lock" => probe.memory_lock = refused(),
+            "probe.mode" => {
+                let mode = u32::from_str_radix(value, 8).unwrap();
+                let root = self.scene.system.path("/run/cdcr");
+                set_permissions(root, Permissions::from_mode(mode)).unwrap();
+            }
+            "probe.no_huge_pages" => probe.no_huge_pages = refused(),
+            "probe.pinned" => probe.pinned = parsed(value),
+            "probe.root_in_memory" => {
+                probe.root_in_memory = value.parse().map_err(|_| value.to_owned());
+            }
+            "probe.rtprio_max" => probe.rtprio_max = Some(parsed(value)),
+            "probe.shared_memory_bytes" => {
+                let sizes = value
+                    .split_once(' ')
+                    .and_then(|(size, free)| Some((size.parse().ok()?, free.parse().ok()?)));
+                probe.shared_memory_bytes = sizes.ok_or_else(|| value.to_owned());
+            }
+            "probe.user_id" => probe.user_id += 1,
+            _ => self.count(name, &words),
+        }
+    }
+
+    /// Adds something that happens in the second that is watched.
+    fn count(&mut self, name: &str, words: &[&str]) {
+        let load = self.scene.load.as_mut().unwrap();
+        match (name, words) {
+            ("load.busy", [core, busy]) => {
+                load.cores.entry(parsed(core)).or_default().busy = parsed(busy);
+            }
+            ("load.steal", [now, since_start]) => {
+                let core = load.cores.entry(1).or_default();
+                (core.steal, core.steal_since_start) = (parsed(now), parsed(since_start));
+            }
+            ("load.neighbour", [name, share, flags @ ..]) => load.neighbours.push(Neighbour {
+                thread: thread(name, flags),
+                share: parsed(share),
+            }),
+            ("load.realtime", [name, priority, allowed, flags @ ..]) => {
+                load.realtime.push(Thread {
+                    is_realtime: *priority != "0",
+                    priority: parsed(priority),
+                    allowed: CoreSet::parse(allowed),
+                    ..thread(name, flags)
+                });
+            }
+            ("load.interrupt", [label, rate_hz]) => load.interrupts.push(InterruptRate {
+                label: (*label).to_owned(),
+                description: "eth0".to_owned(),
+                rate_hz: parsed(rate_hz),
+            }),
+            ("load.irqbalance", [process]) => load.irqbalance = Some(parsed(process)),
+            _ => panic!("nothing is called {name} and has {words:?}"),
+        }
+    }
+
     /// What the check with this key says.
-    pub(super) fn assess(&self, key: &str) -> Assessment {
-        let check = checks().find(|check| check.key == key).unwrap();
-        let finding = check.finding(&self.scene);
-        Assessment::new(finding.severity, finding.value, finding.remedy)
+    pub(super) fn finding(&self, key: &str) -> Finding {
+        let check = checks().find(|check| check.key == key);
+        check.expect("a known key").finding(&self.scene)
     }
 
     pub(super) fn severity(&self, key: &str) -> Severity {
-        self.assess(key).severity
+        self.finding(key).severity
     }
 
-    /// Asserts a severity, and that what was seen and its remedy hold these words.
-    pub(super) fn expect(&self, key: &str, severity: Severity, words: &[&str]) {
-        let assessment = self.assess(key);
-        assert_eq!(assessment.severity, severity, "{key}: {assessment:?}");
-        let text = format!("{} | {}", assessment.value, assessment.remedy);
-        for word in words {
-            assert!(text.contains(word), "{key}: {word:?} is not in {text:?}");
+    /// Asserts what a line of `findings.txt` says that is found.
+    pub(super) fn expect(&mut self, line: &str) {
+        let mut words = line.splitn(3, ' ');
+        let (key, severities) = (words.next().unwrap(), words.next().unwrap());
+        let finding = self.finding(key);
+        let text = format!("{} | {} |", finding.value, finding.remedy);
+        let found = if severities.contains('/') {
+            let modes = [
+                RealtimeMode::Require,
+                RealtimeMode::Off,
+                RealtimeMode::Prefer,
+            ];
+            let [require, off, prefer] = modes.map(|mode| {
+                self.scene.plan.mode = mode;
+                self.severity(key).word()
+            });
+            [require, prefer, off].join("/")
+        } else {
+            finding.severity.word().to_owned()
+        };
+        assert_eq!(found, severities, "{text}");
+        let quoted: Vec<&str> = words.next().unwrap_or_default().split('"').collect();
+        for word in quoted.chunks_exact(2) {
+            let is_absent = word[0].ends_with('!');
+            assert_ne!(text.contains(word[1]), is_absent, "{:?}: {text}", word[1]);
         }
     }
+}
+
+fn thread(name: &str, flags: &[&str]) -> Thread {
+    let id = flags.iter().find_map(|flag| flag.strip_prefix("id="));
+    Thread {
+        is_kernel: flags.contains(&"kernel"),
+        is_deadline: flags.contains(&"deadline"),
+        ..Thread::named(name, id.map_or(77, parsed))
+    }
+}
+
+fn parsed<T: FromStr<Err: Debug>>(text: &str) -> T {
+    text.parse().unwrap()
 }

@@ -221,6 +221,30 @@ mod tests {
     }
 
     #[test]
+    fn each_machine_is_found_to_be_as_it_is() {
+        let mut assessed = HashSet::new();
+        let mut fake = Fake::new(&[]);
+        for (index, line) in include_str!("findings.txt").lines().enumerate() {
+            eprintln!("findings.txt, line {}: {line}", index + 1);
+            let (name, rest) = line.split_once(' ').unwrap_or_default();
+            match rest.strip_prefix('=').map(str::trim_start) {
+                _ if name == "##" => fake = Fake::new(&[]),
+                _ if name.is_empty() || name == "#" => {}
+                Some(text) if name.starts_with('/') => {
+                    let text = text.replace("\\n", "\n").replace("\\t", "\t");
+                    fake.write(name, &text.replace("\\0", "\0"));
+                }
+                Some(value) => fake.set(name, value),
+                None => {
+                    fake.expect(line);
+                    assessed.insert(name);
+                }
+            }
+        }
+        assert_eq!(assessed, checks().map(|check| check.key).collect());
+    }
+
+    #[test]
     fn a_system_that_shows_nothing_is_unknown_and_not_good() {
         let mut fake = Fake::new(&[]);
         fake.scene.load = Err(Unreadable::new("/proc/stat", "gone"));

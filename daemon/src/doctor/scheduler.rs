@@ -181,105 +181,12 @@ fn cpu_mount(mounts: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use cdcr_scratch::Scratch;
-
-    use super::super::Severity::{Fault, Ok as Good, Unknown, Warning};
     use super::super::fake::Fake;
-    use super::super::{System, kernel_share};
-    use crate::config::{Config, RealtimeMode};
-    use crate::core_budget::CoreBudget;
-
-    fn kernel(version: &str) -> Fake {
-        Fake::new(&[
-            ("/proc/sys/kernel/version", version),
-            ("/proc/cmdline", "quiet"),
-        ])
-    }
-
-    #[test]
-    fn the_kernels_own_words_tell_the_model() {
-        kernel("#1 SMP PREEMPT_RT Debian").expect("preemption", Good, &["PREEMPT_RT"]);
-        kernel("#1 SMP PREEMPT Mon").expect("preemption", Good, &["PREEMPT"]);
-        kernel("#1 SMP Mon").expect("preemption", Warning, &["preempt=full"]);
-        Fake::new(&[]).expect("preemption", Unknown, &["/proc/sys/kernel/version"]);
-        let patched = kernel("#1 SMP PREEMPT");
-        patched.write("/sys/kernel/realtime", "1\n");
-        patched.expect("preemption", Good, &["PREEMPT_RT"]);
-    }
-
-    #[test]
-    fn a_dynamic_kernel_tells_what_is_in_force() {
-        let fake = kernel("#1 SMP PREEMPT_DYNAMIC");
-        fake.expect("preemption", Unknown, &["debugfs"]);
-        fake.write("/proc/cmdline", "preempt=none x preempt=full");
-        fake.expect("preemption", Good, &["full at boot"]);
-        // What is in force wins over what was asked for at boot.
-        fake.write("/sys/kernel/debug/sched/preempt", "none (voluntary) full\n");
-        fake.expect("preemption", Warning, &["voluntary", "preempt=full"]);
-        fake.write("/sys/kernel/debug/sched/preempt", "none full (lazy)\n");
-        fake.expect("preemption", Good, &["lazy"]);
-    }
-
-    #[test]
-    fn a_short_period_wants_the_real_time_kernel() {
-        let mut fake = kernel("#1 SMP PREEMPT");
-        fake.scene.plan.period_ms = 0.5;
-        fake.expect("preemption", Warning, &["0.5 ms", "PREEMPT_RT"]);
-    }
-
-    #[test]
-    fn throttling_leaves_the_cycle_what_it_needs() {
-        let fake = |runtime: &str| {
-            Fake::new(&[
-                ("/proc/sys/kernel/sched_rt_runtime_us", runtime),
-                ("/proc/sys/kernel/sched_rt_period_us", "1000000"),
-            ])
-        };
-        fake("950000").expect("rt_throttling", Good, &["95.0 %", "92.5 %", "4.500 ms"]);
-        fake("500000").expect("rt_throttling", Warning, &["47.5 %", "2.260 ms", "sysctl"]);
-        fake("-1").expect("rt_throttling", Warning, &["off", "sysctl"]);
-        fake("many").expect("rt_throttling", Unknown, &["no number"]);
-        let mut spinning = fake("950000");
-        let mut config = Config::default();
-        config.realtime.spin_us = 400.0;
-        spinning.scene.plan.core_budget = CoreBudget::new(&config);
-        let parts = [
-            "4.185 ms until",
-            "0.040 ms of exchange",
-            "0.400 ms before the release",
-        ];
-        spinning.expect("rt_throttling", Good, &parts);
-    }
-
-    #[test]
-    fn a_group_without_runtime_is_found() {
-        let mut fake = Fake::new(&[
-            ("/proc/self/cgroup", "4:memory:/a\n1:cpuacct,cpu:/a/b\n0::/"),
-            (
-                "/proc/mounts",
-                "proc /proc proc rw 0 0\ncgroup /sys/fs/cgroup/cpu cgroup rw,cpuacct,cpu 0 0\n",
-            ),
-        ]);
-        fake.expect("rt_group", Good, &["no limit"]);
-        let file = "/sys/fs/cgroup/cpu/a/b/cpu.rt_runtime_us";
-        fake.write(file, "0\n");
-        fake.expect("rt_group", Warning, &["no real-time runtime", file]);
-        fake.scene.plan.mode = RealtimeMode::Require;
-        fake.expect("rt_group", Fault, &[]);
-        fake.write(file, "950000\n");
-        fake.expect("rt_group", Good, &["950000"]);
-    }
-
-    #[test]
-    fn a_refusal_that_nothing_else_explains_is_the_groups() {
-        let mut fake = Fake::new(&[("/proc/self/cgroup", "0::/x"), ("/proc/mounts", "")]);
-        fake.expect("rt_group", Good, &[]);
-        fake.scene.probe.fifo = Err("not permitted".to_owned());
-        fake.expect("rt_group", Warning, &["rt_group_sched=0"]);
-    }
+    use super::*;
 
     #[test]
     fn the_kernels_share_is_read_and_no_limit_is_the_default_one() {
+        let fake = Fake::new(&[("/proc/sys/kernel/sched_rt_period_us", "1000000")]);
         for (runtime_us, share) in [
             ("950000", Some(0.95)),
             ("500000", Some(0.5)),
@@ -287,12 +194,8 @@ mod tests {
             ("-1", Some(0.95)),
             ("many", None),
         ] {
-            let folder = Scratch::temporary().unwrap();
-            let kernel = folder.path().join("proc/sys/kernel");
-            std::fs::create_dir_all(&kernel).unwrap();
-            std::fs::write(kernel.join("sched_rt_runtime_us"), runtime_us).unwrap();
-            std::fs::write(kernel.join("sched_rt_period_us"), "1000000").unwrap();
-            assert_eq!(kernel_share(&System::at(folder.path())).ok(), share);
+            fake.write(RT_RUNTIME_US, runtime_us);
+            assert_eq!(kernel_share(&fake.scene.system).ok(), share);
         }
     }
 }
