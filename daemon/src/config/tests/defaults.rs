@@ -5,6 +5,7 @@ use std::path::Path;
 use cdcr_controller::robot::Configuration;
 
 use crate::config::{Config, DEFAULT_TEXT, Layers, Origin, RealtimeMode, explain};
+use crate::warnings::warnings;
 
 #[test]
 fn the_default_file_is_the_default_and_every_key_is_in_it() {
@@ -32,7 +33,8 @@ fn every_configuration_that_we_ship_is_good() {
             .extension()
             .is_some_and(|extension| extension == "toml")
         {
-            Config::load(&entry.path()).unwrap_or_else(|error| panic!("{error}"));
+            let good = Config::load(&entry.path()).unwrap_or_else(|error| panic!("{error}"));
+            assert_eq!(warnings(&good.config), Vec::<String>::new());
             count += 1;
         }
     }
@@ -44,6 +46,7 @@ fn an_empty_file_is_the_papers_robot() {
     let validated = Config::parse("", Path::new("x")).expect("empty is legal");
     assert_eq!(validated.robot.section_count(), 3);
     assert_eq!(validated.initial, Configuration::straight(3));
+    assert_eq!(warnings(&validated.config), Vec::<String>::new());
 }
 
 #[test]

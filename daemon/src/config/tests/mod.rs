@@ -4,6 +4,7 @@ mod defaults;
 mod explanation;
 mod layers;
 mod lines;
+mod messages;
 mod rules;
 
 use std::path::Path;
