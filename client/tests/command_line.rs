@@ -34,6 +34,13 @@ fn run_fresh(command: &mut Command) -> Output {
     }
 }
 
+/// A `cdcrctl` with nothing of ours beside it.
+fn copied_into(folder: &Scratch) -> PathBuf {
+    let alone = folder.path().join("cdcrctl");
+    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    alone
+}
+
 fn stderr(output: &Output) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
@@ -139,8 +146,7 @@ fn a_bad_file_is_told_with_its_line_even_without_a_daemon() {
 #[test]
 fn the_demo_says_when_its_daemon_is_not_built() {
     let folder = Scratch::temporary().expect("a folder");
-    let alone = folder.path().join("cdcrctl");
-    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    let alone = copied_into(&folder);
     let output = run_fresh(Command::new(&alone).args(["demo", "--duration", "1s"]));
     let text = stderr(&output);
     assert_eq!(output.status.code(), Some(1), "{text}");
@@ -153,8 +159,7 @@ fn a_demo_says_what_to_do_about_its_folder_and_no_folder_is_too_deep() {
     let folder = Scratch::temporary().expect("a folder");
     let deep = folder.path().join("d".repeat(100));
     fs::create_dir(&deep).expect("made");
-    let alone = folder.path().join("cdcrctl");
-    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    let alone = copied_into(&folder);
     fs::write(folder.path().join("cdcrd"), "").expect("written");
     let demo = |temporary: &Path| {
         let output = run_fresh(Command::new(&alone).arg("demo").env("TMPDIR", temporary));
@@ -174,8 +179,7 @@ fn a_daemon_that_fails_is_quoted_and_nothing_is_left() {
     let folder = Scratch::temporary().expect("a folder");
     let temporary = folder.path().join("tmp");
     fs::create_dir(&temporary).expect("made");
-    let alone = folder.path().join("cdcrctl");
-    fs::copy(env!("CARGO_BIN_EXE_cdcrctl"), &alone).expect("copied");
+    let alone = copied_into(&folder);
     let daemon = folder.path().join("cdcrd");
     fs::write(&daemon, "#!/bin/sh\necho the core is on fire >&2\nexit 3\n").expect("written");
     let mode = std::os::unix::fs::PermissionsExt::from_mode(0o755);

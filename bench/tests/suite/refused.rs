@@ -2,35 +2,30 @@
 
 use std::process::Command;
 
+/// What is asked, and words of the answer.
+const REFUSED: &str = "\
+deadline --duration=2s --rounds=9 --setup=ordinary => less than a second
+deadline --load=nonsense => nonsense
+deadline --setup=ordinary --config=/no/such/file.toml => /no/such/file.toml
+deadline --setup=ordinary --period=1ns => cycle.period_ms
+deadline --rounds=0 => 1..=1000
+latency --samples 1 => 5..=10000
+latency --quick --rounds 3 => cannot be used with
+latency --period soon => --period
+latency --rounds 1 --samples 5 --config /no/such/file.toml => /no/such/file.toml
+rate --spin 2000 => 0 to 1000
+rate --spin NaN => 0 to 1000
+rate --rounds 0 => 1..=100
+rate --quick --rounds 2 => cannot be used with
+footprint --duration 1ms => 100ms to 1h
+footprint --rounds 0 => 1..=100
+footprint --quick --rounds 2 => cannot be used with
+";
+
 #[test]
 fn what_cannot_be_measured_is_refused_with_a_reason() {
-    for (arguments, reason) in [
-        (
-            "deadline --duration=2s --rounds=9 --setup=ordinary",
-            "less than a second",
-        ),
-        ("deadline --load=nonsense", "nonsense"),
-        (
-            "deadline --setup=ordinary --config=/no/such/file.toml",
-            "/no/such/file.toml",
-        ),
-        ("deadline --setup=ordinary --period=1ns", "cycle.period_ms"),
-        ("deadline --rounds=0", "1..=1000"),
-        ("latency --samples 1", "5..=10000"),
-        ("latency --quick --rounds 3", "cannot be used with"),
-        ("latency --period soon", "--period"),
-        (
-            "latency --rounds 1 --samples 5 --config /no/such/file.toml",
-            "/no/such/file.toml",
-        ),
-        ("rate --spin 2000", "0 to 1000"),
-        ("rate --spin NaN", "0 to 1000"),
-        ("rate --rounds 0", "1..=100"),
-        ("rate --quick --rounds 2", "cannot be used with"),
-        ("footprint --duration 1ms", "100ms to 1h"),
-        ("footprint --rounds 0", "1..=100"),
-        ("footprint --quick --rounds 2", "cannot be used with"),
-    ] {
+    for line in REFUSED.lines() {
+        let (arguments, reason) = line.split_once(" => ").unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_cdcr-bench"));
         let output = command.args(arguments.split(' ')).output().unwrap();
         let errors = String::from_utf8_lossy(&output.stderr);

@@ -68,40 +68,27 @@ mod tests {
                 .map(Iterator::count),
             Some(1)
         );
+        let refusals = |points: &[wire::ReferencePoint]| refusal_of(&chunk(points));
         let nan = point(3000, [f64::NAN, 0.0, 0.0]);
-        assert_eq!(refusal_of(&chunk(&[good, nan])), (Outcome::NotFinite, 1));
-        assert_eq!(
-            refusal_of(&chunk(&[point(100, [0.0; 3])])),
-            (Outcome::InThePast, 0)
-        );
-        assert_eq!(
-            refusal_of(&chunk(&[good, point(3000, [0.0, 0.2, 0.3])])),
-            (Outcome::OutOfReach, 1)
-        );
+        assert_eq!(refusals(&[good, nan]), (Outcome::NotFinite, 1));
+        let past = point(100, [0.0; 3]);
+        assert_eq!(refusals(&[past]), (Outcome::InThePast, 0));
+        let outside = point(3000, [0.0, 0.2, 0.3]);
+        assert_eq!(refusals(&[good, outside]), (Outcome::OutOfReach, 1));
         let far = point(86_400_000_000_101, [0.0, 0.0, 0.3]);
-        assert_eq!(refusal_of(&chunk(&[far])), (Outcome::OutOfRange, 0));
-        assert_eq!(refusal_of(&chunk(&[])), (Outcome::CountOutOfRange, 0));
-        let many = wire::ReferenceChunk {
-            count: 129,
-            ..Default::default()
-        };
-        assert_eq!(refusal_of(&many), (Outcome::CountOutOfRange, 0));
-        let odd = wire::ReferenceChunk {
-            interpolation: 9,
-            ..chunk(&[good])
-        };
-        assert_eq!(refusal_of(&odd), (Outcome::UnknownCode, 0));
-        let axis = wire::ReferencePoint {
-            orientation_kind: codes::OrientationKind::Axis.code(),
-            orientation: [0.0, 0.0, 0.5, 0.0],
-            ..good
-        };
-        assert_eq!(refusal_of(&chunk(&[axis])), (Outcome::NotUnit, 0));
-        let unknown = wire::ReferencePoint {
-            orientation_kind: 7,
-            ..good
-        };
-        assert_eq!(refusal_of(&chunk(&[unknown])), (Outcome::UnknownCode, 0));
+        assert_eq!(refusals(&[far]), (Outcome::OutOfRange, 0));
+        assert_eq!(refusals(&[]), (Outcome::CountOutOfRange, 0));
+        let mut axis = good;
+        axis.orientation_kind = codes::OrientationKind::Axis.code();
+        axis.orientation = [0.0, 0.0, 0.5, 0.0];
+        assert_eq!(refusals(&[axis]), (Outcome::NotUnit, 0));
+        axis.orientation_kind = 7;
+        assert_eq!(refusals(&[axis]), (Outcome::UnknownCode, 0));
+        let mut whole = chunk(&[good]);
+        whole.interpolation = 9;
+        assert_eq!(refusal_of(&whole), (Outcome::UnknownCode, 0));
+        (whole.interpolation, whole.count) = (0, 129);
+        assert_eq!(refusal_of(&whole), (Outcome::CountOutOfRange, 0));
     }
 
     #[test]
@@ -126,20 +113,16 @@ mod tests {
             change(&mut message);
             settings_from_wire(&message, PERIOD_NS)
         };
-        assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
+        let refused = |change| with(change).expect_err("it is wrong");
         assert!(with(|m| m.budget_ns = PERIOD_NS).is_ok());
-        assert_eq!(
-            with(|m| m.budget_ns = PERIOD_NS + 1),
-            Err(Outcome::OutOfRange)
-        );
-        assert_eq!(
-            with(|m| m.safe_distance_m = f64::NAN),
-            Err(Outcome::OutOfRange)
-        );
-        assert_eq!(with(|m| m.coordinates = 9), Err(Outcome::UnknownCode));
-        assert_eq!(with(|m| m.solver = 77), Err(Outcome::UnknownCode));
-        assert_eq!(with(|m| m.swarm_size = 0), Err(Outcome::OutOfRange));
-        assert_eq!(with(|m| m.inertia = f64::NAN), Err(Outcome::OutOfRange));
+        let out_of_range = Outcome::OutOfRange;
+        assert_eq!(refused(|m| m.budget_ns = PERIOD_NS + 1), out_of_range);
+        assert_eq!(refused(|m| m.safe_distance_m = f64::NAN), out_of_range);
+        assert_eq!(refused(|m| m.swarm_size = 0), out_of_range);
+        assert_eq!(refused(|m| m.inertia = f64::NAN), out_of_range);
+        assert_eq!(refused(|m| m.reserved = 1), Outcome::UnknownCode);
+        assert_eq!(refused(|m| m.coordinates = 9), Outcome::UnknownCode);
+        assert_eq!(refused(|m| m.solver = 77), Outcome::UnknownCode);
     }
 
     fn ball(id: u32) -> wire::Obstacle {
@@ -193,35 +176,26 @@ mod tests {
             change(&mut wrong);
             refusal(&update(upsert, &[ball(1), wrong]), &none)
         };
-        assert_eq!(bad(|o| o.radius_m = f64::NAN), (Outcome::NotFinite, 1));
-        assert_eq!(
-            bad(|o| o.start_m[2] = f64::INFINITY),
-            (Outcome::NotFinite, 1)
-        );
-        assert_eq!(
-            bad(|o| o.velocity_m_s[0] = f64::NAN),
-            (Outcome::NotFinite, 1)
-        );
+        let not_finite = (Outcome::NotFinite, 1);
         let capsule = |o: &mut wire::Obstacle| o.shape = codes::ObstacleShape::Capsule.code();
-        assert_eq!(bad(capsule), (Outcome::NotFinite, 1));
-        assert_eq!(bad(|o| o.radius_m = -0.01), (Outcome::OutOfRange, 1));
-        assert_eq!(bad(|o| o.start_m[0] = 1e7), (Outcome::OutOfRange, 1));
-        assert_eq!(
-            bad(|o| o.measured_ns = 10_000_000),
-            (Outcome::OutOfRange, 1)
-        );
-        assert_eq!(bad(|o| o.measured_ns = u64::MAX), (Outcome::OutOfRange, 1));
-        assert_eq!(bad(|o| o.lifetime_ns = 1_000), (Outcome::InThePast, 1));
+        assert_eq!(bad(capsule), not_finite);
+        assert_eq!(bad(|o| o.radius_m = f64::NAN), not_finite);
+        assert_eq!(bad(|o| o.start_m[2] = f64::INFINITY), not_finite);
+        assert_eq!(bad(|o| o.velocity_m_s[0] = f64::NAN), not_finite);
+        let out_of_range = (Outcome::OutOfRange, 1);
         let gone = |o: &mut wire::Obstacle| (o.start_m[0], o.velocity_m_s[0]) = (1e6 - 0.5, 1e6);
-        assert_eq!(bad(gone), (Outcome::OutOfRange, 1));
+        assert_eq!(bad(gone), out_of_range);
+        assert_eq!(bad(|o| o.radius_m = -0.01), out_of_range);
+        assert_eq!(bad(|o| o.start_m[0] = 1e7), out_of_range);
+        assert_eq!(bad(|o| o.measured_ns = 10_000_000), out_of_range);
+        assert_eq!(bad(|o| o.measured_ns = u64::MAX), out_of_range);
+        assert_eq!(bad(|o| o.lifetime_ns = 1_000), (Outcome::InThePast, 1));
         assert_eq!(bad(|o| o.shape = 2), (Outcome::UnknownCode, 1));
-        let many = wire::ObstacleUpdate {
-            count: 65,
-            ..update(upsert, &[])
-        };
+        let mut many = update(upsert, &[]);
+        many.count = 65;
         assert_eq!(refusal(&many, &none), (Outcome::CountOutOfRange, 0));
-        let odd = wire::ObstacleUpdate { action: 3, ..many };
-        assert_eq!(refusal(&odd, &none), (Outcome::UnknownCode, 0));
+        many.action = 3;
+        assert_eq!(refusal(&many, &none), (Outcome::UnknownCode, 0));
         let all: Vec<_> = (0..64).map(ball).collect();
         let full = updated_obstacles(&update(upsert, &all), &none, 2_000).unwrap();
         let one_more = update(upsert, &[ball(5), ball(64)]);
@@ -253,48 +227,29 @@ mod tests {
             measured_ns: 90,
             ..Default::default()
         };
-        let outcome = |message| {
+        let with = |change: fn(&mut wire::Measurement)| {
+            let mut message = good;
+            change(&mut message);
             let taken = measurement(&message, &trunk(), codes::Interface::Position, 100);
-            taken.map_err(|refused| refused.outcome)
+            taken.map(drop).map_err(|refused| refused.outcome)
         };
-        assert!(outcome(good).is_ok());
-        assert_eq!(
-            outcome(wire::Measurement {
-                sections: 2,
-                ..good
-            }),
-            Err(Outcome::WrongRobot)
-        );
-        let future = wire::Measurement {
-            measured_ns: 10_000_000,
-            ..good
+        assert_eq!(with(|_| ()), Ok(()));
+        let tip = |m: &mut wire::Measurement| m.kind = codes::MeasurementKind::TipPose.code();
+        assert_eq!(with(tip), Ok(()));
+        let turned = |m: &mut wire::Measurement| {
+            m.kind = codes::MeasurementKind::TipPose.code();
+            m.tip_orientation[3] = f64::NAN;
         };
-        assert_eq!(outcome(future), Err(Outcome::OutOfRange));
-        let odd = wire::Measurement {
-            reserved: 1,
-            ..good
-        };
-        assert_eq!(outcome(odd), Err(Outcome::UnknownCode));
-        let speeds = wire::Measurement {
-            interface: codes::Interface::Velocity.code(),
-            ..good
-        };
-        assert_eq!(outcome(speeds), Err(Outcome::WrongInterface));
-        let mut nan = good;
-        nan.bend_rad[1] = f64::INFINITY;
-        assert_eq!(outcome(nan), Err(Outcome::NotFinite));
-        let tip = wire::Measurement {
-            kind: codes::MeasurementKind::TipPose.code(),
-            ..good
-        };
-        assert!(outcome(tip).is_ok());
-        let mut turned = tip;
-        turned.tip_orientation[3] = f64::NAN;
-        assert_eq!(outcome(turned), Err(Outcome::NotFinite));
-        assert_eq!(
-            outcome(wire::Measurement { kind: 0, ..good }),
-            Err(Outcome::UnknownCode)
-        );
+        assert_eq!(with(turned), Err(Outcome::NotFinite));
+        let infinite = with(|m| m.bend_rad[1] = f64::INFINITY);
+        assert_eq!(infinite, Err(Outcome::NotFinite));
+        assert_eq!(with(|m| m.sections = 2), Err(Outcome::WrongRobot));
+        let future = with(|m| m.measured_ns = 10_000_000);
+        assert_eq!(future, Err(Outcome::OutOfRange));
+        assert_eq!(with(|m| m.reserved = 1), Err(Outcome::UnknownCode));
+        assert_eq!(with(|m| m.kind = 0), Err(Outcome::UnknownCode));
+        let speeds = with(|m| m.interface = codes::Interface::Velocity.code());
+        assert_eq!(speeds, Err(Outcome::WrongInterface));
     }
 
     #[test]
@@ -310,12 +265,9 @@ mod tests {
                 measurement: measurement_in,
                 measured_ns: 90,
             };
-            let message = measurement_to_wire(&timed, &trunk());
+            let mut sent = measurement_to_wire(&timed, &trunk());
             let interface = codes::Interface::Velocity;
-            let sent = wire::Measurement {
-                interface: interface.code(),
-                ..message
-            };
+            sent.interface = interface.code();
             assert_eq!(measurement(&sent, &trunk(), interface, 100), Ok(timed));
         }
     }

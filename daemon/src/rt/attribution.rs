@@ -57,7 +57,7 @@ impl SchedulerCounts {
 }
 
 /// The times of one cycle, as far as its lateness is concerned.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Timing {
     /// How long before the release the thread asked to be woken, to rehearse and spin until then \[ns\].
     pub early_ns: u64,
@@ -146,7 +146,6 @@ fn standstill_ns(timing: &Timing, known_ns: u64) -> u64 {
 pub struct EvaluatedCycle {
     /// How many cycles ran, this one included.
     pub count: u64,
-    /// Whether it was late.
     pub lateness: Lateness,
     /// Releases before it that got no cycle.
     pub skipped: u32,
@@ -210,22 +209,27 @@ mod tests {
 
     const US: u64 = 1000;
 
-    fn cause([wake, compute, gap]: [u64; 3], [delay, faults]: [u64; 2]) -> LateCause {
-        let timing = Timing {
-            early_ns: 0,
-            woke_early: false,
+    /// A cycle that nobody woke early and that planned nothing \[µs\].
+    fn timing([wake, compute, gap]: [u64; 3]) -> Timing {
+        Timing {
             wake_ns: wake * US,
             compute_ns: compute * US,
-            planned_ns: 0,
             longest_gap_ns: gap * US,
             after_solve_ns: 20 * US,
-        };
-        let scheduling = Scheduling {
+            ..Timing::default()
+        }
+    }
+
+    fn scheduling([delay, faults]: [u64; 2]) -> Scheduling {
+        Scheduling {
             run_delay_ns: delay * US,
             page_faults: faults as u32,
             ..Scheduling::default()
-        };
-        attribute(&timing, Some(&scheduling))
+        }
+    }
+
+    fn cause(times: [u64; 3], counts: [u64; 2]) -> LateCause {
+        attribute(&timing(times), Some(&scheduling(counts)))
     }
 
     #[test]
@@ -248,45 +252,24 @@ mod tests {
         let late = Timing {
             early_ns: 75 * US,
             woke_early: true,
-            wake_ns: 6000 * US,
-            compute_ns: 50 * US,
-            planned_ns: 0,
-            longest_gap_ns: 4 * US,
-            after_solve_ns: 20 * US,
+            ..timing([6000, 50, 4])
         };
         assert_eq!(attribute(&late, None), LateCause::Stall);
-        let faulted = Scheduling {
-            page_faults: 1,
-            ..Scheduling::default()
-        };
+        let faulted = scheduling([0, 1]);
         assert_eq!(attribute(&late, Some(&faulted)), LateCause::PageFault);
-        // A stall after the solver.
-        let timing = Timing {
-            early_ns: 0,
-            woke_early: false,
-            wake_ns: 40 * US,
-            compute_ns: 6000 * US,
-            planned_ns: 0,
-            longest_gap_ns: 4 * US,
-            after_solve_ns: 5900 * US,
-        };
-        assert_eq!(
-            attribute(&timing, Some(&Scheduling::default())),
-            LateCause::Stall
-        );
+        let mut after_the_solver = timing([40, 6000, 4]);
+        after_the_solver.after_solve_ns = 5900 * US;
+        let stalled = attribute(&after_the_solver, Some(&scheduling([0, 0])));
+        assert_eq!(stalled, LateCause::Stall);
     }
 
     #[test]
     fn work_that_was_planned_makes_no_cycle_late() {
         let cause = |wake: u64, compute: u64, gap: u64, after: u64| {
             let timing = Timing {
-                early_ns: 0,
-                woke_early: false,
-                wake_ns: wake * US,
-                compute_ns: compute * US,
                 planned_ns: 4200 * US,
-                longest_gap_ns: gap * US,
                 after_solve_ns: after * US,
+                ..timing([wake, compute, gap])
             };
             attribute(&timing, Some(&Scheduling::default()))
         };
@@ -299,15 +282,8 @@ mod tests {
 
     #[test]
     fn without_the_schedulers_word_a_late_wake_up_is_the_platforms() {
-        let timing = Timing {
-            early_ns: 0,
-            woke_early: false,
-            wake_ns: 9000 * US,
-            compute_ns: 40 * US,
-            planned_ns: 0,
-            longest_gap_ns: 0,
-            after_solve_ns: 0,
-        };
+        let mut timing = timing([9000, 40, 0]);
+        timing.after_solve_ns = 0;
         assert_eq!(attribute(&timing, None), LateCause::Platform);
     }
 
@@ -338,18 +314,9 @@ mod tests {
     fn spinning(wake: u64, compute: u64, gap: u64, delay: u64) -> LateCause {
         let timing = Timing {
             early_ns: 500 * US,
-            woke_early: false,
-            wake_ns: wake * US,
-            compute_ns: compute * US,
-            planned_ns: 0,
-            longest_gap_ns: gap * US,
-            after_solve_ns: 20 * US,
+            ..timing([wake, compute, gap])
         };
-        let scheduling = Scheduling {
-            run_delay_ns: delay * US,
-            ..Scheduling::default()
-        };
-        attribute(&timing, Some(&scheduling))
+        attribute(&timing, Some(&scheduling([delay, 0])))
     }
 
     #[test]
@@ -374,15 +341,7 @@ mod tests {
                 deadline_miss,
             },
             skipped,
-            timing: Timing {
-                early_ns: 0,
-                woke_early: false,
-                wake_ns: 40 * US,
-                compute_ns: compute * US,
-                planned_ns: 0,
-                longest_gap_ns: 4 * US,
-                after_solve_ns: 20 * US,
-            },
+            timing: timing([40, compute, 4]),
         }
     }
 
@@ -413,10 +372,8 @@ mod tests {
         let mut late = evaluated(1, false, 0, 30);
         late.lateness.late_start = true;
         late.timing.wake_ns = 900 * US;
-        assert_eq!(
-            attribution.evaluate(&late, None),
-            Blame::Own(LateCause::Platform)
-        );
+        let cause = attribution.evaluate(&late, None);
+        assert_eq!(cause, Blame::Own(LateCause::Platform));
         let next = attribution.evaluate(&evaluated(2, false, 1, 60), None);
         assert_eq!(next, Blame::Own(LateCause::Compute));
     }

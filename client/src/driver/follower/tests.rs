@@ -214,66 +214,41 @@ fn a_refused_command_changes_nothing_and_is_counted() {
         refusal
     };
     let next = velocity(11, 0.5);
-    let mut bad = next;
-    bad.bend_target_rad[3] = f64::NAN;
-    assert_eq!(refuse(bad), CommandRefusal::NotFinite);
+    let with = |change: fn(&mut Command)| {
+        let mut command = next;
+        change(&mut command);
+        command
+    };
+    let not_finite = with(|next| next.bend_target_rad[3] = f64::NAN);
+    assert_eq!(refuse(not_finite), CommandRefusal::NotFinite);
+    let repeated_header = Command {
+        header: good.header,
+        ..next
+    };
     for (bad, text) in [
         (
-            Command {
-                sections: 2,
-                ..next
-            },
+            with(|next| next.sections = 2),
             "for 2 sections and this robot has 1",
         ),
         (
-            Command {
-                interface: 2,
-                ..next
-            },
+            with(|next| next.interface = 2),
             "this driver obeys the velocity",
         ),
+        (with(|next| next.interface = 77), "interface code 77"),
         (
-            Command {
-                interface: 77,
-                ..next
-            },
-            "interface code 77",
-        ),
-        (
-            Command {
-                target_ns: next.release_ns - 7,
-                ..next
-            },
+            with(|next| next.target_ns = next.release_ns - 7),
             "7 ns before its release",
         ),
-        (Command { cycle: 10, ..next }, "not newer"),
-        (
-            Command {
-                release_ns: good.release_ns,
-                ..next
-            },
-            "not newer",
-        ),
-        (
-            Command {
-                header: good.header,
-                ..next
-            },
-            "not newer",
-        ),
+        (with(|next| next.cycle = 10), "not newer"),
+        (with(|next| next.release_ns = 10 * PERIOD_NS), "not newer"),
+        (repeated_header, "not newer"),
         (good, "not newer"),
         (
-            Command {
-                valid_until_ns: now_ns,
-                ..next
-            },
+            with(|next| next.valid_until_ns = 11 * PERIOD_NS),
             "0 ns after it had run out",
         ),
         (
-            Command {
-                valid_until_ns: now_ns - 9,
-                ..next
-            },
+            with(|next| next.valid_until_ns = 11 * PERIOD_NS - 9),
             "9 ns after it had run out",
         ),
         (of(OTHER, next), "a second daemon"),

@@ -21,40 +21,26 @@ fn done(daemon: &Daemon, line: &str) -> String {
     daemon.place().says(&format!("cdcrctl {line}"), 0, &[])
 }
 
+/// Commands that fail, and what they say.
+const REFUSED: &str = "\
+status --robot other => the robot that runs there: cdcr
+track => no client feeds a reference
+settings set safe_distance_m=0.004 => safe_distance_m = 0.004 is less than the configuration of the daemon allows: at least 0.01
+settings set control_blocks=9 => control_blocks = 9 is out of range: allowed is 0 to 2
+obstacle add --id 1 --at 500,0,0 --radius 20 => are these millimetres?
+obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s => obstacles.source_timeout_ms = 500
+ref line --start 0,0,900 => are these millimetres?
+ref circle --radius 170 => are these millimetres?
+ref line --duration 100ms --max-error 1mm => no cycle tracked the reference
+";
+
 #[test]
 fn errors_say_what_is_so_and_what_to_do() {
     let daemon = Daemon::start(&format!(
         "{PATIENT}[obstacles]\nsource_timeout_ms = 500.0\n"
     ));
-    for (line, printed) in [
-        (
-            "status --robot other",
-            &format!("the robot that runs there: {ROBOT}")[..],
-        ),
-        ("track", "no client feeds a reference"),
-        (
-            "settings set safe_distance_m=0.004",
-            "safe_distance_m = 0.004 is less than the configuration of the daemon allows: at least 0.01",
-        ),
-        (
-            "settings set control_blocks=9",
-            "control_blocks = 9 is out of range: allowed is 0 to 2",
-        ),
-        (
-            "obstacle add --id 1 --at 500,0,0 --radius 20",
-            "are these millimetres?",
-        ),
-        (
-            "obstacle add --id 1 --at 0.5,0,0 --radius 0.02 --lifetime 5s",
-            "obstacles.source_timeout_ms = 500",
-        ),
-        ("ref line --start 0,0,900", "are these millimetres?"),
-        ("ref circle --radius 170", "are these millimetres?"),
-        (
-            "ref line --duration 100ms --max-error 1mm",
-            "no cycle tracked the reference",
-        ),
-    ] {
+    for row in REFUSED.lines() {
+        let (line, printed) = row.split_once(" => ").unwrap();
         let text = refused(&daemon, line);
         assert!(text.contains(printed), "{line}: {text}");
         assert!(!text.contains("Error"), "a name of a type: {text}");

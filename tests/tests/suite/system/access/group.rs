@@ -35,7 +35,11 @@ struct Shared {
 }
 
 impl Shared {
-    fn new() -> Self {
+    /// None where we can be no other user.
+    fn new() -> Option<Self> {
+        if !have_a_stranger() {
+            return None;
+        }
         let place = Place::new();
         in_view(&place);
         let root = place.location().root().join("robot");
@@ -50,12 +54,12 @@ impl Shared {
             chown(folder, Some(DAEMON), Some(DAEMON)).unwrap();
         }
         let [cdcrd, cdcrctl] = ["cdcrd", "cdcrctl"].map(|name| open_to_all(&place, &binary(name)));
-        Self {
+        Some(Self {
             place,
             root,
             cdcrd,
             cdcrctl,
-        }
+        })
     }
 
     fn daemon(&self, root: &Path, group: &str) -> Command {
@@ -119,10 +123,7 @@ impl Shared {
 
 #[test]
 fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let mut daemon = shared.started();
     for (words, printed) in [
         ("echo telemetry --count 1", "holding"),
@@ -155,10 +156,7 @@ fn a_member_of_the_group_observes_feeds_and_commands_and_no_other_does() {
 
 #[test]
 fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let daemon = shared.started();
     let mut member = Program::start(&mut shared.cdcrctl(GROUP, "echo telemetry"));
     wait_until("the member reads", || shared.left().len() > 3);
@@ -171,10 +169,7 @@ fn what_a_killed_member_left_is_cleared_away_by_the_daemon() {
 /// Not wanted, and true of every memory that two processes share: docs/security.md tells it to whoever chooses the members.
 #[test]
 fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let mut daemon = shared.started();
     let feeds = "ref spiral --duration 20s";
     let _member = Program::start(&mut shared.cdcrctl(GROUP, feeds));
@@ -193,10 +188,7 @@ fn a_member_that_makes_its_own_files_shorter_ends_the_daemon() {
 
 #[test]
 fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     // Killed, so that its folders and its lock file stay. Another with the group finds its way in them.
     for _ in 0..2 {
         let mut daemon = shared.started();
@@ -215,10 +207,7 @@ fn a_folder_that_was_open_to_a_group_is_refused_without_it_until_it_is_closed() 
 
 #[test]
 fn who_may_use_a_folder_does_not_change_under_a_daemon() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let group = GROUP.to_string();
     let other_group = NOBODY.to_string();
     for (first, second) in [("", &*group), (&group, ""), (&group, &other_group)] {
@@ -248,10 +237,7 @@ fn who_may_use_a_folder_does_not_change_under_a_daemon() {
 
 #[test]
 fn a_list_that_somebody_changed_is_set_back() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let daemon = shared.started();
     let files = files_below(&shared.root);
     let mut list = [0; 64];
@@ -273,10 +259,7 @@ fn a_list_that_somebody_changed_is_set_back() {
 
 #[test]
 fn a_group_shares_no_folder_that_somebody_else_could_have_made() {
-    if !have_a_stranger() {
-        return;
-    }
-    let shared = Shared::new();
+    let Some(shared) = Shared::new() else { return };
     let root =
         Path::new(Location::MEMORY).join(format!("{}open", shared.place.location().prefix()));
     let group = GROUP.to_string();
