@@ -7,13 +7,14 @@ mod bits;
 
 pub use bits::{guard, realtime, timing};
 
-/// Declares a wire enumeration with its values, its checked conversion and a sentence for people.
+/// Declares a wire enumeration with its values, its checked conversion and a sentence for people, which its documentation
+/// begins with.
 macro_rules! wire_enum {
-    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])+ $variant:ident = $value:literal: $text:literal,)+ }) => {
+    ($(#[$meta:meta])* $name:ident { $($(#[doc = $doc:literal])* $variant:ident = $value:literal: $text:literal,)+ }) => {
         $(#[$meta])*
         #[repr(u32)]
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-        pub enum $name { $($(#[doc = $doc])+ $variant = $value,)+ }
+        pub enum $name { $(#[doc = concat!("“", $text, "”.")] $(#[doc = $doc])* $variant = $value,)+ }
 
         impl $name {
             /// Every value, in the order of the codes.
@@ -146,7 +147,6 @@ wire_enum! {
 wire_enum! {
     /// What a measurement measures.
     MeasurementKind {
-        /// Nothing.
         None = 0: "none",
         /// The bend vector of every section.
         Configuration = 1: "configuration",
@@ -204,13 +204,10 @@ wire_enum! {
         Start = 0: "started",
         /// A client asked for it.
         Request = 1: "requested",
-        /// The reference came to its end.
         ReferenceEnded = 2: "the reference ended",
         /// The holder of the lease fell silent.
         LeaseExpired = 3: "the reference lease expired",
-        /// The home configuration is reached.
         HomeReached = 4: "home is reached",
-        /// Too many deadlines were missed.
         DeadlineMisses = 5: "too many deadline misses (cycle.miss_limit)",
         /// The driver sends no fresh measurement.
         MeasurementLost = 6: "the measurement is lost",
@@ -220,9 +217,7 @@ wire_enum! {
         LimitBroken = 8: "a limit is broken",
         /// The body came too near to an obstacle.
         ClearanceBroken = 9: "the clearance is broken",
-        /// The daemon ends.
         Shutdown = 10: "the daemon ends",
-        /// The lease was given back.
         LeaseReleased = 11: "the reference lease was released",
         /// The measurement jumped farther than the robot can move.
         MeasurementJump = 12: "the measurement jumps",
@@ -232,11 +227,8 @@ wire_enum! {
         FollowingError = 14: "the robot does not follow (safety.following_fault_rad)",
         /// No gather brought new inputs for longer than a command is valid.
         InputsStale = 15: "the inputs are stale",
-        /// The machine slept.
         Suspended = 16: "the machine was suspended",
-        /// Nothing was heard of who sends the obstacles.
         ObstacleSourceSilent = 17: "the source of the obstacles is silent (obstacles.source_timeout_ms)",
-        /// The reference was replaced by one too far from the tip to be approached.
         ReferenceTooFar = 18: "the reference was replaced by one farther from the tip than motion.approach_distance_m",
         /// The mean length of a section's three cables changed by more than any bend does.
         CommonMode = 19: "the cables of a section went slack, or one broke (safety.cable_common_m)",
@@ -258,11 +250,8 @@ wire_enum! {
         Home = 5: "home",
         /// Acquire or renew the reference lease.
         AcquireLease = 6: "acquire the lease",
-        /// Give the reference lease back.
         ReleaseLease = 7: "release the lease",
-        /// Change the solver's settings.
         Settings = 8: "change settings",
-        /// Begin the statistics of the status anew.
         ResetStatistics = 9: "reset the statistics",
     }
 }
@@ -272,37 +261,25 @@ wire_enum! {
     Outcome {
         /// It took effect.
         Accepted = 0: "accepted",
-        /// A number is NaN or infinite.
         NotFinite = 1: "a value is not a finite number",
-        /// A time lies in the past.
         InThePast = 2: "a time lies in the past",
         /// A position is farther from the base than the robot is long.
         OutOfReach = 3: "a position is outside the reachable ball",
         /// Times do not increase strictly.
         TimeNotIncreasing = 4: "times do not increase",
-        /// The sender does not hold the reference lease.
         NoLease = 5: "the sender has no right to feed a reference (it holds no lease)",
         /// A chunk before this one was lost or refused.
         SequenceGap = 6: "an earlier chunk is missing",
-        /// There is no room for it.
         BufferFull = 7: "the buffer is full",
-        /// A count is outside its range.
         CountOutOfRange = 8: "a count is out of range",
-        /// A code means nothing.
         UnknownCode = 9: "a code is unknown",
         /// An orientation is not a unit vector or quaternion.
         NotUnit = 10: "an orientation is not of unit length",
-        /// The daemon has no such function.
         Unsupported = 11: "this daemon does not support it",
-        /// Another client holds the lease.
         LeaseHeld = 12: "another client feeds the reference (it holds the lease)",
-        /// No reference is buffered that is still ahead.
         NoReference = 13: "there is no reference ahead",
-        /// The mode does not allow it.
         WrongMode = 14: "the mode does not allow it",
-        /// The cause of the fault still stands.
         CauseStands = 15: "the cause of the fault still stands",
-        /// A value is outside its range.
         OutOfRange = 16: "a value is out of range",
         /// Too many requests at once; try again.
         Busy = 17: "too many requests at once",
@@ -312,15 +289,12 @@ wire_enum! {
         WrongRobot = 19: "the message belongs to another robot",
         /// A stop came in the same cycle, and stop wins.
         Overruled = 20: "a stop came in the same cycle",
-        /// The daemon ends.
         Ending = 21: "the daemon ends",
         /// The driver obeys positions and the daemon is configured for speeds, or the other way round.
         WrongInterface = 22: "the driver's interface is not that of the configuration (link.interface)",
-        /// The robot has a driver, and the message came from another one.
         OtherDriver = 23: "another driver has the robot",
         /// The robot waits, though nothing is broken; it may be asked again.
         Waits = 24: "the robot waits: the source of the obstacles is silent (obstacles.source_timeout_ms), or the inputs are stale",
-        /// The reference is farther from the tip than `motion.approach_distance_m`.
         TooFar = 25: "the reference is farther from the tip than motion.approach_distance_m",
     }
 }
@@ -328,13 +302,10 @@ wire_enum! {
 wire_enum! {
     /// What kind of message an event reports.
     EventKind {
-        /// A reference chunk.
         Reference = 0: "reference",
-        /// An obstacle update.
         Obstacles = 1: "obstacles",
         /// A measurement; only refused ones are reported.
         Measurement = 2: "measurement",
-        /// A request.
         Request = 3: "request",
     }
 }
@@ -342,11 +313,9 @@ wire_enum! {
 wire_enum! {
     /// Where an instant lies relative to the buffered reference.
     ReferenceState {
-        /// There is none.
         None = 0: "no reference",
         /// Before its first point: the first point counts.
         Before = 1: "before the start",
-        /// Inside.
         Inside = 2: "inside",
         /// After its last point: the last point counts.
         Ended = 3: "ended",
@@ -382,11 +351,9 @@ wire_enum! {
 wire_enum! {
     /// What made a cycle late: the largest part of its lateness.
     LateCause {
-        /// It was in time.
         None = 0: "in time",
         /// The wake-up itself came late, with the core free (timer, firmware), or the hypervisor had the core.
         Platform = 1: "platform",
-        /// Another task had the core.
         Load = 2: "another task had the core",
         /// Memory was not there when it was touched.
         PageFault = 3: "page fault",
@@ -434,7 +401,6 @@ wire_enum! {
 wire_enum! {
     /// A constraint that a solution breaks.
     Constraint {
-        /// None.
         None = 0: "none",
         /// The safe distance from an obstacle.
         Clearance = 1: "clearance",
@@ -464,7 +430,6 @@ wire_enum! {
 wire_enum! {
     /// Which candidate the solution descends from.
     Winner {
-        /// The warm start.
         WarmStart = 0: "warm start",
         /// The previous plan, not shifted.
         Previous = 1: "previous plan",
