@@ -54,7 +54,6 @@ const COLUMNS: [Column; 11] = [
     plain("worse than warm start", "worse_than_warm_start"),
 ];
 
-/// What a round counts.
 const COUNTS: [&str; 3] = ["solves", "ended_by_budget", "worse_than_warm_start"];
 
 #[derive(Debug, Clone, Copy, clap::Args)]

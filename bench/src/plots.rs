@@ -23,7 +23,6 @@ const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
 const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
 /// Shapes of the robot that are drawn of the line.
 const SHAPES: usize = 6;
-/// Points of a section.
 const POINTS: u32 = 24;
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.

@@ -64,7 +64,6 @@ impl Start {
         Ok(serde_json::to_string(&keys)? + "\n")
     }
 
-    /// One result as JSON.
     pub fn json_of(&self, dataset: &Dataset) -> Result<String> {
         self.json(dataset.json(), &dataset.metrics)
     }
@@ -97,7 +96,6 @@ impl Bundle {
         Ok(())
     }
 
-    /// The page and the text.
     fn add_documents(
         &mut self,
         name: &str,
@@ -173,7 +171,6 @@ pub struct Extent {
 
 type Run = dyn FnOnce(&mut Progress) -> Result<Dataset> + Send;
 
-/// A benchmark with its options.
 pub struct Plan {
     name: &'static str,
     pub expected_s: f64,
@@ -319,7 +316,6 @@ impl BenchReport {
         texts.join("\n")
     }
 
-    /// The whole as JSON.
     fn json(&self) -> Result<String> {
         let took = self.parts.iter().map(|part| (part.name, part.took_s));
         let failed: Vec<&str> = self.failures().map(|(name, _)| name).collect();

@@ -97,7 +97,6 @@ pub fn run(experiment: Experiment, effort: Effort, mut progress: impl FnMut()) -
     })
 }
 
-/// One seed.
 fn run_row(task: Task, scene: &Scene, samples: &[Sample]) -> Result<Value> {
     let most = |value: &dyn Fn(&Sample) -> f64| samples.iter().map(value).fold(0.0, f64::max);
     let sum_mm: f64 = samples.iter().map(Sample::error_mm).sum();

@@ -4,7 +4,6 @@ use cdcr_controller::safety::LeakyBucket;
 
 use crate::rt::schedule::{Lateness, Release};
 
-/// What counts as late.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Deadline D after the release \[ns\].
@@ -15,14 +14,10 @@ pub struct Limits {
     pub miss_limit: u32,
 }
 
-/// Counts since the start.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Totals {
-    /// Cycles that ran.
     pub cycles: u64,
-    /// Late starts.
     pub late_starts: u64,
-    /// Deadline misses.
     pub deadline_misses: u64,
     /// Releases without a cycle.
     pub skipped_periods: u64,
@@ -37,7 +32,6 @@ pub struct Accounting {
 }
 
 impl Accounting {
-    /// Nothing happened yet.
     pub fn new(limits: Limits) -> Self {
         Self {
             limits,
@@ -69,7 +63,6 @@ impl Accounting {
         lateness
     }
 
-    /// Counts since the start.
     pub fn totals(&self) -> &Totals {
         &self.totals
     }
@@ -79,7 +72,6 @@ impl Accounting {
         &self.bucket
     }
 
-    /// What counts as late.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }

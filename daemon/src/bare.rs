@@ -35,15 +35,12 @@ pub const CYCLES_MAX: u64 = 10_000_000;
 /// How often the main thread looks whether the loop is over or is to end.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// One cycle, as it happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct BareCycle {
     pub release: Release,
     /// The clock, read right after the start \[ns\].
     pub handed_over_ns: u64,
-    /// Whether it was late.
     pub lateness: Lateness,
-    /// Why.
     pub blame: Blame,
     /// What the system did to the thread since the cycle before. None where it does not tell.
     pub interference: Option<Interference>,

@@ -15,7 +15,6 @@ use crate::handover::Shared;
 use crate::instance::{Found, PlaceWatch};
 use crate::reload::Reload;
 
-/// How often it looks.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Dead processes that it clears away each time. One takes about 5 ms of processor time.
 const DEAD_NODES: usize = 8;

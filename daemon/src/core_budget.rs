@@ -131,7 +131,6 @@ const STALLS: usize = 3;
 /// the core, the scheduler says so, and nothing is noted; what a hypervisor takes, it may not know.
 const STALLED: usize = 30;
 
-/// The newest costs of one part.
 #[derive(Debug, Clone)]
 pub struct RecentCosts {
     /// As they came.
@@ -154,7 +153,6 @@ impl Default for RecentCosts {
 }
 
 impl RecentCosts {
-    /// Takes note of one more.
     pub fn note(&mut self, cost_ns: u64) {
         let oldest_ns = core::mem::replace(&mut self.costs_ns[self.next % REMEMBERED], cost_ns);
         // The place of the one that is forgotten, or the first free one.

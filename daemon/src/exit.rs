@@ -9,7 +9,6 @@ use crate::config::ConfigError;
 use crate::instance::InstanceError;
 use crate::services::ServiceError;
 
-/// Why the process ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ExitCause {
     /// It was asked to, and the robot came to rest.
@@ -30,7 +29,6 @@ pub enum ExitCause {
     RootLocked,
     /// Real time is required and not granted.
     NotRealtime,
-    /// The configuration is wrong.
     Configuration,
     /// The cycle thread made no progress.
     CycleHung,
@@ -43,7 +41,6 @@ pub enum ExitCause {
 }
 
 impl ExitCause {
-    /// Every cause.
     pub const ALL: [Self; 14] = [
         Self::Asked,
         Self::Other,
@@ -112,7 +109,6 @@ impl From<ExitCause> for ExitCode {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct Ended {
-    /// Why.
     pub cause: ExitCause,
     /// In words, with a remedy.
     pub message: String,

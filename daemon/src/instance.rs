@@ -50,50 +50,29 @@ pub enum InstanceError {
          {root}\nend it with `kill {process}`, or choose another --robot, --prefix or --root"
     )]
     Runs {
-        /// Name of the robot.
         robot: String,
         /// Process id of the other daemon, as far as it could be read.
         process: String,
-        /// Prefix.
         prefix: String,
-        /// Root folder.
         root: String,
     },
     /// The root folder belongs to another user.
     #[error(
         "the root folder {root} belongs to user id {owner}, not to {user}\nchoose another with --root"
     )]
-    ForeignRoot {
-        /// Root folder.
-        root: String,
-        /// Who owns it.
-        owner: u32,
-        /// Who we are.
-        user: u32,
-    },
+    ForeignRoot { root: String, owner: u32, user: u32 },
     /// Another user has put a link where the root folder should be.
     #[error(
         "the root folder {root} is a symbolic link that belongs to user id {owner}, not to {user}\n\
          name the folder itself with --root, or choose another"
     )]
-    ForeignLink {
-        /// Root folder.
-        root: String,
-        /// Who owns the link.
-        owner: u32,
-        /// Who we are.
-        user: u32,
-    },
+    ForeignLink { root: String, owner: u32, user: u32 },
     /// Other users may write to the root folder.
     #[error(
         "other users may write to the root folder {root} (mode {mode:04o}), and could keep clients from the \
          daemon\ncheck its contents, close it with `chmod go-rwx {root}`, or choose another with --root"
     )]
-    OpenRoot {
-        /// Root folder.
-        root: String,
-        mode: u32,
-    },
+    OpenRoot { root: String, mode: u32 },
     /// Another daemon lives in the root folder, and other users may use it than this one wants.
     #[error(
         "the root folder {root} is {access}, and others run in it: {daemons}\nthis daemon, with transport.group = {group}, \
@@ -101,11 +80,9 @@ pub enum InstanceError {
          another with --root"
     )]
     RootInUse {
-        /// Root folder.
         root: String,
         /// Who may use it now.
         access: &'static str,
-        /// Robots and processes.
         daemons: String,
         /// Whom this one wants to let in.
         group: String,
@@ -115,55 +92,33 @@ pub enum InstanceError {
         "other users could enter the root folder {root} (mode {mode:04o}), and files that they have opened stay open to them\n\
          empty it, or choose another with --root"
     )]
-    EnteredRoot {
-        /// Root folder.
-        root: String,
-        mode: u32,
-    },
+    EnteredRoot { root: String, mode: u32 },
     /// Somebody who is no daemon that runs has locked the root folder.
     #[error(
         "another process has locked the root folder {root}: a daemon that is starting, or a program \
          that deletes old files (`fuser -v {root}` names it)\nstart again in a moment, or choose another folder with --root"
     )]
-    RootLocked {
-        /// Root folder.
-        root: String,
-    },
+    RootLocked { root: String },
     /// The root folder is not in memory.
     #[error(
         "the root folder {root} is on a disk, and writing shared memory to it would delay the daemon\n\
          choose a folder in memory (tmpfs) with --root, for example below /dev/shm or /run"
     )]
-    RootOnDisk {
-        /// Root folder.
-        root: String,
-    },
+    RootOnDisk { root: String },
     /// The members of a group could lead this daemon to change files elsewhere, and it may change all.
     #[error(
         "a daemon that runs as root shares {root} with no group: by links in it the members could change files that are root's\n\
          run it as a user of its own, or leave transport.group empty"
     )]
-    GroupOfRoot {
-        /// Root folder.
-        root: String,
-    },
+    GroupOfRoot { root: String },
     /// Another user could put a folder in the place of one that a group trusts.
     #[error(
         "a group can share only a root folder that lies in one that belongs to root and is closed to others, like /run; \
          {root} does not\nroot makes one: install -d -o <user of the daemon> -m 0700 /run/cdcr; or leave transport.group empty"
     )]
-    GroupRoot {
-        /// Root folder.
-        root: String,
-    },
-    /// The lock file cannot be used.
+    GroupRoot { root: String },
     #[error("cannot use {path}: {cause}\nchoose a root folder that you may write to with --root")]
-    File {
-        /// The file or folder.
-        path: String,
-        /// Why.
-        cause: std::io::Error,
-    },
+    File { path: String, cause: std::io::Error },
 }
 
 impl Instance {

@@ -41,7 +41,6 @@ impl RobotLink {
         })
     }
 
-    /// The ideal robot.
     pub fn ideal(plant: KinematicPlant) -> Self {
         let now_ns = None;
         Self::Ideal(Box::new(IdealRobot { plant, now_ns }))

@@ -138,7 +138,6 @@ fn words(panic: &PanicHookInfo<'_>) -> String {
     }
 }
 
-/// What iceoryx2 has to say.
 #[derive(Debug)]
 struct Iceoryx2;
 
@@ -177,7 +176,6 @@ struct RateLimit {
     places: Mutex<HashMap<Identifier, Place>>,
 }
 
-/// How often one place may log.
 #[derive(Debug, Clone, Copy)]
 struct Limit {
     lines_max: u32,
@@ -192,7 +190,6 @@ struct Place {
     left_out: u64,
 }
 
-/// What happens to a line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Decision {
     Pass,

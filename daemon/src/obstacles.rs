@@ -132,7 +132,6 @@ impl ObstacleSet {
         }
     }
 
-    /// Keeps those that `keep` says.
     pub fn retain(&mut self, keep: impl Fn(&KnownObstacle) -> bool) {
         *self = self.iter().copied().filter(keep).collect();
     }
@@ -147,7 +146,6 @@ impl ObstacleSet {
         self.slots[..self.count].iter().flatten()
     }
 
-    /// How many there are.
     pub fn count(&self) -> usize {
         self.count
     }

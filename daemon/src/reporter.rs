@@ -36,7 +36,6 @@ const LOOK_MIN: Duration = Duration::from_millis(1);
 /// By its looks a watchdog sees that the thread lives.
 const LOOK_MAX: Duration = Duration::from_millis(20);
 
-/// The reporter of one daemon.
 #[derive(Debug)]
 pub struct Reporter {
     telemetry: Publisher<ipc::Service, wire::Telemetry, ()>,
@@ -91,7 +90,6 @@ impl Reporter {
         }
     }
 
-    /// Publishes every report that waits.
     fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         while let Ok(report) = self.ends.reports.pop() {
             shared.beat_reporter();

@@ -23,9 +23,7 @@ const TELL_EVERY: Duration = Duration::from_secs(1);
 /// What `systemctl status` shows in one line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StatusLine {
-    /// Mode of the robot.
     pub mode: Mode,
-    /// Why it is in that mode.
     pub reason: Reason,
     /// Cycles in a second, as counted \[Hz\].
     pub rate_hz: f64,
@@ -76,7 +74,6 @@ pub struct ServiceManager {
     complained: bool,
 }
 
-/// Where the messages go.
 #[derive(Debug)]
 struct Listener {
     socket: UnixDatagram,
@@ -84,7 +81,6 @@ struct Listener {
     name: OsString,
 }
 
-/// What is known of the watchdog.
 #[derive(Debug)]
 struct Watchdog {
     period: Duration,

@@ -28,7 +28,6 @@ const START_TIMEOUT: Duration = Duration::from_secs(10);
 const START_DELAY_NS: u64 = 10_000_000;
 /// How long the threads of a start that failed may take to end.
 const GIVE_UP: Duration = Duration::from_secs(2);
-/// Stack of a real-time thread.
 const STACK_BYTES: usize = 1024 * 1024;
 
 /// A flag that is set by the signals that ask the process to end.
@@ -142,7 +141,6 @@ struct Starter {
     go: Sender<Schedule>,
 }
 
-/// The thread's own end.
 #[derive(Debug)]
 pub(crate) struct Stage {
     ready: Sender<Result<()>>,
@@ -220,7 +218,6 @@ impl<T> Started<T> {
         let _ = self.starter.go.send(schedule.clone());
     }
 
-    /// Whether it has ended.
     pub(crate) fn is_finished(&self) -> bool {
         self.handle.is_finished()
     }

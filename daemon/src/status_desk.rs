@@ -63,7 +63,6 @@ impl StatusDesk {
         })
     }
 
-    /// Whether it has ended.
     pub(crate) fn is_finished(&self) -> bool {
         self.thread.is_finished()
     }

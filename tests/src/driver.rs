@@ -48,12 +48,10 @@ impl DriverProcess {
         let _ = writeln!(pipe, "{fault} {}", duration.as_millis());
     }
 
-    /// Sends it a signal.
     pub fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.0), signal).expect("it is a child");
     }
 
-    /// Whether it has not ended.
     pub fn runs(&mut self) -> bool {
         self.0.try_wait().expect("it is a child").is_none()
     }

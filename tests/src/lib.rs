@@ -31,7 +31,6 @@ pub use cdcr_testbed::subject::place::in_public_memory;
 pub use program::Program;
 use rustix::process::{Pid, Signal, kill_process};
 
-/// Robot name of every test.
 pub const ROBOT: &str = "cdcr";
 /// Which robot a daemon simulates; empty counts as not said.
 const SIMULATED: &str = "CDCR_LINK_SIMULATED";
@@ -42,7 +41,6 @@ pub const TIMEOUT: Duration = Duration::from_secs(60);
 /// missed deadline stops the robot.
 pub const PATIENT: &str = "[cycle]\nmiss_limit = 1000000\n[reference]\nlease_ms = 60000.0\n";
 
-/// Path of one of our binaries.
 pub fn binary(name: &str) -> PathBuf {
     let test = std::env::current_exe().expect("the test has a path");
     let folder = test
@@ -74,14 +72,12 @@ impl Place {
         self.0.location()
     }
 
-    /// A file in the place's folder.
     pub fn write(&self, name: &str, text: &str) -> PathBuf {
         let path = self.folder().join(name);
         std::fs::write(&path, text).expect("the folder is writable");
         path
     }
 
-    /// The place's folder.
     pub fn folder(&self) -> &Path {
         self.0.folder()
     }
@@ -229,18 +225,15 @@ impl Daemon {
         self.wait_until_up();
     }
 
-    /// Where it is.
     pub fn place(&self) -> &Place {
         &self.place
     }
 
-    /// A new connection to it.
     pub fn connect(&self) -> Connection {
         Connection::open(self.place.location(), ROBOT)
             .unwrap_or_else(|error| panic!("{error}\n{}", self.log()))
     }
 
-    /// What it logged so far.
     pub fn log(&self) -> String {
         std::fs::read_to_string(&self.log).unwrap_or_default()
     }
@@ -261,7 +254,6 @@ impl Daemon {
         self.child.id()
     }
 
-    /// Whether it has not ended.
     pub fn runs(&mut self) -> bool {
         let status = self.child.try_wait().expect("it is our child");
         status.is_none()
@@ -335,7 +327,6 @@ fn spawn(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Chil
         .expect("cdcrd starts")
 }
 
-/// Waits until something is so.
 pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {
     let begin = Instant::now();
     while !is_it() {
@@ -371,7 +362,6 @@ impl Drop for EndWhenDropped<'_> {
     }
 }
 
-/// Waits for a record in `mode`.
 pub fn wait_mode(stream: &mut TelemetryStream, mode: Mode) -> Telemetry {
     wait_record(stream, |record| record.mode == mode.code())
 }

@@ -252,7 +252,6 @@ impl Busy {
         let _ = connection.request(RequestKind::ResetStatistics);
     }
 
-    /// Cycles that the daemon has run.
     pub fn cycles(&self) -> u64 {
         self.connection.status(TIMEOUT).unwrap().cycles
     }

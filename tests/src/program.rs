@@ -47,7 +47,6 @@ impl Program {
         kill_process(Pid::from_child(&self.child), signal).expect("it is our child");
     }
 
-    /// Whether it is still running.
     pub fn runs(&mut self) -> bool {
         let status = self.child.try_wait().expect("it is our child");
         status.is_none()

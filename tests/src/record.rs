@@ -5,7 +5,6 @@ use cdcr_controller::robot::{Configuration, Obstacle, Robot};
 use cdcr_daemon::convert;
 use cdcr_shared_types::{RobotDescription, Telemetry};
 
-/// The robot of a description.
 pub fn robot_of(description: &RobotDescription) -> Robot {
     model::robot_of(description).expect("a robot that a daemon runs")
 }

@@ -36,7 +36,6 @@ impl DrivenRobot {
         Self::with_flaws(connection, interface, bend_rad, Preset::Laboratory.flaws())
     }
 
-    /// The same with these flaws.
     pub fn with_flaws(
         connection: &Connection,
         interface: Interface,
@@ -109,7 +108,6 @@ impl DrivenRobot {
         padded(&self.driver.plant().configuration())
     }
 
-    /// The last command that the driver took.
     pub fn last_command(&self) -> Option<Command> {
         self.last_command
     }

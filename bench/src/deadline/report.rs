@@ -71,7 +71,6 @@ const COUNTS: [Column; 18] = [
     plain("cut short", "budget_hits"),
 ];
 
-/// What a round counts.
 const COUNTED: [&str; 9] = [
     "cycles",
     "late_starts",

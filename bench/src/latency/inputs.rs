@@ -123,7 +123,6 @@ struct Sent {
     sequence: u64,
     stamp_ns: u64,
     counts: bool,
-    /// When it was answered.
     received_ns: Option<u64>,
 }
 

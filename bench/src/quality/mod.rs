@@ -107,7 +107,6 @@ impl QualityOptions {
 
 /// One variant, and what came of it in each round.
 struct Case {
-    /// Index of its scene.
     scene: usize,
     variant: Variant,
     rounds: Vec<Value>,

@@ -63,7 +63,6 @@ const SHORTEST: [Column; 16] = [
     power("error p99 mm", "held_error_p99_mm"),
 ];
 
-/// What a trial counts.
 const COUNTS: [&str; 8] = [
     "cycles",
     "late_starts",

@@ -59,7 +59,6 @@ pub(super) struct Scenario {
     pub(super) through_straight: Option<usize>,
     /// A ball stands at the way.
     pub(super) has_ball: bool,
-    /// What is wanted.
     pub(super) targets: Targets,
 }
 
@@ -87,7 +86,6 @@ impl Targets {
         rate_change: f64::INFINITY,
     };
 
-    /// In words, for a table.
     pub(super) fn text(&self) -> String {
         let all = [
             ("mean", self.mean_mm, "mm"),

@@ -119,7 +119,6 @@ pub(super) fn is_any(only: Option<&str>) -> bool {
     only == Some("preset") || knobs(only).next().is_some()
 }
 
-/// Runs.
 pub(super) fn count(only: Option<&str>) -> usize {
     2 * (PRESETS.len() + knobs(only).map(|knob| knob.values.len()).sum::<usize>())
 }

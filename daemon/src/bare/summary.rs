@@ -26,11 +26,8 @@ pub struct Summary {
     pub spin_ns: u64,
     /// Time on the grid that the cycles cover \[s\].
     pub duration_s: f64,
-    /// Cycles that ran.
     pub cycles: u64,
-    /// Late starts.
     pub late_starts: u64,
-    /// Deadline misses.
     pub deadline_misses: u64,
     /// Releases without a cycle.
     pub skipped_periods: u64,

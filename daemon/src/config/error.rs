@@ -13,7 +13,6 @@ pub enum ConfigError {
     #[error("cannot read the configuration {}: {cause}{}", short(&file.display().to_string()), start(file, cause))]
     Unreadable {
         file: PathBuf,
-        /// Why.
         cause: std::io::Error,
     },
     /// The text is no TOML.
@@ -26,7 +25,6 @@ pub enum ConfigError {
     /// A key that nobody knows.
     #[error("{}unknown key {key}: {}", place(origin), remedy(*nearest), key = short(key))]
     Unknown {
-        /// Where it was set.
         origin: Origin,
         key: String,
         /// The known key that is nearest to it.
@@ -35,9 +33,7 @@ pub enum ConfigError {
     /// A value is not allowed.
     #[error("{}{key}: {message}", place(origin), key = short(key), message = short(message))]
     Value {
-        /// Where it was set.
         origin: Origin,
-        /// Full key.
         key: String,
         /// What is wrong, and what is allowed.
         message: String,

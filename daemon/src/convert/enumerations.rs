@@ -30,11 +30,8 @@ to_wire! {
     }
     /// What of a command the driver obeys.
     pub interface: Interface => Interface { Velocity, Position }
-    /// Which robot.
     pub link: LinkKind => RobotLink { Simulated, Driver }
-    /// The reference lease.
     pub(super) lease_state: LeaseState => LeaseState { Free, Held, Expired }
-    /// What became of the measurement.
     pub(super) measurement_state: MeasurementUse => MeasurementState { None, Used, Repeated, Implausible }
     /// A constraint that is broken.
     pub(super) constraint: Constraint => Constraint { Clearance, Limit }

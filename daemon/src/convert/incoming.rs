@@ -14,7 +14,6 @@ use crate::obstacles::{KnownObstacle, ObstacleSet};
 /// Why a message was refused, and at which of its points or obstacles.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Refused {
-    /// Why.
     pub outcome: Outcome,
     /// Index of the point or obstacle; 0 where there is none.
     pub detail: u32,

@@ -16,7 +16,6 @@ use crate::handover::{CycleRecord, TimedMeasurement};
 use crate::obstacles::KnownObstacle;
 use crate::rt::attribution::Scheduling;
 
-/// The robot on the wire.
 pub fn robot(robot: &Robot) -> wire::RobotDescription {
     let mut description = wire::RobotDescription {
         sections: robot.section_count() as u32,
@@ -38,7 +37,6 @@ pub fn robot(robot: &Robot) -> wire::RobotDescription {
     description
 }
 
-/// The command of a cycle.
 pub fn command(record: &CycleRecord, robot: &Robot, period_ns: u64) -> wire::Command {
     let target = record
         .commanded

@@ -11,7 +11,6 @@ use crate::handover::{ChangedSettings, Settings};
 /// that is missing does not compile.
 macro_rules! both_ways {
     ({ $($choice:ident: $type:ident { $($variant:ident),+ },)+ } $($number:ident),+ $(,)?) => {
-        /// Settings on the wire.
         pub fn settings_to_wire(settings: &Settings) -> wire::SolverSettings {
             let Settings { nmpc, budget_ns } = settings;
             let NmpcSettings { $($choice,)+ $($number),+ } = *nmpc;

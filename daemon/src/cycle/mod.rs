@@ -373,7 +373,6 @@ impl Cycle {
         }
     }
 
-    /// The rates that the mode wants.
     fn desired_rates(
         &mut self,
         release: &Release,

@@ -25,7 +25,6 @@ pub(super) struct RobotState {
     policy: Policy,
     period_ns: u64,
     estimator: Estimator,
-    /// Where the robot is now.
     present: Configuration,
     /// A state, moved by the commanded rates and by nothing else while the robot is in control. A robot that obeys
     /// positions is told it.
@@ -127,12 +126,10 @@ impl RobotState {
         pairs.all(|(here, end)| (end - here).abs() < ARRIVED_RAD)
     }
 
-    /// Where it is commanded to be.
     pub(super) fn commanded(&self) -> &Configuration {
         &self.commanded
     }
 
-    /// How far it is from there.
     pub(super) fn following(&self) -> &FollowingWatch {
         &self.following
     }
@@ -256,7 +253,6 @@ impl RobotState {
         self.estimator.tip_offset_m()
     }
 
-    /// Where the tip is.
     pub(super) fn tip(&self) -> Pose {
         self.tip_at(&self.present)
     }
@@ -354,7 +350,6 @@ impl RobotState {
         bends.all(|bend| bend.abs() < tolerance_rad)
     }
 
-    /// What is wrong with the measurement.
     pub(super) fn measurement_fault(&self) -> Option<Reason> {
         if self.unmeasured_ns > self.policy.measurement_timeout_ns {
             return Some(Reason::MeasurementLost);

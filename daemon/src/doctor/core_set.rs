@@ -25,7 +25,6 @@ impl CoreSet {
         self.0.len()
     }
 
-    /// The set without `core`.
     #[must_use]
     pub(crate) fn without(&self, core: usize) -> Self {
         Self(self.iter().filter(|other| *other != core).collect())

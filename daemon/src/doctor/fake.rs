@@ -20,7 +20,6 @@ pub(super) struct Fake {
 }
 
 impl Fake {
-    /// A system with these files.
     pub(super) fn new(files: &[(&str, &str)]) -> Self {
         let folder = Scratch::temporary().unwrap();
         let root = std::path::PathBuf::from("/run/cdcr");
@@ -62,7 +61,6 @@ impl Fake {
         fake
     }
 
-    /// Writes a file of the system.
     pub(super) fn write(&self, path: &str, text: &str) {
         let path = self.scene.system.path(path);
         assert!(path.starts_with(self.folder.path()));

@@ -49,7 +49,6 @@ pub(crate) struct Assessment {
     pub(crate) severity: Severity,
     /// What was seen.
     pub(crate) value: String,
-    /// What to do about it.
     pub(crate) remedy: String,
 }
 

@@ -54,7 +54,6 @@ use crate::config::{RealtimeMode, Validated};
 
 /// The kernel's folder of the cores.
 const CPU: &str = "/sys/devices/system/cpu";
-/// How long the counters are watched.
 const WATCHED: Duration = Duration::from_secs(1);
 
 /// All that was seen.
@@ -70,7 +69,6 @@ pub(crate) struct Scene {
 /// What a check finds, or what it could not read.
 type Assessed = Result<Assessment, Unreadable>;
 
-/// To whom a thing matters.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Concern {
     /// To every daemon.
@@ -79,7 +77,6 @@ enum Concern {
     RealTime,
 }
 
-/// One thing that matters.
 struct Check {
     key: &'static str,
     title: &'static str,
@@ -133,7 +130,6 @@ impl Scene {
         self.plan.core.ok_or_else(none)
     }
 
-    /// Whether the core has no tick.
     fn has_no_tick(&self) -> Result<bool, Unreadable> {
         let quiet = self.system.read_if_there(&format!("{CPU}/nohz_full"))?;
         Ok(CoreSet::parse(&quiet.unwrap_or_default()).contains(self.core()?))
@@ -189,7 +185,6 @@ fn daemon_process(system: &System, lock_file: &Path) -> Option<u32> {
     u32::try_from(id).ok()
 }
 
-/// Watches the counters for a while.
 fn watch(system: &System, plan: &Plan) -> Result<Load, Unreadable> {
     let core = plan
         .core

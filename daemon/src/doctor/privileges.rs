@@ -31,7 +31,6 @@ fn grant(limit: &str, container: &str) -> String {
     )
 }
 
-/// Whether this process has a capability.
 fn is_capable(scene: &Scene, capability: u32) -> Result<bool, Unreadable> {
     let field = scene.system.own_status("CapEff")?;
     let bits = u64::from_str_radix(&field, 16)

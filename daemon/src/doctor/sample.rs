@@ -5,7 +5,6 @@ use std::collections::{BTreeMap, HashMap};
 use super::core_set::CoreSet;
 use super::system::{System, Unreadable, field_of};
 
-/// Counters at one moment.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Snapshot {
     cores: BTreeMap<usize, Ticks>,

@@ -41,7 +41,6 @@ pub(super) struct Arrival {
 }
 
 impl Measurements {
-    /// No measurement yet.
     pub(super) fn new(config: &Config) -> Self {
         let timeout_ns = ns(config.link.measurement_timeout_ms);
         Self {

@@ -49,7 +49,6 @@ use references::References;
 use requests::RequestDesk;
 use settings::SettingsInForce;
 
-/// The exchange of one daemon.
 #[derive(Debug)]
 pub struct Exchange {
     ports: Ports,

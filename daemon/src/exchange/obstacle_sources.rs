@@ -35,7 +35,6 @@ struct Source {
 }
 
 impl ObstacleSources {
-    /// No source yet.
     pub(super) fn new(config: &ObstaclesConfig) -> Self {
         Self {
             timeout_ns: ns(config.source_timeout_ms),

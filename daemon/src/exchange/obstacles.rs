@@ -15,7 +15,6 @@ pub(super) struct Obstacles {
 }
 
 impl Obstacles {
-    /// None yet.
     pub(super) fn new(config: &ObstaclesConfig) -> Self {
         Self {
             known: ObstacleSet::default(),
@@ -91,7 +90,6 @@ impl Obstacles {
         self.sources.want_hold(now_ns)
     }
 
-    /// Updates that were refused so far.
     pub(super) fn refused(&self) -> u64 {
         self.refused
     }

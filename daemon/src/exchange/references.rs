@@ -114,7 +114,6 @@ impl References {
         Outcome::Accepted
     }
 
-    /// The holder gives the lease back.
     pub(super) fn release_lease(&mut self, client: u64, now_ns: u64) -> Outcome {
         if !self.lease.release(client, now_ns) {
             return Outcome::NoLease;
@@ -152,7 +151,6 @@ impl References {
         );
     }
 
-    /// The client that holds the lease.
     pub(super) fn holder(&self, now_ns: u64) -> Option<u64> {
         self.lease.holder(now_ns)
     }
@@ -177,7 +175,6 @@ impl References {
         self.trajectory.end_ns()
     }
 
-    /// Points that are still ahead.
     pub(super) fn points_ahead(&self, now_ns: u64) -> usize {
         self.trajectory.points_ahead(now_ns)
     }

@@ -66,7 +66,6 @@ impl RequestDesk {
 }
 
 impl Exchange {
-    /// Takes the requests that wait.
     pub(super) fn take_requests(&mut self, now_ns: u64, shared: &Shared) {
         for _ in 0..REQUESTS_SEEN_PER_GATHER {
             let Ok(Some(asked)) = self.ports.control.receive() else {

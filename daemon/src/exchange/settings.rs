@@ -20,7 +20,6 @@ pub(super) struct SettingsInForce {
 }
 
 impl SettingsInForce {
-    /// Those of the configuration.
     pub(super) fn new(config: &Config) -> Self {
         Self {
             settings: Settings::new(config),

@@ -23,22 +23,16 @@ const INCIDENTS: usize = 16;
 /// Ends of the cycle thread.
 #[derive(Debug)]
 pub struct CycleEnds {
-    /// Newest inputs.
     pub inputs: Output<CycleInputs>,
-    /// Requests.
     pub requests: Consumer<CycleRequest>,
-    /// Records.
     pub records: RecordSender<CycleRecord>,
 }
 
 /// Ends of the exchange thread.
 #[derive(Debug)]
 pub struct ExchangeEnds {
-    /// Newest inputs.
     pub inputs: Input<CycleInputs>,
-    /// Requests.
     pub requests: Producer<CycleRequest>,
-    /// Records.
     pub records: RecordReceiver<CycleRecord>,
     /// Records with what belongs to them.
     pub reports: Producer<CycleReport>,
@@ -51,44 +45,32 @@ pub struct ExchangeEnds {
 pub struct ReporterEnds {
     /// Records with what belongs to them.
     pub reports: Consumer<CycleReport>,
-    /// Summaries.
     pub summaries: Producer<Summary>,
-    /// Bad cycles.
     pub incidents: Producer<Incident>,
 }
 
-/// Ends of the supervisor.
 #[derive(Debug)]
 pub struct SupervisorEnds {
-    /// Summaries.
     pub summaries: Consumer<Summary>,
-    /// Bad cycles.
     pub incidents: Consumer<Incident>,
     /// The same with their steal, to be published.
     pub explained: Producer<Incident>,
-    /// Newest status.
     pub status: Input<Status>,
 }
 
 /// Ends of the thread that publishes status and bad cycles.
 #[derive(Debug)]
 pub struct StatusDeskEnds {
-    /// Bad cycles.
     pub incidents: Consumer<Incident>,
-    /// Newest status.
     pub status: Output<Status>,
 }
 
 /// The ends of every thread.
 #[derive(Debug)]
 pub struct Channels {
-    /// Of the cycle thread.
     pub cycle: CycleEnds,
-    /// Of the exchange thread.
     pub exchange: ExchangeEnds,
-    /// Of the reporter thread.
     pub reporter: ReporterEnds,
-    /// Of the supervisor.
     pub supervisor: SupervisorEnds,
     /// Of the thread that publishes status and bad cycles.
     pub status_desk: StatusDeskEnds,

@@ -8,7 +8,6 @@ use crate::obstacles::ObstacleSet;
 /// A measurement with its time.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TimedMeasurement {
-    /// What was measured.
     pub measurement: Measurement,
     /// When \[ns\].
     pub measured_ns: u64,
@@ -23,7 +22,6 @@ pub struct CycleInputs {
     pub gather_ns: u64,
     /// The reference on the grid.
     pub window: ReferenceWindow,
-    /// The reference lease.
     pub lease: LeaseState,
     /// Its number: leases are counted as they are acquired.
     pub lease_number: u32,
@@ -81,14 +79,11 @@ impl CycleInputs {
 pub struct CycleRequest {
     /// Its ticket: the exchange finds the waiting client by it.
     pub ticket: u64,
-    /// What is asked.
     pub request: Request,
 }
 
-/// What became of it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleAnswer {
-    /// Ticket of the request.
     pub ticket: u64,
     /// Taken, or why not.
     pub outcome: Result<(), Refusal>,

@@ -54,7 +54,6 @@ pub struct Policy {
 }
 
 impl Policy {
-    /// Those of a configuration.
     pub fn new(config: &Config) -> Self {
         Self {
             deceleration_rad_s2: config.motion.deceleration_rad_s2,
@@ -102,7 +101,6 @@ impl Policy {
         })
     }
 
-    /// What counts as late.
     pub fn limits(&self) -> Limits {
         Limits {
             deadline_ns: self.deadline_ns,
@@ -208,7 +206,6 @@ impl Settings {
 pub struct ChangedSettings {
     /// As it was read before.
     pub before: Settings,
-    /// As it is now.
     pub after: Settings,
 }
 

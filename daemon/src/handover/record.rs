@@ -13,7 +13,6 @@ use crate::obstacles::ObstacleSet;
 use crate::rt::schedule::Lateness;
 use crate::rt::schedule::Release;
 
-/// What became of the measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MeasurementUse {
     /// There was none yet.
@@ -48,7 +47,6 @@ pub struct CycleRecord {
     pub costs: Costs,
     /// Longest time between two looks at the clock until the solver was done \[ns\].
     pub longest_gap_ns: u64,
-    /// Whether it was late.
     pub lateness: Lateness,
     /// Whether it used the inputs of the cycle before again.
     pub stale_inputs: bool,
@@ -68,18 +66,14 @@ pub struct CycleRecord {
     pub gather_ns: u64,
     /// First cycle of the reference window.
     pub window_first_cycle: u64,
-    /// The reference lease.
     pub lease: LeaseState,
     pub lease_number: u32,
-    /// The fixed rules.
     pub policy: Policy,
     /// The newest measurement.
     pub measurement: Option<TimedMeasurement>,
-    /// What became of it.
     pub measurement_use: MeasurementUse,
     /// The newest measurement of the tip beside that of bends or cables.
     pub tip_measurement: Option<TimedMeasurement>,
-    /// What became of it.
     pub tip_use: MeasurementUse,
     /// How far the tip was measured beside where the bends place it (m): the plan's reference is moved back by it.
     pub tip_offset_m: Vector3<f64>,
@@ -107,7 +101,6 @@ pub struct CycleRecord {
     pub obstacles: ObstacleSet,
     /// Settings in force.
     pub settings: Settings,
-    /// What the solver did.
     pub report: SolveReport,
     /// Scalars used of the two plans; 0: the solver did not run.
     pub plan_length: usize,
@@ -115,12 +108,10 @@ pub struct CycleRecord {
     pub warm_plan: [f64; PLAN_MAX],
     pub plan: [f64; PLAN_MAX],
     pub rates: BendRates,
-    /// Which limits changed it.
     pub limits_hit: LimitsHit,
     /// Whether the clearance guard changed it.
     pub clearance_hit: bool,
     /// Smallest clearance at the release \[m\].
     pub clearance_m: f64,
-    /// Answers to requests.
     pub answers: [Option<CycleAnswer>; REQUESTS_WAITING],
 }

@@ -12,7 +12,6 @@ pub struct CycleReport {
     pub number: u64,
     /// What the scheduler did to the cycle thread since the look before; none where the kernel does not tell.
     pub scheduling: Option<Scheduling>,
-    /// What the cycle did.
     pub record: CycleRecord,
     /// Its command as it was published, or would have been.
     pub command: wire::Command,
@@ -27,7 +26,6 @@ pub struct CycleReport {
 pub struct InputReport {
     /// What was taken or refused and belongs to this record; the first `event_count` count.
     pub events: [wire::InputEvent; EVENTS_MAX],
-    /// How many events there are.
     pub event_count: usize,
     /// Events lost so far because no record took them.
     pub dropped_events: u64,

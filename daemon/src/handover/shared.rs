@@ -113,7 +113,6 @@ impl Shared {
         self.ending.store(true, Ordering::Release);
     }
 
-    /// Whether the end was asked for.
     pub fn is_ending(&self) -> bool {
         self.ending.load(Ordering::Acquire)
     }

@@ -19,7 +19,6 @@ pub struct Summary {
     pub core_budget: CoreBudget,
     /// What the parts beside the solver were known to take.
     pub costs: Costs,
-    /// Whether it ran.
     pub solved: bool,
     /// Start to hand-over \[ns\].
     pub compute_ns: u64,
@@ -40,19 +39,14 @@ pub struct Summary {
     pub counts: wire::Statistics,
     /// Distance of the tip from its reference \[m\], while it follows one.
     pub position_error_m: Option<f64>,
-    /// Whether the cycle was late.
     pub lateness: Lateness,
     /// Whether the leaky bucket is full and the robot, a simulated one, goes on.
     pub misses_tolerated: bool,
-    /// Counts since the start.
     pub totals: Totals,
-    /// Mode.
     pub mode: Mode,
-    /// Why.
     pub reason: Reason,
     /// Faults since the start.
     pub faults: u64,
-    /// Settings of the solver.
     pub settings: wire::SolverSettings,
     /// Holder of the lease, 0: nobody.
     pub lease_holder: u64,

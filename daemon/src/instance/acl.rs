@@ -7,7 +7,6 @@ use std::os::unix::fs::{MetadataExt, PermissionsExt};
 use rustix::fs::{XattrFlags, fgetxattr, fremovexattr, fsetxattr};
 use rustix::io::Errno;
 
-/// Name of the list.
 const ACCESS: &str = "system.posix_acl_access";
 
 /// Whether the folder is open to its owner and `group_id`, and to nobody else.

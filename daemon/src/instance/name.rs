@@ -9,7 +9,6 @@ use super::{InstanceError, runs_already};
 
 /// How often a name is tried for that somebody holds who does not answer: it may just be ending.
 const TRIES: usize = 10;
-/// Between two tries.
 const TRY_AGAIN: Duration = Duration::from_millis(20);
 
 /// Takes the name of the daemon of `robot` among the abstract Unix sockets, which nobody can delete: a second daemon

@@ -25,7 +25,6 @@ pub(crate) struct PlaceWatch {
     services: Vec<(PathBuf, Option<u64>)>,
 }
 
-/// What became of the place.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Found {
     /// All is there.
@@ -123,7 +122,6 @@ impl PlaceWatch {
         }
     }
 
-    /// Where it is.
     pub(crate) fn location(&self) -> &Location {
         &self.location
     }

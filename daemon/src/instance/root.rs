@@ -24,7 +24,6 @@ const IN_MEMORY: [i64; 2] = [0x0102_1994, 0x8584_58f6];
 
 /// How often the folder is tried that others have locked: for longer than a caretaker needs to set access back that somebody changed.
 const TRIES: usize = 150;
-/// Between two tries.
 const TRY_AGAIN: Duration = Duration::from_millis(10);
 
 /// Makes the root folder if it is missing, and sees that it is in memory, and was ours alone to write to, or the group's: who

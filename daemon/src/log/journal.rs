@@ -18,7 +18,6 @@ use super::standard_error::{LINES_QUEUED_MAX, Text, TextGuard};
 const SOCKET: &str = "/run/systemd/journal/socket";
 /// What begins the names of our fields.
 const PREFIX: &str = "CDCR_";
-/// Who writes.
 const IDENTIFIER: &str = "cdcrd";
 
 /// Sends events to the journal, with one field for each of theirs.

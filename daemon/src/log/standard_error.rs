@@ -42,7 +42,6 @@ pub(super) struct TextGuard {
 }
 
 impl Text {
-    /// The standard error.
     pub(super) fn new() -> (Self, TextGuard) {
         Self::onto(std::io::stderr(), LINES_QUEUED_MAX, "cdcr-log", lost_text)
     }
@@ -173,7 +172,6 @@ mod tests {
         }
     }
 
-    /// What was written.
     type Written = Arc<Mutex<Vec<u8>>>;
 
     /// With it: what tells that a line was taken, what opens it, and what was written.

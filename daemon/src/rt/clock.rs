@@ -4,7 +4,6 @@ use std::ops::RangeInclusive;
 
 use rustix::time::{ClockId, Timespec, clock_gettime};
 
-/// Time.
 pub trait Clock {
     /// Now \[ns\]. Never goes back; costs tens of nanoseconds; no system call on the platforms that
     /// matter (vDSO).

@@ -39,7 +39,6 @@ pub fn last_core() -> Option<usize> {
 }
 
 impl ThreadPlan {
-    /// The plan of a real-time thread.
     pub fn real_time(core: Option<usize>, priority: i32) -> Self {
         Self {
             core,

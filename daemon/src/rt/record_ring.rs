@@ -21,7 +21,6 @@ struct Numbered<T> {
     element: T,
 }
 
-/// The writing end.
 #[derive(Debug)]
 pub struct RecordSender<T: Send> {
     ring: Producer<Numbered<T>>,
@@ -29,7 +28,6 @@ pub struct RecordSender<T: Send> {
     sent: u64,
 }
 
-/// The reading end.
 #[derive(Debug)]
 pub struct RecordReceiver<T: Send> {
     ring: Consumer<Numbered<T>>,
@@ -39,7 +37,6 @@ pub struct RecordReceiver<T: Send> {
     lost: u64,
 }
 
-/// A ring of `capacity` elements.
 pub fn record_ring<T: Copy + Send>(capacity: usize) -> (RecordSender<T>, RecordReceiver<T>) {
     let (ring_in, ring_out) = RingBuffer::new(capacity);
     let (spill_in, spill_out) = triple_buffer(&None);
@@ -89,7 +86,6 @@ impl<T: Copy + Send> RecordReceiver<T> {
         Some(next.element)
     }
 
-    /// Whether nothing waits.
     pub fn is_empty(&mut self) -> bool {
         self.ring.is_empty() && self.spilled().is_none()
     }

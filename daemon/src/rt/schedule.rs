@@ -21,7 +21,6 @@ const OVERRUN_PART: u64 = 10;
 /// and to gather for the next.
 const BREATH_PART: u64 = 20;
 
-/// One release, as it happened.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Release {
     /// Number on the grid.
@@ -37,10 +36,8 @@ pub struct Release {
     pub skipped: u32,
 }
 
-/// How late a cycle was.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Lateness {
-    /// It started late.
     pub late_start: bool,
     /// The command for the release that was due was handed over after the deadline.
     pub deadline_miss: bool,

@@ -87,7 +87,6 @@ impl SchedulerLooks {
     }
 }
 
-/// The id of the calling thread.
 pub fn this_thread() -> u32 {
     rustix::thread::gettid()
         .as_raw_nonzero()

@@ -30,46 +30,32 @@ pub use shm_space::daemon_bytes;
 /// What went wrong with shared memory, and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum ServiceError {
-    /// The node cannot be created.
     #[error(
         "shared memory cannot be used with prefix {prefix} below {root}: {cause}\n\
          check that the folder belongs to you and has free space"
     )]
     Node {
-        /// Prefix.
         prefix: String,
-        /// Root path.
         root: String,
-        /// What iceoryx2 says.
         cause: String,
     },
-    /// A service cannot be created.
     #[error(
         "the service {service} cannot be created: {cause}\n\
          a client of another version may hold it open: end the clients, or use another prefix"
     )]
-    Service {
-        /// Its name.
-        service: String,
-        /// What iceoryx2 says.
-        cause: String,
-    },
+    Service { service: String, cause: String },
     /// Another process is the writer of a service that has one.
     #[error(
         "another process writes to the service {service} already\n\
          another daemon for this robot runs, though neither its lock file nor its name can be seen: end it, or use another prefix"
     )]
-    Taken {
-        /// Its name.
-        service: String,
-    },
+    Taken { service: String },
     /// Shared memory has less room than is needed.
     #[error(
         "shared memory has no room for {what}: {lack}\n\
          cdcrd doctor shows how much memory it should have"
     )]
     Full {
-        /// Who needs it.
         what: String,
         /// How much, and what there is.
         lack: InsufficientSpace,
@@ -112,15 +98,10 @@ pub fn node(location: &Location) -> Result<Node<ipc::Service>, ServiceError> {
 /// Every port of the exchange thread.
 #[derive(Debug)]
 pub struct Ports {
-    /// Reference chunks.
     pub reference: Inlet<ReferenceChunk>,
-    /// Obstacle updates.
     pub obstacles: Inlet<ObstacleUpdate>,
-    /// Measurements.
     pub measurement: Inlet<Measurement>,
-    /// Commands.
     pub command: Publisher<ipc::Service, Command, ()>,
-    /// Requests.
     pub control: Server<ipc::Service, Request, (), Response, ()>,
 }
 

@@ -41,7 +41,6 @@ pub const fn daemon_bytes() -> u64 {
     messages + messages / 50 + PORT_BYTES
 }
 
-/// The memory of one location.
 #[derive(Debug)]
 pub(super) struct ShmSpace {
     root: PathBuf,
@@ -56,7 +55,6 @@ impl ShmSpace {
         }
     }
 
-    /// The memory that `node` uses.
     pub(super) fn of(node: &Node<ipc::Service>) -> Self {
         let global = &node.config().global;
         Self {

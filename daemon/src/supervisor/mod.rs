@@ -24,9 +24,7 @@ use statistics::Statistics;
 use steal::{Steal, Stolen};
 use watchdog::Watchdog;
 
-/// How often the supervisor looks.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// How often the status is published.
 const STATUS_EVERY: Duration = Duration::from_millis(100);
 /// Without a summary for so long the status is not published: it would tell of a time long past.
 const SUMMARY_MAX: Duration = Duration::from_secs(1);
@@ -50,7 +48,6 @@ pub struct Supervisor {
     manager: ServiceManager,
     rate: Rate,
     newest: Summary,
-    /// When it came.
     summed: Instant,
     /// When the log last had a warning of the following error.
     said_off: Instant,

@@ -46,7 +46,6 @@ struct Window {
 }
 
 impl Statistics {
-    /// Nothing was counted yet.
     pub(super) fn new(now_ns: u64) -> anyhow::Result<Self> {
         let slice = || Window::new(DIGITS_SLICE);
         Ok(Self {
@@ -60,7 +59,6 @@ impl Statistics {
         })
     }
 
-    /// Counts a cycle.
     pub(super) fn record(&mut self, summary: &Summary) {
         let before = core::mem::replace(&mut self.counted, summary.totals);
         let passed = difference(&summary.totals, &before);
@@ -70,7 +68,6 @@ impl Statistics {
         }
     }
 
-    /// Counts records that were lost.
     pub(super) fn dropped(&mut self, records: u64) {
         for window in self.windows() {
             window.counts.dropped_records += records;
@@ -216,7 +213,6 @@ impl Window {
     }
 }
 
-/// What was counted since `before`.
 fn difference(now: &Totals, before: &Totals) -> Totals {
     Totals {
         cycles: now.cycles.saturating_sub(before.cycles),

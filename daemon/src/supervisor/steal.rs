@@ -38,7 +38,6 @@ impl Stolen {
     }
 }
 
-/// What one reading found.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 struct Reading {
     time_ns: u64,

@@ -108,7 +108,6 @@ impl Drop for Manager {
     }
 }
 
-/// The daemon of `place`.
 fn cdcrd(place: &Scratch) -> Command {
     let configuration = place.path().join("robot.toml");
     std::fs::write(&configuration, PATIENT).unwrap();

@@ -90,7 +90,6 @@ impl Load {
         }
     }
 
-    /// Whether it loads a daemon.
     pub fn needs_daemon(self) -> bool {
         matches!(self, Self::Clients | Self::Flood | Self::All)
     }

@@ -27,7 +27,6 @@ pub struct Place {
 }
 
 impl Place {
-    /// A fresh one.
     pub fn new() -> Result<Self> {
         loop {
             let folder = Scratch::temporary().context("a folder for temporary files")?;

@@ -55,7 +55,6 @@ const COLUMNS: [(&str, u64, u64); 13] = [
     ("cycles", 0, u64::MAX),
 ];
 
-/// The columns at one time.
 #[derive(Debug, Clone, Copy)]
 struct Sample {
     time_s: f64,

@@ -52,7 +52,6 @@ pub(crate) struct Demands {
     safe_distance_m: f64,
 }
 
-/// The largest values of a motion.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Motion {
     rate_rad_s: f64,
@@ -61,7 +60,6 @@ struct Motion {
     acceleration_rad_s2: f64,
     bend_rad: f64,
     stroke_m: f64,
-    /// The smallest one.
     clearance_m: f64,
 }
 
@@ -241,7 +239,6 @@ impl Demands {
         }
     }
 
-    /// Prints them.
     pub(crate) fn print(&self, name: &str) -> anyhow::Result<()> {
         write!(
             std::io::stdout(),

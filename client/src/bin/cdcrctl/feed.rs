@@ -31,7 +31,6 @@ pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
 const FAR: f64 = 10.0;
 
-/// `cdcrctl ref …`
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
     check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;

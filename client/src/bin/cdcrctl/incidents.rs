@@ -15,10 +15,8 @@ use crate::interrupt::Interrupt;
 const SNAPSHOTS: u64 = 3;
 /// How long these may take; ten a second are published.
 const TIMEOUT: Duration = Duration::from_secs(2);
-/// How often a waiting reader looks.
 const LOOK: Duration = Duration::from_millis(100);
 
-/// `cdcrctl incidents`
 pub(crate) fn run(target: &Target, options: &IncidentsOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let interrupt = Interrupt::catch()?;

@@ -27,7 +27,6 @@ impl Interrupt {
         Ok(Self { raised })
     }
 
-    /// Whether a signal came.
     pub(crate) fn is_raised(&self) -> bool {
         self.raised.load(Ordering::Relaxed)
     }

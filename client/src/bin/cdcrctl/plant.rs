@@ -19,7 +19,6 @@ const TURN: Duration = Duration::from_millis(1);
 /// It listens so long whether it is taken for the robot's driver.
 const LISTENS: Duration = Duration::from_secs(1);
 
-/// `cdcrctl plant`
 pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let status = connection.status(Duration::from_secs(1))?;

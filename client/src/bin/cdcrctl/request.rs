@@ -13,7 +13,6 @@ use crate::wait;
 const REFERENCE_TIMEOUT: Duration = Duration::from_secs(2);
 const ASK_AGAIN: Duration = Duration::from_millis(50);
 
-/// `cdcrctl track`, `hold`, `home`, `stop`, `reset`
 pub(crate) fn run(
     target: &Target,
     kind: RequestKind,

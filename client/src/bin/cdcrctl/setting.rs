@@ -16,7 +16,6 @@ use serde_json::{Value, json};
 #[derive(Debug, PartialEq, Eq, Clone, Copy)]
 pub(crate) struct Setting {
     pub(crate) key: &'static str,
-    /// Its field in the message.
     field: &'static str,
 }
 
@@ -148,7 +147,6 @@ fn number_text(number: f64) -> String {
     }
 }
 
-/// What one setting shall be.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Change {
     setting: Setting,
@@ -180,7 +178,6 @@ impl Change {
         Ok(Self { setting, value })
     }
 
-    /// Writes it into `settings`.
     pub(crate) fn apply(&self, settings: &mut SolverSettings) {
         settings.visit_mut(&mut |field, part| {
             if field.name == self.setting.field {

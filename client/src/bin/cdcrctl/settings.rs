@@ -17,7 +17,6 @@ use crate::Done;
 use crate::args::{Format, SettingsAction, SettingsOptions, Target};
 use crate::setting::{Change, Setting};
 
-/// How long a status may take.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// How long it is watched whether the solver has the time that was set.
@@ -25,7 +24,6 @@ const WATCHED: Duration = Duration::from_millis(300);
 /// What the solver may end earlier than the budget without having been cut \[ns\].
 const CUT_NS: u64 = 50_000;
 
-/// `cdcrctl settings …`
 pub(crate) fn run(target: &Target, options: &SettingsOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let format = match &options.action {

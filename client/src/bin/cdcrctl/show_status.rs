@@ -22,7 +22,6 @@ const LOOKS: u32 = 10;
 /// What lets a terminal begin anew: home, and clear to the end.
 const CLEAR: &str = "\x1b[H\x1b[2J";
 
-/// `cdcrctl status`
 pub(crate) fn run(target: &Target, options: &StatusOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     if options.reset_statistics {

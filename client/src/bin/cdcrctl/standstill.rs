@@ -53,7 +53,6 @@ impl Standstill {
         self.commanded.map(|(cycle, _)| cycle)
     }
 
-    /// Whether it rests.
     pub(crate) fn is_at_rest(&self) -> bool {
         self.rate_rad_s().is_some_and(|rate| rate < REST_RAD_S)
     }

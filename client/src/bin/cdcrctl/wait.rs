@@ -26,7 +26,6 @@ enum Progress {
     Lost,
 }
 
-/// `cdcrctl hold --wait`, `home --wait`, `reset --wait`
 pub(crate) fn run(target: &Target, kind: RequestKind, limit: Duration) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let mut telemetry = connection.telemetry()?;

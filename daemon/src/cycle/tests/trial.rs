@@ -64,7 +64,6 @@ pub(super) struct Trial {
     next: u64,
     asked: Option<Request>,
     last: Option<CycleRecord>,
-    /// The last commanded position.
     pub(super) target_rad: Vec<f64>,
     /// The same in lengths \[m\].
     sent_m: [f64; CABLES_MAX],
@@ -85,7 +84,6 @@ impl Trial {
         Self::linked("kind = \"driver\"\n", interface, flaws, more)
     }
 
-    /// A robot inside the daemon.
     pub(super) fn simulated(interface: Interface, preset: Preset) -> Self {
         let name = format!("{preset:?}").to_lowercase();
         let link = format!("simulated = \"{name}\"\n");

@@ -41,7 +41,6 @@ impl Robot {
         Self::with_flaws(connection, bend_rad, Preset::Laboratory.flaws())
     }
 
-    /// The same with these flaws.
     pub(crate) fn with_flaws(connection: &Connection, bend_rad: f64, flaws: Flaws) -> Self {
         let mut bends = [0.0; 12];
         bends[0] = bend_rad;
@@ -72,7 +71,6 @@ impl Robot {
         measurement.bend_rad
     }
 
-    /// The last command that it followed.
     pub(crate) fn last_command(&self) -> Option<Command> {
         self.robot.last_command()
     }
@@ -94,7 +92,6 @@ impl Robot {
         });
     }
 
-    /// Turns until the daemon holds it.
     pub(crate) fn until_held(&mut self, trail: &mut Trail) {
         trail.until_while("holding", || self.turn(), is(Mode::Holding));
     }

@@ -117,7 +117,6 @@ impl Trail {
     }
 }
 
-/// Whether the record is of `mode`.
 pub(crate) fn is(mode: Mode) -> impl FnMut(&Telemetry) -> bool {
     move |record| record.mode == mode.code()
 }

@@ -71,7 +71,6 @@ pub(crate) struct Tally {
 }
 
 impl Tally {
-    /// Counts one case of `kind`.
     pub(crate) fn count(&self, kind: &'static str, accepted: bool) {
         self.counts.borrow_mut().entry(kind).or_default()[usize::from(accepted)] += 1;
     }

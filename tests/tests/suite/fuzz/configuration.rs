@@ -47,7 +47,6 @@ const ODD: [&str; 30] = [
     "=",
 ];
 
-/// One change of a text.
 #[derive(Debug, Clone)]
 enum Edit {
     /// Another value behind the `=` of a line.

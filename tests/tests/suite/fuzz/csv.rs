@@ -38,7 +38,6 @@ const ODD: [&str; 22] = [
     "\0",
 ];
 
-/// One change of a table.
 #[derive(Debug, Clone)]
 enum Edit {
     Cell(usize, usize, String),

@@ -5,7 +5,6 @@ use std::fmt;
 
 use cdcr_shared_types::message::{Struct, ValueMut};
 
-/// One number of a message.
 #[derive(Debug)]
 pub(crate) enum Number<'a> {
     U32(&'a mut u32),

@@ -12,7 +12,6 @@ pub(crate) const BEGIN_NS: u64 = 1_000_000_000_000;
 /// The period of every script \[ns\].
 pub(crate) const PERIOD_NS: u64 = 5_000_000;
 
-/// Which robot.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Robot {
     pub(crate) sections: u32,
@@ -39,7 +38,6 @@ fields!(Run {
     lease
 });
 
-/// One line of a script.
 #[derive(Clone)]
 #[allow(clippy::large_enum_variant, reason = "few of them, short-lived")]
 pub(crate) enum Step {

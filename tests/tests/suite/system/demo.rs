@@ -224,7 +224,6 @@ impl RunningDemo {
         String::from_utf8_lossy(&line).contains(&self.prefix())
     }
 
-    /// Waits until its daemon tracks.
     fn wait_tracking(&self) {
         let [folder] = &self.temporary()[..] else {
             panic!("one folder: {:?}", self.temporary());

@@ -205,7 +205,6 @@ struct Replayed {
     by_play: u32,
 }
 
-/// What is recorded of a run.
 #[derive(Default)]
 struct Recording {
     records: Vec<Telemetry>,

@@ -47,7 +47,6 @@ const BACK_M: f64 = 5e-3;
 /// Steps in which the length of the path is measured.
 const STEPS: u32 = 10_000;
 
-/// `cdcrctl calibrate excite`
 pub(super) fn run(target: &Target, options: &ExciteOptions) -> anyhow::Result<Done> {
     let output = &options.record.output;
     if !options.dry_run {

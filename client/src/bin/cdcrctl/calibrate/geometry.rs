@@ -14,7 +14,6 @@ use super::report;
 use crate::Done;
 use crate::args::{Format, GeometryOptions, Target};
 
-/// `cdcrctl calibrate geometry`
 pub(super) fn run(target: &Target, options: &GeometryOptions) -> anyhow::Result<Done> {
     let name = options.file.display();
     let text = fs::read_to_string(&options.file).with_context(|| format!("cannot read {name}"))?;

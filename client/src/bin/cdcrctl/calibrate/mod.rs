@@ -11,7 +11,6 @@ mod resting;
 use crate::Done;
 use crate::args::{CalibrateAction, CalibrateOptions, Target};
 
-/// `cdcrctl calibrate …`
 pub(crate) fn run(target: &Target, options: &CalibrateOptions) -> anyhow::Result<Done> {
     match &options.action {
         CalibrateAction::Excite(options) => excite::run(target, options),

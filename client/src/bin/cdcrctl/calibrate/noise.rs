@@ -27,9 +27,7 @@ struct Sensor {
     ages_ns: Vec<u64>,
 }
 
-/// What is known of a sensor.
 struct SensorNoise {
-    /// Standard deviation of each number.
     deviation_m: Vec<f64>,
     /// Smallest step between two values of it.
     step_m: Vec<f64>,
@@ -37,7 +35,6 @@ struct SensorNoise {
     age_ms: f64,
 }
 
-/// `cdcrctl calibrate noise`
 pub(super) fn run(target: &Target, options: &NoiseOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     let mut telemetry = connection.telemetry()?;

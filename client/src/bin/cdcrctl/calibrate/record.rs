@@ -18,7 +18,6 @@ use crate::interrupt::Interrupt;
 /// Cables are remembered for so many records, for a tip that is measured later than they arrive.
 const REMEMBERED: usize = 200;
 
-/// `cdcrctl calibrate record`
 pub(super) fn run(target: &Target, options: &RecordOptions) -> anyhow::Result<Done> {
     let mut telemetry = target.connect()?.telemetry()?;
     let first = next(&mut telemetry)?;

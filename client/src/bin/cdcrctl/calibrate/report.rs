@@ -196,7 +196,6 @@ fn fragment(robot: &RobotParameters, found: &Calibration) -> Result<String, Erro
     Ok(out)
 }
 
-/// For programs.
 pub(super) fn json(robot: &RobotParameters, recording: &Recording, found: &Calibration) -> Value {
     let error = |error: &TipError| {
         json!({

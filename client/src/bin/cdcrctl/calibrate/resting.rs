@@ -41,7 +41,6 @@ pub(super) fn rests(telemetry: &mut TelemetryStream) -> anyhow::Result<Telemetry
     }
 }
 
-/// What is measured of a robot.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Sensors {
     pub(super) cables: bool,
@@ -57,7 +56,6 @@ impl Sensors {
         }
     }
 
-    /// In words.
     pub(super) fn text(self) -> &'static str {
         match (self.cables, self.tip) {
             (true, true) => "cable lengths and the position of the tip",

@@ -18,7 +18,6 @@ const START_TIMEOUT: Duration = Duration::from_secs(10);
 /// How long it may take to end.
 const STOP_TIMEOUT: Duration = Duration::from_secs(5);
 const LOG: &str = "cdcrd.log";
-/// Name of the demo's robot.
 const ROBOT: &str = "demo";
 
 /// A daemon of our own in a private place. Dropping it stops it and removes every trace.

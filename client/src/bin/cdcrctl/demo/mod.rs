@@ -40,7 +40,6 @@ use shape::Backbone;
 use sketch::Sketch;
 use steal::{Steal, StealReading};
 
-/// What came of feeding the spiral.
 struct Fed {
     cycles: Vec<Cycle>,
     incidents: IncidentCauses,
@@ -49,7 +48,6 @@ struct Fed {
     lost_records: u64,
 }
 
-/// `cdcrctl demo`
 pub(crate) fn run(options: &DemoOptions) -> anyhow::Result<Done> {
     if let Some(out) = &options.out {
         fs::create_dir_all(out)

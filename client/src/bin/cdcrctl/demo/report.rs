@@ -13,7 +13,6 @@ use crate::args::DemoOptions;
 /// Mean errors that the paper claims for 1, 2 and 3 sections \[mm\].
 const PAPER_MEAN_ERROR_MM: [f64; 3] = [5e-9, 7e-4, 5e-3];
 
-/// What one run left behind.
 #[derive(Debug)]
 pub(super) struct Run {
     /// Or why there is none.

@@ -5,7 +5,6 @@ use super::cycle::Cycle;
 
 /// Points along the backbone of one section: a bend of 0.7 rad looks round.
 const POINTS_PER_SECTION: usize = 24;
-/// Samples of the exact curve.
 const CURVE_SAMPLES: u32 = 500;
 
 /// A point in the base frame \[m\].
@@ -41,7 +40,6 @@ impl Backbone {
     }
 }
 
-/// Points on the exact curve.
 pub(super) fn curve(spiral: &Spiral) -> Vec<Position> {
     let step_s = spiral.duration_s / f64::from(CURVE_SAMPLES);
     let point = |k: u32| spiral.position_m(f64::from(k) * step_s);

@@ -16,7 +16,6 @@ const GAP: &str = "   ";
 /// How far apart the dots of the reference are: its line is dotted, that of the backbone is not.
 const REFERENCE_STEP: isize = 3;
 
-/// What is drawn.
 #[derive(Debug)]
 pub(super) struct Sketch {
     pub(super) backbone: Vec<Position>,

@@ -8,10 +8,8 @@ use super::report::{DemoReport, Spread};
 use super::steal::Steal;
 use super::verdict::Verdict;
 
-/// Width of a usual terminal.
 const WIDTH: usize = 80;
 
-/// The report for people.
 pub(super) fn text(report: &DemoReport, status: &Status) -> Result<String, Error> {
     let mut out = String::new();
     let plural = if report.sections == 1 { "" } else { "s" };

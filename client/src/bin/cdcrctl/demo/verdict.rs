@@ -36,7 +36,6 @@ pub(super) struct Verdict {
     pub(super) limited_by: Limit,
     /// One sentence.
     pub(super) text: String,
-    /// The command to run next.
     pub(super) next: Option<String>,
     /// The command that grants real time, where it is missing.
     pub(super) grant: Option<&'static str>,

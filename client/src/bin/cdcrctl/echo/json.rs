@@ -4,7 +4,6 @@ use cdcr_client::text;
 use cdcr_shared_types::message::{Array, Field, Meaning, Struct, Value as Part};
 use serde_json::{Map, Value, json};
 
-/// The message as an object.
 pub(crate) fn message(message: &dyn Struct) -> Value {
     let mut object = Map::new();
     message.visit(&mut |field, part| {

@@ -25,7 +25,6 @@ struct Look<T> {
     line: fn(&T) -> String,
 }
 
-/// `cdcrctl echo …`
 pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
     match options.topic {

@@ -25,7 +25,6 @@ const HEAD: &str = "# Settings of cdcrd that differ from its defaults.\n";
 /// As many as Linux follows.
 const LINKS_MAX: usize = 40;
 
-/// `cdcrctl settings save`
 pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Result<Done> {
     let settings = connection.settings()?;
     let status = connection.status(STATUS_TIMEOUT)?;
@@ -97,7 +96,6 @@ fn place(setting: Setting) -> (&'static str, &'static str) {
     }
 }
 
-/// The setting as TOML.
 fn value(setting: Setting, settings: SolverSettings) -> anyhow::Result<Value> {
     Ok(match setting.json(settings) {
         Json::String(word) => word.into(),

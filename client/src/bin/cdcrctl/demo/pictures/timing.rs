@@ -13,7 +13,6 @@ const BARS_PER_DECADE: f64 = 10.0;
 /// Times below this are counted here: a logarithm knows no zero \[µs\].
 const FLOOR_US: f64 = 0.1;
 
-/// One histogram.
 struct Panel<'a> {
     name: &'static str,
     values_us: Vec<f64>,
