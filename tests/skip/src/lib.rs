@@ -14,103 +14,57 @@ pub use run::Run;
 /// Environment variable with the needs that this machine meets, separated by commas: nothing may be skipped for them.
 pub const REQUIRE: &str = "CDCR_REQUIRE";
 
-/// What a test can need of a machine.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Need {
-    /// Programs of other users, and their files.
-    Root,
-    /// Threads with `SCHED_FIFO`.
-    Realtime,
-    /// Two cores.
-    Cores,
-    /// To stop a single thread of a child.
-    Ptrace,
-    /// Mounts that only one process sees.
-    Mount,
-    /// Counts and switches that some kernels are built without.
-    Kernel,
-    /// To set the clock of the machine.
-    Clock,
-    /// Nine of ten releases of a real-time loop on time.
-    OnTime,
-    /// No other daemon, and no other real-time thread on its core.
-    Alone,
-    /// A target folder on a disk, which may be written.
-    Disk,
-    /// `unshare`, `setpriv`.
-    UtilLinux,
-    /// `cyclictest`.
-    Cyclictest,
-    /// `stress-ng`.
-    StressNg,
+/// Declares what a test can need of a machine: the word of each need in [`REQUIRE`], and how a machine comes to meet it.
+macro_rules! needs {
+    ($($(#[$meta:meta])* $need:ident = $word:literal: $remedy:literal,)+) => {
+        /// What a test can need of a machine.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Need { $($(#[$meta])* $need,)+ }
+
+        impl Need {
+            /// Each of them.
+            pub const ALL: [Self; [$($word),+].len()] = [$(Self::$need),+];
+
+            /// Its word in [`REQUIRE`].
+            pub fn word(self) -> &'static str {
+                match self { $(Self::$need => $word,)+ }
+            }
+
+            /// How a machine comes to meet it.
+            pub fn remedy(self) -> &'static str {
+                match self { $(Self::$need => $remedy,)+ }
+            }
+        }
+    };
 }
 
-impl Need {
-    /// Each of them.
-    pub const ALL: [Self; 13] = [
-        Self::Root,
-        Self::Realtime,
-        Self::Cores,
-        Self::Ptrace,
-        Self::Mount,
-        Self::Kernel,
-        Self::Clock,
-        Self::OnTime,
-        Self::Alone,
-        Self::Disk,
-        Self::UtilLinux,
-        Self::Cyclictest,
-        Self::StressNg,
-    ];
-
-    /// Its word in [`REQUIRE`].
-    pub fn word(self) -> &'static str {
-        match self {
-            Self::Root => "root",
-            Self::Realtime => "realtime",
-            Self::Cores => "cores",
-            Self::Ptrace => "ptrace",
-            Self::Mount => "mount",
-            Self::Kernel => "kernel",
-            Self::Clock => "clock",
-            Self::OnTime => "on-time",
-            Self::Alone => "alone",
-            Self::Disk => "disk",
-            Self::UtilLinux => "util-linux",
-            Self::Cyclictest => "cyclictest",
-            Self::StressNg => "stress-ng",
-        }
-    }
-
-    /// How a machine comes to meet it.
-    pub fn remedy(self) -> &'static str {
-        match self {
-            Self::Root => "run the tests as root",
-            Self::Realtime => {
-                "run the tests as root, or grant the user rtprio 99 (packaging/limits.conf); in a container: --cap-add \
-                 SYS_NICE"
-            }
-            Self::Cores => "run the tests on two cores or more",
-            Self::Ptrace => {
-                "run the tests as root, or with kernel.yama.ptrace_scope at most 1; in a container: --cap-add SYS_PTRACE"
-            }
-            Self::Mount => {
-                "run the tests as root, or allow user namespaces; in a container: --cap-add SYS_ADMIN"
-            }
-            Self::Kernel => "run the tests on a kernel with what the reason names",
-            Self::Clock => {
-                "run the tests as root with CDCR_TEST_SET_CLOCK=1, on a machine where the clock may jump"
-            }
-            Self::OnTime => {
-                "run the tests on a machine that stalls for less than a tenth of the time"
-            }
-            Self::Alone => "run the tests where no other daemon and no real-time program runs",
-            Self::Disk => "build into a target folder on a disk that the tests may write to",
-            Self::UtilLinux => "install util-linux",
-            Self::Cyclictest => "install cyclictest (Debian: apt install rt-tests)",
-            Self::StressNg => "install stress-ng",
-        }
-    }
+needs! {
+    /// Programs of other users, and their files.
+    Root = "root": "run the tests as root",
+    /// Threads with `SCHED_FIFO`.
+    Realtime = "realtime": "run the tests as root, or grant the user rtprio 99 (packaging/limits.conf); in a container: --cap-add SYS_NICE",
+    /// Two cores.
+    Cores = "cores": "run the tests on two cores or more",
+    /// To stop a single thread of a child.
+    Ptrace = "ptrace": "run the tests as root, or with kernel.yama.ptrace_scope at most 1; in a container: --cap-add SYS_PTRACE",
+    /// Mounts that only one process sees.
+    Mount = "mount": "run the tests as root, or allow user namespaces; in a container: --cap-add SYS_ADMIN",
+    /// Counts and switches that some kernels are built without.
+    Kernel = "kernel": "run the tests on a kernel with what the reason names",
+    /// To set the clock of the machine.
+    Clock = "clock": "run the tests as root with CDCR_TEST_SET_CLOCK=1, on a machine where the clock may jump",
+    /// Nine of ten releases of a real-time loop on time.
+    OnTime = "on-time": "run the tests on a machine that stalls for less than a tenth of the time",
+    /// No other daemon, and no other real-time thread on its core.
+    Alone = "alone": "run the tests where no other daemon and no real-time program runs",
+    /// A target folder on a disk, which may be written.
+    Disk = "disk": "build into a target folder on a disk that the tests may write to",
+    /// `unshare`, `setpriv`.
+    UtilLinux = "util-linux": "install util-linux",
+    /// `cyclictest`.
+    Cyclictest = "cyclictest": "install cyclictest (Debian: apt install rt-tests)",
+    /// `stress-ng`.
+    StressNg = "stress-ng": "install stress-ng",
 }
 
 impl Display for Need {
