@@ -163,18 +163,18 @@ fn run_with(
             shared.end();
         }
         if desk.is_finished() {
-            shared.beat_status();
+            shared.status_beats.add(1);
         }
         if cycle.is_finished() {
-            shared.set_cycle_ended();
+            shared.cycle_ended.set(true);
         }
         // What has ended does not hang: only the others are watched on.
         if exchange.is_finished() {
-            shared.set_exchange_ended();
-            shared.beat_exchange();
+            shared.exchange_ended.set(true);
+            shared.exchange_beats.add(1);
         }
         if reporter.is_finished() {
-            shared.beat_reporter();
+            shared.reporter_beats.add(1);
         }
         ended == [true; 3]
     })?;
@@ -189,7 +189,7 @@ fn run_with(
 
 /// Whether the daemon ended as it was asked to, with the robot at rest.
 fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Result<()> {
-    if shared.is_still_moving() {
+    if shared.still_moving.is_set() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
             message: format!(
@@ -199,7 +199,7 @@ fn judge_end(validated: &Validated, shared: &Shared, lost: Option<&Path>) -> Res
             ),
         });
     }
-    if shared.last_word_moves() {
+    if shared.last_word_moves.is_set() {
         bail!(Ended {
             cause: ExitCause::NotAtRest,
             message: "the last command that was sent was not rest, although the robot was \
@@ -297,7 +297,7 @@ fn spawn_exchange(
         if let Some(schedule) = stage.prepare(plan, || ()) {
             exchange.run(&schedule, &MonotonicClock, &shared);
         }
-        shared.set_exchange_ended();
+        shared.exchange_ended.set(true);
         drop(exchange);
         drop(node);
     })
@@ -357,7 +357,7 @@ fn spawn_cycle(
                 );
             });
         }
-        shared.set_cycle_ended();
+        shared.cycle_ended.set(true);
         exchange.unpark();
     })
 }
@@ -389,14 +389,14 @@ pub fn run_cycles(
         if shared.take_stop() {
             cycle.stop();
         }
-        shared.beat_cycle();
+        shared.cycle_beats.add(1);
         let inputs = ends.inputs.read();
         let record = cycle.run(release, inputs, || ends.requests.pop().ok(), clock);
         ends.records.send(record);
         exchange.unpark();
         cycle.rest(clock);
     }
-    shared.set_still_moving(!cycle.is_at_rest());
+    shared.still_moving.set(!cycle.is_at_rest());
 }
 
 /// An identity for this run, never 0.

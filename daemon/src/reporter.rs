@@ -79,9 +79,9 @@ impl Reporter {
         let look_after = Duration::from_nanos(PERIODS_PER_LOOK * self.period_ns);
         let look_after = look_after.clamp(LOOK_MIN, LOOK_MAX);
         loop {
-            shared.beat_reporter();
+            shared.reporter_beats.add(1);
             // Before the look at what waits: then nothing can come any more.
-            let is_last = shared.has_exchange_ended();
+            let is_last = shared.exchange_ended.is_set();
             self.publish(clock, shared);
             if is_last {
                 break;
@@ -92,7 +92,7 @@ impl Reporter {
 
     fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         while let Ok(report) = self.ends.reports.pop() {
-            shared.beat_reporter();
+            shared.reporter_beats.add(1);
             let record = &report.record;
             let looked = report.scheduling.as_ref();
             let evaluated = evaluated(record, self.spin_ns);
@@ -116,7 +116,7 @@ impl Reporter {
                 .push(self.sum_up(&report, late_cause))
                 .is_err()
             {
-                shared.count_dropped_record();
+                shared.dropped_records.add(1);
             }
         }
     }
@@ -148,7 +148,7 @@ impl Reporter {
             ..wire::Incident::default()
         };
         if self.ends.incidents.push(incident).is_err() {
-            shared.count_dropped_record();
+            shared.dropped_records.add(1);
         }
     }
 

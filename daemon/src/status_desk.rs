@@ -70,7 +70,7 @@ impl StatusDesk {
 
 impl Drop for StatusDesk {
     fn drop(&mut self) {
-        self.shared.set_supervisor_ended();
+        self.shared.supervisor_ended.set(true);
         self.thread.thread().unpark();
         let begin = Instant::now();
         while !self.thread.is_finished() && begin.elapsed() < END_MAX {
@@ -106,8 +106,8 @@ impl Desk {
     fn run(&mut self, shared: &Shared) {
         loop {
             // Before the look at what waits: then nothing can come any more.
-            let is_last = shared.has_supervisor_ended();
-            shared.beat_status();
+            let is_last = shared.supervisor_ended.is_set();
+            shared.status_beats.add(1);
             self.publish();
             if is_last {
                 break;

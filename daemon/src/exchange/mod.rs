@@ -154,7 +154,7 @@ impl Exchange {
         let mut next_cycle = schedule.cycle_at(clock.now_ns()) + 1;
         self.cycle_watch = CycleWatch::at(shared.cycle_thread());
         loop {
-            shared.beat_exchange();
+            shared.exchange_beats.add(1);
             let gather_ns = schedule.release_ns(next_cycle) - lead_ns;
             let left_ns = gather_ns.saturating_sub(clock.now_ns());
             if left_ns > 0 {
@@ -169,7 +169,7 @@ impl Exchange {
                 next_cycle = (next_cycle + 1).max(schedule.cycle_at(now_ns + lead_ns) + 1);
             }
             // In this order: the last record was handed over before the end was said.
-            if shared.has_cycle_ended() {
+            if shared.cycle_ended.is_set() {
                 self.publish(clock, shared);
                 break;
             }

@@ -30,7 +30,7 @@ impl Exchange {
             // A reporter that is held up loses records, which its readers see by the gap; what clients did is told with
             // a later one.
             if self.ends.reports.is_full() {
-                shared.count_dropped_record();
+                shared.dropped_records.add(1);
                 continue;
             }
             let report = CycleReport {
@@ -44,7 +44,7 @@ impl Exchange {
             // Nobody else fills the ring.
             let _ = self.ends.reports.push(report);
         }
-        shared.count_dropped_records(self.ends.records.lost() - lost);
+        shared.dropped_records.add(self.ends.records.lost() - lost);
         if scheduling.is_some() {
             self.own_costs.note(clock.on_core_ns());
         }
@@ -71,7 +71,7 @@ impl Exchange {
             // One that failed may have reached the driver and not another reader: it counts as the worse of both.
             let has_left = services::send(&self.ports.command, command);
             if has_left || moves(&command) {
-                shared.set_last_word_moves(moves(&command));
+                shared.last_word_moves.set(moves(&command));
             }
         }
         command

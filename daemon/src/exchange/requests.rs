@@ -139,7 +139,7 @@ impl Exchange {
             RequestKind::ReleaseLease => self.references.release_lease(client, now_ns),
             RequestKind::Settings => self.settings.change(&request.settings),
             RequestKind::ResetStatistics => {
-                shared.reset_statistics();
+                shared.statistics_resets.add(1);
                 Outcome::Accepted
             }
             _ => Outcome::UnknownCode,

@@ -418,7 +418,7 @@ fn of_several_commands_that_wait_only_the_newest_leaves() {
     assert!(rig.now_ns() < command.valid_until_ns);
     // Those who watch get every record.
     assert_eq!(rig.reported(), [3, 4, 5]);
-    assert_eq!(rig.shared.dropped_records(), 0);
+    assert_eq!(rig.shared.dropped_records.get(), 0);
 }
 
 #[test]
@@ -435,14 +435,17 @@ fn a_full_ring_of_records_never_loses_the_newest() {
     assert_eq!(reported.last(), Some(&newest));
     assert!(reported.is_sorted() && reported[0] == 3);
     let made = newest - 2;
-    assert_eq!(reported.len() as u64 + rig.shared.dropped_records(), made);
+    assert_eq!(
+        reported.len() as u64 + rig.shared.dropped_records.get(),
+        made
+    );
 }
 
 #[test]
 fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
     let mut rig = homing("");
     rig.run(3, None);
-    assert!(rig.shared.last_word_moves());
+    assert!(rig.shared.last_word_moves.is_set());
     // Three periods after its release it runs out.
     rig.clock.sleep_until(rig.schedule.release_ns(6));
     rig.publish();
@@ -461,7 +464,7 @@ fn a_command_that_has_run_out_leaves_only_if_it_is_rest() {
     };
     assert_eq!((command.cycle, command.header.sequence), (20, 3));
     assert!(!moves_at_all(&command) && command.valid_until_ns < rig.now_ns());
-    assert!(!rig.shared.last_word_moves());
+    assert!(!rig.shared.last_word_moves.is_set());
 }
 
 #[test]

@@ -142,7 +142,7 @@ impl Supervisor {
                 self.manager.stopping();
                 shared.end();
             }
-            if shared.has_cycle_ended() {
+            if shared.cycle_ended.is_set() {
                 let since = *cycle_ended.get_or_insert_with(Instant::now);
                 let hangs = since.elapsed() > END_MAX;
                 hangs.then(ports_do_not_close).map_or(Ok(()), Err)?;
@@ -283,11 +283,11 @@ impl Supervisor {
 
     fn publish(&mut self, clock: &impl Clock, shared: &Shared) {
         let now_ns = clock.now_ns();
-        let dropped = shared.dropped_records() + self.newest.dropped_events;
+        let dropped = shared.dropped_records.get() + self.newest.dropped_events;
         self.statistics.advance(now_ns);
         self.statistics
             .dropped(dropped.saturating_sub(self.status.dropped_records));
-        let resets = shared.statistics_resets();
+        let resets = shared.statistics_resets.get();
         if resets != self.resets {
             self.resets = resets;
             self.statistics.reset(now_ns);
