@@ -30,6 +30,7 @@ use cdcr_shared_types::{Location, Status, Telemetry};
 pub use cdcr_testbed::subject::place::in_public_memory;
 pub use program::Program;
 use rustix::process::{Pid, Signal, kill_process};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 
 pub const ROBOT: &str = "cdcr";
 /// Which robot a daemon simulates; empty counts as not said.
@@ -380,16 +381,66 @@ pub fn wait_status(connection: &Connection, is_it: impl Fn(&Status) -> bool) -> 
 }
 
 /// Tries until a case could happen as it is meant. `case` returns `None` when the machine made another one of it, such as
-/// a client that lost its lease before the test could kill it.
+/// a client that lost its lease before the test could kill it. A sleeper on each core is the witness: where none of them slept
+/// too long in several tries, it was not the machine.
 pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> R {
+    let mut unexplained = 0;
     for _ in 0..UNDISTURBED_TRIES {
-        if let Some(result) = case() {
+        let (result, overslept) = beside_sleepers(&mut case);
+        if let Some(result) = result {
             return result;
         }
-        println!("once more, because the machine stalled: {what}");
+        println!("once more: {what}; meanwhile a sleep of a millisecond took {overslept:?} longer");
+        unexplained += usize::from(overslept < STALL_MIN);
+        assert!(
+            unexplained < UNEXPLAINED_MAX,
+            "{unexplained} times, and the machine did not stall: {what}"
+        );
     }
     panic!("in {UNDISTURBED_TRIES} tries the machine never let it happen: {what}");
 }
 
 /// More than a machine needs that stalls for a third of the time.
 const UNDISTURBED_TRIES: usize = 20;
+/// A stall that makes inputs stale or a client late is a period or more.
+const STALL_MIN: Duration = Duration::from_millis(3);
+/// So many tries may fail for what no sleeper saw.
+const UNEXPLAINED_MAX: usize = 3;
+
+/// What `case` gives, and by how much the longest sleep on any core was too long meanwhile.
+fn beside_sleepers<R>(case: &mut impl FnMut() -> R) -> (R, Duration) {
+    let ending = AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        let _ends = EndWhenDropped(&ending);
+        let cores = sched_getaffinity(None).expect("the cores of this thread");
+        let cores = (0..CpuSet::MAX_CPU).filter(|core| cores.is_set(*core));
+        let sleepers = cores.map(|core| {
+            let mut only = CpuSet::new();
+            only.set(core);
+            let ending = &ending;
+            scope.spawn(move || {
+                sched_setaffinity(None, &only).expect("a core of this thread");
+                oversleep_until(ending)
+            })
+        });
+        let sleepers: Vec<_> = sleepers.collect();
+        let result = case();
+        ending.store(true, Ordering::Relaxed);
+        let longest = sleepers
+            .into_iter()
+            .filter_map(|sleeper| sleeper.join().ok());
+        (result, longest.max().unwrap_or_default())
+    })
+}
+
+/// The longest time that a sleep of a millisecond took longer, until `ending`.
+pub fn oversleep_until(ending: &AtomicBool) -> Duration {
+    const SLEEP: Duration = Duration::from_millis(1);
+    let mut longest = Duration::ZERO;
+    while !ending.load(Ordering::Relaxed) {
+        let begin = Instant::now();
+        std::thread::sleep(SLEEP);
+        longest = longest.max(begin.elapsed().saturating_sub(SLEEP));
+    }
+    longest
+}

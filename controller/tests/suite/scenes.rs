@@ -8,6 +8,7 @@ use cdcr_controller::reference::{Orientation, ReferenceSample, ReferenceState};
 use cdcr_controller::robot::{
     BendRates, Configuration, Obstacle, Robot, RobotParameters, Shape, ZyxAngles,
 };
+use cdcr_test_skip::{Need, skip};
 use nalgebra::{UnitQuaternion, Vector3};
 
 const PERIOD_S: f64 = 0.005;
@@ -473,5 +474,15 @@ fn every_path_gives_the_same_bits_with_everything_in_the_cost() {
         });
         let scalar = plans.next().unwrap();
         assert!(plans.all(|plan| plan == scalar), "{coordinates:?}");
+    }
+}
+
+/// Tests that compare sets of instructions compare those of this processor.
+#[test]
+fn every_set_of_instructions_is_here() {
+    for (simd, need) in [(Simd::Avx2, Need::Avx2), (Simd::Avx512, Need::Avx512)] {
+        if !Simd::available().any(|here| here == simd) {
+            skip(need, "its bits are not compared with those of the others");
+        }
     }
 }

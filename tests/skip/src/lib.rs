@@ -42,7 +42,7 @@ needs! {
     /// Programs of other users, and their files.
     Root = "root": "run the tests as root",
     /// Threads with `SCHED_FIFO`.
-    Realtime = "realtime": "run the tests as root, or grant the user rtprio 99 (packaging/limits.conf); in a container: --cap-add SYS_NICE",
+    Realtime = "realtime": "run the tests as root, or grant the user rtprio 90 (packaging/limits.conf); in a container: --cap-add SYS_NICE",
     /// Two cores.
     Cores = "cores": "run the tests on two cores or more",
     /// To stop a single thread of a child.
@@ -59,6 +59,10 @@ needs! {
     Alone = "alone": "run the tests where no other daemon and no real-time program runs",
     /// A target folder on a disk, which may be written.
     Disk = "disk": "build into a target folder on a disk that the tests may write to",
+    /// A processor with AVX2.
+    Avx2 = "avx2": "run the tests on a processor that has it",
+    /// A processor with AVX-512.
+    Avx512 = "avx512": "run the tests on a processor that has it",
     /// `unshare`, `setpriv`.
     UtilLinux = "util-linux": "install util-linux",
     /// `cyclictest`.

@@ -214,9 +214,13 @@ fn expires(trail: &mut Trail, renewal: &mut Renewal, what: &str) -> Option<()> {
         renewal.look(record);
         record.mode == Mode::Holding.code() && record.reason != Reason::Start.code()
     });
-    if now.reason != Reason::LeaseExpired.code() {
+    if [Reason::InputsStale, Reason::ReferenceEnded]
+        .map(Reason::code)
+        .contains(&now.reason)
+    {
         return None;
     }
+    assert_eq!(now.reason, Reason::LeaseExpired.code());
     assert_eq!(before.mode, Mode::Tracking.code());
     assert_eq!(before.lease_state, LeaseState::Held.code());
     assert_eq!(now.lease_state, LeaseState::Expired.code());

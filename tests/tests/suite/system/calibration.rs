@@ -133,9 +133,9 @@ fn the_page_finds_the_robot_and_its_paste_makes_the_error_small() {
     let folder = folder.path();
     let mut configuration = blocks("toml")[0].to_owned();
     let (mut daemon, mut printed, mut errors_mm) = (None::<Daemon>, String::new(), Vec::new());
-    // Three minutes; the half of it, in half the time, without.
+    // Three minutes; the half of it, in a third of the time, without.
     let is_whole = std::env::var_os("CDCR_CALIBRATION_WHOLE").is_some();
-    for command in commands((!is_whole).then_some(2)) {
+    for command in commands((!is_whole).then_some(3)) {
         let command: Vec<&str> = command.iter().map(String::as_str).collect();
         match command[..] {
             ["cdcrd", "run", ..] => {

@@ -105,6 +105,22 @@ fn a_frozen_daemon_stops_its_robot_when_it_wakes() {
     // That it can be reset again: faults::timing.
 }
 
+/// As a first trial of a new user: nothing but the robot is configured.
+#[test]
+fn a_simulated_robot_goes_on_after_misses_and_the_daemon_says_so() {
+    let mut daemon = Daemon::start("");
+    let connection = daemon.connect();
+    freeze(&daemon, Duration::from_secs(1));
+    let status = wait_status(&connection, |status| status.misses_tolerated > 0);
+    assert_eq!(status.mode, Mode::Holding.code());
+    assert!(daemon.stop().success());
+    let log = daemon.log();
+    assert!(
+        log.contains("the simulated robot goes on; set cycle.miss_limit"),
+        "{log}"
+    );
+}
+
 #[test]
 fn a_request_that_a_stopped_daemon_kept_waiting_is_carried_out_when_it_wakes() {
     let daemon = Daemon::start(PATIENT);

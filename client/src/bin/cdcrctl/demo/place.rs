@@ -75,12 +75,16 @@ impl Drop for PrivatePlace {
 /// Removes what killed demos of this user left, and reports each on the standard error.
 pub(super) fn sweep_abandoned() {
     for folder in abandoned(&std::env::temp_dir(), Path::new(Location::MEMORY)) {
+        let was_there = folder.exists();
         let removed = location(&folder)
             .map_err(io::Error::other)
             .and_then(|location| remove(&folder, &location));
         let folder = folder.display();
         match removed {
-            Ok(()) => eprintln!("removed {folder} and its memory: left by a demo that was killed"),
+            Ok(()) if was_there => {
+                eprintln!("removed {folder} and its memory: left by a demo that was killed");
+            }
+            Ok(()) => eprintln!("removed the memory of {folder}: left by a demo that was killed"),
             Err(error) => eprintln!("warning: cannot remove {folder}: {error}"),
         }
     }

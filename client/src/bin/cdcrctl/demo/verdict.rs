@@ -160,7 +160,7 @@ fn doctor(started_as: &Path) -> String {
 /// The one command that grants real time to the shell that it runs in. Who is root and has it not is in a container.
 fn grant(is_root: bool) -> &'static str {
     if is_root {
-        "docker run --ulimit rtprio=90 --ulimit memlock=-1 ..."
+        "in a container: docker run --ulimit rtprio=90 --ulimit memlock=-1 ..."
     } else {
         "sudo prlimit --pid $$ --rtprio=90 --memlock=unlimited"
     }
