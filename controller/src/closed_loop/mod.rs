@@ -60,7 +60,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
     /// move on at their velocity. `reference_at` is asked for times (s) of releases.
     ///
     /// # Errors
-    /// As [`Nmpc::new`]: when a setting, or the period, is out of its range.
+    /// As [`Nmpc::new`]: when a setting, or the period, is out of its range; and when `start` has not the sections of the robot.
     pub fn new(
         robot: &Robot,
         period_s: f64,
@@ -70,6 +70,16 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
         reference_at: R,
     ) -> Result<Self, SettingsError> {
         settings.validate_with(period_s)?;
+        let [sections, start_sections] =
+            [robot.section_count(), start.section_count()].map(|count| count as f64);
+        if start_sections != sections {
+            return Err(SettingsError {
+                key: "start_sections",
+                value: start_sections,
+                low: sections,
+                high: sections,
+            });
+        }
         let mut begin = Self {
             robot: robot.clone(),
             period_s,

@@ -26,7 +26,8 @@ pub struct LimitsHit {
     pub cable_stroke: bool,
     /// A rate would have grown faster than the largest acceleration.
     pub acceleration: bool,
-    /// The desired rates, or the state that they start from, were not finite, and the rates became zero.
+    /// The desired rates, or the state that they start from, were not finite or of another number of sections than the robot, and the rates
+    /// became zero.
     pub non_finite: bool,
 }
 
@@ -166,8 +167,10 @@ impl<'a> Limits<'a> {
 
     /// Which limits these rates break.
     fn broken(&self, rates: &BendRates) -> LimitsHit {
-        let is_finite = |at: &&Configuration| at.is_finite();
-        if !(rates.is_finite() && self.places().all(|at| is_finite(&at))) {
+        let sections = self.robot.section_count();
+        let is_known = |at: &Configuration| at.is_finite() && at.section_count() == sections;
+        let are_known = rates.is_finite() && rates.section_count() == sections;
+        if !(are_known && self.places().all(is_known)) {
             return LimitsHit {
                 non_finite: true,
                 ..LimitsHit::default()

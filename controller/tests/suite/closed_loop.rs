@@ -55,6 +55,17 @@ fn a_loop_refuses_the_periods_that_a_controller_refuses() {
 }
 
 #[test]
+fn a_loop_refuses_a_start_of_another_robot() {
+    let (settings, two) = (NmpcSettings::default(), Configuration::straight(2));
+    for sections in [1, 3] {
+        let robot = Robot::new(&RobotParameters::paper(sections)).unwrap();
+        let nowhere = |_| ReferenceSample::default();
+        let refused = ClosedLoop::new(&robot, PERIOD_S, settings, two, &[], nowhere);
+        assert_eq!(refused.map(|_| ()).unwrap_err().key, "start_sections");
+    }
+}
+
+#[test]
 fn commands_keep_clear_for_as_long_as_a_robot_is_told_to_obey_them() {
     let of = |(periods, deceleration_rad_s2)| {
         let closed = begin(PERIOD_S).unwrap();

@@ -322,7 +322,7 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
 #[test]
 fn balls_on_the_way_home_are_passed() {
     let runs = crate::repetitions(20, 40);
-    for &(sections, balls, tenths) in crate::cases(1, &[(3, 4, 8), (3, 8, 6), (3, 1, 10)]) {
+    for &(sections, balls, tenths) in crate::cases(1, &[(3, 1, 10), (3, 4, 8), (3, 8, 6)]) {
         let (blocked, arrived, stood) = homing(sections, balls, runs);
         println!(
             "{sections} sections, {balls} balls: {arrived} of {blocked} arrive, {stood} stand still"

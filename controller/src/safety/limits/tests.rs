@@ -130,6 +130,28 @@ fn rates_and_non_finite_rates_are_cut() {
     assert_eq!(limited.rates, BendRates::zero(2));
 }
 
+/// Rates and states of another robot move nothing, wherever they are given.
+#[test]
+fn what_has_another_number_of_sections_is_no_command() {
+    let (robot, here, legal) = (robot(), at([0.0; 4]), rates([0.1; 4]));
+    for sections in [1, 3] {
+        let other_rates = BendRates::zero(sections);
+        let other_at = Configuration::straight(sections);
+        let cases = [
+            (&here, None, &other_rates),
+            (&other_at, None, &legal),
+            (&here, Some(&other_at), &legal),
+        ];
+        for (at, commanded, desired_rates) in cases {
+            let limits = Limits::new(&robot, at, PERIOD_S).with_commanded(commanded);
+            for limited in [limits.nearest(desired_rates), limits.shorten(desired_rates)] {
+                assert!(limited.hit.non_finite);
+                assert_eq!(limited.rates, BendRates::zero(2));
+            }
+        }
+    }
+}
+
 #[test]
 fn a_bend_never_leaves_its_limit_and_returns_when_it_is_beyond() {
     let robot = robot();

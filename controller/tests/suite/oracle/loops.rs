@@ -234,6 +234,7 @@ impl Scene {
                 moment.desired_rates = desired_rates.as_slice().to_vec();
                 let command = moment.command();
                 account.take(&name, &moment, &command);
+                account.ask(&name, &moment, &command);
                 told_rates = command.rates.as_slice().to_vec();
                 told = (cycle, moment);
             }

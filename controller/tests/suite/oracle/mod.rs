@@ -15,8 +15,11 @@ use loops::Scene;
 use moment::{Moment, stands};
 use rule::{Margins, ROUNDING, moved, norm};
 
-/// The share of all commands that may stand still where the oracle finds a motion: the 300 moments of the test have 2, and one more may.
-const STANDS_MAX: f64 = 3.0 / 300.0;
+/// The share of all commands that may stand still where the oracle finds a motion: the first of few, of which the 300 moments of the test have 2 and one
+/// more may, the second of many.
+const STANDS_MAX: [f64; 2] = [3.0 / 300.0, 0.005];
+/// The closed loops, those that lose commands first.
+const LOOPS: [u64; 12] = [6, 3, 0, 1, 2, 4, 5, 7, 8, 9, 10, 11];
 
 /// A count, or where it begins, from the environment.
 fn number(name: &str, otherwise: u64) -> u64 {
@@ -94,7 +97,8 @@ impl Account {
             self.asked, self.stand, self.stand_needlessly
         );
         assert_eq!(self.broken, 0);
-        assert!(f64::from(self.stand_needlessly) <= STANDS_MAX * f64::from(self.asked));
+        let [of_few, of_many] = STANDS_MAX.map(|share| share * f64::from(self.asked));
+        assert!(f64::from(self.stand_needlessly) <= of_few.min(of_many.max(3.0)));
     }
 }
 
@@ -197,7 +201,8 @@ fn the_limits_give_the_nearest_rates() {
 #[test]
 fn few_moments_stand_still_without_need() {
     let mut account = Account::NEW;
-    for (name, moment) in moments("CDCR_ORACLE_STANDS", 300) {
+    let count = crate::repetitions(300, 8_000).into();
+    for (name, moment) in moments("CDCR_ORACLE_STANDS", count) {
         account.ask(&name, &moment, &moment.command());
     }
     account.check();
@@ -206,7 +211,12 @@ fn few_moments_stand_still_without_need() {
 #[test]
 fn no_closed_loop_breaks_a_rule() {
     let mut account = Account::NEW;
-    for seed in seeds("CDCR_ORACLE_LOOPS", crate::repetitions(2, 12).into()) {
+    let loops = if is_whole("CDCR_ORACLE_LOOPS") {
+        crate::cases(2, &LOOPS).to_vec()
+    } else {
+        seeds("CDCR_ORACLE_LOOPS", LOOPS.len() as u64).collect()
+    };
+    for seed in loops {
         Scene::random(seed).run(&mut account);
     }
     account.check();
