@@ -66,6 +66,11 @@ impl Stopping {
             way_s: self.moving_s + 0.5 * fastest_rad_s / self.deceleration_rad_s2,
         }
     }
+
+    /// How much longer the way is for each rad/s of the fastest component \[s²\].
+    pub(super) fn way_slope_s2(&self) -> f64 {
+        0.5 / self.deceleration_rad_s2
+    }
 }
 
 impl StoppingWay {

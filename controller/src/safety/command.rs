@@ -50,7 +50,9 @@ impl<'a> Situation<'a> {
         let sections = self.robot.sections().iter();
         let limit_rad_s = sections.fold(0.0_f64, |most, section| most.max(section.rate_max_rad_s));
         let way_s = self.stopping().way(fastest_rad_s.min(limit_rad_s)).way_s;
-        Limits::new(self.robot, self.at, way_s).with_commanded(self.commanded)
+        Limits::new(self.robot, self.at, way_s)
+            .with_commanded(self.commanded)
+            .with_stopping(self.stopping())
     }
 
     /// The same of a robot that moves.
@@ -60,23 +62,13 @@ impl<'a> Situation<'a> {
             .with_acceleration(self.previous, change_rad_s)
     }
 
-    /// The nearest rates inside the limits. Slower ones stop sooner, so where the way of the desired rates was too long, rates
-    /// between them and those found are looked at, too: on one line, those with a fastest component of √(desired · found) are
-    /// the fastest that stop in time.
+    /// The nearest rates inside the limits.
     fn limited(&self, desired: &BendRates) -> Limited {
-        let first = self.limits_moving(fastest(desired)).nearest(desired);
-        let between_rad_s = (fastest(desired) * fastest(&first.rates)).sqrt();
-        if !(first.hit.bend || first.hit.cable_stroke) || between_rad_s == 0.0 {
-            // The projection keeps that but for rounding.
-            return Limited {
-                rates: shortened_to(first.rates, fastest(desired)),
-                ..first
-            };
-        }
-        let second = self.limits_moving(between_rad_s).nearest(desired);
+        let limited = self.limits_moving(fastest(desired)).nearest(desired);
         Limited {
-            rates: shortened_to(second.rates, between_rad_s),
-            hit: first.hit,
+            // The projection keeps that but for rounding.
+            rates: shortened_to(limited.rates, fastest(desired)),
+            ..limited
         }
     }
 
@@ -124,8 +116,8 @@ pub struct SafeCommand {
     pub clearance_m: f64,
 }
 
-/// What a mode desires, made safe: the nearest command inside every limit, and of those the nearest that keeps clear. Both
-/// hold at the end of the period and, when no other command follows, until the robot rests.
+/// What a mode desires, made safe: the nearest command inside every limit (to 1 %, where slower ones stop sooner), and of those the nearest that keeps
+/// clear. Both hold at the end of the period and, when no other command follows, until the robot rests.
 ///
 /// A section whose cables have play stands while its motors turn round, so another one must not come nearer to an obstacle because the first
 /// one gives way. The rule of the guard holds for the cables on their way through the play, too: section by section, exactly at the ends of the period and

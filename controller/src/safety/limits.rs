@@ -1,8 +1,10 @@
 //! Rates that the robot may have: finite, in the box, bends inside their limits, cables neither too fast nor too far.
 
+mod stops;
+
 use crate::robot::{BendRates, CABLES_MAX, COORDINATES_MAX, Configuration, Robot};
 
-use super::clearance::fastest;
+use super::clearance::Stopping;
 use super::projection::{Region, Vector};
 
 /// How far inside a limit the nearest command aims, in rad and m, so that rounding does not lead beyond it: there the
@@ -77,6 +79,8 @@ pub struct Limits<'a> {
     least_rad_s: Vector,
     most_rad_s: Vector,
     way_s: f64,
+    /// How the robot comes to rest after them, where it does not stop at once: slower rates have a shorter way.
+    stopping: Option<Stopping>,
 }
 
 impl<'a> Limits<'a> {
@@ -95,6 +99,7 @@ impl<'a> Limits<'a> {
             least_rad_s: [f64::NEG_INFINITY; COORDINATES_MAX],
             most_rad_s: [f64::INFINITY; COORDINATES_MAX],
             way_s,
+            stopping: None,
         }
     }
 
@@ -102,6 +107,13 @@ impl<'a> Limits<'a> {
     #[must_use]
     pub fn with_commanded(self, commanded: Option<&'a Configuration>) -> Self {
         Self { commanded, ..self }
+    }
+
+    /// The way becomes that of the rates.
+    #[must_use]
+    pub(super) fn with_stopping(mut self, stopping: Stopping) -> Self {
+        self.stopping = stopping.deceleration_rad_s2.is_finite().then_some(stopping);
+        self
     }
 
     /// No component leaves the previous one by more than `change_rad_s` = acceleration · period, as [`Limits`] has it.
@@ -121,10 +133,7 @@ impl<'a> Limits<'a> {
         let rates = if hit.non_finite {
             BendRates::zero(self.robot.section_count())
         } else if hit.any() {
-            // Not faster than asked for: until the robot rests was counted with that.
-            let mut region = self.region();
-            region.slow_down_to(fastest(desired));
-            self.nearest_in(&mut region, desired)
+            self.nearest_that_stops(desired)
                 .unwrap_or_else(|| self.shortened(desired))
         } else {
             *desired
@@ -271,9 +280,9 @@ impl<'a> Limits<'a> {
 
     /// What the limits leave of all rates, but for the round limits of the bends: [`Self::nearest_in`] adds those.
     pub(super) fn region(&self) -> Region {
-        let mut region = Region::new(self.robot.coordinate_count());
-        region.lower = core::array::from_fn(|i| self.lower_rad_s(i));
-        region.upper = core::array::from_fn(|i| self.upper_rad_s(i));
+        let lower = core::array::from_fn(|i| self.lower_rad_s(i));
+        let upper = core::array::from_fn(|i| self.upper_rad_s(i));
+        let mut region = Region::new(self.robot.coordinate_count(), lower, upper, self.way_s);
         let mut columns = [[0.0; CABLES_MAX]; COORDINATES_MAX];
         let mut unit = BendRates::zero(self.robot.section_count());
         for (i, column) in columns[..self.robot.coordinate_count()]
@@ -284,19 +293,20 @@ impl<'a> Limits<'a> {
             *column = self.robot.cable_speeds(&unit);
             unit.as_mut_slice()[i] = 0.0;
         }
-        let speed_max_m_s = self.robot.cable_speed_max_m_s() * (1.0 - SPEED_INSIDE);
-        for cable in 0..self.robot.cable_count() {
-            let pays_out = columns.map(|column| column[cable]);
-            let (mut least_m_s, mut most_m_s) = (-speed_max_m_s, speed_max_m_s);
-            for at in self.places() {
-                let stroke_m = self.robot.cable_strokes(at)[cable];
-                let max_m = self.robot.cable_stroke_max_m();
-                let room_m = |to_m: f64| (to_m.max(0.0) - INSIDE) / self.way_s;
-                most_m_s = most_m_s.min(room_m(max_m - stroke_m));
-                least_m_s = least_m_s.max(-room_m(max_m + stroke_m));
+        // What each cable may be paid in and out by.
+        let mut rooms_m = [[f64::INFINITY; 2]; CABLES_MAX];
+        let max_m = self.robot.cable_stroke_max_m();
+        for at in self.places() {
+            for (rooms_m, stroke_m) in rooms_m.iter_mut().zip(self.robot.cable_strokes(at)) {
+                let here_m = [max_m + stroke_m, max_m - stroke_m];
+                *rooms_m = [0, 1].map(|i| rooms_m[i].min(here_m[i].max(0.0) - INSIDE));
             }
-            region.bound(&pays_out, least_m_s);
-            region.bound(&pays_out.map(|share| -share), -most_m_s);
+        }
+        let speed_max_m_s = self.robot.cable_speed_max_m_s() * (1.0 - SPEED_INSIDE);
+        for (cable, [in_m, out_m]) in rooms_m[..self.robot.cable_count()].iter().enumerate() {
+            let pays_out = columns.map(|column| column[cable]);
+            region.bound_along(&pays_out, -speed_max_m_s, *in_m);
+            region.bound_along(&pays_out.map(|share| -share), -speed_max_m_s, *out_m);
         }
         region
     }
@@ -334,7 +344,7 @@ impl<'a> Limits<'a> {
                 let bent = outwards[0] * bend[0] + outwards[1] * bend[1];
                 let mut normal = Vector::default();
                 normal[2 * j..2 * j + 2].copy_from_slice(&outwards.map(|component| -component));
-                region.bound(&normal, -(radius - bent) / self.way_s);
+                region.bound_along(&normal, f64::NEG_INFINITY, radius - bent);
                 added = true;
             }
         }

@@ -2,8 +2,8 @@
 //!
 //! Knows no robot. Dual active-set method of Goldfarb and Idnani (Mathematical Programming 27, 1983) with the identity as
 //! Hessian: it begins at the point itself, takes in the half-space that is violated most, and lets go of those that no
-//! longer hold the point back. A search for the same point goes on from where the one before ended: what is added afterwards only
-//! bounds more. Work and memory are bounded, nothing allocates, the same input gives the same bits.
+//! longer hold the point back. A search for the same point goes on from where the one before ended: with what is added afterwards, and
+//! with bounds that moved. Work and memory are bounded, nothing allocates, the same input gives the same bits.
 
 use crate::robot::COORDINATES_MAX;
 
@@ -24,22 +24,37 @@ const DEPENDENT: f64 = 1e-14;
 #[derive(Debug, Clone)]
 pub(super) struct Region {
     dimensions: usize,
-    pub(super) lower: Vector,
-    pub(super) upper: Vector,
+    /// The sides of the box, without and with what [`Region::slow_down_to`] leaves of it.
+    sides: [Vector; 2],
+    lower: Vector,
+    upper: Vector,
+    /// The largest component.
+    most: f64,
+    way_s: f64,
     rows: [Row; ROWS_MAX],
     row_count: usize,
     /// Whether a half-space was left out.
     is_full: bool,
-    /// What was found last.
-    found: Option<Found>,
+    /// The nearest point to `to` before more half-spaces came, and what holds it there; changed in place, because they are large.
+    found: Found,
 }
 
-/// The nearest point to `to` before more half-spaces came, and what holds it there.
 #[derive(Debug, Clone, Copy)]
 struct Found {
+    /// Whether there is one.
+    is_known: bool,
     to: Vector,
     at: Vector,
     active: Active,
+}
+
+/// How the nearest point changes with the largest component.
+pub(super) struct Slopes {
+    /// First and second derivative of half its squared distance.
+    pub(super) half_square: f64,
+    pub(super) curvature: f64,
+    /// Of itself.
+    pub(super) at: Vector,
 }
 
 /// normal · x ≥ bound, with a normal of length 1.
@@ -47,6 +62,20 @@ struct Found {
 struct Row {
     normal: Vector,
     bound: f64,
+    /// What the bound is at least, and what moves it.
+    fixed: f64,
+    room: Room,
+}
+
+/// What a bound changes with.
+#[derive(Debug, Clone, Copy)]
+enum Room {
+    /// Nothing.
+    None,
+    /// It is -room / way.
+    Way(f64),
+    /// It is that of the largest component, as a side of the box.
+    Most,
 }
 
 /// The half-spaces that hold the point, and how strongly.
@@ -60,16 +89,28 @@ struct Active {
 }
 
 impl Region {
-    /// Everything.
-    pub(super) fn new(dimensions: usize) -> Self {
+    /// A box, for points that are obeyed for `way_s`.
+    #[allow(
+        clippy::large_stack_arrays,
+        reason = "19 kB, once for each command that a limit changes"
+    )]
+    pub(super) fn new(dimensions: usize, lower: Vector, upper: Vector, way_s: f64) -> Self {
         Self {
             dimensions,
-            lower: [f64::NEG_INFINITY; COORDINATES_MAX],
-            upper: [f64::INFINITY; COORDINATES_MAX],
+            sides: [lower, upper],
+            lower,
+            upper,
+            most: f64::INFINITY,
+            way_s,
             rows: [Row::ZERO; ROWS_MAX],
             row_count: 0,
             is_full: false,
-            found: None,
+            found: Found {
+                is_known: false,
+                to: [0.0; COORDINATES_MAX],
+                at: [0.0; COORDINATES_MAX],
+                active: Active::NONE,
+            },
         }
     }
 
@@ -91,51 +132,125 @@ impl Region {
 
     /// Only where normal · x ≥ bound. A normal without length bounds nothing.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
+        self.add(normal, bound, Room::None);
+    }
+
+    /// Only where normal · x ≥ bound, and normal · x · way ≥ -room.
+    pub(super) fn bound_along(&mut self, normal: &Vector, bound: f64, room: f64) {
+        self.add(normal, bound, Room::Way(room));
+    }
+
+    fn add(&mut self, normal: &Vector, fixed: f64, room: Room) {
         let length = dot(normal, normal).sqrt();
-        if !(length > 0.0 && length.is_finite() && bound.is_finite()) {
-            return;
+        let room = match room {
+            Room::Way(room) => Room::Way(room / length),
+            other => other,
+        };
+        let mut row = Row {
+            normal: normal.map(|component| component / length),
+            bound: 0.0,
+            fixed: fixed / length,
+            room,
+        };
+        row.move_to(self.most, self.way_s);
+        if length > 0.0 && length.is_finite() && row.bound.is_finite() {
+            self.push(row);
         }
+    }
+
+    fn push(&mut self, row: Row) {
         self.is_full = self.row_count == ROWS_MAX;
         if !self.is_full {
-            self.rows[self.row_count] = Row {
-                normal: normal.map(|component| component / length),
-                bound: bound / length,
-            };
+            self.rows[self.row_count] = row;
             self.row_count += 1;
         }
     }
 
     /// Only where no component is larger than `most`.
     pub(super) fn slow_down_to(&mut self, most: f64) {
-        self.found = None;
-        for (lower, upper) in self.lower.iter_mut().zip(&mut self.upper) {
-            *lower = lower.max(-most);
-            *upper = upper.min(most);
+        self.found.is_known = false;
+        self.most = most;
+        self.lower = self.sides[0].map(|lower| lower.max(-most));
+        self.upper = self.sides[1].map(|upper| upper.min(most));
+    }
+
+    /// Only where no component is larger than `most`, of points that are obeyed for `way_s`. Of the half-spaces that move freely with the way, those stay
+    /// that hold what was found.
+    pub(super) fn move_to(&mut self, most: f64, way_s: f64) {
+        let is_known = self.found.is_known;
+        self.slow_down_to(most);
+        self.way_s = way_s;
+        let mut kept = 0;
+        for index in 0..self.row_count {
+            if !self.rows[index].is_free() {
+                self.rows[kept] = self.rows[index];
+                self.rows[kept].move_to(most, way_s);
+                kept += 1;
+            }
         }
+        self.row_count = kept;
+        if !is_known {
+            return;
+        }
+        let active = &mut self.found.active;
+        for row in &mut active.rows[..active.count] {
+            row.move_to(most, way_s);
+        }
+        for index in 0..self.found.active.count {
+            let row = self.found.active.rows[index];
+            if row.is_free() {
+                self.push(row);
+            }
+        }
+        self.found.is_known = self.found.hold().is_some();
+    }
+
+    /// How what was found last changes with the largest component, where the way changes by `way_slope` times that, with the half-spaces that hold it.
+    /// `None` where nothing was found.
+    pub(super) fn slopes(&self, way_slope: f64) -> Option<Slopes> {
+        if !self.found.is_known {
+            return None;
+        }
+        let active = &self.found.active;
+        let (mut half_square, mut curvature) = (0.0, 0.0);
+        let mut bound_slopes = Vector::default();
+        for i in 0..active.count {
+            let [first, second] = active.rows[i].bound_slopes(self.way_s, way_slope);
+            half_square += active.multipliers[i] * first;
+            curvature += active.multipliers[i] * second;
+            bound_slopes[i] = first;
+        }
+        let multiplier_slopes = active.solved(|i| bound_slopes[i])?;
+        let mut at = Vector::default();
+        for (row, slope) in active.rows[..active.count].iter().zip(&multiplier_slopes) {
+            add(&mut at, &row.normal, *slope);
+        }
+        curvature += dot(&multiplier_slopes, &bound_slopes);
+        Some(Slopes {
+            half_square,
+            curvature,
+            at,
+        })
     }
 
     /// The point of the region that is nearest to `to`, beside rounding. `None` when there is none, or it was not found in
     /// a bounded number of steps.
     pub(super) fn nearest(&mut self, to: &Vector) -> Option<Vector> {
-        let before = self.found.take().filter(|found| found.to == *to);
-        let Found { at, active, .. } = before.unwrap_or(Found {
-            to: *to,
-            at: *to,
-            active: Active::NONE,
-        });
-        let (at, active) = self.nearest_from(at, active)?;
-        self.found = Some(Found {
-            to: *to,
-            at,
-            active,
-        });
-        Some(at)
+        if !(self.found.is_known && self.found.to == *to) {
+            self.found.to = *to;
+            self.found.at = *to;
+            self.found.active.count = 0;
+            self.found.active.multipliers = [0.0; COORDINATES_MAX];
+        }
+        self.found.is_known = self.go_on().is_some();
+        self.found.is_known.then_some(self.found.at)
     }
 
-    /// From the nearest point to the same one with fewer half-spaces, and those that hold it.
-    fn nearest_from(&self, mut at: Vector, mut active: Active) -> Option<(Vector, Active)> {
+    /// From the nearest point to the same one with fewer half-spaces, and those that hold it. `None`: they hold no point.
+    fn go_on(&mut self) -> Option<()> {
         let mut steps = 0;
-        while let Some(row) = self.most_violated(&at) {
+        while let Some(row) = self.most_violated(&self.found.at) {
+            let Found { at, active, .. } = &mut self.found;
             let mut multiplier = 0.0;
             loop {
                 steps += 1;
@@ -146,7 +261,7 @@ impl Region {
                 let way = active.rest(&row.normal, &shares);
                 let square = dot(&way, &row.normal);
                 let full = if square > DEPENDENT && active.count < self.dimensions {
-                    (row.bound - dot(&row.normal, &at)) / square
+                    (row.bound - dot(&row.normal, at)) / square
                 } else {
                     f64::INFINITY
                 };
@@ -156,7 +271,7 @@ impl Region {
                     return None;
                 }
                 if full < f64::INFINITY {
-                    add(&mut at, &way, step);
+                    add(at, &way, step);
                 }
                 add(&mut active.multipliers, &shares, -step);
                 multiplier += step;
@@ -167,7 +282,7 @@ impl Region {
                 active.remove(let_go);
             }
         }
-        Some((at, active))
+        Some(())
     }
 
     /// What is violated most at `at`; a NaN violates nothing.
@@ -193,8 +308,8 @@ impl Region {
         }
         found.map(|side| match side {
             Side::Row(index) => self.rows[index],
-            Side::Lower(i) => Row::axis(i, 1.0, self.lower[i]),
-            Side::Upper(i) => Row::axis(i, -1.0, -self.upper[i]),
+            Side::Lower(i) => Row::axis(i, 1.0, self.sides[0][i], self.most),
+            Side::Upper(i) => Row::axis(i, -1.0, -self.sides[1][i], self.most),
         })
     }
 }
@@ -211,15 +326,70 @@ impl Row {
     const ZERO: Self = Self {
         normal: [0.0; COORDINATES_MAX],
         bound: 0.0,
+        fixed: 0.0,
+        room: Room::None,
     };
 
-    fn axis(i: usize, sign: f64, bound: f64) -> Self {
+    /// A side of the box.
+    fn axis(i: usize, sign: f64, fixed: f64, most: f64) -> Self {
         let mut row = Self {
-            bound,
+            bound: fixed.max(-most),
+            fixed,
+            room: Room::Most,
             ..Self::ZERO
         };
         row.normal[i] = sign;
         row
+    }
+
+    fn move_to(&mut self, most: f64, way_s: f64) {
+        self.bound = match self.room {
+            Room::None => self.fixed,
+            Room::Way(room) => self.fixed.max(-room / way_s),
+            Room::Most => self.fixed.max(-most),
+        };
+    }
+
+    /// Whether nothing but the way bounds it.
+    fn is_free(&self) -> bool {
+        self.fixed == f64::NEG_INFINITY
+    }
+
+    /// The first and second derivative of the bound by the largest component.
+    fn bound_slopes(&self, way_s: f64, way_slope: f64) -> [f64; 2] {
+        let share = way_slope / way_s;
+        match self.room {
+            Room::Way(room) if self.bound > self.fixed => {
+                let slope = room / way_s * share;
+                [slope, -2.0 * slope * share]
+            }
+            Room::Most if self.bound > self.fixed => [-1.0, 0.0],
+            _ => [0.0, 0.0],
+        }
+    }
+}
+
+impl Found {
+    /// The nearest point that is on the bounds of those held, but for those that would not hold it there. `None` where they depend on each other.
+    fn hold(&mut self) -> Option<()> {
+        let Self { to, at, active, .. } = self;
+        loop {
+            let lack = |row: &Row| row.bound - dot(&row.normal, to);
+            active.multipliers = active.solved(|i| lack(&active.rows[i]))?;
+            let least = (0..active.count).min_by(|i, j| {
+                let [one, other] = [i, j].map(|i| active.multipliers[*i]);
+                one.total_cmp(&other)
+            });
+            match least {
+                Some(least) if active.multipliers[least] < 0.0 => active.remove(least),
+                _ => break,
+            }
+        }
+        *at = *to;
+        for (row, multiplier) in active.rows[..active.count].iter().zip(&active.multipliers) {
+            add(at, &row.normal, *multiplier);
+        }
+        Some(())
     }
 }
 
@@ -234,10 +404,15 @@ impl Active {
     /// How much of each held normal there is in `normal`: the least-squares solution of N r = normal. `None` where the held
     /// ones depend on each other.
     fn shares(&self, normal: &Vector) -> Option<Vector> {
+        self.solved(|i| dot(&self.rows[i].normal, normal))
+    }
+
+    /// The solution of Nᵀ N x = `right`. `None` where those held depend on each other.
+    fn solved(&self, right: impl Fn(usize) -> f64) -> Option<Vector> {
         if (0..self.count).any(|i| self.factor[i][i] == 0.0) {
             return None;
         }
-        let mut shares = self.solved_forward(self.count, normal);
+        let mut shares = self.solved_forward(self.count, right);
         for i in (0..self.count).rev() {
             let known: f64 = (i + 1..self.count)
                 .map(|k| self.factor[k][i] * shares[k])
@@ -248,11 +423,11 @@ impl Active {
     }
 
     /// The first half of that, with the first `count` of those held.
-    fn solved_forward(&self, count: usize, normal: &Vector) -> Vector {
+    fn solved_forward(&self, count: usize, right: impl Fn(usize) -> f64) -> Vector {
         let mut solved = [0.0; COORDINATES_MAX];
         for i in 0..count {
             let known: f64 = (0..i).map(|k| self.factor[i][k] * solved[k]).sum();
-            solved[i] = (dot(&self.rows[i].normal, normal) - known) / self.factor[i][i];
+            solved[i] = (right(i) - known) / self.factor[i][i];
         }
         solved
     }
@@ -260,7 +435,7 @@ impl Active {
     /// The row of the factor that belongs to the i-th of those held: zero on the diagonal where it depends on those before.
     fn factorise(&mut self, i: usize) {
         let normal = self.rows[i].normal;
-        let mut row = self.solved_forward(i, &normal);
+        let mut row = self.solved_forward(i, |k| dot(&self.rows[k].normal, &normal));
         let known: f64 = row[..i].iter().map(|share| share * share).sum();
         row[i] = (dot(&normal, &normal) - known).max(0.0).sqrt();
         self.factor[i] = row;
@@ -324,101 +499,4 @@ fn add(to: &mut Vector, direction: &Vector, length: f64) {
 
 #[cfg(test)]
 #[allow(clippy::unwrap_used, reason = "a failed unwrap is a failed test")]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-
-    fn padded(values: &[f64]) -> Vector {
-        core::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
-    }
-
-    #[test]
-    fn corners_edges_and_regions_without_a_point() {
-        let mut region = Region::new(2);
-        region.lower = padded(&[-1.0, -1.0]);
-        region.upper = padded(&[1.0, 1.0]);
-        let near = |region: &mut Region, x: f64, y: f64| {
-            region.nearest(&padded(&[x, y])).map(|p| [p[0], p[1]])
-        };
-        assert_eq!(near(&mut region, 0.5, -0.5), Some([0.5, -0.5]));
-        assert_eq!(near(&mut region, 3.0, 0.5), Some([1.0, 0.5]));
-        assert_eq!(near(&mut region, 3.0, -4.0), Some([1.0, -1.0]));
-        region.bound(&padded(&[-1.0, -1.0]), 0.0);
-        let [x, y] = near(&mut region, 3.0, 3.0).unwrap();
-        assert!(x.abs() < 1e-12 && y.abs() < 1e-12, "{x} {y}");
-        // A half-space that says the same again, and one that no point satisfies.
-        region.bound(&padded(&[-2.0, -2.0]), 0.0);
-        assert!(near(&mut region, 3.0, 3.0).is_some());
-        region.bound(&padded(&[1.0, 1.0]), 1.0);
-        assert_eq!(near(&mut region, 3.0, 3.0), None);
-    }
-
-    #[test]
-    fn a_full_region_says_that_it_left_one_out() {
-        let mut region = Region::new(2);
-        for turn in 0..ROWS_MAX {
-            let (sin, cos) = (turn as f64).sin_cos();
-            region.bound(&padded(&[sin, cos]), -1.0);
-            // Nothing that bounds nothing takes a place.
-            region.bound(&padded(&[0.0, 0.0]), -1.0);
-        }
-        assert!(!region.is_full());
-        region.bound(&padded(&[1.0, 0.0]), 0.5);
-        assert!(region.is_full());
-    }
-
-    proptest! {
-        /// The nearest point is inside, and no other point of the region is on the near side of it: for each y inside,
-        /// (to - x) · (y - x) ≤ 0.
-        #[test]
-        fn the_nearest_point_is_inside_and_nothing_inside_is_nearer(
-            to in prop::collection::vec(-5.0..5.0_f64, 12),
-            normals in prop::collection::vec(prop::collection::vec(-1.0..1.0_f64, 12), 0..40),
-            slack in 0.0..0.5_f64,
-            inside in prop::collection::vec(-1.0..1.0_f64, 12),
-            others in prop::collection::vec(prop::collection::vec(-1.0..1.0_f64, 12), 20),
-        ) {
-            let mut region = Region::new(12);
-            region.lower = [-1.0; COORDINATES_MAX];
-            region.upper = [1.0; COORDINATES_MAX];
-            let inside = padded(&inside);
-            for normal in &normals {
-                let normal = padded(normal);
-                region.bound(&normal, dot(&normal, &inside) - slack);
-            }
-            let to = padded(&to);
-            let nearest = region.nearest(&to);
-            prop_assert!(nearest.is_some(), "`inside` is one");
-            // The same beside rounding, however many half-spaces there were when it was looked for first.
-            let mut grown = Region { rows: [Row::ZERO; ROWS_MAX], row_count: 0, found: None, ..region.clone() };
-            for row in &region.rows[..region.row_count] {
-                grown.bound(&row.normal, row.bound);
-                prop_assert!(grown.nearest(&to).is_some());
-            }
-            for (one, other) in grown.nearest(&to).unwrap().iter().zip(nearest.unwrap()) {
-                prop_assert!((one - other).abs() < 1e-9);
-            }
-            let nearest = nearest.unwrap();
-            let lack = |at: &Vector| region.most_violated(at).map_or(0.0, |row| row.bound - dot(&row.normal, at));
-            prop_assert!(lack(&nearest) < 1e-12);
-            let mut away = to;
-            add(&mut away, &nearest, -1.0);
-            for other in &others {
-                // As far from `inside` towards it as the region goes.
-                let mut other = padded(other);
-                while lack(&other) > 0.0 {
-                    let mut half = inside;
-                    add(&mut half, &inside, -0.5);
-                    add(&mut half, &other, 0.5);
-                    other = half;
-                    if other == inside {
-                        break;
-                    }
-                }
-                add(&mut other, &nearest, -1.0);
-                prop_assert!(dot(&away, &other) < 1e-9);
-            }
-        }
-    }
-}
+mod tests;

@@ -160,6 +160,24 @@ fn short_strokes_do_not_freeze_a_robot_that_tracks() {
     assert!(frozen < 20 && mean_mm < 15.0);
 }
 
+/// Slower commands stop sooner: the fastest that stops at the limit has a way of its own. One section, 40 rad/s² and a command that is obeyed for 15 ms.
+#[test]
+fn a_command_towards_a_limit_is_the_fastest_that_stops_there() {
+    let robot = Robot::new(&RobotParameters::paper(1)).unwrap();
+    let bend_max_rad = robot.sections()[0].bend_max_rad;
+    let desired = BendRates::from_slice(&[2.0, 0.0]).unwrap();
+    for room_rad in [0.005, 0.01, 0.02, 0.04] {
+        let at = Configuration::from_slice(&[bend_max_rad - room_rad, 0.0]).unwrap();
+        let rate_rad_s = command(&robot, &at, &desired, &[], &desired).as_slice()[0];
+        // rate · 15 ms + rate² / (2 · 40 rad/s²) = room
+        let moving_s = 3.0 * PERIOD_S;
+        let exact_rad_s = ACCELERATION_RAD_S2
+            * ((moving_s * moving_s + 2.0 * room_rad / ACCELERATION_RAD_S2).sqrt() - moving_s);
+        println!("{room_rad} rad left: {rate_rad_s} of {exact_rad_s} rad/s");
+        assert!(((1.0 - 1e-6) * exact_rad_s..=exact_rad_s).contains(&rate_rad_s));
+    }
+}
+
 /// The plan ends inside its limits: where they hold the robot back from its goal, the safety check changes nothing for good.
 #[test]
 fn a_plan_that_rests_at_a_limit_is_not_cut() {

@@ -21,6 +21,11 @@ const STANDS_MAX: [f64; 2] = [3.0 / 300.0, 0.005];
 /// The closed loops, those that lose commands first.
 const LOOPS: [u64; 12] = [6, 3, 0, 1, 2, 4, 5, 7, 8, 9, 10, 11];
 
+/// Decelerations at which the nearest rates inside the limits are compared (rad/s²): at once, where the limits are convex, and that of a daemon.
+const DECELERATIONS_RAD_S2: [f64; 2] = [f64::INFINITY, 40.0];
+/// What rates may be farther from the desired ones than the oracle's, as a share, where slower ones stop sooner.
+const FARTHER: f64 = 0.01;
+
 /// A count, or where it begins, from the environment.
 fn number(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
@@ -171,31 +176,41 @@ fn no_moment_with_play_breaks_a_rule() {
 /// Without obstacles a command is the nearest one inside every limit: no other that holds them, the oracle's among them, is nearer.
 #[test]
 fn the_limits_give_the_nearest_rates() {
-    let (mut compared, mut cut) = (0, 0);
-    for (name, mut moment) in moments("CDCR_ORACLE_LIMITS", 300) {
-        moment.balls.clear();
-        moment.comes_to_rest = false;
-        // One way for all rates, so that the limits are convex.
-        moment.deceleration_rad_s2 = f64::INFINITY;
-        let nearest = moment.limited_rates();
-        if !moment.hold(&nearest) {
-            continue;
+    for deceleration_rad_s2 in DECELERATIONS_RAD_S2 {
+        let (mut compared, mut cut) = (0, 0);
+        for (name, mut moment) in moments("CDCR_ORACLE_LIMITS", 300) {
+            moment.balls.clear();
+            moment.comes_to_rest = false;
+            moment.deceleration_rad_s2 = deceleration_rad_s2;
+            let distance = |rates: &[f64]| norm(&moved(rates, &moment.desired_rates, -1.0));
+            let candidates = moment.limited_candidates();
+            let holding = candidates.iter().filter(|rates| moment.hold(rates));
+            let best = holding
+                .map(|rates| distance(rates))
+                .fold(f64::INFINITY, f64::min);
+            if best == f64::INFINITY {
+                continue;
+            }
+            let found = distance(moment.command().rates.as_slice());
+            compared += 1;
+            cut += u32::from(best > 1e-3);
+            let share = if deceleration_rad_s2.is_finite() {
+                FARTHER
+            } else {
+                0.0
+            };
+            assert!(
+                found <= (1.0 + share) * best + 1e-4,
+                "{name}: {found} rad/s instead of {best}"
+            );
         }
-        let command = moment.command().rates;
-        let distance = |rates: &[f64]| norm(&moved(rates, &moment.desired_rates, -1.0));
-        let [found, best] = [command.as_slice(), &nearest].map(distance);
-        compared += 1;
-        cut += u32::from(best > 1e-3);
+        println!("{deceleration_rad_s2} rad/s²: {compared} compared, {cut} of them cut");
+        let is_enough = compared > 150 && cut > 50;
         assert!(
-            found <= best + 1e-4,
-            "{name}: {found} rad/s instead of {best}"
+            is_enough || !is_whole("CDCR_ORACLE_LIMITS"),
+            "{compared}, {cut}"
         );
     }
-    let is_enough = compared > 150 && cut > 50;
-    assert!(
-        is_enough || !is_whole("CDCR_ORACLE_LIMITS"),
-        "{compared}, {cut}"
-    );
 }
 
 #[test]

@@ -14,6 +14,9 @@ const STEP_RAD: f64 = 1e-4;
 const BEYOND_M: f64 = 1e-7;
 /// What a clearance that is made linear may be too large by (m).
 const WITHIN_M: f64 = 1e-9;
+/// Fastest components that are tried, each this share of the one before.
+const SLOWER: i32 = 24;
+const LESS: f64 = 0.9;
 /// The share of the desired rates that counts as motion.
 const LEAST: f64 = 0.05;
 /// Shares of a solution that are tried.
@@ -70,17 +73,33 @@ fn nearest(desired_rates: &[f64], rows: &[Row]) -> Vec<f64> {
 impl Moment {
     /// The nearest rates to the desired ones inside the limits, linear, without obstacles.
     pub(super) fn limited_rates(&self) -> Vec<f64> {
-        nearest(
-            &self.desired_rates,
-            &self.limit_rows(&self.desired_rates, f64::INFINITY),
-        )
+        self.slower_rates(f64::INFINITY)
+    }
+
+    /// Rates of which the nearest that hold are the nearest inside the limits: with ever slower fastest components, each with a way of its own.
+    pub(super) fn limited_candidates(&self) -> Vec<Vec<f64>> {
+        let mut candidates = vec![self.limited_rates()];
+        if self.deceleration_rad_s2.is_finite() {
+            let desired_rad_s = fastest(&self.desired_rates);
+            let slower = (0..SLOWER).map(|step| desired_rad_s * LESS.powi(step));
+            candidates.extend(slower.map(|most_rad_s| self.slower_rates(most_rad_s)));
+        }
+        candidates
+    }
+
+    /// The nearest of which no component is faster than this, which stop with the way of those.
+    fn slower_rates(&self, most_rad_s: f64) -> Vec<f64> {
+        let way_rad_s = most_rad_s.min(fastest(&self.desired_rates));
+        let rows = self.limit_rows(&self.desired_rates, most_rad_s, way_rad_s);
+        nearest(&self.desired_rates, &rows)
     }
 
     /// Rates of [`LEAST`] of `desired_rates` at least that hold every rule, where the quadratic program leads to some.
     pub(super) fn way_out(&self, desired_rates: &[f64]) -> Option<Vec<f64>> {
         let mut rates = vec![0.0; desired_rates.len()];
         for _ in 0..PASSES {
-            let mut rows = self.limit_rows(&rates, fastest(desired_rates));
+            let way_rad_s = fastest(&self.desired_rates);
+            let mut rows = self.limit_rows(&rates, fastest(desired_rates), way_rad_s);
             rows.extend(self.clearance_rows(&rates));
             rows.retain(|row| row.can_bound(fastest(desired_rates)));
             let nearest = nearest(desired_rates, &rows);
@@ -106,7 +125,8 @@ impl Moment {
         None
     }
 
-    fn limit_rows(&self, near: &[f64], fastest_rad_s: f64) -> Vec<Row> {
+    /// Of rates up to `fastest_rad_s`, with the way to rest of a fastest component of `way_rad_s`.
+    fn limit_rows(&self, near: &[f64], fastest_rad_s: f64, way_rad_s: f64) -> Vec<Row> {
         let dimensions = self.desired_rates.len();
         let grows_rad_s = self.acceleration_rad_s2 * self.period_s;
         let mut rows = Vec::new();
@@ -123,7 +143,7 @@ impl Moment {
         let columns: Vec<Vec<f64>> = (0..dimensions)
             .map(|i| strokes_m(&self.parameters, &unit(i)))
             .collect();
-        let stopping = Stopping::new(self, &self.desired_rates);
+        let stopping = Stopping::new(self, &[way_rad_s]);
         let way_s = stopping.way_s(stopping.end_s());
         let max_m = self.parameters.cable_stroke_max_m;
         for place in self.places() {
