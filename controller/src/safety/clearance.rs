@@ -135,7 +135,8 @@ impl ClearanceGuard<'_> {
     pub(super) fn apply(&self, limits: &Limits<'_>, rates: &BendRates) -> Guarded {
         self.guarded(rates, false, |near| {
             let found = self.corrected(near, limits, rates);
-            if found == self.rest() && near.allow_renewal() {
+            if found == self.rest() && near.are_few() {
+                near.allow_renewal();
                 return self.renewed(near, limits, rates);
             }
             found
@@ -335,13 +336,15 @@ impl Places<'_> {
             .try_for_each(|(near, guard)| way::check(near, guard, rates))
     }
 
-    /// More work, where few obstacles are near; whether they are.
-    fn allow_renewal(&self) -> bool {
-        let are_few = |near: &Near<'_>| near.watched().count() <= RENEWED_MAX;
-        self.iter().all(are_few) && {
-            self.iter().for_each(Near::allow_renewal);
-            true
-        }
+    /// Whether so few obstacles are near that a command is linearised anew.
+    fn are_few(&self) -> bool {
+        self.iter()
+            .all(|near| near.watched().count() <= RENEWED_MAX)
+    }
+
+    /// More work.
+    fn allow_renewal(&self) {
+        self.iter().for_each(Near::allow_renewal);
     }
 
     /// [`rows::bound_again`] of each.
