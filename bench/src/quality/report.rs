@@ -25,7 +25,7 @@ const EXCESS_FLOOR_PERCENT: f64 = 1e-4;
 
 const EXPLANATION: &str = "<p>The controller in a closed loop with an ideal robot, without a daemon: three simulations of the \
          paper (their first seconds), a gap between two posts, a ball that crosses the body, a reference that jumps. The \
-         desired rates pass the limits and the clearance guard, as in the daemon.</p>\
+         desired rates pass the limits and the clearance guard of the daemon, for a robot that gets every command and stops at once.</p>\
          <p>With a budget, a solve has more work than it can do, and ends by the clock of this machine; the other runs are \
          repeatable to the bit. Errors are medians over rounds with another seed each; the largest error, the smallest \
          clearance and the time below the safe distance are the worst of all rounds. Costs are those of the \
