@@ -197,18 +197,29 @@ impl Daemon {
     /// Starts a daemon with `configuration` (TOML) at a fresh place, and waits until it is up. A simulated robot is the
     /// [laboratory](Preset::Laboratory)'s, unless the configuration says which.
     pub fn start(configuration: &str) -> Self {
-        Self::start_simulated(configuration, Preset::Laboratory)
+        Self::start_simulated(configuration, Preset::Laboratory, |_| {})
+    }
+
+    /// The same with a command that `change` changes: its log may go elsewhere, for example.
+    pub fn start_with(configuration: &str, change: impl FnOnce(&mut Command)) -> Self {
+        Self::start_simulated(configuration, Preset::Laboratory, change)
     }
 
     /// The same with the [ideal](Preset::Ideal) robot, for a test that needs one that is exactly its model.
     pub fn ideal(configuration: &str) -> Self {
-        Self::start_simulated(configuration, Preset::Ideal)
+        Self::start_simulated(configuration, Preset::Ideal, |_| {})
     }
 
-    fn start_simulated(configuration: &str, simulated: Preset) -> Self {
+    fn start_simulated(
+        configuration: &str,
+        simulated: Preset,
+        change: impl FnOnce(&mut Command),
+    ) -> Self {
         let place = Place::new();
         let log = place.folder().join("cdcrd.log");
-        let child = spawn(&place, configuration, simulated, &log);
+        let mut command = command_of(&place, configuration, simulated, &log);
+        change(&mut command);
+        let child = command.spawn().expect("cdcrd starts");
         let daemon = Self {
             place,
             child,
@@ -222,7 +233,8 @@ impl Daemon {
 
     /// Starts it again after its end, at the same place.
     pub fn restart(&mut self) {
-        self.child = spawn(&self.place, &self.configuration, self.simulated, &self.log);
+        let mut command = command_of(&self.place, &self.configuration, self.simulated, &self.log);
+        self.child = command.spawn().expect("cdcrd starts");
         self.wait_until_up();
     }
 
@@ -309,12 +321,12 @@ impl Drop for Daemon {
 }
 
 /// Without a mode of its own, a configuration with a driver runs on machines that grant no real time, too.
-fn spawn(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Child {
+fn command_of(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Command {
     let path = place.write("robot.toml", configuration);
     let says = |key: &str| configuration.contains(&format!("\n{key} = "));
     let log = std::fs::File::create(log).expect("the folder is writable");
-    place
-        .command("cdcrd")
+    let mut command = place.command("cdcrd");
+    command
         .args(["run", "--config"])
         .arg(path)
         .envs((!says("mode")).then_some(("CDCR_REALTIME_MODE", "prefer")))
@@ -323,9 +335,8 @@ fn spawn(place: &Place, configuration: &str, preset: Preset, log: &Path) -> Chil
             if says("simulated") { "" } else { preset.name() },
         )
         .stdout(Stdio::null())
-        .stderr(log)
-        .spawn()
-        .expect("cdcrd starts")
+        .stderr(log);
+    command
 }
 
 pub fn wait_until(what: &str, mut is_it: impl FnMut() -> bool) {

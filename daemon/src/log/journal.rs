@@ -27,11 +27,11 @@ pub(super) struct Journal {
 }
 
 impl Journal {
-    /// Fails when nobody listens.
+    /// Fails when nobody listens. A journal that stands still listens.
     pub(super) fn new() -> Result<(Self, TextGuard)> {
+        UnixDatagram::unbound()?.connect(SOCKET)?;
+        // Not connected: the journal that is started again is another one.
         let socket = UnixDatagram::unbound()?;
-        // The journal takes no notice of an empty entry.
-        socket.send_to(&[], SOCKET)?;
         let (entries, guard) = Text::onto(Socket(socket), LINES_QUEUED_MAX, "cdcr-journal", lost);
         Ok((Self { entries }, guard))
     }

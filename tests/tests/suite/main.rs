@@ -8,6 +8,7 @@
 mod chaos;
 mod faults;
 mod fuzz;
+mod own_mounts;
 mod rest;
 mod soak;
 mod stop;

@@ -6,6 +6,7 @@
 //! have to account for: releases that were skipped, a gather or a start that came late.
 
 mod access;
+mod beside;
 mod matrix;
 mod place;
 mod signal;

@@ -1,68 +1,35 @@
 //! A stop in each mode, beside each thing that could keep it out, with and without floods: accepted and at rest within
-//! the cycles of the ramp, or an error that is true; never a success that is not.
+//! the cycles of the ramp, or an error that is true and a robot that rests all the same; never a success that is not.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, monotonic_ns};
-use cdcr_shared_types::Obstacle;
 use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, text, until_undisturbed, wait_status,
-    wait_until,
+    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, text, wait_status, wait_until,
 };
 
-use super::access::{Crowd, die, kill_a_victim};
+use super::access::{Crowd, die};
+use super::beside::Beside;
 use crate::faults::reference::track;
-use crate::faults::threads::Hung;
 use crate::faults::trail::{Trail, assert_ramps_to_rest, is, rests};
+use crate::own_mounts::name_of;
 
 /// Modes that one daemon is brought to one after the other.
 const MODES: [Mode; 4] = [Mode::Holding, Mode::Tracking, Mode::Homing, Mode::Stopped];
 /// From the shell to the answer; judged only where a bare loop beside it and the starts around it were undisturbed.
 const STOP_MAX: Duration = Duration::from_millis(300);
+/// Where nobody answers, a client sends the signal after the first, and gives up after both.
+const UNANSWERED: [Duration; 2] = [Duration::from_millis(200), Duration::from_secs(1)];
 /// A machine on which a program starts and ends in this time, and a thread that sleeps wakes up within the other, is not
 /// disturbed.
 const START_MAX: Duration = Duration::from_millis(80);
 const OVERSLEPT_MAX: Duration = Duration::from_millis(10);
 /// A stop that the machine disturbed where nobody saw it is tried again so often.
 pub(super) const TRIES: usize = 3;
-/// A stop that goes as a signal is carried out so long before the program has given up.
-const LONG_BEFORE_NS: u64 = 500_000_000;
-
-/// What could keep a stop out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Beside {
-    Nothing,
-    Crowd,
-    DeadNodes,
-    HungSupervisor,
-    HungExchange,
-}
-
-impl Beside {
-    fn hung_thread(self) -> Option<&'static str> {
-        match self {
-            Self::HungSupervisor => Some("cdcrd"),
-            Self::HungExchange => Some("cdcr-exchange"),
-            Self::Nothing | Self::Crowd | Self::DeadNodes => None,
-        }
-    }
-
-    /// Slow enough that a robot still moves when the stop arrives. A hung exchange needs room for the records of a second.
-    fn configuration(self) -> String {
-        let period_ms = if self == Self::HungExchange {
-            50.0
-        } else {
-            5.0
-        };
-        format!(
-            "[cycle]\nperiod_ms = {period_ms:?}\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n\
-             [reference]\nlease_ms = 60000.0\n[motion]\nhome_rate_rad_s = 0.1\n"
-        )
-    }
-}
 
 const BENT: &str = "[link]\ninitial_bend_rad = [[0.8, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
 /// Nobody measures: it keeps starting.
@@ -90,131 +57,216 @@ pub(super) struct Timed {
 impl Timed {
     /// Longer than is promised, and the machine was not seen to disturb it.
     pub(super) fn is_late(&self) -> bool {
-        self.is_undisturbed && self.took > STOP_MAX
+        self.is_longer_than(STOP_MAX)
+    }
+
+    fn is_longer_than(&self, most: Duration) -> bool {
+        self.is_undisturbed && self.took > most
     }
 }
 
-/// A daemon in a mode that is stopped there again and again.
-struct Stops<'a> {
-    daemon: &'a Daemon,
-    connection: &'a Connection,
+/// A row of the table: what lies in the way of a stop, and what the stops took.
+struct Row {
     beside: Beside,
+    has_floods: bool,
+    /// To the answer.
+    answers: Vec<Duration>,
+    /// To the release of the first command of a mode that stops, where it was another before.
+    stopped: Vec<Duration>,
 }
 
-impl Stops<'_> {
-    /// Stops it in `mode`, within the time that is promised wherever the machine was not seen to disturb it. Of Starting, which is
-    /// left for good, the time is printed and not judged.
-    fn stop_in_time(&self, trail: &mut Trail, mode: Mode) {
-        if self.beside == Beside::HungExchange {
-            until_undisturbed("a stop as a signal", || {
-                let timed = self.stop_and_tell(trail, mode);
-                timed.is_none_or(|timed| timed.is_undisturbed).then_some(())
-            });
-            return;
-        }
-        let tries = if mode == Mode::Starting { 1 } else { TRIES };
-        let is_late = |timed: Timed| timed.is_late();
-        let late = (0..tries).all(|_| self.stop_and_tell(trail, mode).is_some_and(is_late));
-        assert!(
-            !late || mode == Mode::Starting,
-            "{mode} beside {:?}",
-            self.beside
-        );
-    }
-
-    /// A line of the table.
-    fn stop_and_tell(&self, trail: &mut Trail, mode: Mode) -> Option<Timed> {
-        let timed = self.stop_in(trail, mode)?;
-        let took_ms = timed.took.as_secs_f64() * 1e3;
-        let note = if timed.is_undisturbed {
-            ""
-        } else {
-            "  (disturbed: not judged)"
-        };
-        println!("  {:<10}{took_ms:>7.1} ms{note}", mode.text());
-        Some(timed)
-    }
-
-    /// Brings a daemon that holds into `mode`, stops it there, and has it hold again. None: the system lets nobody hang.
-    fn stop_in(&self, trail: &mut Trail, mode: Mode) -> Option<Timed> {
-        let connection = self.connection;
+impl Row {
+    /// Stops a daemon in `mode` and has it hold again, unless that cannot be; whether within the time that is promised, wherever the
+    /// machine was not seen to disturb it. None: the system lets nobody hang.
+    fn stop_in(&mut self, stage: &mut Stage<'_>, mode: Mode) -> Option<bool> {
+        let connection = stage.connection;
         let feeding = (mode == Mode::Tracking).then(|| track(connection, 100, 40));
         match mode {
             Mode::Homing => drop(connection.request(RequestKind::Home).unwrap()),
             Mode::Stopped => drop(connection.request(RequestKind::Stop).unwrap()),
             _ => {}
         }
-        trail.until("the mode", is(mode));
+        stage.trail.until("the mode", is(mode));
         if mode == Mode::Homing {
-            trail.until("moving", |record| !rests(record));
+            stage.trail.until("moving", |record| !rests(record));
         }
-        let hung = match self.beside.hung_thread() {
-            Some(name) => Some(Hung::new(self.daemon.id(), name)?),
-            None => None,
-        };
-        let timed = match hung {
-            Some(hung) if self.beside == Beside::HungExchange => {
-                self.stop_by_signal(trail, mode, hung)
+        let obstruction = self.beside.obstruct(stage.daemon)?;
+        let (mut output, mut begin_ns) = (None, 0);
+        let timed = timed(stage.daemon.place(), || {
+            begin_ns = monotonic_ns();
+            output = Some(stage.daemon.place().cdcrctl(&["stop"]));
+        });
+        drop(obstruction);
+        let output = output.unwrap();
+        let first = match self.beside.unconfirmed() {
+            Some(words) if !(self.beside.may_have_room() && output.status.success()) => {
+                stage.not_confirmed(&output, mode, words)
             }
-            hung => {
-                let timed = self.stop_and_rest(trail, mode);
-                drop(hung);
-                timed
-            }
+            _ => Some(stage.confirmed(&output, mode)),
         };
+        let stopped = first.map(|first| first.release_ns.saturating_sub(begin_ns));
+        let stopped = stopped.map(Duration::from_nanos);
+        let is_late = self.note(mode, timed, stopped);
         drop(feeding);
-        if !matches!(mode, Mode::Faulted | Mode::Starting) {
+        if !(matches!(mode, Mode::Faulted | Mode::Starting) || self.beside == Beside::EmptiedRoot) {
             connection
                 .request_within(RequestKind::Reset, TIMEOUT)
                 .unwrap();
-            trail.until("holding", is(Mode::Holding));
+            stage.trail.until("holding", is(Mode::Holding));
         }
-        Some(timed)
+        Some(!is_late)
     }
 
-    /// The stop is confirmed, and the robot rests from the cycle on that the answer names.
-    fn stop_and_rest(&self, trail: &mut Trail, mode: Mode) -> Timed {
+    /// A line for the reader. Whether it was late.
+    fn note(&mut self, mode: Mode, timed: Timed, stopped: Option<Duration>) -> bool {
+        let note = if timed.is_undisturbed {
+            ""
+        } else {
+            "  (disturbed: not judged)"
+        };
+        println!(
+            "  {:<10}{:>7.1?} to the answer, {stopped:.1?} to the first command{note}",
+            mode.text(),
+            timed.took
+        );
+        self.answers.push(timed.took);
+        self.stopped.extend(stopped);
+        let [signal_after, give_up_after] = UNANSWERED;
+        let (answer_max, stopped_max) = match self.beside {
+            Beside::HungExchange => (
+                STOP_MAX + signal_after + give_up_after,
+                STOP_MAX + signal_after,
+            ),
+            _ => (STOP_MAX, STOP_MAX),
+        };
+        let stopped = Timed {
+            took: stopped.unwrap_or_default(),
+            ..timed
+        };
+        timed.is_longer_than(answer_max) || stopped.is_longer_than(stopped_max)
+    }
+
+    /// Stops daemons in all modes.
+    fn stop_in_all(&mut self, test: &str) {
+        let last = [Mode::Faulted, Mode::Starting];
+        // An emptied folder ends each daemon.
+        let parts = if self.beside == Beside::EmptiedRoot {
+            MODES.chunks(1)
+        } else {
+            MODES.chunks(MODES.len())
+        };
+        for modes in parts.chain(last.chunks(1)) {
+            self.stop_daemons(modes, test);
+        }
+    }
+
+    /// Until it took no longer in any mode than is promised.
+    fn stop_daemons(&mut self, modes: &[Mode], test: &str) {
+        let mut left = modes.to_vec();
+        for _ in 0..TRIES {
+            left = self.stop_one_daemon(&left, test);
+            if left.is_empty() {
+                return;
+            }
+        }
+        panic!("{left:?} beside {:?}", self.beside);
+    }
+
+    /// The modes in which it took longer than is promised.
+    fn stop_one_daemon(&mut self, modes: &[Mode], test: &str) -> Vec<Mode> {
+        let link = if modes == [Mode::Starting] {
+            UNHEARD
+        } else {
+            BENT
+        };
+        let (mut daemon, _log) = self.beside.start(link);
+        let connection = daemon.connect();
+        if modes == [Mode::Faulted] {
+            // Before the floods, whose own obstacles may take all the room.
+            let obstacles = connection.obstacle_sender().unwrap();
+            obstacles.upsert(&[ball()]).unwrap();
+            wait_status(&connection, |status| status.mode == Mode::Faulted.code());
+        }
+        let ending = AtomicBool::new(false);
+        let done = Done::default();
+        self.beside.prepare(&daemon, test);
+        let late = std::thread::scope(|scope| {
+            let place: &Place = daemon.place();
+            if self.has_floods {
+                scope.spawn(|| flood_references(place, &ending, &done));
+                scope.spawn(|| flood_obstacles(place, &ending, &done));
+            }
+            let _ends = EndWhenDropped(&ending);
+            wait_until("the floods begin", || {
+                let begun = |done: &AtomicU64| done.load(Ordering::Relaxed) > 0;
+                !self.has_floods || begun(&done.updates) && begun(&done.chunks)
+            });
+            connection.prepare_requests().unwrap();
+            // It takes long to come, beside floods.
+            let _crowd = (self.beside == Beside::Crowd).then(|| Crowd::of(place.location()));
+            let mut stage = Stage {
+                daemon: &daemon,
+                connection: &connection,
+                trail: Trail::new(&connection),
+            };
+            let mut is_late = |mode: &&Mode| self.stop_in(&mut stage, **mode) == Some(false);
+            modes.iter().filter(|mode| is_late(mode)).copied().collect()
+        });
+        if self.beside == Beside::EmptiedRoot {
+            assert_eq!(daemon.stop_after_signal().code(), Some(83));
+        }
+        late
+    }
+}
+
+/// A daemon that is stopped.
+struct Stage<'a> {
+    daemon: &'a Daemon,
+    connection: &'a Connection,
+    trail: Trail,
+}
+
+impl Stage<'_> {
+    /// The robot rests from the cycle on that the answer names, whose record this is.
+    fn confirmed(&mut self, output: &std::process::Output, mode: Mode) -> Telemetry {
         let goal = if mode == Mode::Faulted {
             Mode::Faulted
         } else {
             Mode::Stopped
         };
-        let place = self.daemon.place();
-        let mut printed = String::new();
-        let timed = timed(place, || {
-            let parts = format!("the daemon is {}", goal.text());
-            printed = assert_says(&place.cdcrctl(&["stop"]), 0, &[&parts]);
-        });
-        assert_rests_from(trail, accepted_in(&printed), goal);
-        timed
+        let parts = format!("the daemon is {}", goal.text());
+        let printed = assert_says(output, 0, &[&parts]);
+        let cycle = accepted_in(&printed);
+        let trail = &mut self.trail;
+        let (_, first) = trail.until("the cycle of the answer", |record| record.cycle >= cycle);
+        assert_eq!(first.mode, goal.code(), "cycle {} of {cycle}", first.cycle);
+        assert_ramps_to_rest(trail, &first, || {});
+        for _ in 0..20 {
+            let (_, later) = trail.until("later", |_| true);
+            assert!(rests(&later) && later.mode == goal.code());
+        }
+        first
     }
 
-    /// Nobody answers, and it is not said that the robot is stopped; it is, long before the program gives up.
-    fn stop_by_signal(&self, trail: &mut Trail, mode: Mode, hung: Hung) -> Timed {
-        let begin = Instant::now();
-        let output = self.daemon.place().cdcrctl(&["stop"]);
-        let (took, ended_ns) = (begin.elapsed(), monotonic_ns());
-        drop(hung);
-        let printed = text(&output);
+    /// Nobody answers, and it is not said that the robot is stopped; it is. The record of the first cycle that stops it, if it was
+    /// not at rest before.
+    fn not_confirmed(
+        &mut self,
+        output: &std::process::Output,
+        mode: Mode,
+        words: &str,
+    ) -> Option<Telemetry> {
+        let printed = text(output);
         assert_eq!(output.status.code(), Some(1), "{printed}");
-        assert!(printed.contains("not confirmed"), "{printed}");
-        let mut is_undisturbed = true;
-        if mode == Mode::Faulted {
-            let (_, later) = trail.until("later", |record| record.release_ns > ended_ns);
-            assert_eq!(later.mode, Mode::Faulted.code());
-        } else {
-            let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
-            assert_ramps_to_rest(trail, &stopped, || {});
-            // A stall may end the reference before the stop comes. What has left its mode for good is not tried again.
-            is_undisturbed = matches!(mode, Mode::Starting | Mode::Stopped)
-                || before.mode == mode.code()
-                    && before.cycle + 1 == stopped.cycle
-                    && stopped.release_ns + LONG_BEFORE_NS < ended_ns;
+        for words in ["not confirmed", words] {
+            assert!(printed.contains(words), "{words}: {printed}");
         }
-        Timed {
-            took,
-            is_undisturbed,
+        if matches!(mode, Mode::Faulted | Mode::Stopped) {
+            return None;
         }
+        let (_, stopped) = self.trail.until("stopped", is(Mode::Stopped));
+        assert_ramps_to_rest(&mut self.trail, &stopped, || {});
+        Some(stopped)
     }
 }
 
@@ -262,104 +314,113 @@ fn accepted_in(printed: &str) -> u64 {
     cycle.split(',').next().unwrap().parse().unwrap()
 }
 
-/// From the cycle of the answer on the mode is `goal`, and the rates ramp to zero.
-fn assert_rests_from(trail: &mut Trail, cycle: u64, goal: Mode) {
-    let (_, first) = trail.until("the cycle of the answer", |record| record.cycle >= cycle);
-    assert_eq!(first.mode, goal.code(), "cycle {} of {cycle}", first.cycle);
-    assert_ramps_to_rest(trail, &first, || {});
-    for _ in 0..20 {
-        let (_, later) = trail.until("later", |_| true);
-        assert!(rests(&later) && later.mode == goal.code());
-    }
+/// Rounds of stops, for a table of what they take.
+fn rounds() -> usize {
+    let asked = std::env::var("CDCR_STOP_ROUNDS").ok();
+    asked.map_or(1, |text| text.parse().expect("a whole number"))
 }
 
-fn run(beside: Beside, floods: bool) {
-    println!(
-        "a stop beside {beside:?}{}",
-        if floods { " and floods" } else { "" }
-    );
-    stop_one_daemon(&MODES, beside, floods);
-    stop_one_daemon(&[Mode::Faulted], beside, floods);
-    stop_one_daemon(&[Mode::Starting], beside, floods);
-}
-
-fn stop_one_daemon(modes: &[Mode], beside: Beside, floods: bool) {
-    let link = if modes == [Mode::Starting] {
-        UNHEARD
-    } else {
-        BENT
-    };
-    let daemon = Daemon::start(&format!("{}{link}", beside.configuration()));
-    let connection = daemon.connect();
-    if modes == [Mode::Faulted] {
-        // Before the floods, whose own obstacles may take all the room.
-        let obstacles = connection.obstacle_sender().unwrap();
-        obstacles.upsert(&[ball()]).unwrap();
-        wait_status(&connection, |status| status.mode == Mode::Faulted.code());
+/// Runs a row, without floods and with them, and prints it.
+fn run<T: Fn()>(beside: Beside, test: &T) {
+    let test = &name_of(test);
+    if die() || !beside.is_ready(test) {
+        return;
     }
-    let ending = AtomicBool::new(false);
-    let done = Done::default();
-    let place: &Place = daemon.place();
-    if beside == Beside::DeadNodes {
-        kill_a_victim(
-            place,
-            "stop::matrix::a_stop_in_each_mode_is_carried_out_beside_the_dead",
-        );
-    }
-    std::thread::scope(|scope| {
-        if floods {
-            scope.spawn(|| flood_references(place, &ending, &done));
-            scope.spawn(|| flood_obstacles(place, &ending, &done));
-        }
-        let _ends = EndWhenDropped(&ending);
-        wait_until("the floods begin", || {
-            !floods || done.updates.load(Ordering::Relaxed) > 0
-        });
-        connection.prepare_requests().unwrap();
-        // It takes long to come, beside floods.
-        let _crowd = (beside == Beside::Crowd).then(|| Crowd::of(place.location()));
-        let mut trail = Trail::new(&connection);
-        let stops = Stops {
-            daemon: &daemon,
-            connection: &connection,
+    for has_floods in [false, true] {
+        println!("a stop beside {beside:?}, floods: {has_floods}");
+        let mut row = Row {
             beside,
+            has_floods,
+            answers: Vec::new(),
+            stopped: Vec::new(),
         };
-        for mode in modes {
-            stops.stop_in_time(&mut trail, *mode);
-        }
-    });
+        (0..rounds()).for_each(|_| row.stop_in_all(test));
+        let of = |times: &mut Vec<Duration>| {
+            times.sort_unstable();
+            let ms =
+                |time: Option<&Duration>| time.map_or(f64::NAN, |time| 1e3 * time.as_secs_f64());
+            let (median, largest) = (ms(times.get(times.len() / 2)), ms(times.last()));
+            format!("{} | {median:.0} | {largest:.0}", times.len())
+        };
+        let floods = if has_floods { "yes" } else { "no" };
+        let (answers, stopped) = (of(&mut row.answers), of(&mut row.stopped));
+        println!("| {beside:?} | {floods} | {answers} | {stopped} |");
+    }
 }
 
 #[test]
 fn a_stop_in_each_mode_is_carried_out() {
-    run(Beside::Nothing, false);
+    run(Beside::Nothing, &a_stop_in_each_mode_is_carried_out);
 }
 
 #[test]
-fn a_stop_in_each_mode_is_carried_out_beside_floods() {
-    run(Beside::Nothing, true);
-}
-
-#[test]
-fn a_stop_in_each_mode_is_carried_out_beside_a_crowd_that_floods() {
-    run(Beside::Crowd, true);
+fn a_stop_in_each_mode_is_carried_out_beside_a_crowd() {
+    run(
+        Beside::Crowd,
+        &a_stop_in_each_mode_is_carried_out_beside_a_crowd,
+    );
 }
 
 #[test]
 fn a_stop_in_each_mode_is_carried_out_beside_the_dead() {
-    if die() {
-        return;
-    }
-    run(Beside::DeadNodes, false);
+    run(
+        Beside::DeadNodes,
+        &a_stop_in_each_mode_is_carried_out_beside_the_dead,
+    );
 }
 
 #[test]
 fn a_stop_in_each_mode_is_carried_out_while_the_supervisor_hangs() {
-    run(Beside::HungSupervisor, false);
-    run(Beside::HungSupervisor, true);
+    run(
+        Beside::HungSupervisor,
+        &a_stop_in_each_mode_is_carried_out_while_the_supervisor_hangs,
+    );
 }
 
 #[test]
 fn a_stop_in_each_mode_is_carried_out_and_not_confirmed_while_the_exchange_hangs() {
-    run(Beside::HungExchange, false);
+    run(
+        Beside::HungExchange,
+        &a_stop_in_each_mode_is_carried_out_and_not_confirmed_while_the_exchange_hangs,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_and_not_confirmed_without_memory() {
+    run(
+        Beside::FullMemory,
+        &a_stop_in_each_mode_is_carried_out_and_not_confirmed_without_memory,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_and_not_confirmed_without_inodes() {
+    run(
+        Beside::FewInodes,
+        &a_stop_in_each_mode_is_carried_out_and_not_confirmed_without_inodes,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_not_confirmed_in_an_emptied_folder_and_the_daemon_ends_at_rest() {
+    run(
+        Beside::EmptiedRoot,
+        &a_stop_in_each_mode_is_not_confirmed_in_an_emptied_folder_and_the_daemon_ends_at_rest,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_beside_a_log_that_nobody_reads() {
+    run(
+        Beside::FullStderr,
+        &a_stop_in_each_mode_is_carried_out_beside_a_log_that_nobody_reads,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_beside_a_journal_that_stands_still() {
+    run(
+        Beside::FullJournal,
+        &a_stop_in_each_mode_is_carried_out_beside_a_journal_that_stands_still,
+    );
 }

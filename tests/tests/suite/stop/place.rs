@@ -117,18 +117,20 @@ fn assert_stop_is_not_confirmed(daemon: &mut Daemon) {
     }
 }
 
+pub(super) fn empty(folder: &Path) {
+    for entry in fs::read_dir(folder).unwrap().flatten() {
+        let path = entry.path();
+        if path.is_dir() {
+            fs::remove_dir_all(path).unwrap();
+        } else {
+            fs::remove_file(path).unwrap();
+        }
+    }
+}
+
 #[test]
 fn an_emptied_root_folder_ends_the_daemon_at_rest() {
-    assert_ends_without_its_place(|root| {
-        for entry in fs::read_dir(root).unwrap().flatten() {
-            let path = entry.path();
-            if path.is_dir() {
-                fs::remove_dir_all(path).unwrap();
-            } else {
-                fs::remove_file(path).unwrap();
-            }
-        }
-    });
+    assert_ends_without_its_place(empty);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use cdcr_client::{RequestError, monotonic_ns};
+use cdcr_client::RequestError;
 use cdcr_shared_types::SolverSettings;
 use cdcr_shared_types::codes::{Mode, Reason, RequestKind};
 use cdcr_tests::{
@@ -42,38 +42,6 @@ fn a_signal_stops_a_moving_robot_and_latches() {
         connection.request(RequestKind::Reset).unwrap();
         trail.until_while("holding", || robot.turn(), is(Mode::Holding));
     }
-}
-
-/// A client waits for 1 s after its signal for an answer. Half of it tells that from a signal at its end \[ns\].
-const LONG_BEFORE_NS: u64 = 500_000_000;
-
-#[test]
-fn a_stop_that_is_not_answered_goes_as_a_signal_long_before_it_gives_up() {
-    // The ring to the exchange holds the records of five seconds.
-    let daemon =
-        Daemon::start("[cycle]\nperiod_ms = 50.0\nmiss_limit = 1000000\nwatchdog_ms = 60000.0\n");
-    let connection = daemon.connect();
-    until_undisturbed("the exchange hangs while a stop is asked for", || {
-        let mut trail = Trail::new(&connection);
-        trail.until("holding", is(Mode::Holding));
-        let Some(hung) = Hung::new(daemon.id(), "cdcr-exchange") else {
-            return Some(());
-        };
-        let output = daemon.place().cdcrctl(&["stop"]);
-        let ended_ns = monotonic_ns();
-        drop(hung);
-        let printed = text(&output);
-        assert!(
-            !output.status.success() && printed.contains("not confirmed"),
-            "{printed}"
-        );
-        let (before, stopped) = trail.until("stopped", is(Mode::Stopped));
-        connection
-            .request_within(RequestKind::Reset, TIMEOUT)
-            .unwrap();
-        let is_first = before.cycle + 1 == stopped.cycle;
-        (is_first && stopped.release_ns + LONG_BEFORE_NS < ended_ns).then_some(())
-    });
 }
 
 #[test]

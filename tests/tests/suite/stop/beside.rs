@@ -1,0 +1,157 @@
+//! What could keep a stop out.
+
+use std::io::{ErrorKind, PipeReader, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::net::{UnixDatagram, UnixStream};
+
+use cdcr_tests::Daemon;
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl, fstat};
+
+use super::access::kill_a_victim;
+use super::place::empty;
+use crate::faults::threads::Hung;
+use crate::own_mounts::{Filled, has_own_mounts, mount, mount_memory};
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Beside {
+    Nothing,
+    Crowd,
+    DeadNodes,
+    HungSupervisor,
+    HungExchange,
+    FullMemory,
+    FewInodes,
+    EmptiedRoot,
+    /// A pipe that nobody reads.
+    FullStderr,
+    /// A journal that takes nothing any more.
+    FullJournal,
+}
+
+/// Where the journal listens.
+const JOURNAL: &str = "/run/systemd/journal";
+
+/// What lies in the way of a stop until this is dropped.
+pub(super) enum Obstruction {
+    None,
+    Thread(#[expect(dead_code, reason = "held")] Hung),
+    Memory(#[expect(dead_code, reason = "held")] Filled),
+}
+
+/// The ends of a log that nobody reads.
+pub(super) enum Unread {
+    Nothing,
+    Pipe(#[expect(dead_code, reason = "held")] PipeReader),
+    Journal(
+        #[expect(dead_code, reason = "held")] UnixDatagram,
+        #[expect(dead_code, reason = "held")] UnixStream,
+    ),
+}
+
+impl Beside {
+    /// Whether the test of this name can go on here. Where it needs mounts of its own, it runs in another process that has them.
+    pub(super) fn is_ready(self, test: &str) -> bool {
+        match self {
+            Self::FullMemory => has_own_mounts(test) && mount_memory("size=128m"),
+            Self::FewInodes => has_own_mounts(test) && mount_memory("size=128m,nr_inodes=1000"),
+            Self::FullJournal => {
+                let script = format!("mount -t tmpfs none /run && mkdir -p {JOURNAL}");
+                has_own_mounts(test) && mount(&script)
+            }
+            _ => true,
+        }
+    }
+
+    /// Slow enough that a robot still moves when the stop arrives. A hung exchange needs room for the records of a second.
+    fn configuration(self) -> String {
+        let period_ms = if self == Self::HungExchange {
+            50.0
+        } else {
+            5.0
+        };
+        format!(
+            "[cycle]\nperiod_ms = {period_ms:?}\nmiss_limit = 1000000\nwatchdog_ms = 20000.0\n\
+             [reference]\nlease_ms = 60000.0\n[motion]\nhome_rate_rad_s = 0.1\n"
+        )
+    }
+
+    pub(super) fn start(self, link: &str) -> (Daemon, Unread) {
+        let configuration = format!("{}{link}", self.configuration());
+        match self {
+            Self::FullStderr => {
+                let (reader, mut writer) = std::io::pipe().unwrap();
+                fill(&mut writer);
+                let daemon = Daemon::start_with(&configuration, |command| {
+                    command.stderr(writer);
+                });
+                (daemon, Unread::Pipe(reader))
+            }
+            Self::FullJournal => {
+                let socket = format!("{JOURNAL}/socket");
+                let _ = std::fs::remove_file(&socket);
+                let journal = UnixDatagram::bind(&socket).unwrap();
+                let filler = UnixDatagram::unbound().unwrap();
+                filler.set_nonblocking(true).unwrap();
+                while filler.send_to(b"MESSAGE=full\n", &socket).is_ok() {}
+                let (theirs, ours) = UnixStream::pair().unwrap();
+                let file = fstat(&theirs).unwrap();
+                let daemon = Daemon::start_with(&configuration, |command| {
+                    let stream = format!("{}:{}", file.st_dev, file.st_ino);
+                    command.env("JOURNAL_STREAM", stream);
+                    command.stderr(OwnedFd::from(theirs));
+                });
+                (daemon, Unread::Journal(journal, ours))
+            }
+            _ => (Daemon::start(&configuration), Unread::Nothing),
+        }
+    }
+
+    /// What happens to a daemon before it is stopped the first time.
+    pub(super) fn prepare(self, daemon: &Daemon, test: &str) {
+        if self == Self::DeadNodes {
+            kill_a_victim(daemon.place(), test);
+        }
+    }
+
+    /// Puts it in the way of the next stop. None: the system does not let us.
+    pub(super) fn obstruct(self, daemon: &Daemon) -> Option<Obstruction> {
+        let hung = |name| Hung::new(daemon.id(), name).map(Obstruction::Thread);
+        match self {
+            Self::HungSupervisor => return hung("cdcrd"),
+            Self::HungExchange => return hung("cdcr-exchange"),
+            Self::FullMemory => return Some(Obstruction::Memory(Filled::but_kilobytes(0))),
+            Self::FewInodes => return Some(Obstruction::Memory(Filled::but_files(0))),
+            Self::EmptiedRoot => empty(daemon.place().location().root()),
+            _ => {}
+        }
+        Some(Obstruction::None)
+    }
+
+    /// Why a stop is sent as a signal alone, in words that it prints. None: it is confirmed.
+    pub(super) fn unconfirmed(self) -> Option<&'static str> {
+        match self {
+            Self::FullMemory => Some("is full"),
+            Self::FewInodes => Some("nr_inodes="),
+            Self::HungExchange | Self::EmptiedRoot => Some("not confirmed"),
+            _ => None,
+        }
+    }
+
+    /// Whether the daemon may give some room free meanwhile, so that a stop can be confirmed all the same.
+    pub(super) fn may_have_room(self) -> bool {
+        matches!(self, Self::FullMemory | Self::FewInodes)
+    }
+}
+
+/// Until it takes nothing more; who writes then, waits.
+fn fill(writer: &mut (impl Write + AsFd)) {
+    let flags = fcntl_getfl(&writer).unwrap();
+    fcntl_setfl(&writer, flags | OFlags::NONBLOCK).unwrap();
+    let full = loop {
+        if let Err(error) = writer.write(&[b' '; 4096]) {
+            break error;
+        }
+    };
+    assert_eq!(full.kind(), ErrorKind::WouldBlock, "{full}");
+    fcntl_setfl(&writer, flags).unwrap();
+}
