@@ -167,7 +167,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::robot::{RobotParameters, Shape};
+    use crate::robot::{CABLES_MAX, RobotParameters, Shape};
+    use crate::safety::ramp_to_zero;
     use nalgebra::Vector3;
 
     const PERIOD_S: f64 = 0.005;
@@ -180,40 +181,57 @@ mod tests {
         BendRates::from_slice(&values).unwrap()
     }
 
+    /// Any finite rate, as often as one that a robot can have.
+    fn wish() -> impl Strategy<Value = f64> {
+        use prop::num::f64::{NEGATIVE, NORMAL, POSITIVE, SUBNORMAL, ZERO};
+        prop_oneof![
+            -3.0..3.0_f64,
+            POSITIVE | NEGATIVE | NORMAL | SUBNORMAL | ZERO
+        ]
+    }
+
     proptest! {
-        /// Wherever robot, commanded position and obstacle are: in rest no component is larger than the ramp's, and
-        /// zero stays zero; in motion the acceleration holds; the commanded position never goes farther out.
+        /// Wherever robot, commanded position and obstacle are, whatever play the cables have and however far the tip is beside: in rest
+        /// no component is larger than the ramp's, and zero stays zero; in motion the acceleration holds; the commanded position
+        /// never goes farther out. In every mode zero is zero.
         #[test]
         fn every_rule_holds_after_all_of_them(
             at in prop::array::uniform4(-2.5..2.5_f64),
             off in prop::array::uniform4(-0.6..0.6_f64),
             previous in prop::array::uniform4(-2.0..2.0_f64),
-            desired in prop::array::uniform4(-3.0..3.0_f64),
+            desired in prop::array::uniform4(wish()),
             centre in prop::array::uniform3(-0.5..0.5_f64),
+            taken in prop::array::uniform6(-0.5..0.5_f64),
+            play_m in prop_oneof![Just(0.0), 0.0..2e-3_f64],
+            tip_offset_m in prop_oneof![Just(0.0), 0.0..0.1_f64],
             comes_to_rest: bool,
+            is_ramp: bool,
         ) {
             let robot = Robot::new(&RobotParameters::paper(2)).unwrap();
             let centre_m = Vector3::from(centre);
             let obstacle = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).unwrap();
             let commanded = configuration(core::array::from_fn(|i| at[i] + off[i]));
             let (at, previous) = (configuration(at), rates(previous));
+            let mut slack_m = [0.0; CABLES_MAX];
+            slack_m.iter_mut().zip(taken).for_each(|(slack_m, part)| *slack_m = play_m * part);
+            let slack = Slack::new(play_m, slack_m);
             let situation = Situation {
                 robot: &robot,
                 at: &at,
                 commanded: Some(&commanded),
-                slack: None,
+                slack: Some(&slack),
                 previous: &previous,
                 obstacles: &[obstacle],
                 safe_distance_m: 0.01,
-                tip_offset_m: 0.0,
+                tip_offset_m,
                 acceleration_rad_s2: 40.0,
                 period_s: PERIOD_S,
                 moving_s: 3.0 * PERIOD_S,
                 deceleration_rad_s2: 40.0,
                 comes_to_rest,
             };
-            let desired = if comes_to_rest {
-                rates(core::array::from_fn(|i| 0.7 * previous.as_slice()[i]))
+            let desired = if comes_to_rest && is_ramp {
+                ramp_to_zero(&previous, 40.0, PERIOD_S)
             } else {
                 rates(desired)
             };
@@ -221,10 +239,11 @@ mod tests {
             for ((rate, desired), previous) in
                 safe.rates.as_slice().iter().zip(desired.as_slice()).zip(previous.as_slice())
             {
-                let shrinks = rate * previous >= 0.0 && rate.abs() <= previous.abs();
-                prop_assert!(shrinks || rate.abs() <= previous.abs().max(0.0) + 40.0 * PERIOD_S + 1e-12);
                 if comes_to_rest {
                     prop_assert!(rate.abs() <= desired.abs() && rate * desired >= 0.0);
+                } else {
+                    let shrinks = rate * previous >= 0.0 && rate.abs() <= previous.abs();
+                    prop_assert!(shrinks || rate.abs() <= previous.abs() + 40.0 * PERIOD_S + 1e-12);
                 }
             }
             let next = commanded.advanced(&safe.rates, PERIOD_S);
@@ -233,15 +252,20 @@ mod tests {
                 prop_assert!(next.bend_rad(section) <= most + 1e-12);
             }
             // The rule of the guard, as its own documentation has it.
-            let after = |rates: &BendRates| robot.body(&at.advanced(rates, PERIOD_S));
+            let thicker = robot.thicker(&at, tip_offset_m);
+            let after = |rates: &BendRates| thicker.body(&at.advanced(rates, PERIOD_S));
             let most_m = if comes_to_rest { 0.01 - 1.001e-3 } else { 0.01 };
             let floor_m = after(&BendRates::zero(2)).clearance_m(&obstacle).min(most_m);
-            prop_assert!(after(&safe.rates).clearance_m(&obstacle) >= floor_m);
-            let rest = Situation { comes_to_rest: true, previous: &BendRates::zero(2), ..situation };
-            prop_assert_eq!(safe_command(&rest, &BendRates::zero(2)).rates, BendRates::zero(2));
-            // A robot that stands and wishes to is not moved in the other modes, either.
-            let still = Situation { comes_to_rest: false, ..rest };
-            prop_assert_eq!(safe_command(&still, &BendRates::zero(2)).rates, BendRates::zero(2));
+            // A ramp is judged where cables with play are on their way (`play`).
+            let is_judged = !comes_to_rest || play_m == 0.0;
+            prop_assert!(!is_judged || after(&safe.rates).clearance_m(&obstacle) >= floor_m);
+            // Nobody who wishes to stand is moved: neither on the way nor at rest, in no mode.
+            for previous in [&previous, &BendRates::zero(2)] {
+                for comes_to_rest in [false, true] {
+                    let still = Situation { previous, comes_to_rest, ..situation };
+                    prop_assert_eq!(safe_command(&still, &BendRates::zero(2)).rates, BendRates::zero(2));
+                }
+            }
         }
     }
 }

@@ -20,10 +20,6 @@ pub(crate) fn check(record: &Telemetry, period_s: f64) -> CheckResult {
     if matches!(mode, Mode::Tracking | Mode::Homing) {
         return Ok(());
     }
-    // A fault of this very cycle, found after its solve: the rates are those of the solve.
-    if record.plan_length > 0 {
-        return Ok(());
-    }
     let fastest = largest(&record.previous_rate_rad_s);
     let left = (fastest - record.deceleration_rad_s2 * period_s).max(0.0);
     let shrink = if fastest > 0.0 { left / fastest } else { 0.0 };
