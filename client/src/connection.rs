@@ -146,8 +146,13 @@ impl Connection {
         self.control.port().map(|_| ())
     }
 
-    /// Asks the daemon for something and waits for the answer, at most 1 s. A daemon that takes the place
-    /// of another meanwhile gets the request, too.
+    /// Asks the daemon for something and waits for the answer, at most 1 s.
+    ///
+    /// If the daemon ends without an answer, this call sends the request to the next daemon at the same place, and again while that has
+    /// not yet measured its robot. So a `home` or a `track` that was asked of a daemon that was killed may be carried out by the
+    /// one that follows, also if the first had already carried it out, but only while this call waits: after it has returned an error, no
+    /// daemon that starts later moves the robot for it. If that is not wanted, wait for less long
+    /// ([`request_within`](Self::request_within)), or compare `header.sender_id` of the answer with the one of the status before.
     ///
     /// # Errors
     /// A refusal is an error, with the reason and a remedy; so is silence.

@@ -2,7 +2,9 @@ use crate::message::message;
 use crate::{Header, SolverSettings};
 
 message! {
-    /// A request to the daemon.
+    /// A request to the daemon. It lives in the memory of one daemon: the one that follows a daemon that was killed knows nothing of it,
+    /// unless its client, still waiting for an answer, sends it again, as the client library does. A daemon refuses a request about
+    /// anything but a stop that was sent more than 1 s before ([`Outcome::Stale`](crate::codes::Outcome::Stale)).
     pub struct Request "cdcr.Request.v1" {
         /// Sender, sequence, time. The sender's identity is what a lease is bound to.
         header: Header,

@@ -406,6 +406,33 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
     });
 }
 
+/// What nobody waits for any more is not carried out.
+#[test]
+fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
+    let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    let place = place(&format!("{PATIENT}{SLOWLY}{bent}"));
+    let daemon = Life::begin(&place);
+    let connection = connect(&place);
+    let mut old = Old::new(&connection);
+    old.wait_mode(Mode::Holding, 0);
+    drop(daemon);
+    let answer = connection.request_within(RequestKind::Home, Duration::from_millis(100));
+    assert!(
+        matches!(answer, Err(RequestError::Timeout { .. })),
+        "{answer:?}"
+    );
+    let begin_ns = monotonic_ns();
+    let _next = Life::begin(&place);
+    old.wait_mode(Mode::Holding, begin_ns);
+    let mut held = 0;
+    wait_record(&mut old.telemetry, |record| {
+        let is_next = record.header.sender_id == old.daemon;
+        assert!(!is_next || record.mode == Mode::Holding.code());
+        held += u32::from(is_next);
+        held > 100
+    });
+}
+
 #[test]
 fn a_home_waits_until_the_next_daemon_has_heard_of_its_robot() {
     let link = "[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 10000.0\n";
