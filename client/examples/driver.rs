@@ -1,4 +1,4 @@
-//! A complete driver. Its robot is simulated: put your motors and encoders where `Motors` is (docs/drivers.md).
+//! A complete driver. Its robot is simulated: put your motors and encoders where `length_m` is (docs/drivers.md).
 //!
 //! ```sh
 //! cdcrd run --set link.kind=driver --set link.interface=position --set realtime.mode=prefer
@@ -10,10 +10,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use std::{env, error::Error, thread};
 
-use cdcr_client::{CommandedRates, Driver, monotonic_ns, section_lengths_m};
-use cdcr_shared_types::codes::{Interface, MeasurementKind};
-use cdcr_shared_types::limits::CABLES_MAX;
-use cdcr_shared_types::{DEFAULT_PREFIX, Location, Measurement};
+use cdcr_client::{Driver, monotonic_ns, straight_cable_lengths_m};
+use cdcr_shared_types::{Location, codes::Interface};
 
 fn main() -> Result<(), Box<dyn Error>> {
     let interface = match env::args().nth(1).as_deref() {
@@ -25,13 +23,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     for signal in [signal_hook::consts::SIGTERM, signal_hook::consts::SIGINT] {
         signal_hook::flag::register(signal, ending.clone())?;
     }
-    let set = |key, default: &str| env::var(key).unwrap_or_else(|_| default.to_owned());
-    let root = env::var_os("CDCR_ROOT").map_or_else(Location::default_root, Into::into);
-    let location = Location::new(&set("CDCR_PREFIX", DEFAULT_PREFIX), &root)?;
-    let (robot, patience) = (set("CDCR_ROBOT", "cdcr"), Duration::from_secs(10));
+    let (location, patience) = (Location::from_environment()?, Duration::from_secs(10));
+    let robot = env::var("CDCR_ROBOT").unwrap_or("cdcr".to_owned());
     let mut driver = Driver::connect_within(&location, &robot, interface, patience)?;
-    let mut motors = Motors::straight(&section_lengths_m(driver.robot()));
-
+    // Motors and encoders without a flaw, one for each cable of a straight robot.
+    let mut length_m = straight_cable_lengths_m(driver.robot());
     let mut last_ns = monotonic_ns();
     while !ending.load(Ordering::Relaxed) {
         // A refused command is reported and counted, and no reason to end: what runs out is rest.
@@ -44,46 +40,19 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         // The motors get their goal in each turn, whether a command came or not.
         let now_ns = monotonic_ns();
-        match interface {
-            Interface::Position => {
-                if let Some(position) = driver.position_at(now_ns) {
-                    motors.length_m = position.cable_length_m;
-                }
+        if interface == Interface::Velocity {
+            let speeds_m_s = driver.rates_at(now_ns).cable_speed_m_s;
+            for (length_m, speed_m_s) in length_m.iter_mut().zip(speeds_m_s) {
+                *length_m += speed_m_s * (now_ns - last_ns) as f64 * 1e-9;
             }
-            _ => motors.run(&driver.rates_at(now_ns), (now_ns - last_ns) as f64 * 1e-9),
+        } else if let Some(position) = driver.position_at(now_ns) {
+            length_m = position.cable_length_m;
         }
         last_ns = now_ns;
         // Measured from the first turn on: before that, the daemon commands nothing.
-        driver.send(Measurement {
-            measured_ns: monotonic_ns(),
-            kind: MeasurementKind::CableLengths.code(),
-            sections: driver.robot().sections,
-            cable_length_m: motors.length_m,
-            ..Measurement::default()
-        })?;
+        driver.send_cable_lengths(monotonic_ns(), length_m)?;
         thread::sleep(Duration::from_millis(1));
     }
     // Here your motors stop.
     Ok(())
-}
-
-/// Motors and encoders without a flaw, one for each cable.
-struct Motors {
-    length_m: [f64; CABLES_MAX],
-}
-
-impl Motors {
-    fn straight(section_m: &[f64]) -> Self {
-        let mut length_m = [0.0; CABLES_MAX];
-        for (j, cables) in length_m.chunks_mut(3).take(section_m.len()).enumerate() {
-            cables.fill(section_m[..=j].iter().sum());
-        }
-        Self { length_m }
-    }
-
-    fn run(&mut self, rates: &CommandedRates, dt_s: f64) {
-        for (length_m, speed_m_s) in self.length_m.iter_mut().zip(rates.cable_speed_m_s) {
-            *length_m += speed_m_s * dt_s;
-        }
-    }
 }

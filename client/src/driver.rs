@@ -6,7 +6,8 @@ mod refusal;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use cdcr_shared_types::codes::Interface;
+use cdcr_shared_types::codes::{Interface, MeasurementKind};
+use cdcr_shared_types::limits::CABLES_MAX;
 use cdcr_shared_types::{Command, Header, Location, Measurement, RobotDescription, Service};
 
 use crate::connect_error::{Place, no_status, retry};
@@ -144,6 +145,24 @@ impl Driver {
         self.measurements.send(Measurement {
             interface: self.interface.code(),
             ..measurement
+        })
+    }
+
+    /// Sends measured lengths of the cables \[m\], and when they were measured \[ns, `CLOCK_MONOTONIC`\].
+    ///
+    /// # Errors
+    /// When iceoryx2 fails.
+    pub fn send_cable_lengths(
+        &self,
+        measured_ns: u64,
+        cable_length_m: [f64; CABLES_MAX],
+    ) -> Result<Header, LinkError> {
+        self.send(Measurement {
+            measured_ns,
+            kind: MeasurementKind::CableLengths.code(),
+            sections: self.robot.sections,
+            cable_length_m,
+            ..Measurement::default()
         })
     }
 

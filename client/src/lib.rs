@@ -111,7 +111,7 @@ pub use reference_feed::ReferenceFeed;
 pub use remedy::remedy;
 pub use request::RequestError;
 pub use requester::{Requester, StopError};
-pub use robot::{realtime_missing, section_lengths_m, text};
+pub use robot::{realtime_missing, section_lengths_m, straight_cable_lengths_m, text};
 pub use stream::{CommandStream, Stream, TelemetryStream};
 pub use tip_sensor::TipSensor;
 #[cfg(feature = "model")]

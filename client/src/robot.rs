@@ -1,12 +1,24 @@
 use cdcr_shared_types::RobotDescription;
 use cdcr_shared_types::codes::realtime;
-use cdcr_shared_types::limits::SECTIONS_MAX;
+use cdcr_shared_types::limits::{CABLES_MAX, SECTIONS_MAX};
 
 /// Lengths of the robot's sections, base first \[m\].
 pub fn section_lengths_m(robot: &RobotDescription) -> Vec<f64> {
     let sections = (robot.sections as usize).min(SECTIONS_MAX);
     let used = &robot.section[..sections];
     used.iter().map(|section| section.length_m).collect()
+}
+
+/// Lengths of the cables of the straight robot \[m\], to which encoders are set there: of each, all sections up to its own; three
+/// cables a section, base first.
+pub fn straight_cable_lengths_m(robot: &RobotDescription) -> [f64; CABLES_MAX] {
+    let mut lengths_m = [0.0; CABLES_MAX];
+    let mut length_m = 0.0;
+    for (cables, section_m) in lengths_m.chunks_mut(3).zip(section_lengths_m(robot)) {
+        length_m += section_m;
+        cables.fill(length_m);
+    }
+    lengths_m
 }
 
 /// What a daemon lacks for real time, each with its remedy; empty: nothing. `bits` is
@@ -37,6 +49,17 @@ mod tests {
         let both = realtime_missing(realtime::FIFO | realtime::LOCKED);
         assert_eq!(both[0].0, "SCHED_FIFO");
         assert_eq!(both[1].0, "locked memory");
+    }
+
+    #[test]
+    fn cables_pass_all_sections_up_to_their_own() {
+        let mut robot = RobotDescription {
+            sections: 2,
+            ..RobotDescription::default()
+        };
+        (robot.section[0].length_m, robot.section[1].length_m) = (0.25, 0.5);
+        let lengths_m = straight_cable_lengths_m(&robot);
+        assert_eq!(lengths_m[..7], [0.25, 0.25, 0.25, 0.75, 0.75, 0.75, 0.0]);
     }
 
     #[test]

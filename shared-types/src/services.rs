@@ -247,6 +247,16 @@ impl Location {
         Ok(location)
     }
 
+    /// The location that the variables `CDCR_PREFIX` and `CDCR_ROOT` of the environment name, each with its default.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new).
+    pub fn from_environment() -> Result<Self, LocationError> {
+        let root = std::env::var_os("CDCR_ROOT").map_or_else(Self::default_root, PathBuf::from);
+        let prefix = std::env::var("CDCR_PREFIX");
+        Self::new(prefix.as_deref().unwrap_or(DEFAULT_PREFIX), &root)
+    }
+
     /// A folder that every Linux has in memory. Everybody may create files there, and nobody may rename or remove those of
     /// another user.
     pub const MEMORY: &str = "/dev/shm";

@@ -26,7 +26,8 @@ fn the_example_of_a_position_driver_tracks_holds_and_ends() {
 
 fn run_example(interface: &str) {
     let mut daemon = Daemon::start(&format!(
-        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n"
+        "{PATIENT}[link]\nkind = \"driver\"\ninterface = \"{interface}\"\nmeasurement_timeout_ms = 2000.0\n\
+         command_valid_ms = 100.0\n"
     ));
     let mut command = daemon.place().command("examples/driver");
     let mut example = Program::start(command.arg(interface));
@@ -67,6 +68,12 @@ fn run_example(interface: &str) {
     drop((telemetry, connection));
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
+}
+
+#[test]
+fn the_example_is_short() {
+    let source = include_str!("../../../../client/examples/driver.rs");
+    assert!(source.lines().count() <= 60);
 }
 
 #[test]
