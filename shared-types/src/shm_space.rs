@@ -65,7 +65,8 @@ pub fn free_bytes(folder: &Path) -> Option<u64> {
     (sizes.f_blocks > 0).then_some(sizes.f_bavail * sizes.f_frsize)
 }
 
-fn free_files(folder: &Path) -> Option<u64> {
+/// Files (inodes) that can still be made in the file system of `folder`; none when the system does not tell, or sets no limit.
+pub fn free_files(folder: &Path) -> Option<u64> {
     let sizes = statvfs(folder).ok()?;
     (sizes.f_files > 0).then_some(sizes.f_favail)
 }

@@ -48,6 +48,7 @@ impl Fake {
                     deep_sleep_lock: Ok(()),
                     shared_memory_mount: "/run".into(),
                     shared_memory_bytes: Ok((1 << 30, 1 << 29)),
+                    shared_memory_files: None,
                     root_in_memory: Ok(true),
                     user_id: rustix::process::geteuid().as_raw(),
                 },

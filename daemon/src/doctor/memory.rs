@@ -25,6 +25,10 @@ const fn client_bytes() -> u64 {
         + measurement.writer_bytes(size_of::<Measurement>())
 }
 
+/// Files (inodes) of a daemon, and what a client and a driver add.
+const DAEMON_FILES: u64 = 60;
+const CLIENT_FILES: u64 = 60;
+
 fn shared_memory(scene: &Scene) -> Assessed {
     let (size, free) = scene
         .probe
@@ -45,8 +49,14 @@ fn shared_memory(scene: &Scene) -> Assessed {
         mb(size),
         mb(both)
     );
-    let enough_bytes = (size + both).next_multiple_of(1 << 26) >> 20;
     let mount = scene.probe.shared_memory_mount.display();
+    let files = CLIENT_FILES + if scene.daemon_runs() { 0 } else { DAEMON_FILES };
+    if let Some(free) = scene.probe.shared_memory_files.filter(|free| *free < files) {
+        let value = format!("{value}; {free} files can be made, still needed {files}");
+        let remedy = format!("sudo mount -o remount,nr_inodes=100k {mount}, or remove files there");
+        return Ok(Assessment::fault(value, remedy));
+    }
+    let enough_bytes = (size + both).next_multiple_of(1 << 26) >> 20;
     let remedy = format!(
         "sudo mount -o remount,size={enough_bytes}M {mount}   (a container: --shm-size={enough_bytes}m)"
     );

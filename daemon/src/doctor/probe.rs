@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cdcr_shared_types::shm_space::mount_point;
+use cdcr_shared_types::shm_space::{free_files, mount_point};
 use rustix::fs::statvfs;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::process::{Resource, geteuid, getrlimit};
@@ -33,6 +33,8 @@ pub(crate) struct Probe {
     pub(crate) shared_memory_mount: PathBuf,
     /// Its size and free space \[bytes\].
     pub(crate) shared_memory_bytes: Result<(u64, u64), String>,
+    /// Files (inodes) that can still be made there; none: as many as fit, or the system does not tell.
+    pub(crate) shared_memory_files: Option<u64>,
     pub(crate) root_in_memory: Result<bool, String>,
     pub user_id: u32,
 }
@@ -50,6 +52,7 @@ impl Probe {
             memlock_max_bytes: getrlimit(Resource::Memlock).current,
             deep_sleep_lock: try_deep_sleep_lock(&system.path("/dev/cpu_dma_latency")),
             shared_memory_bytes: shared_memory_bytes(&folder),
+            shared_memory_files: free_files(&folder),
             root_in_memory: is_in_memory(&folder).map_err(|error| error.to_string()),
             shared_memory_mount: mount_point(&folder),
             user_id: geteuid().as_raw(),

@@ -98,6 +98,10 @@ fn assert_survives_full_memory(test: &str, realtime: &str) {
     assert!(daemon.stop().success(), "{}", daemon.log());
 }
 
+fn doctor(place: &Place) -> String {
+    text(&place.command("cdcrd").arg("doctor").output().unwrap())
+}
+
 #[test]
 fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through() {
     if !has_own_mounts(&name_of(
@@ -109,12 +113,16 @@ fn too_few_inodes_are_told_at_the_start_and_to_clients_and_a_stop_gets_through()
         if !mount_memory(&format!("size=64000k,nr_inodes={inodes}")) {
             return;
         }
-        Place::new().says("cdcrd run", 71, &["nr_inodes="]);
+        let place = Place::new();
+        place.says("cdcrd run", 71, &["nr_inodes="]);
+        assert!(doctor(&place).contains("nr_inodes="));
     }
     if !mount_memory("size=64000k,nr_inodes=400") {
         return;
     }
     let mut daemon = Daemon::start("[cycle]\nmiss_limit = 1000000\n");
+    let said = doctor(daemon.place());
+    assert!(!said.contains("nr_inodes="), "{said}");
     // Without any, and where each client gets stuck somewhere else on its way in.
     for files in [0, 3, 6, 8, 12, 16] {
         let _filled = Filled::but_files(files);
