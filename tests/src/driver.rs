@@ -4,12 +4,29 @@ use std::io::Write as _;
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use cdcr_controller::plant::{Flaws, Preset};
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::{Place, binary};
 
 /// What can be wrong with a driver.
 pub const FAULTS: [&str; 5] = ["silent", "late", "frozen", "jumping", "nan"];
+
+/// The flaws of its robot, each NAME=VALUE; without, those of the laboratory's.
+const FLAWS: &str = "CDCR_TEST_FLAWS";
+
+/// The flaws that a driver process is told to have.
+pub fn told_flaws() -> Flaws {
+    let mut flaws = Preset::Laboratory.flaws();
+    let told = std::env::var(FLAWS).unwrap_or_default();
+    for word in told.split(' ').filter(|word| !word.is_empty()) {
+        let (name, value) = word.split_once('=').expect("NAME=VALUE");
+        let mut named = flaws.named();
+        let flaw = named.iter_mut().find(|(known, ..)| *known == name);
+        *flaw.expect("a flaw").1 = value.parse().expect("a number");
+    }
+    flaws
+}
 
 /// A driver process: `cdcr-test-driver`. Dropping it kills it.
 #[derive(Debug)]
@@ -25,6 +42,15 @@ impl DriverProcess {
     pub fn start_at(place: &Place, bend_rad: f64) -> Self {
         let mut command = Self::command(place);
         command.arg(bend_rad.to_string());
+        Self::spawn(command)
+    }
+
+    /// The same where the last driver left its robot, with these flaws.
+    pub fn with_flaws(place: &Place, mut flaws: Flaws) -> Self {
+        let named = flaws.named();
+        let words = named.map(|(name, value, _)| format!("{name}={value}"));
+        let mut command = Self::command(place);
+        command.env(FLAWS, words.join(" "));
         Self::spawn(command)
     }
 

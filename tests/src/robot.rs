@@ -72,26 +72,29 @@ impl DrivenRobot {
         self.send(&measurement);
     }
 
-    /// What it measures now.
+    /// What it measures now, with sensors that say something at any time.
     pub fn measurement(&mut self, kind: MeasurementKind) -> Measurement {
+        self.sensed(kind).expect("its sensors say it")
+    }
+
+    /// What it measures now. `None`: its sensor says nothing.
+    pub fn sensed(&mut self, kind: MeasurementKind) -> Option<Measurement> {
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),
             kind: kind.code(),
             ..Measurement::default()
         };
         if kind == MeasurementKind::TipPose {
-            let tip_m = self.driver.plant().measure_tip();
-            measurement.tip_position_m = tip_m.expect("its sensor says it").into();
-            return measurement;
+            measurement.tip_position_m = self.driver.plant().measure_tip()?.into();
+            return Some(measurement);
         }
-        let lengths_m = self.driver.plant().measure_cables();
-        let lengths_m = lengths_m.expect("its encoders say it");
+        let lengths_m = self.driver.plant().measure_cables()?;
         if kind == MeasurementKind::CableLengths {
             measurement.cable_length_m = lengths_m;
         } else {
             measurement.bend_rad = padded(&self.model.bend_from_cable_lengths(&lengths_m));
         }
-        measurement
+        Some(measurement)
     }
 
     /// Sends what a driver of this robot says.

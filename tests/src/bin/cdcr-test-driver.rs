@@ -14,6 +14,7 @@ use std::time::{Duration, Instant};
 use cdcr_client::{Connection, monotonic_ns};
 use cdcr_shared_types::codes::MeasurementKind;
 use cdcr_shared_types::{Location, Measurement};
+use cdcr_tests::driver::told_flaws;
 use cdcr_tests::robot::{DrivenRobot, interface_of};
 use cdcr_tests::{ROBOT, TIMEOUT};
 
@@ -80,7 +81,12 @@ impl RobotBehindDriver {
             bends = record.map_or(bends, |record| record.bend_rad);
         }
         Self {
-            robot: DrivenRobot::new(connection, interface_of(connection), bends),
+            robot: DrivenRobot::with_flaws(
+                connection,
+                interface_of(connection),
+                bends,
+                told_flaws(),
+            ),
             measured: Measurement::default(),
             turns: 0,
         }
@@ -91,7 +97,10 @@ impl RobotBehindDriver {
         self.robot.follow();
         // A frozen sensor says for ever what it last said; its stamps and the robot go on.
         if fault != "frozen" {
-            self.measured = self.robot.measurement(MeasurementKind::Configuration);
+            let Some(measured) = self.robot.sensed(MeasurementKind::Configuration) else {
+                return;
+            };
+            self.measured = measured;
         }
         let mut measurement = Measurement {
             measured_ns: monotonic_ns(),

@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use cdcr_controller::plant::{Flaws, Preset};
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -54,5 +55,23 @@ impl Dice {
 
     pub(crate) fn shuffle<T>(&mut self, cards: &mut [T]) {
         cards.shuffle(&mut self.0);
+    }
+
+    /// Those of any of the presets, and, if they are not to be mild, single ones beside, small ones more often than large ones.
+    pub(crate) fn flaws(&mut self, is_mild: bool) -> Flaws {
+        let mut flaws = self.pick(&Preset::ALL).flaws();
+        if is_mild {
+            return flaws;
+        }
+        let percent = 10 + self.below(21);
+        for (_, flaw, allowed) in flaws.named() {
+            if self.chance(percent) {
+                let (least, most) = allowed.into_inner();
+                let is_negative = least < 0.0 && self.chance(50);
+                let end = if is_negative { least } else { most };
+                *flaw = (self.between(0.0, 1.0).powi(3) * end).clamp(least, most);
+            }
+        }
+        flaws
     }
 }

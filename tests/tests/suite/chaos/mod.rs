@@ -24,6 +24,7 @@ use std::sync::atomic::AtomicBool;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use cdcr_client::FeedOptions;
+use cdcr_controller::plant::Preset;
 use cdcr_shared_types::codes::{Interface, Mode, RequestKind};
 use cdcr_tests::driver::DriverProcess;
 use cdcr_tests::{Daemon, EndWhenDropped, TIMEOUT, paper_line, wait_mode, wait_until};
@@ -85,12 +86,13 @@ fn run(link: &str) {
     let (seed, duration) = (seed(), half());
     let mut dice = Dice::new(seed);
     let interface = dice.pick(&[Interface::Velocity, Interface::Position]);
+    let preset = dice.pick(&Preset::ALL).name();
     println!(
-        "{link}, {interface}: CDCR_CHAOS_SEED={seed}, {} s",
+        "{link}, {interface}, {preset}: CDCR_CHAOS_SEED={seed}, {} s",
         duration.as_secs()
     );
     let mut daemon = Daemon::start(&format!(
-        "[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\ncommand_valid_ms = 100.0\n{CONFIGURATION}"
+        "[link]\nkind = \"{link}\"\ninterface = \"{interface}\"\nsimulated = \"{preset}\"\ncommand_valid_ms = 100.0\n{CONFIGURATION}"
     ));
     let has_driver = link == "driver";
     let driver = has_driver.then(|| DriverProcess::start(daemon.place()));
@@ -128,8 +130,11 @@ fn run(link: &str) {
     assert_it_happened(&tally, has_driver, duration);
     assert_eq!(seen.missing(duration), None);
     assert!(daemon.runs(), "the daemon is gone\n{again}\n{log}");
-    come_back(&daemon);
     assert!(driver.is_none_or(|mut driver| driver.runs()));
+    // The robot is mended.
+    let mended = has_driver.then(|| DriverProcess::start(daemon.place()));
+    come_back(&daemon);
+    drop(mended);
     assert!(daemon.stop().success(), "{}", daemon.log());
     assert_eq!(daemon.place().shared_memory_files(), Vec::<PathBuf>::new());
 }

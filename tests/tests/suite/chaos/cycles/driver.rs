@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, Preset};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder};
 use cdcr_controller::robot::{Configuration, Robot};
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
 use cdcr_shared_types::{Command, Measurement};
@@ -46,7 +46,7 @@ pub(super) struct Driver {
 impl Driver {
     pub(super) fn new(dice: &mut Dice, robot: &Robot, interface: Interface, now_ns: u64) -> Self {
         let is_mild = dice.chance(50);
-        let flaws = flaws(dice, is_mild);
+        let flaws = dice.flaws(is_mild);
         let kinds = [
             MeasurementKind::Configuration,
             MeasurementKind::CableLengths,
@@ -199,24 +199,6 @@ fn draw(dice: &mut Dice) -> Trouble {
         Trouble::NotFinite,
         Trouble::Stuck,
     ])
-}
-
-/// Those of any of the presets, and, if they are not to be mild, single ones beside, small ones more often than large ones.
-fn flaws(dice: &mut Dice, is_mild: bool) -> Flaws {
-    let mut flaws = dice.pick(&Preset::ALL).flaws();
-    if is_mild {
-        return flaws;
-    }
-    let percent = 10 + dice.below(21);
-    for (_, flaw, allowed) in flaws.named() {
-        if dice.chance(percent) {
-            let (least, most) = allowed.into_inner();
-            let is_negative = least < 0.0 && dice.chance(50);
-            let end = if is_negative { least } else { most };
-            *flaw = (dice.between(0.0, 1.0).powi(3) * end).clamp(least, most);
-        }
-    }
-    flaws
 }
 
 /// The robot in any shape, now and then one beyond its limits.

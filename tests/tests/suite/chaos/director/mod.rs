@@ -365,10 +365,13 @@ impl<'a> Director<'a> {
                 driver.signal(Signal::CONT);
             }
             _ => {
-                // Killed and reaped before the next one starts.
+                // Killed and reaped before the next one starts. Its robot has other flaws, every second one those of a preset.
                 self.driver = None;
                 std::thread::sleep(self.dice.duration_ms(0, 200));
-                self.driver = Some(DriverProcess::start(self.daemon.place()));
+                let is_mild = self.dice.chance(50);
+                let flaws = self.dice.flaws(is_mild);
+                self.tally.count(format!("robot: is mild: {is_mild}"));
+                self.driver = Some(DriverProcess::with_flaws(self.daemon.place(), flaws));
             }
         }
     }
