@@ -137,6 +137,11 @@ impl Beside {
         }
     }
 
+    /// Whether floods come in each mode also in a short run.
+    pub(super) fn is_flooded_in_each_mode(self) -> bool {
+        matches!(self, Self::Nothing | Self::Crowd | Self::HungSupervisor)
+    }
+
     /// Whether the daemon may give some room free meanwhile, so that a stop can be confirmed all the same.
     pub(super) fn may_have_room(self) -> bool {
         matches!(self, Self::FullMemory | Self::FewInodes)
