@@ -415,8 +415,8 @@ pub fn until_undisturbed<R>(what: &str, mut case: impl FnMut() -> Option<R>) -> 
 const UNDISTURBED_TRIES: usize = 20;
 /// A stall that makes inputs stale or a client late is a period or more.
 const STALL_MIN: Duration = Duration::from_millis(3);
-/// So many tries may fail for what no sleeper saw.
-const UNEXPLAINED_MAX: usize = 3;
+/// So many tries may fail for what no sleeper saw: where six tests run at once, the threads of their daemons hold each other up, too.
+const UNEXPLAINED_MAX: usize = 10;
 
 /// What `case` gives, and by how much the longest sleep on any core was too long meanwhile.
 fn beside_sleepers<R>(case: &mut impl FnMut() -> R) -> (R, Duration) {

@@ -15,7 +15,8 @@ use super::task::Signals;
 use crate::subject::place::ROBOT;
 
 const PERIOD: Duration = Duration::from_micros(100);
-const CONNECT_TIMEOUT: Duration = Duration::from_secs(10);
+/// Half of it in tests, one of which waits for it.
+const CONNECT_TIMEOUT: Duration = Duration::from_secs(if cfg!(test) { 5 } else { 10 });
 /// Obstacles of the flood. A few: what is to be measured is what messages cost, and not a crowded scene, which
 /// costs the solver and the guard about 0.3 µs for each obstacle, wherever it is.
 const OBSTACLES: u32 = 4;

@@ -36,7 +36,8 @@ fn no_solver_touches_the_heap() {
                 orientation_tolerance_rad: 1e-3,
                 ..NmpcSettings::default()
             };
-            for simd in Simd::available() {
+            // Those of a release.
+            for simd in Simd::available().filter(|simd| *simd != Simd::Scalar) {
                 let mut nmpc = Nmpc::with_simd(simd, robot.clone(), PERIOD_S, settings).unwrap();
                 let (operations, ()) = count_allocations(|| run(&mut nmpc));
                 assert_eq!(operations, 0, "{solver:?}, {coordinates:?}, {simd:?}");

@@ -139,7 +139,7 @@ impl Beside {
 
     /// Whether floods come in each mode also in a short run.
     pub(super) fn is_flooded_in_each_mode(self) -> bool {
-        matches!(self, Self::Nothing | Self::Crowd | Self::HungSupervisor)
+        matches!(self, Self::Nothing | Self::HungSupervisor)
     }
 
     /// Whether the daemon may give some room free meanwhile, so that a stop can be confirmed all the same.

@@ -9,7 +9,8 @@ use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_shared_types::{Obstacle, Telemetry};
 use cdcr_tests::load::{Done, flood_obstacles, flood_references};
 use cdcr_tests::{
-    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, text, wait_status, wait_until,
+    Daemon, EndWhenDropped, Place, TIMEOUT, assert_says, oversleep_until, text, wait_status,
+    wait_until,
 };
 
 use super::access::{Crowd, die};
@@ -303,18 +304,6 @@ fn start_a_program(place: &Place) -> Duration {
     begin.elapsed()
 }
 
-/// The longest time that a sleep of a millisecond took longer.
-fn oversleep_until(ending: &AtomicBool) -> Duration {
-    const SLEEP: Duration = Duration::from_millis(1);
-    let mut longest = Duration::ZERO;
-    while !ending.load(Ordering::Relaxed) {
-        let begin = Instant::now();
-        std::thread::sleep(SLEEP);
-        longest = longest.max(begin.elapsed().saturating_sub(SLEEP));
-    }
-    longest
-}
-
 /// The cycle that a client says its request was accepted in.
 fn accepted_in(printed: &str) -> u64 {
     let (_, cycle) = printed.split_once("accepted in cycle ").unwrap();
@@ -335,11 +324,15 @@ fn is_whole() -> bool {
 
 /// Runs a row, without floods and with them, and prints it.
 fn run<T: Fn()>(beside: Beside, test: &T) {
+    run_with(beside, &[false, true], test);
+}
+
+fn run_with<T: Fn()>(beside: Beside, floods: &[bool], test: &T) {
     let test = &name_of(test);
     if die() || !beside.is_ready(test) {
         return;
     }
-    for has_floods in [false, true] {
+    for &has_floods in floods {
         println!("a stop beside {beside:?}, floods: {has_floods}");
         let mut row = Row {
             beside,
@@ -368,9 +361,19 @@ fn a_stop_in_each_mode_is_carried_out() {
 
 #[test]
 fn a_stop_in_each_mode_is_carried_out_beside_a_crowd() {
-    run(
+    run_with(
         Beside::Crowd,
+        &[false],
         &a_stop_in_each_mode_is_carried_out_beside_a_crowd,
+    );
+}
+
+#[test]
+fn a_stop_in_each_mode_is_carried_out_beside_a_crowd_and_floods() {
+    run_with(
+        Beside::Crowd,
+        &[true],
+        &a_stop_in_each_mode_is_carried_out_beside_a_crowd_and_floods,
     );
 }
 

@@ -37,6 +37,13 @@ fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     let is_geometry = |command: &Vec<String>| command.iter().any(|word| word == "geometry");
     let end = commands.iter().position(is_geometry).unwrap();
     commands.truncate(end + 1);
+    // What only tells what a path takes is tried elsewhere, and two seconds show the noise.
+    commands.retain(|command| !command.iter().any(|word| word == "--dry-run"));
+    for command in &mut commands {
+        if command.iter().any(|word| word == "noise") {
+            command.extend(["--duration", "6s"].map(str::to_owned));
+        }
+    }
     for word in commands.iter_mut().flatten() {
         let seconds = word.strip_suffix('s').and_then(|s| s.parse::<u32>().ok());
         if let Some(seconds) = seconds {

@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use cdcr_client::{
-    Connection, FeedEvent, Line, TelemetryStream, TipSensor, monotonic_ns, section_lengths_m,
+    Connection, FeedError, FeedEvent, Line, TelemetryStream, TipSensor, monotonic_ns,
+    section_lengths_m,
 };
 use cdcr_controller::plant::{Flaws, Preset};
 use cdcr_shared_types::codes::{
@@ -13,7 +14,8 @@ use cdcr_shared_types::codes::{
 };
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{
-    Daemon, TIMEOUT, paper_line, tracked, wait_mode, wait_record, wait_status, wait_until,
+    Daemon, TIMEOUT, paper_line, tracked, until_undisturbed, wait_mode, wait_record, wait_status,
+    wait_until,
 };
 
 use super::freeze;
@@ -87,24 +89,28 @@ fn a_lost_measurement_faults_until_it_is_back_and_reset() {
 
 #[test]
 fn a_driver_is_commanded_along_the_reference() {
-    let daemon = Daemon::start(CONFIGURATION);
-    let connection = daemon.connect();
-    let feeding = daemon.connect();
-    let mut robot = Robot::held(&connection).0;
-
     let line = paper_line(0.5);
-    let options = tracked();
-    let mut moved = 0.0_f64;
-    let report = feeding.feed(&line, options).unwrap().run(|_| {
-        robot.turn();
-        moved = robot
-            .0
-            .bend_rad()
-            .iter()
-            .fold(moved, |most, bend| bend.abs().max(most));
-        ControlFlow::Continue(())
+    let moved = until_undisturbed("a line is tracked", || {
+        let daemon = Daemon::start(CONFIGURATION);
+        let connection = daemon.connect();
+        let feeding = daemon.connect();
+        let mut robot = Robot::held(&connection).0;
+        let mut moved = 0.0_f64;
+        let report = feeding.feed(&line, tracked()).unwrap().run(|_| {
+            robot.turn();
+            let bends = robot.0.bend_rad();
+            moved = bends.iter().fold(moved, |most, bend| bend.abs().max(most));
+            ControlFlow::Continue(())
+        });
+        match report {
+            Err(FeedError::LeftTracking { reason, .. }) if reason == Reason::InputsStale.text() => {
+                None
+            }
+            report => report
+                .map(|report| report.tracked.then_some(moved))
+                .unwrap(),
+        }
     });
-    assert!(report.unwrap().tracked);
     assert!(moved > 0.01, "the robot was moved by {moved} rad");
 }
 
