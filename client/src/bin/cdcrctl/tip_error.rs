@@ -1,3 +1,4 @@
+use std::collections::VecDeque;
 use std::io::Write;
 
 use anyhow::{Context, bail};
@@ -21,6 +22,55 @@ pub(crate) struct TipError {
     sum_m: f64,
     max_m: f64,
     final_m: f64,
+    measured: Measured,
+}
+
+/// The same by a sensor of the tip, which has its noise and knows nothing of the model: what the estimate does not know is in it.
+#[derive(Debug, Default)]
+struct Measured {
+    /// Where the reference was at the newest releases \[ns, m\], oldest first.
+    reference: VecDeque<(u64, [f64; 3])>,
+    newest_ns: u64,
+    count: u64,
+    sum_m: f64,
+    max_m: f64,
+}
+
+/// Releases that are remembered: of what a sensor measures half a second late, too, at 5 ms.
+const REMEMBERED: usize = 100;
+
+impl Measured {
+    fn take(&mut self, record: &Telemetry) {
+        if self.reference.len() == REMEMBERED {
+            self.reference.pop_front();
+        }
+        let here = (record.release_ns, record.reference.position_m);
+        self.reference.push_back(here);
+        let tip_ns = record.tip_measured_ns;
+        if tip_ns <= self.newest_ns {
+            return;
+        }
+        self.newest_ns = tip_ns;
+        let after = self
+            .reference
+            .partition_point(|(time_ns, _)| *time_ns < tip_ns);
+        let Some([(from_ns, from_m), (to_ns, to_m)]) = after
+            .checked_sub(1)
+            .and_then(|before| Some([*self.reference.get(before)?, *self.reference.get(after)?]))
+        else {
+            return;
+        };
+        let share = (tip_ns - from_ns) as f64 / (to_ns - from_ns) as f64;
+        let square: f64 = (0..3)
+            .map(|i| {
+                let reference_m = from_m[i] + share * (to_m[i] - from_m[i]);
+                (record.tip_measured_m[i] - reference_m).powi(2)
+            })
+            .sum();
+        self.count += 1;
+        self.sum_m += square.sqrt();
+        self.max_m = self.max_m.max(square.sqrt());
+    }
 }
 
 impl TipError {
@@ -41,6 +91,7 @@ impl TipError {
             self.sum_m += record.position_error_m;
             self.max_m = self.max_m.max(record.position_error_m);
             self.final_m = record.position_error_m;
+            self.measured.take(record);
         }
     }
 
@@ -68,6 +119,19 @@ impl TipError {
                 "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
                 self.cycles,
                 100.0 * self.limited_cycles as f64 / self.cycles as f64
+            )?;
+        }
+        let Measured {
+            count,
+            sum_m,
+            max_m,
+            ..
+        } = self.measured;
+        if count > 0 {
+            let [mean, max] = [sum_m / count as f64, max_m].map(|m| 1e3 * m);
+            writeln!(
+                std::io::stdout(),
+                "by the sensor of the tip: mean {mean:.3}, max {max:.3} mm in {count} measurements, its noise included"
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
@@ -127,6 +191,23 @@ mod tests {
         );
         assert_eq!(error.limited_cycles, 1);
         assert!((error.sum_m - 0.006).abs() < 1e-15);
+    }
+
+    #[test]
+    fn what_is_measured_is_held_against_where_the_reference_was_then() {
+        let mut error = TipError::default();
+        for (release_ns, x_m, tip_ns) in [(10, 1.0, 5), (20, 2.0, 15), (30, 3.0, 15), (40, 4.0, 39)]
+        {
+            let mut record = record(Mode::Tracking, ReferenceState::Inside, release_ns, 0.0);
+            record.reference.position_m[0] = x_m;
+            record.tip_measured_ns = tip_ns;
+            // 0.25 beside where it was: one measurement is of before the first release, and one comes twice.
+            record.tip_measured_m = [tip_ns as f64 / 10.0, 0.25, 0.0];
+            error.take(&record);
+        }
+        let measured = &error.measured;
+        assert_eq!(measured.count, 2);
+        assert!((measured.max_m - 0.25).abs() < 1e-12 && (measured.sum_m - 0.5).abs() < 1e-12);
     }
 
     #[test]
