@@ -98,7 +98,16 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     let goes_on = ["--watch", "--follow", "telemetry --rate"];
     let mut program = if goes_on.iter().any(|option| line.contains(option)) {
         let program = shell(place, &format!("exec {line}"));
-        wait_until("it can be interrupted", || catches_interrupt(program.id()));
+        // For a while: a handler that a library has for a moment, while it connects, is not that of the program.
+        let mut looks = 0;
+        wait_until("it can be interrupted", || {
+            looks = if catches_interrupt(program.id()) {
+                looks + 1
+            } else {
+                0
+            };
+            looks >= 20
+        });
         program.signal(Signal::INT);
         program
     } else {

@@ -90,11 +90,13 @@ fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> Be
     assert!(nmpc.restore_plan(&record.warm_plan[..length]));
     let mut window = ReferenceWindow::default();
     let steps = settings.horizon_steps as usize;
-    let late_ns = (record.cycle - record.window_first_cycle) * record.period_ns;
+    // A cycle that is late has inputs that were gathered for the next one.
+    let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
+    let ahead_ns = ahead * record.period_ns.cast_signed();
     window.fill(
         trajectory,
         record.window_first_cycle,
-        record.release_ns - late_ns,
+        record.release_ns.saturating_add_signed(ahead_ns),
         record.period_ns,
         steps,
         record.reference_lead_ns,
