@@ -384,10 +384,15 @@ fn drive(
 
 const SLOWLY: &str = "[motion]\nhome_rate_rad_s = 0.05\n";
 
+/// For a robot that is bent, and goes home slowly.
+fn far_from_home() -> Place {
+    let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
+    place(&format!("{PATIENT}{SLOWLY}{bent}"))
+}
+
 #[test]
 fn a_home_reaches_the_next_daemon_and_is_carried_out() {
-    let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    let place = place(&format!("{PATIENT}{SLOWLY}{bent}"));
+    let place = far_from_home();
     let daemon = Life::begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
@@ -409,8 +414,7 @@ fn a_home_reaches_the_next_daemon_and_is_carried_out() {
 /// What nobody waits for any more is not carried out.
 #[test]
 fn a_home_whose_client_has_given_up_moves_no_next_daemon() {
-    let bent = "[link]\ninitial_bend_rad = [[1.0, 0.0], [0.0, 0.0], [0.0, 0.0]]\n";
-    let place = place(&format!("{PATIENT}{SLOWLY}{bent}"));
+    let place = far_from_home();
     let daemon = Life::begin(&place);
     let connection = connect(&place);
     let mut old = Old::new(&connection);
