@@ -1,5 +1,7 @@
 //! The records of a daemon, one after the other, each with the one before it.
 
+use std::collections::VecDeque;
+use std::panic::resume_unwind;
 use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
 use std::time::{Duration, Instant};
 
@@ -33,6 +35,8 @@ pub(crate) fn alone() -> RwLockWriteGuard<'static, ()> {
 /// A reader that loses no record, or fails, and holds each to it that rest is rest. As long as it lives, no other test takes the daemon's core.
 pub(crate) struct Trail {
     stream: TelemetryStream,
+    /// Read, and not yet looked at; oldest first.
+    read: VecDeque<Telemetry>,
     before: Option<Telemetry>,
     history: History,
     _calm: Option<RwLockReadGuard<'static, ()>>,
@@ -51,6 +55,7 @@ impl Trail {
     pub(crate) fn new_alone(connection: &Connection) -> Self {
         Self {
             stream: connection.telemetry().unwrap(),
+            read: VecDeque::new(),
             before: None,
             history: History::default(),
             _calm: None,
@@ -59,7 +64,10 @@ impl Trail {
 
     /// The next record if one waits.
     pub(crate) fn next_waiting(&mut self) -> Option<Telemetry> {
-        let record = self.stream.try_next().unwrap()?;
+        let record = match self.read.pop_front() {
+            Some(record) => record,
+            None => self.stream.try_next().unwrap()?,
+        };
         if let Some(before) = &self.before {
             let expected = before.cycle + 1 + u64::from(record.skipped_periods);
             assert_eq!(record.cycle, expected, "a record was lost");
@@ -69,6 +77,20 @@ impl Trail {
         self.history.note(&record);
         self.before = Some(record);
         Some(record)
+    }
+
+    /// Keeps every record that comes while something works that may take longer than the queue of a reader lasts.
+    pub(crate) fn keep_while<R: Send>(&mut self, work: impl FnOnce() -> R + Send) -> R {
+        std::thread::scope(|scope| {
+            let working = scope.spawn(work);
+            while !working.is_finished() {
+                while let Some(record) = self.stream.try_next().unwrap() {
+                    self.read.push_back(record);
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+            working.join().unwrap_or_else(|panic| resume_unwind(panic))
+        })
     }
 
     /// What the records so far say was late.

@@ -92,13 +92,17 @@ impl Row {
             stage.trail.until("moving", |record| !rests(record));
         }
         let obstruction = self.beside.obstruct(stage.daemon)?;
-        let (mut output, mut begin_ns) = (None, 0);
-        let timed = timed(stage.daemon.place(), || {
-            begin_ns = monotonic_ns();
-            output = Some(stage.daemon.place().cdcrctl(&["stop"]));
+        let place: &Place = stage.daemon.place();
+        // A stop that nobody answers takes as long as the queue of the trail lasts.
+        let (timed, output, begin_ns) = stage.trail.keep_while(|| {
+            let (mut output, mut begin_ns) = (None, 0);
+            let timed = timed(place, || {
+                begin_ns = monotonic_ns();
+                output = Some(place.cdcrctl(&["stop"]));
+            });
+            (timed, output.unwrap(), begin_ns)
         });
         drop(obstruction);
-        let output = output.unwrap();
         let first = match self.beside.unconfirmed() {
             Some(words) if !(self.beside.may_have_room() && output.status.success()) => {
                 stage.not_confirmed(&output, mode, words)
