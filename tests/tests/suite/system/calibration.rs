@@ -3,13 +3,14 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::Command;
 
 use cdcr_client::Connection;
 use cdcr_scratch::Scratch;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 use cdcr_tests::{
-    Daemon, PATIENT, Place, Program, assert_says, binary, text, wait_mode, wait_until,
+    Daemon, PATIENT, Place, Program, assert_says, binary, text, until_undisturbed, wait_mode,
+    wait_until,
 };
 use rustix::process::{Pid, Resource, Rlimit, Signal, prlimit};
 use serde_json::Value;
@@ -53,33 +54,29 @@ fn commands(shorter: Option<u32>) -> Vec<Vec<String>> {
     commands
 }
 
+/// What a command of the page prints. Again where a busy machine kept the points of the path from the daemon for too long, or its
+/// commands from the robot.
 fn run(place: &Place, folder: &Path, arguments: &[&str]) -> String {
-    let again = |output: &Output| {
-        let is_late = ["came too late", "bends by"]
-            .iter()
-            .any(|why| text(output).contains(why));
-        assert!(
-            output.status.success() || is_late,
-            "{arguments:?}: {}",
-            text(output)
-        );
-        !output.status.success()
-    };
-    // Again where a busy machine kept the points of the path from the daemon for too long, or its commands from the robot.
-    for _ in 0..3 {
+    until_undisturbed(&arguments.join(" "), || {
         let mut command = place.command("cdcrctl");
         let output = command
             .args(arguments)
             .current_dir(folder)
             .output()
             .unwrap();
-        if !again(&output) {
-            return text(&output);
+        let printed = text(&output);
+        if output.status.success() {
+            return Some(printed);
         }
+        let is_late = ["came too late", "bends by"].iter();
+        assert!(
+            is_late.copied().any(|why| printed.contains(why)),
+            "{arguments:?}: {printed}"
+        );
         fs::remove_file(folder.join(arguments[3])).unwrap();
         place.says("cdcrctl home --wait", 0, &[]);
-    }
-    panic!("{arguments:?}: late each time")
+        None
+    })
 }
 
 /// What a recording says, as JSON, of the robot of a daemon.
