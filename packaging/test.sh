@@ -7,7 +7,11 @@ cd "$(dirname "$0")/.."
 
 step() { printf '\n--- %s\n' "$*"; }
 fail() { echo "FAILED: $*"; exit 1; }
-skip() { echo "skipped: $*"; }
+skipped=
+skip() { echo "skipped: $*"; skipped+=${skipped:+$'\n'}"skipped: $*"; }
+# The account at the end: what this machine could not try.
+account() { echo; echo "${skipped:-nothing was skipped}"; }
+trap account EXIT
 # What this machine is said to have is not missing: docs/testing.md.
 need() { case ",${CDCR_REQUIRE:-}," in *",$1,"*) fail "CDCR_REQUIRE names $1: $2";; *) skip "$2";; esac; }
 
@@ -64,6 +68,7 @@ clean_up() {
   dpkg --purge cdcr >/dev/null 2>&1 || true
   # What the test made and the package does not know.
   rm -rf "${scratch:-}"
+  account
 }
 trap clean_up EXIT
 
