@@ -160,6 +160,16 @@ pub(crate) enum Task {
         cdcrctl status --reset-statistics     reset the statistics, for all clients"
     )]
     Status(StatusOptions),
+    /// Watch the robot, its loop and what happens to both, live in this terminal
+    #[command(
+        after_help = "Examples:\n  cdcrctl top\n  cdcrctl top --ascii     for a terminal without Unicode\n\n\
+        Keys: s or space stops the robot, h holds, t tracks the reference that a client feeds; each answer is in the list of \
+        what happened. p stops the picture and lets it go on, + and - zoom to the tip, q quits; the robot goes on.\n\n\
+        The picture shows the robot from the side, the front and above, all at one scale: its backbone and tip, where \
+        both tip and reference have been, and obstacles, red within the safe distance. Bars and percentiles are of the last 10 s; a bar is \
+        the largest value of its time."
+    )]
+    Top(TopOptions),
     /// Show the last bad cycles: late starts, deadline misses, skipped periods, beginnings of faults
     #[command(
         after_help = "Examples:\n  cdcrctl incidents\n  cdcrctl incidents --count 5 --format json     the newest 5, whole\n  \
@@ -243,6 +253,17 @@ pub(crate) struct StatusOptions {
     /// Reset the statistics and show nothing; a stopped robot stays stopped (that is cdcrctl reset)
     #[arg(long, conflicts_with_all = ["watch", "format"])]
     pub(crate) reset_statistics: bool,
+}
+
+/// Options of `top`.
+#[derive(Debug, Args)]
+pub(crate) struct TopOptions {
+    /// Pictures a second, 1 to 60
+    #[arg(long, value_name = "HZ", default_value_t = 20, value_parser = clap::value_parser!(u8).range(1..=60))]
+    pub(crate) rate: u8,
+    /// Draw with letters, as where the locale has no Unicode
+    #[arg(long)]
+    pub(crate) ascii: bool,
 }
 
 /// Options of `incidents`.

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod backbone;
 mod bar;
 mod calibrate;
 mod demo;
@@ -15,6 +16,7 @@ mod incidents;
 mod interrupt;
 mod known_obstacles;
 mod obstacle;
+mod picture;
 mod plant;
 mod request;
 mod setting;
@@ -22,6 +24,7 @@ mod settings;
 mod show_status;
 mod standstill;
 mod tip_error;
+mod top;
 mod value;
 mod wait;
 
@@ -76,6 +79,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Home(options) => request::run(target, RequestKind::Home, options.wait),
         Task::Stop => request::run(target, RequestKind::Stop, None),
         Task::Reset(options) => request::run(target, RequestKind::Reset, options.wait),
+        Task::Top(options) => top::run(target, options),
         Task::Status(options) => show_status::run(target, options),
         Task::Incidents(options) => incidents::run(target, options),
         Task::Settings(options) => settings::run(target, options),

@@ -2,8 +2,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{RequestError, Requester};
-use cdcr_shared_types::Response;
 use cdcr_shared_types::codes::{Outcome, RequestKind};
+use cdcr_shared_types::{Location, Response};
 
 use crate::Done;
 use crate::args::Target;
@@ -22,13 +22,17 @@ pub(crate) fn run(
         return wait::run(target, kind, limit);
     }
     let (location, robot) = target.location()?;
-    let response = match kind {
-        RequestKind::Stop => Requester::stop(&location, robot)?,
-        RequestKind::Track => track(&Requester::open(&location, robot)?)?,
-        _ => Requester::open(&location, robot)?.request(kind)?,
-    };
-    wait::tell(kind, &response)?;
+    wait::tell(kind, &ask(&location, robot, kind)?)?;
     Ok(Done::Good)
+}
+
+/// Asks a daemon, a stop by whatever way there is.
+pub(crate) fn ask(location: &Location, robot: &str, kind: RequestKind) -> anyhow::Result<Response> {
+    Ok(match kind {
+        RequestKind::Stop => Requester::stop(location, robot)?,
+        RequestKind::Track => track(&Requester::open(location, robot)?)?,
+        _ => Requester::open(location, robot)?.request(kind)?,
+    })
 }
 
 fn track(requester: &Requester) -> Result<Response, RequestError> {

@@ -131,8 +131,12 @@ fn left(kind: RequestKind, record: &Telemetry) -> f64 {
 
 /// Says what came of a request.
 pub(crate) fn tell(kind: RequestKind, response: &Response) -> std::io::Result<()> {
-    writeln!(
-        std::io::stdout(),
+    writeln!(std::io::stdout(), "{}", words(kind, response))
+}
+
+/// What came of a request that was not refused.
+pub(crate) fn words(kind: RequestKind, response: &Response) -> String {
+    format!(
         "{kind}: accepted in cycle {}, the daemon is {}",
         response.cycle,
         Mode::text_of(response.mode)

@@ -22,6 +22,7 @@ mod replay;
 mod silence;
 mod strangers;
 mod timing;
+mod top;
 
 use std::time::Duration;
 

@@ -1,7 +1,6 @@
 //! Everything at once: a daemon of its own, the paper's spiral, and what came of it.
 
 mod baseline;
-mod canvas;
 mod causes;
 mod config;
 mod cycle;

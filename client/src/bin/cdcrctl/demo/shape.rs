@@ -1,14 +1,10 @@
 use cdcr_client::{Spiral, Trajectory};
-use cdcr_controller::robot::{Configuration, Robot, RobotParameters};
+use cdcr_controller::robot::{Robot, RobotParameters};
 
 use super::cycle::Cycle;
+use crate::backbone::{Position, backbone};
 
-/// Points along the backbone of one section: a bend of 0.7 rad looks round.
-const POINTS_PER_SECTION: usize = 24;
 const CURVE_SAMPLES: u32 = 500;
-
-/// A point in the base frame \[m\].
-pub(super) type Position = [f64; 3];
 
 /// The shape of the demo's robot, from base to tip.
 #[derive(Debug)]
@@ -25,18 +21,7 @@ impl Backbone {
 
     /// Points on the backbone in a cycle, the base first and the tip last.
     pub(super) fn points(&self, cycle: &Cycle) -> Vec<Position> {
-        let sections = self.robot.section_count();
-        let Some(bent) = Configuration::from_slice(cycle.bend_rad(sections)) else {
-            return Vec::new();
-        };
-        let count = sections * POINTS_PER_SECTION;
-        let point = |k: usize| {
-            let (section, part) = (k / POINTS_PER_SECTION, k % POINTS_PER_SECTION);
-            let share = part as f64 / POINTS_PER_SECTION as f64;
-            self.robot.body_point(&bent, section, share).into()
-        };
-        // The section beyond the last is the tip.
-        (0..=count).map(point).collect()
+        backbone(&self.robot, cycle.bend_rad(self.robot.section_count()))
     }
 }
 

@@ -1,9 +1,12 @@
 use std::io::stdout;
 
+use anstyle::Style;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
 use rustix::termios::tcgetwinsize;
 
-use super::canvas::{Canvas, DOTS, Ink};
-use super::shape::Position;
+use crate::backbone::Position;
+use crate::picture::{Ink, SIDE, Scene, Signs, TOP, View, Window};
 
 /// Width of what is no terminal.
 const COLUMNS: usize = 80;
@@ -13,8 +16,8 @@ const COLUMNS_MAX: usize = 120;
 const VIEW_COLUMNS_MIN: usize = 38;
 const ROWS: usize = 20;
 const GAP: &str = "   ";
-/// How far apart the dots of the reference are: its line is dotted, that of the backbone is not.
-const REFERENCE_STEP: isize = 3;
+/// Space around what is drawn, for the blob at the tip.
+const AROUND: f64 = 1.05;
 
 #[derive(Debug)]
 pub(super) struct Sketch {
@@ -23,25 +26,6 @@ pub(super) struct Sketch {
     /// When it looked so, since the start of the curve \[s\].
     pub(super) time_s: f64,
 }
-
-/// From where: two of the three axes.
-#[derive(Debug, Clone, Copy)]
-struct View {
-    name: &'static str,
-    across: usize,
-    up: usize,
-}
-
-const SIDE: View = View {
-    name: "side view: x right, z up",
-    across: 0,
-    up: 2,
-};
-const TOP: View = View {
-    name: "top view: x right, y up",
-    across: 0,
-    up: 1,
-};
 
 /// Columns of the terminal at the standard output, or of a usual one.
 pub(super) fn columns() -> usize {
@@ -73,55 +57,43 @@ impl Sketch {
 
     /// A title and the picture below it, every line `columns` wide.
     fn view(&self, view: View, columns: usize) -> Vec<String> {
-        let frame = Frame::around(self.points().map(|p| view.project(p)), columns);
-        let mut canvas = Canvas::new(columns, ROWS);
-        self.draw_reference(view, &frame, &mut canvas);
-        self.draw_backbone(view, &frame, &mut canvas);
-        let title = format!(
-            "{}, {} mm a dot",
-            view.name,
-            two_digits(1e3 * frame.m_per_dot)
-        );
+        let area = Rect::new(0, 0, columns as u16, ROWS as u16);
+        let mut picture = Buffer::empty(area);
+        let scene = Scene {
+            backbone: self.backbone.clone(),
+            reference: self.reference.clone(),
+            ..Scene::default()
+        };
+        let window = self.window(view, columns as f64);
+        let dot_m = scene.draw(view, &window, Signs::Braille, area, &mut picture);
+        let title = format!("{}, {} mm a dot", view.name, two_digits(1e3 * dot_m));
         let title: String = title.chars().take(columns).collect();
         let mut lines = vec![format!("{title:<columns$}")];
-        lines.extend(canvas.rows());
+        lines.extend(area.rows().map(|row| styled(&picture, row)));
         lines
     }
 
-    fn points(&self) -> impl Iterator<Item = &Position> {
-        self.reference.iter().chain(&self.backbone)
-    }
-
-    fn draw_reference(&self, view: View, frame: &Frame, canvas: &mut Canvas) {
-        let mut last = None;
-        for point in &self.reference {
-            let dot = frame.dot(view.project(point));
-            if last.is_none_or(|last| steps(last, dot) >= REFERENCE_STEP) {
-                canvas.dot(dot, Ink::Reference);
-                last = Some(dot);
-            }
+    /// So that all of it fits into a view of so many columns.
+    fn window(&self, view: View, columns: f64) -> Window {
+        let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+        for point in self.reference.iter().chain(&self.backbone) {
+            low = core::array::from_fn(|i| low[i].min(point[i]));
+            high = core::array::from_fn(|i| high[i].max(point[i]));
         }
-    }
-
-    /// A line with a blob of four by four dots at its tip.
-    fn draw_backbone(&self, view: View, frame: &Frame, canvas: &mut Canvas) {
-        let dots = self.backbone.iter().map(|p| frame.dot(view.project(p)));
-        let dots: Vec<_> = dots.collect();
-        for pair in dots.windows(2) {
-            for dot in line(pair[0], pair[1]) {
-                canvas.dot(dot, Ink::Backbone);
-            }
-        }
-        if let Some(&(x, y)) = dots.last() {
-            for (dx, dy) in (-1..=2).flat_map(|dx| (-1..=2).map(move |dy| (dx, dy))) {
-                canvas.dot((x + dx, y + dy), Ink::Tip);
-            }
+        let [across_m, up_m] = view.axes().map(|axis| high[axis] - low[axis]);
+        // A row is as high as two columns are wide.
+        let rows = 2.0 * ROWS as f64;
+        let column_m = (across_m / columns).max(up_m / rows);
+        Window {
+            middle_m: core::array::from_fn(|i| f64::midpoint(low[i], high[i])),
+            // A single point has a scale, too.
+            size_m: (AROUND * column_m * columns.min(rows)).max(1e-3),
         }
     }
 
     fn legend(&self) -> String {
         let entry = |ink: Ink, sign: &str, name: &str| {
-            let style = ink.style();
+            let style = style(ink);
             format!("{style}{sign}{style:#} {name}")
         };
         format!(
@@ -134,66 +106,22 @@ impl Sketch {
     }
 }
 
-impl View {
-    fn project(self, point: &Position) -> (f64, f64) {
-        (point[self.across], point[self.up])
-    }
-}
-
-/// Which place is which dot, with the same scale in both directions.
-#[derive(Debug)]
-struct Frame {
-    middle_m: (f64, f64),
-    middle_dots: (f64, f64),
-    m_per_dot: f64,
-}
-
-impl Frame {
-    /// So that all points and a blob at each of them fit into `columns` and the rows of a picture.
-    fn around(points: impl Iterator<Item = (f64, f64)>, columns: usize) -> Self {
-        let mut low = (f64::INFINITY, f64::INFINITY);
-        let mut high = (f64::NEG_INFINITY, f64::NEG_INFINITY);
-        for (x, y) in points {
-            low = (low.0.min(x), low.1.min(y));
-            high = (high.0.max(x), high.1.max(y));
+/// The cells of a row, with a style for each stretch of one ink.
+fn styled(picture: &Buffer, row: Rect) -> String {
+    let cells: Vec<_> = row.positions().map(|place| &picture[place]).collect();
+    let stretches = cells.chunk_by(|a, b| a.fg == b.fg);
+    let text = stretches.map(|cells| {
+        let signs: String = cells.iter().map(|cell| cell.symbol()).collect();
+        match Ink::ALL.into_iter().find(|ink| ink.color() == cells[0].fg) {
+            Some(ink) => format!("{style}{signs}{style:#}", style = style(ink)),
+            None => signs,
         }
-        let room = ((columns * DOTS.0) as f64, (ROWS * DOTS.1) as f64);
-        // Two dots at each edge for the tip.
-        let m_per_dot = ((high.0 - low.0) / (room.0 - 5.0).max(1.0))
-            .max((high.1 - low.1) / (room.1 - 5.0).max(1.0));
-        Self {
-            middle_m: (f64::midpoint(low.0, high.0), f64::midpoint(low.1, high.1)),
-            middle_dots: (0.5 * (room.0 - 2.0), 0.5 * (room.1 - 2.0)),
-            // A single point has a scale, too.
-            m_per_dot: m_per_dot.max(1e-6),
-        }
-    }
-
-    fn dot(&self, (x, y): (f64, f64)) -> (isize, isize) {
-        let place = |m: f64, middle_m: f64, middle: f64| {
-            ((m - middle_m) / self.m_per_dot + middle).round() as isize
-        };
-        (
-            place(x, self.middle_m.0, self.middle_dots.0),
-            place(y, self.middle_m.1, self.middle_dots.1),
-        )
-    }
+    });
+    text.collect()
 }
 
-/// How many dots lie between two, along the longer axis.
-fn steps(a: (isize, isize), b: (isize, isize)) -> isize {
-    (a.0 - b.0).abs().max((a.1 - b.1).abs())
-}
-
-/// The dots from `a` to `b`.
-fn line(a: (isize, isize), b: (isize, isize)) -> impl Iterator<Item = (isize, isize)> {
-    let count = steps(a, b).max(1);
-    (0..=count).map(move |k| {
-        let between = |a: isize, b: isize| {
-            (a as f64 + (b - a) as f64 * k as f64 / count as f64).round() as isize
-        };
-        (between(a.0, b.0), between(a.1, b.1))
-    })
+fn style(ink: Ink) -> Style {
+    Style::new().fg_color(Some(ink.ansi().into()))
 }
 
 fn two_digits(mm: f64) -> String {
@@ -206,8 +134,12 @@ fn two_digits(mm: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::canvas::tests::plain;
     use super::*;
+
+    /// Without colours, and with blanks where there is no dot.
+    fn plain(text: &str) -> String {
+        anstream::adapter::strip_str(text).to_string()
+    }
 
     /// A straight robot of 1 m, and a reference round its tip.
     fn sketch() -> Sketch {
@@ -251,9 +183,11 @@ mod tests {
             top.push(is_inked(&half(line, 41)));
         }
         // The tip is above, with the reference beside it; below it there is the backbone alone.
-        assert!(side[0] > 4, "{lines:#?}");
+        assert!(side[..2].iter().any(|&count| count > 4), "{lines:#?}");
         assert!(
-            side[2..].iter().all(|&count| (1..=2).contains(&count)),
+            side[2..ROWS - 1]
+                .iter()
+                .all(|&count| (1..=2).contains(&count)),
             "{lines:#?}"
         );
         // The reference is a circle: between its top and its bottom it has two sides.
@@ -264,19 +198,6 @@ mod tests {
         let middle = half(&lines[ROWS / 2], 41);
         let left = middle.chars().take(10).filter(|c| *c != ' ').count();
         assert!(left > 0 && left < 10, "{middle}");
-    }
-
-    #[test]
-    fn the_scale_is_the_same_in_both_directions() {
-        let points = [(0.0, 0.0), (0.4, 1.0)];
-        let frame = Frame::around(points.into_iter(), 38);
-        let (a, b) = (frame.dot((0.0, 0.0)), frame.dot((0.1, 0.1)));
-        assert!(((b.0 - a.0) - (b.1 - a.1)).abs() <= 1);
-        let (low, high) = (frame.dot(points[0]), frame.dot(points[1]));
-        assert!(
-            low.1 >= 1 && high.1 <= (ROWS * DOTS.1).cast_signed() - 3,
-            "{low:?} {high:?}"
-        );
     }
 
     #[test]

@@ -5,9 +5,10 @@ use plotters::prelude::*;
 
 use super::panel::{Area, HEAD, PANEL, Point, SIDE, TOP, View};
 use super::{BLUE, GREY, ORANGE, TICK, TITLE, section_words};
+use crate::backbone::Position;
 use crate::demo::cycle::Cycle;
 use crate::demo::report::DemoReport;
-use crate::demo::shape::{Backbone, Position, curve, moments};
+use crate::demo::shape::{Backbone, curve, moments};
 
 /// Time between two shapes \[s\].
 const STEP_S: f64 = 0.5;

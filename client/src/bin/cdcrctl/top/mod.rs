@@ -1,0 +1,239 @@
+//! `cdcrctl top`: the robot, its loop and what happens to both, live in a terminal.
+//!
+//! It reads telemetry and status as any client may, and asks as any client may.
+
+mod asker;
+mod panels;
+mod recent;
+mod seen;
+
+use std::env;
+use std::io::{IsTerminal as _, stdin, stdout};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, ensure};
+use cdcr_client::{Connection, LinkError, TelemetryStream};
+use cdcr_shared_types::codes::RequestKind;
+use ratatui::DefaultTerminal;
+use ratatui::crossterm::event::{self, Event, KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
+
+use crate::Done;
+use crate::args::{Target, TopOptions};
+use crate::interrupt::Interrupt;
+use crate::picture::Signs;
+use asker::Asker;
+use panels::Screen;
+use seen::Seen;
+
+/// After this long without a record the daemon counts as silent.
+const QUIET: Duration = Duration::from_secs(1);
+const ZOOM_STEP: f64 = 1.25;
+const ZOOM_MAX: f64 = 50.0;
+const ZOOM_MIN: f64 = 0.25;
+
+/// What a key does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Action {
+    Ask(RequestKind),
+    Pause,
+    ZoomIn,
+    ZoomOut,
+    Quit,
+}
+
+pub(crate) fn run(target: &Target, options: &TopOptions) -> anyhow::Result<Done> {
+    ensure!(
+        stdout().is_terminal() && stdin().is_terminal(),
+        "top draws on a terminal, and there is none; for programs there are status and echo with --format json"
+    );
+    let connection = target.connect()?;
+    let telemetry = connection.telemetry()?;
+    let (location, robot) = target.location()?;
+    let interrupt = Interrupt::catch()?;
+    let mut top = Top {
+        connection: &connection,
+        telemetry,
+        asker: Asker::new(location, robot),
+        seen: Seen::default(),
+        paused: None,
+        zoom: 1.0,
+        signs: if options.ascii { Signs::Ascii } else { signs() },
+        heard: Instant::now(),
+        silent: None,
+    };
+    // From here on a panic gives the terminal back, too.
+    let mut terminal = ratatui::try_init().context("the terminal")?;
+    let every = Duration::from_secs(1) / u32::from(options.rate);
+    let watched = top.watch(&mut terminal, every, &interrupt);
+    ratatui::try_restore().context("the terminal")?;
+    watched
+}
+
+/// The best that the terminal can show, by what the environment says of it.
+fn signs() -> Signs {
+    let of = |key: &str| env::var(key).ok().filter(|value| !value.is_empty());
+    let locale = of("LC_ALL")
+        .or_else(|| of("LC_CTYPE"))
+        .or_else(|| of("LANG"));
+    let is_unicode = locale.is_some_and(|locale| {
+        let locale = locale.to_uppercase();
+        locale.contains("UTF-8") || locale.contains("UTF8")
+    });
+    match (is_unicode, of("TERM").as_deref()) {
+        (false, _) => Signs::Ascii,
+        // The console of Linux has fonts with half blocks, and without Braille.
+        (true, Some("linux")) => Signs::HalfBlocks,
+        (true, _) => Signs::Braille,
+    }
+}
+
+struct Top<'a> {
+    connection: &'a Connection,
+    telemetry: TelemetryStream,
+    asker: Asker,
+    seen: Seen,
+    /// What was seen when the pause began.
+    paused: Option<Box<Seen>>,
+    zoom: f64,
+    signs: Signs,
+    heard: Instant,
+    silent: Option<String>,
+}
+
+impl Top<'_> {
+    fn watch(
+        &mut self,
+        terminal: &mut DefaultTerminal,
+        every: Duration,
+        interrupt: &Interrupt,
+    ) -> anyhow::Result<Done> {
+        loop {
+            let begun = Instant::now();
+            self.listen()?;
+            terminal.draw(|frame| self.screen().draw(frame))?;
+            // Each key at once, and the next picture when it is due.
+            loop {
+                if interrupt.is_raised() {
+                    return Ok(Done::Interrupted);
+                }
+                if !event::poll(every.saturating_sub(begun.elapsed()))? {
+                    break;
+                }
+                if let Event::Key(key) = event::read()?
+                    && let Some(action) = action(&key)
+                {
+                    if action == Action::Quit {
+                        return Ok(Done::Good);
+                    }
+                    self.act(action);
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Takes in what has come since the last picture.
+    fn listen(&mut self) -> anyhow::Result<()> {
+        while let Some(record) = self.telemetry.try_next()? {
+            self.heard = Instant::now();
+            self.silent = None;
+            self.seen.note(&record, self.telemetry.lost());
+        }
+        if let Ok(status) = self.connection.status(Duration::ZERO) {
+            self.seen.status = Some(Box::new(status));
+        }
+        if self.heard.elapsed() > QUIET && self.silent.is_none() {
+            self.silent = Some(match self.connection.status(Duration::ZERO) {
+                Err(LinkError::Silent { liveness, .. }) => {
+                    format!("no cycle for a second: {liveness}")
+                }
+                Err(error) => error.to_string(),
+                Ok(_) => "no cycle for a second, though the daemon tells its status".to_owned(),
+            });
+        }
+        while let Some((kind, answer)) = self.asker.answer() {
+            self.seen.tell_of(kind, answer);
+        }
+        Ok(())
+    }
+
+    fn act(&mut self, action: Action) {
+        match action {
+            Action::Ask(kind) => self.asker.ask(kind),
+            Action::Pause => {
+                self.paused = match self.paused.take() {
+                    Some(_) => None,
+                    None => Some(Box::new(self.seen.clone())),
+                }
+            }
+            Action::ZoomIn => self.zoom = (self.zoom * ZOOM_STEP).min(ZOOM_MAX),
+            Action::ZoomOut => self.zoom = (self.zoom / ZOOM_STEP).max(ZOOM_MIN),
+            Action::Quit => {}
+        }
+    }
+
+    fn screen(&self) -> Screen<'_> {
+        Screen {
+            live: &self.seen,
+            shown: self.paused.as_deref().unwrap_or(&self.seen),
+            is_paused: self.paused.is_some(),
+            zoom: self.zoom,
+            signs: self.signs,
+            asked: self.asker.asked(),
+            silent: self.silent.as_deref(),
+        }
+    }
+}
+
+fn action(key: &KeyEvent) -> Option<Action> {
+    if key.kind == KeyEventKind::Release {
+        return None;
+    }
+    let is_control = key.modifiers.contains(KeyModifiers::CONTROL);
+    match key.code {
+        KeyCode::Char('c') if is_control => Some(Action::Quit),
+        _ if is_control => None,
+        KeyCode::Char('q' | 'Q') | KeyCode::Esc => Some(Action::Quit),
+        KeyCode::Char('s' | 'S' | ' ') => Some(Action::Ask(RequestKind::Stop)),
+        KeyCode::Char('h' | 'H') => Some(Action::Ask(RequestKind::Hold)),
+        KeyCode::Char('t' | 'T') => Some(Action::Ask(RequestKind::Track)),
+        KeyCode::Char('p' | 'P') => Some(Action::Pause),
+        KeyCode::Char('+' | '=') => Some(Action::ZoomIn),
+        KeyCode::Char('-' | '_') => Some(Action::ZoomOut),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stop_is_always_one_key() {
+        let press = |code, modifiers| action(&KeyEvent::new(code, modifiers));
+        let plain = |sign| press(KeyCode::Char(sign), KeyModifiers::NONE);
+        let stop = Some(Action::Ask(RequestKind::Stop));
+        assert_eq!([plain('s'), plain('S'), plain(' ')], [stop; 3]);
+        assert_eq!(plain('h'), Some(Action::Ask(RequestKind::Hold)));
+        assert_eq!(plain('t'), Some(Action::Ask(RequestKind::Track)));
+        assert_eq!(plain('p'), Some(Action::Pause));
+        assert_eq!(
+            [plain('+'), plain('-')],
+            [Some(Action::ZoomIn), Some(Action::ZoomOut)]
+        );
+        for quit in [
+            plain('q'),
+            press(KeyCode::Esc, KeyModifiers::NONE),
+            press(KeyCode::Char('c'), KeyModifiers::CONTROL),
+        ] {
+            assert_eq!(quit, Some(Action::Quit));
+        }
+        for none in [
+            plain('x'),
+            press(KeyCode::Char('t'), KeyModifiers::CONTROL),
+            press(KeyCode::Enter, KeyModifiers::NONE),
+        ] {
+            assert_eq!(none, None);
+        }
+    }
+}

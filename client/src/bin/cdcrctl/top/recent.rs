@@ -1,0 +1,111 @@
+//! The newest values of one number, for a chart of bars and for percentiles.
+
+use std::collections::VecDeque;
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Recent {
+    /// Oldest first; NaN where there was none.
+    values: VecDeque<f64>,
+    kept: usize,
+    /// Values so far, also those that are forgotten.
+    total: u64,
+}
+
+/// Of the values that are kept.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Percentiles {
+    pub(super) p50: f64,
+    pub(super) p99: f64,
+    pub(super) max: f64,
+}
+
+impl Recent {
+    /// Keeps the newest `kept` values.
+    pub(super) fn new(kept: usize) -> Self {
+        Self {
+            kept,
+            ..Self::default()
+        }
+    }
+
+    /// NaN: there is none now.
+    pub(super) fn push(&mut self, value: f64) {
+        if self.values.len() >= self.kept {
+            self.values.pop_front();
+        }
+        self.values.push_back(value);
+        self.total += 1;
+    }
+
+    pub(super) fn percentiles(&self) -> Option<Percentiles> {
+        let mut sorted: Vec<f64> = self.values.iter().copied().collect();
+        sorted.retain(|value| value.is_finite());
+        sorted.sort_unstable_by(f64::total_cmp);
+        let at = |share: f64| {
+            let rank = (share * sorted.len() as f64).ceil() as usize;
+            sorted.get(rank.saturating_sub(1)).copied()
+        };
+        Some(Percentiles {
+            p50: at(0.5)?,
+            p99: at(0.99)?,
+            max: at(1.0)?,
+        })
+    }
+
+    /// The largest value of each of `count` stretches of equal length, the newest last; None where there was none. A stretch begins with
+    /// the same values however often it is looked at, so that bars do not flicker.
+    pub(super) fn columns(&self, count: usize) -> Vec<Option<f64>> {
+        let stretch = self.kept.div_ceil(count.max(1)).max(1);
+        let mut columns = vec![None; count];
+        let newest = self.total.saturating_sub(1) / stretch as u64;
+        for (back, value) in self.values.iter().rev().enumerate() {
+            let column = (self.total - 1 - back as u64) / stretch as u64;
+            let Some(place) = count.checked_sub(1 + (newest - column) as usize) else {
+                break;
+            };
+            if value.is_finite() {
+                let most: &mut Option<f64> = &mut columns[place];
+                *most = Some(most.map_or(*value, |most| most.max(*value)));
+            }
+        }
+        columns
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(kept: usize, values: impl IntoIterator<Item = f64>) -> Recent {
+        let mut recent = Recent::new(kept);
+        values.into_iter().for_each(|value| recent.push(value));
+        recent
+    }
+
+    #[test]
+    fn percentiles_are_of_what_is_kept_and_finite() {
+        assert_eq!(of(5, [f64::NAN]).percentiles(), None);
+        let recent = of(100, (0..=200).map(f64::from));
+        let percentiles = recent.percentiles().expect("there are values");
+        assert_eq!(
+            (percentiles.p50, percentiles.p99, percentiles.max),
+            (150.0, 199.0, 200.0)
+        );
+        let one = of(9, [7.0, f64::INFINITY]).percentiles().expect("one");
+        assert_eq!((one.p50, one.p99, one.max), (7.0, 7.0, 7.0));
+    }
+
+    #[test]
+    fn columns_hold_the_most_of_their_stretch_and_do_not_flicker() {
+        let recent = of(8, [1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert_eq!(recent.columns(4), [None, Some(2.0), Some(4.0), Some(5.0)]);
+        let later = of(8, [1.0, 2.0, 3.0, 4.0, 5.0, 1.0, 0.5]);
+        assert_eq!(
+            later.columns(4),
+            [Some(2.0), Some(4.0), Some(5.0), Some(0.5)]
+        );
+        assert_eq!(of(8, [f64::NAN, 1.0]).columns(2), [None, Some(1.0)]);
+        assert!(of(8, [1.0]).columns(0).is_empty());
+        assert_eq!(Recent::default().columns(3), [None; 3]);
+    }
+}

@@ -1,0 +1,338 @@
+//! What `top` has seen of a daemon: the newest record and status, the last seconds of some numbers, and what happened.
+
+use std::collections::VecDeque;
+
+use cdcr_client::model::{obstacle_of, robot_of};
+use cdcr_client::{events, obstacles, section_lengths_m};
+use cdcr_controller::robot::{Configuration, Robot};
+use cdcr_shared_types::codes::{
+    LateCause, Mode, ObstacleShape, Outcome, Reason, RequestKind, SolverStatus, timing,
+};
+use cdcr_shared_types::{Obstacle, Status, Telemetry};
+
+use super::recent::Recent;
+use crate::backbone::{Position, backbone};
+use crate::picture::{Scene, Solid, Window};
+
+/// How long the numbers are kept \[s\].
+const KEPT_S: f64 = 10.0;
+/// Of tip and reference, one point in so much time \[s\].
+const POINT_EVERY_S: f64 = 0.02;
+const POINTS_MAX: usize = 500;
+const LINES_MAX: usize = 200;
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Line {
+    /// Since the first record \[s\].
+    pub(super) time_s: f64,
+    pub(super) text: String,
+    pub(super) is_bad: bool,
+}
+
+#[derive(Debug, Clone, Default)]
+pub(super) struct Seen {
+    pub(super) record: Option<Box<Telemetry>>,
+    pub(super) status: Option<Box<Status>>,
+    pub(super) error_mm: Recent,
+    pub(super) response_us: Recent,
+    pub(super) solve_us: Recent,
+    pub(super) lines: VecDeque<Line>,
+    /// Release and cause of the newest late cycle.
+    pub(super) last_late: Option<(u64, LateCause)>,
+    pub(super) lost: u64,
+    robot: Option<Robot>,
+    /// Releases of the last second \[ns\].
+    releases_ns: VecDeque<u64>,
+    begun_ns: u64,
+    tips: VecDeque<Position>,
+    references: VecDeque<Position>,
+    point_ns: u64,
+}
+
+impl Seen {
+    pub(super) fn note(&mut self, record: &Telemetry, lost: u64) {
+        let before = self.record.take();
+        let is_other = before
+            .as_ref()
+            .is_none_or(|before| before.header.sender_id != record.header.sender_id);
+        if is_other {
+            self.begin(record, before.is_some());
+        }
+        let before = before.filter(|_| !is_other);
+        self.note_changes(record, before.as_deref(), lost);
+        self.note_numbers(record);
+        self.record = Some(Box::new(*record));
+    }
+
+    /// The first record, or the first of another daemon.
+    fn begin(&mut self, record: &Telemetry, is_next: bool) {
+        let (lines, lost) = (std::mem::take(&mut self.lines), self.lost);
+        let begun_ns = if is_next {
+            self.begun_ns
+        } else {
+            record.release_ns
+        };
+        let kept = (KEPT_S * 1e9 / record.period_ns.max(1) as f64).ceil() as usize;
+        *self = Self {
+            error_mm: Recent::new(kept),
+            response_us: Recent::new(kept),
+            solve_us: Recent::new(kept),
+            status: self.status.take(),
+            robot: robot_of(&record.robot).ok(),
+            lines,
+            lost,
+            begun_ns,
+            ..Self::default()
+        };
+        if is_next {
+            self.tell(record.release_ns, "another daemon began", true);
+        }
+    }
+
+    fn note_changes(&mut self, record: &Telemetry, before: Option<&Telemetry>, lost: u64) {
+        let now_ns = record.release_ns;
+        if before.is_none_or(|before| (before.mode, before.reason) != (record.mode, record.reason))
+        {
+            let (mode, reason) = (Mode::text_of(record.mode), Reason::text_of(record.reason));
+            let is_bad = [Mode::Faulted, Mode::Stopped]
+                .map(Mode::code)
+                .contains(&record.mode);
+            self.tell(now_ns, format!("{mode}: {reason}"), is_bad);
+        }
+        for event in events(record)
+            .iter()
+            .filter(|event| event.outcome != Outcome::Accepted.code())
+        {
+            let why = Outcome::text_of(event.outcome);
+            self.tell(now_ns, format!("refused: {why}"), true);
+        }
+        if before.is_some_and(|before| before.obstacle_count != record.obstacle_count) {
+            self.tell(
+                now_ns,
+                format!("{} obstacles", record.obstacle_count),
+                false,
+            );
+        }
+        if lost > self.lost {
+            self.tell(
+                now_ns,
+                format!("{} records did not arrive here", lost - self.lost),
+                true,
+            );
+            self.lost = lost;
+        }
+        let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
+        if cause != LateCause::None {
+            self.last_late = Some((now_ns, cause));
+            let is_miss = record.timing_flags & timing::DEADLINE_MISS != 0;
+            let what = match (is_miss, record.skipped_periods) {
+                (true, _) => "deadline missed".to_owned(),
+                (false, 0) => "late start".to_owned(),
+                (false, skipped) => format!("{skipped} periods skipped"),
+            };
+            self.tell(
+                now_ns,
+                format!("cycle {}: {what} ({cause})", record.cycle),
+                is_miss,
+            );
+        }
+    }
+
+    fn note_numbers(&mut self, record: &Telemetry) {
+        let us = |to_ns: u64, from_ns: u64| to_ns.saturating_sub(from_ns) as f64 * 1e-3;
+        self.error_mm.push(1e3 * record.position_error_m);
+        self.response_us
+            .push(us(record.handed_over_ns, record.due_ns));
+        self.solve_us
+            .push(if record.report.status == SolverStatus::Idle.code() {
+                f64::NAN
+            } else {
+                us(record.solve_end_ns, record.solve_start_ns)
+            });
+        self.releases_ns.push_back(record.release_ns);
+        while self
+            .releases_ns
+            .front()
+            .is_some_and(|first| record.release_ns - first > 1_000_000_000)
+        {
+            self.releases_ns.pop_front();
+        }
+        if us(record.release_ns, self.point_ns) * 1e-6 >= POINT_EVERY_S {
+            self.point_ns = record.release_ns;
+            keep(&mut self.tips, record.tip_position_m);
+            if record.position_error_m.is_finite() {
+                keep(&mut self.references, record.reference.position_m);
+            }
+        }
+    }
+
+    /// What came of a key.
+    pub(super) fn tell_of(&mut self, kind: RequestKind, answer: Result<String, String>) {
+        let now_ns = self
+            .record
+            .as_ref()
+            .map_or(self.begun_ns, |record| record.release_ns);
+        let is_bad = answer.is_err();
+        let text = answer.unwrap_or_else(|error| format!("{kind}: {error}"));
+        self.tell(now_ns, text, is_bad);
+    }
+
+    fn tell(&mut self, now_ns: u64, text: impl Into<String>, is_bad: bool) {
+        if self.lines.len() == LINES_MAX {
+            self.lines.pop_front();
+        }
+        // An error may have several lines.
+        let text = text.into().replace('\n', "; ");
+        let time_s = now_ns.saturating_sub(self.begun_ns) as f64 * 1e-9;
+        self.lines.push_back(Line {
+            time_s,
+            text,
+            is_bad,
+        });
+    }
+
+    /// Cycles a second, over the last second.
+    pub(super) fn rate_hz(&self) -> Option<f64> {
+        let (first, last) = (self.releases_ns.front()?, self.releases_ns.back()?);
+        let seconds = (last - first) as f64 * 1e-9;
+        (seconds > 0.0).then(|| (self.releases_ns.len() - 1) as f64 / seconds)
+    }
+
+    pub(super) fn scene(&self) -> Scene {
+        let (Some(record), Some(robot)) = (&self.record, &self.robot) else {
+            return Scene::default();
+        };
+        let bend_rad = &record.present_rad[..2 * robot.section_count()];
+        let bent = Configuration::from_slice(bend_rad);
+        let body = bent.map(|bent| robot.body(&bent));
+        let solid = |obstacle: &Obstacle| {
+            let is_rod = obstacle.shape == ObstacleShape::Capsule.code();
+            Solid {
+                start_m: obstacle.start_m,
+                end_m: if is_rod {
+                    obstacle.end_m
+                } else {
+                    obstacle.start_m
+                },
+                radius_m: obstacle.radius_m,
+                is_near: body.as_ref().zip(obstacle_of(obstacle)).is_some_and(
+                    |(body, obstacle)| {
+                        body.clearance_m(&obstacle) < record.settings.safe_distance_m
+                    },
+                ),
+            }
+        };
+        Scene {
+            obstacles: obstacles(record).iter().map(solid).collect(),
+            reference: self.references.iter().copied().collect(),
+            trail: self.tips.iter().copied().collect(),
+            backbone: backbone(robot, bend_rad),
+        }
+    }
+
+    /// The whole robot with some space around, or a part of that around its tip.
+    pub(super) fn window(&self, zoom: f64) -> Window {
+        let record = self.record.as_ref();
+        let length_m = record.map_or(1.0, |record| section_lengths_m(&record.robot).iter().sum());
+        let whole_m = [0.0, 0.0, 0.5 * length_m];
+        let tip_m = record.map_or(whole_m, |record| record.tip_position_m);
+        let share = 1.0 - 1.0 / zoom.max(1.0);
+        Window {
+            middle_m: core::array::from_fn(|i| whole_m[i] + share * (tip_m[i] - whole_m[i])),
+            size_m: 1.2 * length_m / zoom,
+        }
+    }
+}
+
+fn keep(points: &mut VecDeque<Position>, point: Position) {
+    if points.len() == POINTS_MAX {
+        points.pop_front();
+    }
+    points.push_back(point);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(cycle: u64, sender_id: u64) -> Telemetry {
+        let mut record = Telemetry {
+            cycle,
+            release_ns: 5_000_000 * cycle,
+            period_ns: 5_000_000,
+            mode: Mode::Holding.code(),
+            ..Telemetry::default()
+        };
+        record.header.sender_id = sender_id;
+        record
+    }
+
+    fn texts(seen: &Seen) -> Vec<&str> {
+        seen.lines.iter().map(|line| line.text.as_str()).collect()
+    }
+
+    #[test]
+    fn what_changes_is_told_once_and_the_rate_is_that_of_the_last_second() {
+        let mut seen = Seen::default();
+        for cycle in 0..500 {
+            let mut record = record(cycle, 1);
+            record.obstacle_count = u32::from(cycle > 200);
+            if cycle > 400 {
+                record.mode = Mode::Stopped.code();
+            }
+            seen.note(&record, u64::from(cycle > 300));
+        }
+        let texts = texts(&seen);
+        assert_eq!(texts.len(), 4, "{texts:?}");
+        assert_eq!(
+            texts[1..3],
+            ["1 obstacles", "1 records did not arrive here"]
+        );
+        assert!(
+            texts[3].starts_with("stopped") && seen.lines[3].is_bad,
+            "{texts:?}"
+        );
+        assert!((seen.rate_hz().expect("a rate") - 200.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn another_daemon_begins_anew_and_what_happened_stays() {
+        let mut seen = Seen::default();
+        (0..10).for_each(|cycle| seen.note(&record(cycle, 1), 0));
+        seen.tell_of(RequestKind::Hold, Err("refused\nremedy".to_owned()));
+        seen.note(&record(20, 2), 0);
+        let texts = texts(&seen);
+        assert_eq!(
+            texts[1..3],
+            ["hold: refused; remedy", "another daemon began"]
+        );
+        assert_eq!(seen.rate_hz(), None);
+    }
+
+    #[test]
+    fn however_long_it_runs_it_keeps_little() {
+        let mut seen = Seen::default();
+        for cycle in 0..20_000 {
+            let mut record = record(cycle, 1);
+            record.mode = (cycle % 2) as u32;
+            seen.note(&record, 0);
+        }
+        assert_eq!(seen.lines.len(), LINES_MAX);
+        assert!(seen.tips.len() <= POINTS_MAX && seen.releases_ns.len() <= 201);
+    }
+
+    #[test]
+    fn zoom_leads_to_the_tip() {
+        let mut seen = Seen::default();
+        let mut record = record(1, 1);
+        record.robot.sections = 1;
+        record.robot.section[0].length_m = 0.5;
+        record.tip_position_m = [0.1, 0.0, 0.45];
+        seen.note(&record, 0);
+        let whole = seen.window(1.0);
+        assert_eq!((whole.middle_m, whole.size_m), ([0.0, 0.0, 0.25], 0.6));
+        let near = seen.window(50.0);
+        assert!((near.middle_m[0] - 0.098).abs() < 1e-9 && near.size_m < 0.013);
+    }
+}

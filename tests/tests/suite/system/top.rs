@@ -1,0 +1,156 @@
+//! `cdcrctl top` in a terminal, with keys as people press them.
+
+use std::fs::File;
+use std::io::{ErrorKind, Read as _, Write as _};
+use std::process::{Child, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_tests::{Daemon, TIMEOUT, wait_status};
+use rustix::process::{Pid, Signal, kill_process};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
+
+/// What a program writes when it leaves the alternate screen.
+const LEAVES: &str = "\x1b[?1049l";
+
+/// A terminal, what was drawn on it, and where keys go.
+struct Terminal {
+    keys: File,
+    drawn: Arc<Mutex<String>>,
+}
+
+impl Terminal {
+    /// With a side for the program.
+    fn new(columns: u16, rows: u16) -> (Self, File) {
+        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&ours).unwrap();
+        unlockpt(&ours).unwrap();
+        let name = ptsname(&ours, Vec::new()).unwrap();
+        let mut options = std::fs::OpenOptions::new();
+        let theirs = options.read(true).write(true);
+        let theirs = theirs.open(name.to_str().unwrap()).unwrap();
+        let size = Winsize {
+            ws_row: rows,
+            ws_col: columns,
+            ws_xpixel: 0,
+            ws_ypixel: 0,
+        };
+        tcsetwinsize(&ours, size).unwrap();
+        let keys = File::from(ours);
+        let drawn = Arc::<Mutex<String>>::default();
+        let (mut screen, heard) = (keys.try_clone().unwrap(), Arc::clone(&drawn));
+        std::thread::spawn(move || {
+            let mut bytes = [0; 4096];
+            loop {
+                match screen.read(&mut bytes) {
+                    Ok(count) if count > 0 => {
+                        let text = String::from_utf8_lossy(&bytes[..count]);
+                        heard.lock().unwrap().push_str(&text);
+                    }
+                    Err(error) if error.kind() == ErrorKind::Interrupted => {}
+                    // The last program that had it has ended.
+                    _ => return,
+                }
+            }
+        });
+        (Self { keys, drawn }, theirs)
+    }
+
+    fn press(&mut self, key: &str) {
+        self.keys.write_all(key.as_bytes()).unwrap();
+    }
+
+    fn wait_for(&self, words: &str) {
+        let begin = Instant::now();
+        while !self.drawn.lock().unwrap().contains(words) {
+            let drawn = self.drawn.lock().unwrap().clone();
+            assert!(begin.elapsed() < TIMEOUT, "{words}: {drawn}");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+}
+
+/// `cdcrctl top`. Killed when dropped.
+struct Top(Child);
+
+impl Top {
+    fn start(daemon: &Daemon, theirs: &File) -> Self {
+        let mut command = daemon.place().command("cdcrctl");
+        let side = || Stdio::from(theirs.try_clone().unwrap());
+        command
+            .args(["top"])
+            .envs([("LC_ALL", "C.UTF-8"), ("TERM", "xterm")]);
+        let command = command.stdin(side()).stdout(side()).stderr(side());
+        Self(command.spawn().unwrap())
+    }
+
+    fn wait(&mut self) -> Option<i32> {
+        self.0.wait().unwrap().code()
+    }
+}
+
+impl Drop for Top {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+#[test]
+fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
+    let daemon = Daemon::start("");
+    let connection = daemon.connect();
+    connection.request(RequestKind::Home).unwrap();
+    for signal in [None, Some(Signal::TERM), Some(Signal::HUP)] {
+        let (mut terminal, theirs) = Terminal::new(100, 30);
+        let before = tcgetattr(&theirs).unwrap().local_modes;
+        assert!(before.contains(LocalModes::ECHO));
+        let mut top = Top::start(&daemon, &theirs);
+        terminal.wait_for("STOP");
+        terminal.wait_for("side x, z");
+        assert!(
+            !tcgetattr(&theirs)
+                .unwrap()
+                .local_modes
+                .contains(LocalModes::ECHO)
+        );
+        if signal.is_none() {
+            terminal.press("h");
+            wait_status(&connection, |status| status.mode == Mode::Holding.code());
+            terminal.press("s");
+            wait_status(&connection, |status| status.mode == Mode::Stopped.code());
+            terminal.wait_for("stop: accepted");
+        }
+        match signal {
+            None => terminal.press("q"),
+            Some(signal) => kill_process(Pid::from_child(&top.0), signal).unwrap(),
+        }
+        assert_eq!(top.wait(), Some(if signal.is_none() { 0 } else { 130 }));
+        terminal.wait_for(LEAVES);
+        assert_eq!(tcgetattr(&theirs).unwrap().local_modes, before);
+    }
+}
+
+#[test]
+fn a_daemon_that_ends_is_told_of_and_the_next_one_is_watched() {
+    let mut daemon = Daemon::start("");
+    let (mut terminal, theirs) = Terminal::new(100, 30);
+    let mut top = Top::start(&daemon, &theirs);
+    terminal.wait_for("HOLDING");
+    daemon.kill();
+    terminal.wait_for("no cycle for a second");
+    daemon.restart();
+    terminal.wait_for("another daemon began");
+    terminal.press("q");
+    assert_eq!(top.wait(), Some(0));
+}
+
+#[test]
+fn without_a_terminal_it_says_what_else_there_is() {
+    let daemon = Daemon::start("");
+    daemon
+        .place()
+        .says("cdcrctl top", 1, &["draws on a terminal", "--format json"]);
+}
