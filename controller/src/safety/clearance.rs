@@ -204,7 +204,9 @@ impl ClearanceGuard<'_> {
         limits: &Limits<'_>,
         desired_rates: &BendRates,
     ) -> BendRates {
-        let mut region = region(limits, desired_rates);
+        // What is shortened afterwards may come nearer than what was found.
+        let mut region = Region::EMPTY;
+        limits.fill(&mut region, fastest(desired_rates));
         let mut rates = *desired_rates;
         for _ in 0..CORRECTIONS {
             if !near.has_looks_to_correct()
@@ -245,7 +247,8 @@ impl ClearanceGuard<'_> {
         limits: &Limits<'_>,
         desired_rates: &BendRates,
     ) -> BendRates {
-        let limited = region(limits, desired_rates);
+        let mut limited = Region::EMPTY;
+        limits.fill(&mut limited, fastest(desired_rates));
         let mut around = None;
         for _ in 0..RENEWALS {
             if near.is_out_of_looks() {
@@ -367,13 +370,6 @@ impl Places<'_> {
             .map(is_bounded)
             .fold(false, |any, one| any | one)
     }
-}
-
-/// What the limits leave of rates that are not faster than these: what is shortened afterwards may come nearer than what was found.
-fn region(limits: &Limits<'_>, desired_rates: &BendRates) -> Region {
-    let mut region = limits.region();
-    region.slow_down_to(fastest(desired_rates));
-    region
 }
 
 pub(super) fn times(rates: &BendRates, factor: f64) -> BendRates {

@@ -278,11 +278,13 @@ impl<'a> Limits<'a> {
         share
     }
 
-    /// What the limits leave of all rates, but for the round limits of the bends: [`Self::nearest_in`] adds those.
-    pub(super) fn region(&self) -> Region {
+    /// Makes `region` what the limits leave of rates of which no component is faster, but for the round limits of the bends: [`Self::nearest_in`]
+    /// adds those.
+    pub(super) fn fill(&self, region: &mut Region, fastest_rad_s: f64) {
         let lower = core::array::from_fn(|i| self.lower_rad_s(i));
         let upper = core::array::from_fn(|i| self.upper_rad_s(i));
-        let mut region = Region::new(self.robot.coordinate_count(), lower, upper, self.way_s);
+        let dimensions = self.robot.coordinate_count();
+        region.reset(dimensions, [lower, upper], fastest_rad_s, self.way_s);
         let mut columns = [[0.0; CABLES_MAX]; COORDINATES_MAX];
         let mut unit = BendRates::zero(self.robot.section_count());
         for (i, column) in columns[..self.robot.coordinate_count()]
@@ -308,7 +310,6 @@ impl<'a> Limits<'a> {
             region.bound_along(&pays_out, -speed_max_m_s, *in_m);
             region.bound_along(&pays_out.map(|share| -share), -speed_max_m_s, *out_m);
         }
-        region
     }
 
     /// The rates in `region` and inside the limits of the bends that are nearest to `desired`; `None` where none were found.

@@ -5,7 +5,11 @@
 //! longer hold the point back. A search for the same point goes on from where the one before ended: with what is added afterwards, and
 //! with bounds that moved. Work and memory are bounded, nothing allocates, the same input gives the same bits.
 
+mod active;
+
 use crate::robot::COORDINATES_MAX;
+
+use active::Active;
 
 /// A point, or a normal.
 pub(super) type Vector = [f64; COORDINATES_MAX];
@@ -17,6 +21,8 @@ const ROWS_MAX: usize = 152;
 const STEPS_MAX: usize = 100;
 /// What counts as inside, in the unit of the point, or as a share of it where it is larger than 1.
 const INSIDE: f64 = 1e-13;
+/// What the way of a point may be longer by than its sum tells, as a share: rounding.
+const ROUNDING: f64 = 1e-9;
 /// Below this squared length a normal depends on those that hold the point already.
 const DEPENDENT: f64 = 1e-14;
 
@@ -32,6 +38,8 @@ pub(super) struct Region {
     most: f64,
     way_s: f64,
     rows: [Row; ROWS_MAX],
+    /// Beside each row how long the way of the point that is found must be before it can be violated.
+    clear_until: [f64; ROWS_MAX],
     row_count: usize,
     /// Whether a half-space was left out.
     is_full: bool,
@@ -45,6 +53,8 @@ struct Found {
     is_known: bool,
     to: Vector,
     at: Vector,
+    /// The length of its way from where all rows were looked at, at most.
+    travelled: f64,
     active: Active,
 }
 
@@ -78,51 +88,51 @@ enum Room {
     Most,
 }
 
-/// The half-spaces that hold the point, and how strongly.
-#[derive(Debug, Clone, Copy)]
-struct Active {
-    rows: [Row; COORDINATES_MAX],
-    multipliers: Vector,
-    count: usize,
-    /// Cholesky's factor of Nᵀ N, with the normals as N: row by row, as they are taken in.
-    factor: [Vector; COORDINATES_MAX],
-}
-
 impl Region {
-    /// A box, for points that are obeyed for `way_s`.
+    /// No point. A constant, because it is large: it is changed in place, too.
     #[allow(
         clippy::large_stack_arrays,
-        reason = "19 kB, once for each command that a limit changes"
+        reason = "24 kB, once for each command that a limit or the guard changes"
     )]
-    pub(super) fn new(dimensions: usize, lower: Vector, upper: Vector, way_s: f64) -> Self {
-        Self {
-            dimensions,
-            sides: [lower, upper],
-            lower,
-            upper,
-            most: f64::INFINITY,
-            way_s,
-            rows: [Row::ZERO; ROWS_MAX],
-            row_count: 0,
-            is_full: false,
-            found: Found {
-                is_known: false,
-                to: [0.0; COORDINATES_MAX],
-                at: [0.0; COORDINATES_MAX],
-                active: Active::NONE,
-            },
-        }
+    pub(super) const EMPTY: Self = Self {
+        dimensions: 0,
+        sides: [[0.0; COORDINATES_MAX]; 2],
+        lower: [0.0; COORDINATES_MAX],
+        upper: [0.0; COORDINATES_MAX],
+        most: 0.0,
+        way_s: 0.0,
+        rows: [Row::ZERO; ROWS_MAX],
+        clear_until: [0.0; ROWS_MAX],
+        row_count: 0,
+        is_full: false,
+        found: Found {
+            is_known: false,
+            to: [0.0; COORDINATES_MAX],
+            at: [0.0; COORDINATES_MAX],
+            travelled: 0.0,
+            active: Active::NONE,
+        },
+    };
+
+    /// A box without half-spaces, for points that are obeyed for `way_s`, with no component larger than `most`.
+    pub(super) fn reset(&mut self, dimensions: usize, sides: [Vector; 2], most: f64, way_s: f64) {
+        self.dimensions = dimensions;
+        self.sides = sides;
+        self.way_s = way_s;
+        self.row_count = 0;
+        self.is_full = false;
+        self.slow_down_to(most);
     }
 
-    /// Whether normal · x ≥ bound leaves out a part of the box.
-    pub(super) fn is_cut_by(&self, normal: &Vector, bound: f64) -> bool {
-        let sides = self.lower.iter().zip(&self.upper).take(self.dimensions);
-        let least: f64 = normal
-            .iter()
-            .zip(sides)
-            .map(|(normal, (lower, upper))| (normal * lower).min(normal * upper))
-            .sum();
-        least.is_nan() || least < bound
+    /// Whether a half-space leaves out a part of the box.
+    fn is_cut_by(&self, Row { normal, bound, .. }: &Row) -> bool {
+        // No normal has a component beyond the dimensions, and no box a side.
+        let mut least = [0.0; COORDINATES_MAX];
+        for (i, least) in least.iter_mut().enumerate() {
+            *least = (normal[i] * self.lower[i]).min(normal[i] * self.upper[i]);
+        }
+        let least = sum(&least);
+        least.is_nan() || least < *bound
     }
 
     /// Whether a half-space was left out, so that points which are found may be on the wrong side of it.
@@ -130,7 +140,7 @@ impl Region {
         self.is_full
     }
 
-    /// Only where normal · x ≥ bound. A normal without length bounds nothing.
+    /// Only where normal · x ≥ bound. What leaves out no part of the box is no row of the region; nor is a normal without length.
     pub(super) fn bound(&mut self, normal: &Vector, bound: f64) {
         self.add(normal, bound, Room::None);
     }
@@ -141,17 +151,18 @@ impl Region {
     }
 
     fn add(&mut self, normal: &Vector, fixed: f64, room: Room) {
-        let length = dot(normal, normal).sqrt();
-        let room = match room {
-            Room::Way(room) => Room::Way(room / length),
-            other => other,
-        };
         let mut row = Row {
-            normal: normal.map(|component| component / length),
+            normal: *normal,
             bound: 0.0,
-            fixed: fixed / length,
+            fixed,
             room,
         };
+        row.move_to(self.most, self.way_s);
+        if !self.is_cut_by(&row) {
+            return;
+        }
+        let length = dot(normal, normal).sqrt();
+        row.scale(1.0 / length);
         row.move_to(self.most, self.way_s);
         if length > 0.0 && length.is_finite() && row.bound.is_finite() {
             self.push(row);
@@ -162,6 +173,7 @@ impl Region {
         self.is_full = self.row_count == ROWS_MAX;
         if !self.is_full {
             self.rows[self.row_count] = row;
+            self.clear_until[self.row_count] = f64::NEG_INFINITY;
             self.row_count += 1;
         }
     }
@@ -174,7 +186,7 @@ impl Region {
         self.upper = self.sides[1].map(|upper| upper.min(most));
     }
 
-    /// Only where no component is larger than `most`, of points that are obeyed for `way_s`. Of the half-spaces that move freely with the way, those stay
+    /// Only where no component is larger than `most`, of points that are obeyed for `way_s`, neither more than before the first half-space. Of the half-spaces that move freely with the way, those stay
     /// that hold what was found.
     pub(super) fn move_to(&mut self, most: f64, way_s: f64) {
         let is_known = self.found.is_known;
@@ -203,6 +215,7 @@ impl Region {
             }
         }
         self.found.is_known = self.found.hold().is_some();
+        self.look_at_all();
     }
 
     /// How what was found last changes with the largest component, where the way changes by `way_slope` times that, with the half-spaces that hold it.
@@ -241,23 +254,36 @@ impl Region {
             self.found.at = *to;
             self.found.active.count = 0;
             self.found.active.multipliers = [0.0; COORDINATES_MAX];
+            self.look_at_all();
         }
         self.found.is_known = self.go_on().is_some();
         self.found.is_known.then_some(self.found.at)
     }
 
+    /// The point is elsewhere, or the bounds are.
+    fn look_at_all(&mut self) {
+        self.found.travelled = 0.0;
+        self.clear_until[..self.row_count].fill(f64::NEG_INFINITY);
+    }
+
     /// From the nearest point to the same one with fewer half-spaces, and those that hold it. `None`: they hold no point.
     fn go_on(&mut self) -> Option<()> {
         let mut steps = 0;
-        while let Some(row) = self.most_violated(&self.found.at) {
-            let Found { at, active, .. } = &mut self.found;
+        while let Some(row) = self.most_violated() {
+            let Found {
+                at,
+                travelled,
+                active,
+                ..
+            } = &mut self.found;
             let mut multiplier = 0.0;
             loop {
                 steps += 1;
                 if steps > STEPS_MAX {
                     return None;
                 }
-                let shares = active.shares(&row.normal)?;
+                let forward = active.solved_forward(|i| dot(&active.rows[i].normal, &row.normal));
+                let shares = active.solved_back(&forward);
                 let way = active.rest(&row.normal, &shares);
                 let square = dot(&way, &row.normal);
                 let full = if square > DEPENDENT && active.count < self.dimensions {
@@ -272,11 +298,12 @@ impl Region {
                 }
                 if full < f64::INFINITY {
                     add(at, &way, step);
+                    *travelled += step * dot(&way, &way).sqrt() * (1.0 + ROUNDING);
                 }
                 add(&mut active.multipliers, &shares, -step);
                 multiplier += step;
                 if full <= until {
-                    active.push(row, multiplier);
+                    active.push(row, multiplier, forward);
                     break;
                 }
                 active.remove(let_go);
@@ -285,8 +312,9 @@ impl Region {
         Some(())
     }
 
-    /// What is violated most at `at`; a NaN violates nothing.
-    fn most_violated(&self, at: &Vector) -> Option<Row> {
+    /// What is violated most at the point that is found; a NaN violates nothing.
+    fn most_violated(&mut self) -> Option<Row> {
+        let Found { at, travelled, .. } = &self.found;
         let (mut most, mut found) = (INSIDE, None);
         let mut look = |side: Side, bound: f64, lack: f64| {
             let scale = 1.0 + bound.abs();
@@ -294,12 +322,14 @@ impl Region {
                 (most, found) = (lack / scale, Some(side));
             }
         };
-        for (index, row) in self.rows[..self.row_count].iter().enumerate() {
-            look(
-                Side::Row(index),
-                row.bound,
-                row.bound - dot(&row.normal, at),
-            );
+        let rows = self.rows[..self.row_count].iter().enumerate();
+        for ((index, row), clear_until) in rows.zip(&mut self.clear_until) {
+            if *clear_until > *travelled {
+                continue;
+            }
+            let lack = row.bound - dot(&row.normal, at);
+            *clear_until = travelled - lack;
+            look(Side::Row(index), row.bound, lack);
         }
         for i in 0..self.dimensions {
             let (lower, upper) = (self.lower[i], self.upper[i]);
@@ -340,6 +370,15 @@ impl Row {
         };
         row.normal[i] = sign;
         row
+    }
+
+    /// The same half-space with a longer normal.
+    fn scale(&mut self, by: f64) {
+        self.normal = self.normal.map(|component| component * by);
+        self.fixed *= by;
+        if let Room::Way(room) = &mut self.room {
+            *room *= by;
+        }
     }
 
     fn move_to(&mut self, most: f64, way_s: f64) {
@@ -393,99 +432,16 @@ impl Found {
     }
 }
 
-impl Active {
-    const NONE: Self = Self {
-        rows: [Row::ZERO; COORDINATES_MAX],
-        multipliers: [0.0; COORDINATES_MAX],
-        count: 0,
-        factor: [[0.0; COORDINATES_MAX]; COORDINATES_MAX],
-    };
-
-    /// How much of each held normal there is in `normal`: the least-squares solution of N r = normal. `None` where the held
-    /// ones depend on each other.
-    fn shares(&self, normal: &Vector) -> Option<Vector> {
-        self.solved(|i| dot(&self.rows[i].normal, normal))
-    }
-
-    /// The solution of Nᵀ N x = `right`. `None` where those held depend on each other.
-    fn solved(&self, right: impl Fn(usize) -> f64) -> Option<Vector> {
-        if (0..self.count).any(|i| self.factor[i][i] == 0.0) {
-            return None;
-        }
-        let mut shares = self.solved_forward(self.count, right);
-        for i in (0..self.count).rev() {
-            let known: f64 = (i + 1..self.count)
-                .map(|k| self.factor[k][i] * shares[k])
-                .sum();
-            shares[i] = (shares[i] - known) / self.factor[i][i];
-        }
-        Some(shares)
-    }
-
-    /// The first half of that, with the first `count` of those held.
-    fn solved_forward(&self, count: usize, right: impl Fn(usize) -> f64) -> Vector {
-        let mut solved = [0.0; COORDINATES_MAX];
-        for i in 0..count {
-            let known: f64 = (0..i).map(|k| self.factor[i][k] * solved[k]).sum();
-            solved[i] = (right(i) - known) / self.factor[i][i];
-        }
-        solved
-    }
-
-    /// The row of the factor that belongs to the i-th of those held: zero on the diagonal where it depends on those before.
-    fn factorise(&mut self, i: usize) {
-        let normal = self.rows[i].normal;
-        let mut row = self.solved_forward(i, |k| dot(&self.rows[k].normal, &normal));
-        let known: f64 = row[..i].iter().map(|share| share * share).sum();
-        row[i] = (dot(&normal, &normal) - known).max(0.0).sqrt();
-        self.factor[i] = row;
-    }
-
-    /// What of `normal` the held ones do not span.
-    fn rest(&self, normal: &Vector, shares: &Vector) -> Vector {
-        let mut rest = *normal;
-        for (row, share) in self.rows[..self.count].iter().zip(shares) {
-            add(&mut rest, &row.normal, -share);
-        }
-        rest
-    }
-
-    /// The step after which the first of those held lets go, and which that is.
-    fn lets_go(&self, shares: &Vector) -> (f64, usize) {
-        let (mut until, mut first) = (f64::INFINITY, 0);
-        for i in 0..self.count {
-            let step = self.multipliers[i].max(0.0) / shares[i];
-            if shares[i] > 0.0 && step < until {
-                (until, first) = (step, i);
-            }
-        }
-        (until, first)
-    }
-
-    fn push(&mut self, row: Row, multiplier: f64) {
-        self.rows[self.count] = row;
-        self.multipliers[self.count] = multiplier;
-        self.factorise(self.count);
-        self.count += 1;
-    }
-
-    fn remove(&mut self, i: usize) {
-        self.count -= 1;
-        self.rows.copy_within(i + 1..=self.count, i);
-        self.multipliers.copy_within(i + 1..=self.count, i);
-        self.multipliers[self.count] = 0.0;
-        for later in i..self.count {
-            self.factorise(later);
-        }
-    }
-}
-
 /// Four sums side by side: one alone waits for each addition.
 fn dot(a: &Vector, b: &Vector) -> f64 {
+    sum(&core::array::from_fn(|i| a[i] * b[i]))
+}
+
+fn sum(terms: &Vector) -> f64 {
     let mut sums = [0.0; 4];
-    for (a, b) in a.as_chunks::<4>().0.iter().zip(b.as_chunks::<4>().0) {
-        for (sum, (a, b)) in sums.iter_mut().zip(a.iter().zip(b)) {
-            *sum += a * b;
+    for terms in terms.as_chunks::<4>().0 {
+        for (sum, term) in sums.iter_mut().zip(terms) {
+            *sum += term;
         }
     }
     (sums[0] + sums[1]) + (sums[2] + sums[3])

@@ -162,8 +162,6 @@ impl Short<'_> {
             // The clearance is what is left to the robot that stands still, and at least the floor.
             self.watched.kept_m.min(nearest.clearance_m) - nearest.clearance_m
         };
-        if region.is_cut_by(&slope, least_m) {
-            region.bound(&slope, least_m);
-        }
+        region.bound(&slope, least_m);
     }
 }

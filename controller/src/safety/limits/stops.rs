@@ -7,7 +7,7 @@
 use super::Limits;
 use crate::robot::BendRates;
 use crate::safety::clearance::{Stopping, fastest};
-use crate::safety::projection::Slopes;
+use crate::safety::projection::{Region, Slopes};
 
 /// Fastest components that are tried.
 const TRIED_MAX: usize = 6;
@@ -49,8 +49,8 @@ impl Limits<'_> {
         // Not faster than asked for: until the robot rests was counted with that.
         let most_rad_s = sides.fold(0.0_f64, f64::max).min(fastest(desired));
         let mut limits = self.of_way(most_rad_s);
-        let mut region = limits.region();
-        region.slow_down_to(most_rad_s);
+        let mut region = Region::EMPTY;
+        limits.fill(&mut region, most_rad_s);
         let mut found = limits.nearest_in(&mut region, desired)?;
         let Some(stopping) = self.stopping else {
             return Some(found);

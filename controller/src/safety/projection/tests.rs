@@ -6,9 +6,21 @@ fn padded(values: &[f64]) -> Vector {
     core::array::from_fn(|i| values.get(i).copied().unwrap_or(0.0))
 }
 
+fn boxed(dimensions: usize, most: f64) -> Region {
+    let mut region = Region::EMPTY;
+    let most = core::array::from_fn(|i| if i < dimensions { most } else { 0.0 });
+    region.reset(
+        dimensions,
+        [most.map(|most| -most), most],
+        f64::INFINITY,
+        1.0,
+    );
+    region
+}
+
 #[test]
 fn corners_edges_and_regions_without_a_point() {
-    let mut region = Region::new(2, padded(&[-1.0, -1.0]), padded(&[1.0, 1.0]), 1.0);
+    let mut region = boxed(2, 1.0);
     let near = |region: &mut Region, x: f64, y: f64| {
         region.nearest(&padded(&[x, y])).map(|p| [p[0], p[1]])
     };
@@ -27,12 +39,7 @@ fn corners_edges_and_regions_without_a_point() {
 
 #[test]
 fn a_full_region_says_that_it_left_one_out() {
-    let mut region = Region::new(
-        2,
-        [f64::NEG_INFINITY; COORDINATES_MAX],
-        [f64::INFINITY; COORDINATES_MAX],
-        1.0,
-    );
+    let mut region = boxed(2, f64::INFINITY);
     for turn in 0..ROWS_MAX {
         let (sin, cos) = (turn as f64).sin_cos();
         region.bound(&padded(&[sin, cos]), -1.0);
@@ -55,7 +62,7 @@ proptest! {
         inside in prop::collection::vec(-1.0..1.0_f64, 12),
         others in prop::collection::vec(prop::collection::vec(-1.0..1.0_f64, 12), 20),
     ) {
-        let mut region = Region::new(12, [-1.0; COORDINATES_MAX], [1.0; COORDINATES_MAX], 1.0);
+        let mut region = boxed(12, 1.0);
         let inside = padded(&inside);
         for normal in &normals {
             let normal = padded(normal);
@@ -75,7 +82,11 @@ proptest! {
             prop_assert!((one - other).abs() < 1e-9);
         }
         let nearest = nearest.unwrap();
-        let lack = |at: &Vector| region.most_violated(at).map_or(0.0, |row| row.bound - dot(&row.normal, at));
+        let mut lack = |at: &Vector| {
+            region.found.at = *at;
+            region.look_at_all();
+            region.most_violated().map_or(0.0, |row| row.bound - dot(&row.normal, at))
+        };
         prop_assert!(lack(&nearest) < 1e-12);
         let mut away = to;
         add(&mut away, &nearest, -1.0);
