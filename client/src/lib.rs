@@ -116,6 +116,9 @@ pub use stream::{CommandStream, Stream, TelemetryStream};
 pub use tip_sensor::TipSensor;
 #[cfg(feature = "model")]
 pub use trajectory::Straight;
-pub use trajectory::{Circle, Line, Orientation, PAPER_SECTION_M, Spiral, Trajectory};
+pub use trajectory::{
+    Circle, Figure, FigurePlane, FigureShape, Line, Orientation, PAPER_SECTION_M, Spiral,
+    Trajectory,
+};
 #[cfg(feature = "csv")]
 pub use trajectory::{FileTrajectory, TrajectoryFileError};

@@ -3,6 +3,7 @@
 //! Invariant: nothing here knows a clock or a daemon. Time counts from the start of the curve.
 
 mod circle;
+mod figure;
 #[cfg(feature = "csv")]
 mod file;
 mod line;
@@ -11,6 +12,7 @@ mod spiral;
 mod straight;
 
 pub use circle::Circle;
+pub use figure::{Figure, FigurePlane, FigureShape};
 #[cfg(feature = "csv")]
 pub use file::{FileTrajectory, TrajectoryFileError};
 pub use line::Line;

@@ -22,7 +22,8 @@ pub(crate) use calibrate::{
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
 pub(crate) use reference::{
-    CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
+    CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, LineOptions, RefOptions,
+    SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
 pub(crate) use straight::{GotoOptions, JogOptions, StraightArguments};
@@ -187,9 +188,21 @@ pub(crate) enum Task {
     Settings(SettingsOptions),
     /// Print messages as they pass
     #[command(
-        after_help = "Example:\n  cdcrctl echo telemetry --rate 10\n  cdcrctl echo command --count 1 --format json"
+        after_help = "Example:\n  cdcrctl echo telemetry --rate 10\n  cdcrctl echo command --count 1 --format json\n  \
+        cdcrctl echo --field cycle --field tip_position_m.2 --count 3"
     )]
     Echo(EchoOptions),
+    /// Show how often messages come, and what is between them, each second
+    #[command(after_help = "Example:\n  cdcrctl hz --count 3\n  cdcrctl hz command --count 1")]
+    Hz(HzOptions),
+    /// Send messages to a plotter, as JSON in UDP datagrams of less than 2 kB
+    ///
+    /// Each has the time in seconds as "timestamp". What is NaN or infinite is left out.
+    #[command(
+        after_help = "Examples:\n  cdcrctl plot --udp localhost:9870      PlotJuggler: UDP Server, JSON, timestamp\n  \
+        cdcrctl plot --udp localhost:9870 --field position_error_m --field report.cost"
+    )]
+    Plot(PlotOptions),
     /// Add or remove obstacles that the body of the robot keeps away from
     #[command(
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \
@@ -289,12 +302,47 @@ pub(crate) struct EchoOptions {
     /// One line for each message (text), or one JSON object on each line
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
+    /// Print this field alone, by its name in JSON: with points between, `mode`, `tip_position_m.2`, `command.bend_rate_rad_s`.
+    /// May be given more than once
+    #[arg(long, value_name = "PATH")]
+    pub(crate) field: Vec<String>,
     /// End after this many messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub(crate) count: Option<u64>,
     /// Print at most this many messages a second and leave out the rest
     #[arg(long, value_name = "HZ", value_parser = value::positive)]
     pub(crate) rate: Option<f64>,
+}
+
+/// Options of `hz`.
+#[derive(Debug, Args)]
+pub(crate) struct HzOptions {
+    /// Which messages
+    #[arg(value_enum, default_value = "telemetry")]
+    pub(crate) topic: Topic,
+    /// End after this many lines
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) count: Option<u64>,
+}
+
+/// Options of `plot`.
+#[derive(Debug, Args)]
+pub(crate) struct PlotOptions {
+    /// Which messages
+    #[arg(value_enum, default_value = "telemetry")]
+    pub(crate) topic: Topic,
+    /// Where the plotter listens
+    #[arg(long, value_name = "HOST:PORT")]
+    pub(crate) udp: String,
+    /// Send this field, as in cdcrctl echo; may be given more than once [default: those of the telemetry that are looked at most]
+    #[arg(long, value_name = "PATH")]
+    pub(crate) field: Vec<String>,
+    /// Send at most this many messages a second and leave out the rest
+    #[arg(long, value_name = "HZ", value_parser = value::positive)]
+    pub(crate) rate: Option<f64>,
+    /// End after this many messages
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    pub(crate) count: Option<u64>,
 }
 
 /// Messages that can be printed.

@@ -1,19 +1,20 @@
 use std::io::Write;
 use std::ops::ControlFlow;
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
 use cdcr_client::{
-    Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, FileTrajectory, Line,
-    PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
+    Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigureShape,
+    FileTrajectory, Line, PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
 };
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 
 use crate::Done;
 use crate::args::{
-    CircleOptions, Curve, CurveArguments, FeedArguments, LineOptions, RefOptions, SpiralOptions,
-    StraightArguments, Target,
+    CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, LineOptions, RefOptions,
+    SpiralOptions, StraightArguments, Target,
 };
 use crate::bar::Bar;
 use crate::dry_run;
@@ -30,6 +31,9 @@ const MOVED_M: f64 = 2e-3;
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
 const FAR: f64 = 10.0;
+
+/// How a reference is fed, what it is, and to whom.
+type Prepared<'a> = (&'a FeedArguments, Box<dyn Trajectory>, Connection);
 
 pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done> {
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
@@ -202,16 +206,23 @@ fn check_unit(trajectory: &dyn Trajectory, reach_m: f64) -> anyhow::Result<()> {
 }
 
 /// Checks everything that needs no daemon first, so that a bad file is told even without one.
-fn prepare<'a>(
-    target: &Target,
-    curve: &'a Curve,
-) -> anyhow::Result<(&'a FeedArguments, Box<dyn Trajectory>, Connection)> {
-    if let Curve::File(options) = curve {
-        let trajectory = FileTrajectory::read(&options.path)?;
-        return Ok((&options.feed, Box::new(trajectory), target.connect()?));
-    }
-    let connection = target.connect()?;
+fn prepare<'a>(target: &Target, curve: &'a Curve) -> anyhow::Result<Prepared<'a>> {
+    let (arguments, trajectory) = match curve {
+        Curve::File(options) => (&options.feed, FileTrajectory::read(&options.path)?),
+        Curve::Stdin(options) => {
+            let text = std::io::read_to_string(std::io::stdin()).context("the standard input")?;
+            let name = Path::new("standard input");
+            (&options.feed, FileTrajectory::parse(name, &text)?)
+        }
+        _ => return prepare_drawn(target.connect()?, curve),
+    };
+    Ok((arguments, Box::new(trajectory), target.connect()?))
+}
+
+/// A curve that a formula draws, for the daemon's robot.
+fn prepare_drawn(connection: Connection, curve: &Curve) -> anyhow::Result<Prepared<'_>> {
     let lengths = |curve: &CurveArguments| lengths_m(&connection, curve.sections);
+    let robot_m: f64 = lengths_m(&connection, None)?.iter().sum();
     let (arguments, trajectory): (_, Box<dyn Trajectory>) = match curve {
         Curve::Spiral(options) => {
             let spiral = spiral(options, &lengths(&options.curve)?);
@@ -225,12 +236,41 @@ fn prepare<'a>(
             let circle = circle(options, &lengths(&options.curve)?);
             (&options.feed, Box::new(circle))
         }
-        Curve::File(options) => {
-            let file = FileTrajectory::read(&options.path)?;
-            (&options.feed, Box::new(file))
+        Curve::Helix(options) => {
+            let rise = |radius_m| options.rise.map_or(1.0, |rise_m| rise_m / radius_m);
+            let shape = |radius_m| FigureShape::Helix {
+                turns: options.turns,
+                rise: rise(radius_m),
+            };
+            figure(&options.figure, robot_m, shape)
         }
+        Curve::Lissajous(options) => figure(&options.figure, robot_m, |_| {
+            FigureShape::Lissajous(options.ratio)
+        }),
+        Curve::Rose(options) => figure(&options.figure, robot_m, |_| {
+            FigureShape::Rose(options.petals)
+        }),
+        Curve::Polygon(options) => figure(&options.figure, robot_m, |_| {
+            FigureShape::Polygon(options.corners)
+        }),
+        Curve::File(_) | Curve::Stdin(_) => bail!("a file is read, not drawn"),
     };
     Ok((arguments, trajectory, connection))
+}
+
+/// A figure for a robot of this length, with a shape that may depend on its radius \[m\].
+fn figure(
+    options: &FigureArguments,
+    robot_m: f64,
+    shape: impl FnOnce(f64) -> FigureShape,
+) -> (&FeedArguments, Box<dyn Trajectory>) {
+    let [radius_m, height_m] = Figure::SHARES.map(|share| share * robot_m);
+    let centre_m = options.centre.unwrap_or([0.0, 0.0, height_m]);
+    let radius_m = options.radius.unwrap_or(radius_m);
+    let place_m = (centre_m, radius_m);
+    let (plane, speed_m_s, rounds) = (options.plane, options.speed, options.repeat);
+    let figure = Figure::new(shape(radius_m), plane, place_m, speed_m_s, rounds);
+    (&options.feed, Box::new(figure))
 }
 
 /// Lengths of the daemon's sections; with `--sections`, that many of them, and the paper's beyond.

@@ -12,12 +12,14 @@ mod demo;
 mod dry_run;
 mod echo;
 mod feed;
+mod hz;
 mod incidents;
 mod interrupt;
 mod known_obstacles;
 mod obstacle;
 mod picture;
 mod plant;
+mod plot;
 mod request;
 mod setting;
 mod settings;
@@ -84,6 +86,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Incidents(options) => incidents::run(target, options),
         Task::Settings(options) => settings::run(target, options),
         Task::Echo(options) => echo::run(target, options),
+        Task::Hz(options) => hz::run(target, options),
+        Task::Plot(options) => plot::run(target, options),
         Task::Obstacle(options) => obstacle::run(target, options),
         Task::Calibrate(options) => calibrate::run(target, options),
     }

@@ -1,11 +1,16 @@
+mod feed;
+mod scene;
+
 use std::fmt::Write as _;
 use std::io::Write as _;
 use std::time::Duration;
 
 use anyhow::bail;
-use cdcr_client::{Connection, monotonic_ns, remedy, section_lengths_m};
+use cdcr_client::{
+    Connection, LinkError, ObstacleSender, TelemetryStream, monotonic_ns, remedy, section_lengths_m,
+};
 use cdcr_shared_types::codes::{EventKind, ObstacleShape, Outcome};
-use cdcr_shared_types::{Obstacle, Status};
+use cdcr_shared_types::{Header, Obstacle, Status};
 
 use crate::Done;
 use crate::args::{Format, ObstacleAction, ObstacleAdd, ObstacleOptions, Target};
@@ -20,29 +25,39 @@ const TIMEOUT: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &ObstacleOptions) -> anyhow::Result<Done> {
     let connection = target.connect()?;
-    if let ObstacleAction::List(options) = &options.action {
-        return list(&connection, options.format);
+    match &options.action {
+        ObstacleAction::Add(add) => {
+            let obstacle = obstacle(add, monotonic_ns());
+            check(&obstacle, &connection.status(TIMEOUT)?, add.far, true)?;
+            change(&connection, |sender| sender.upsert(&[obstacle]))
+        }
+        ObstacleAction::List(options) => list(&connection, options.format),
+        ObstacleAction::Remove { ids } => change(&connection, |sender| sender.remove(ids)),
+        ObstacleAction::Clear => change(&connection, ObstacleSender::clear),
+        ObstacleAction::File(options) => feed::file(&connection, &options.path, options.far),
+        ObstacleAction::Stdin(options) => feed::stdin(&connection, options.far),
     }
+}
+
+fn change(
+    connection: &Connection,
+    send: impl FnOnce(&ObstacleSender) -> Result<Header, LinkError>,
+) -> anyhow::Result<Done> {
     let mut telemetry = connection.telemetry()?;
     let sender = connection.obstacle_sender()?;
-    let header = match &options.action {
-        ObstacleAction::Add(add) => {
-            check(add, &connection.status(TIMEOUT)?)?;
-            sender.upsert(&[obstacle(add, monotonic_ns())])?
-        }
-        ObstacleAction::Remove { ids } => sender.remove(ids)?,
-        ObstacleAction::Clear | ObstacleAction::List(_) => sender.clear()?,
-    };
-    let event = telemetry.event_on(EventKind::Obstacles, &header, TIMEOUT)?;
+    let known = accepted(&mut telemetry, &send(&sender)?)?;
+    writeln!(
+        std::io::stdout(),
+        "obstacles: accepted, {known} known to the daemon now"
+    )?;
+    Ok(Done::Good)
+}
+
+/// How many obstacles are known after this message was accepted.
+fn accepted(telemetry: &mut TelemetryStream, header: &Header) -> anyhow::Result<u32> {
+    let event = telemetry.event_on(EventKind::Obstacles, header, TIMEOUT)?;
     match Outcome::try_from(event.outcome).unwrap_or(Outcome::UnknownCode) {
-        Outcome::Accepted => {
-            let known = event.detail;
-            writeln!(
-                std::io::stdout(),
-                "obstacles: accepted, {known} known to the daemon now"
-            )?;
-            Ok(Done::Good)
-        }
+        Outcome::Accepted => Ok(event.detail),
         outcome => bail!("the daemon refused it: {outcome}. {}", advice(outcome)),
     }
 }
@@ -98,18 +113,24 @@ fn vector_text([x, y, z]: [f64; 3]) -> String {
     format!("{x:.3},{y:.3},{z:.3}")
 }
 
-/// Refuses what the daemon would take, and the user hardly means.
-fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
+/// Refuses what the daemon would take, and the user hardly means. A source that `ends` must have no lifetimes where it is watched.
+fn check(obstacle: &Obstacle, status: &Status, far: bool, ends: bool) -> anyhow::Result<()> {
     let timeout_ms = status.obstacle_source_timeout_ns as f64 * 1e-6;
-    if add.lifetime.is_some() && timeout_ms > 0.0 {
+    if ends && obstacle.lifetime_ns > 0 && timeout_ms > 0.0 {
         bail!(
             "this daemon supervises the sources of obstacles with lifetimes (obstacles.source_timeout_ms = {timeout_ms}): \
-             this command ends at once, so it would count as a lost source, and the robot would hold\nleave \
-             --lifetime out, and remove the obstacle with: cdcrctl obstacle remove {}",
-            add.id
+             this command ends, so it would count as a lost source, and the robot would hold\nleave \
+             the lifetime out, and remove the obstacle with: cdcrctl obstacle remove {}",
+            obstacle.id
         );
     }
-    let from_base_m = distance_m(add.at, add.to.unwrap_or(add.at)) - add.radius;
+    let is_capsule = obstacle.shape == ObstacleShape::Capsule.code();
+    let end_m = if is_capsule {
+        obstacle.end_m
+    } else {
+        obstacle.start_m
+    };
+    let from_base_m = distance_m(obstacle.start_m, end_m) - obstacle.radius_m;
     let reach_m: f64 = section_lengths_m(&status.robot).iter().sum();
     let odd = if from_base_m > FAR * reach_m {
         format!("is {from_base_m:.1} m away")
@@ -118,10 +139,10 @@ fn check(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
     } else {
         return Ok(());
     };
-    if !add.far {
+    if !far {
         bail!(
-            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\n--at, --to and \
-             --radius are in m: 150 mm are 0.15. If it is really there: --far"
+            "the obstacle {odd}, and the robot is {reach_m:.2} m long: are these millimetres?\npositions and \
+             radius are in m: 150 mm are 0.15. If it is really there: --far"
         );
     }
     Ok(())
@@ -188,6 +209,10 @@ mod tests {
         }
     }
 
+    fn checked(add: &ObstacleAdd, status: &Status) -> anyhow::Result<()> {
+        check(&obstacle(add, 0), status, add.far, true)
+    }
+
     fn status() -> Status {
         let mut status = Status::default();
         status.robot.sections = 3;
@@ -209,20 +234,22 @@ mod tests {
             // The radius alone is in mm: the base is inside.
             ([0.5, 0.6, 0.1], 20.0, false),
         ] {
-            let said = check(&add(at, radius), &status());
+            let said = checked(&add(at, radius), &status());
             assert_eq!(said.is_ok(), is_legal, "{at:?}: {said:?}");
         }
         let mut far = add([50.0, 0.0, 0.0], 0.1);
         far.to = Some([0.3, 0.0, 0.0]);
-        assert!(check(&far, &status()).is_ok(), "one end is near");
+        assert!(checked(&far, &status()).is_ok(), "one end is near");
         (far.to, far.far) = (None, true);
-        assert!(check(&far, &status()).is_ok());
+        assert!(checked(&far, &status()).is_ok());
         let mut through = add([0.5, 0.0, 0.0], 0.02);
         through.to = Some([-0.5, 0.0, 0.0]);
-        let error = check(&through, &status()).expect_err("inside").to_string();
+        let error = checked(&through, &status())
+            .expect_err("inside")
+            .to_string();
         assert!(error.contains("contains the base"), "{error}");
         through.far = true;
-        assert!(check(&through, &status()).is_ok());
+        assert!(checked(&through, &status()).is_ok());
     }
 
     #[test]
@@ -230,14 +257,16 @@ mod tests {
         let mut fleeting = add([0.5, 0.0, 0.0], 0.1);
         fleeting.lifetime = Some(TIMEOUT);
         let mut watching = status();
-        assert!(check(&fleeting, &watching).is_ok());
+        assert!(checked(&fleeting, &watching).is_ok());
         watching.obstacle_source_timeout_ns = 500_000_000;
-        let refused = check(&fleeting, &watching).expect_err("refused");
+        let refused = checked(&fleeting, &watching).expect_err("refused");
         let error = refused.to_string();
         assert!(error.contains("source_timeout_ms = 500"), "{error}");
         assert!(error.contains("cdcrctl obstacle remove 7"), "{error}");
+        // One that goes on sending may have them.
+        assert!(check(&obstacle(&fleeting, 0), &watching, false, false).is_ok());
         fleeting.lifetime = None;
-        assert!(check(&fleeting, &watching).is_ok());
+        assert!(checked(&fleeting, &watching).is_ok());
     }
 
     #[test]

@@ -3,11 +3,14 @@
 use std::ops::RangeInclusive;
 use std::time::Duration;
 
+use cdcr_client::FigurePlane;
 use cdcr_shared_types::codes::Interpolation;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
 /// Three numbers `x,y,z`.
 pub(crate) type Vector = [f64; 3];
+/// Two numbers `a:b`.
+pub(crate) type Ratio = [u32; 2];
 
 /// `x,y,z`: three finite numbers.
 pub(crate) fn vector(text: &str) -> Result<Vector, String> {
@@ -114,6 +117,25 @@ fn parse_duration(text: &str) -> Result<Duration, String> {
         return Duration::try_from_secs_f64(seconds).map_err(|cause| cause.to_string());
     }
     humantime::parse_duration(text).map_err(|cause| format!("{cause} (for example 5s or 250ms)"))
+}
+
+/// `a:b`: two whole numbers from 1 to 100.
+pub(crate) fn ratio(text: &str) -> Result<Ratio, String> {
+    let part = |part: &str| part.trim().parse().ok().filter(|n| (1..=100).contains(n));
+    let parts = text.split_once(':').map(|(a, b)| [a, b].map(part));
+    match parts {
+        Some([Some(a), Some(b)]) => Ok([a, b]),
+        _ => Err("expected two whole numbers from 1 to 100, for example 3:2".to_owned()),
+    }
+}
+
+/// The name of a plane.
+pub(crate) fn plane() -> impl TypedValueParser<Value = FigurePlane> {
+    PossibleValuesParser::new(["xy", "xz", "yz"]).map(|name| match &*name {
+        "xz" => FigurePlane::Xz,
+        "yz" => FigurePlane::Yz,
+        _ => FigurePlane::Xy,
+    })
 }
 
 /// The name of a way to interpolate.

@@ -95,7 +95,7 @@ fn run(daemon: &Daemon, line: &str) -> Result<(), String> {
     if line.starts_with("cdcrctl reset") {
         place.cdcrctl(&["stop"]);
     }
-    let goes_on = ["--watch", "--follow", "telemetry --rate"];
+    let goes_on = ["--watch", "--follow", "telemetry --rate", "--udp"];
     let mut program = if goes_on.iter().any(|option| line.contains(option)) {
         let program = shell(place, &format!("exec {line}"));
         // For a while: a handler that a library has for a moment, while it connects, is not that of the program.
@@ -173,8 +173,12 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     let daemon = Daemon::start(PATIENT);
     let folder = daemon.place().folder();
     fs::create_dir(folder.join("configs")).unwrap();
-    for file in ["path.csv", "configs/path.csv"] {
-        fs::copy(root().join("configs/path.csv"), folder.join(file)).unwrap();
+    for (from, file) in [
+        ("configs/path.csv", "path.csv"),
+        ("configs/path.csv", "configs/path.csv"),
+        ("configs/scene.json", "configs/scene.json"),
+    ] {
+        fs::copy(root().join(from), folder.join(file)).unwrap();
     }
     for example in examples {
         // Once more, where the machine stalled for longer than a reference is sent ahead.

@@ -19,6 +19,7 @@ mod obstacles;
 mod program;
 mod reconnect;
 mod replay;
+mod scenes;
 mod silence;
 mod strangers;
 mod timing;

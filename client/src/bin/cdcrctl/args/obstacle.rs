@@ -1,3 +1,4 @@
+use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
@@ -39,6 +40,39 @@ pub(crate) enum ObstacleAction {
     /// Remove all obstacles
     #[command(after_help = "Example:\n  cdcrctl obstacle clear")]
     Clear,
+    /// Play a scene from a file: a JSON object for each change, one on each line, or an array as obstacle list prints it
+    ///
+    /// `{"time_s": 1.5, "id": 1, "start_m": [0.3, 0, 0.5], "radius_m": 0.02}` adds or moves an obstacle 1.5 s after the
+    /// beginning; `end_m` makes it a capsule; `velocity_m_s` and `lifetime_ns` are as obstacle list prints them, and
+    /// `{"time_s": 4, "remove": [1]}` removes some. Without `time_s`: at the beginning. Times never fall. All of it is checked
+    /// before anything is sent.
+    #[command(after_help = "Example:\n  cdcrctl obstacle file configs/scene.json")]
+    File(ObstacleFile),
+    /// Take obstacles from the standard input, one JSON object on each line, as they come
+    ///
+    /// Each line is as in a file. `measured_ns` may say when it held, in ns of `CLOCK_MONOTONIC` (`time.monotonic_ns()` in Python);
+    /// without it that is when the line came. `time_s` has no effect. A bad line ends it with an error; what came before stays known.
+    #[command(after_help = "Example:\n  camera.py | cdcrctl obstacle stdin\n  \
+        echo '{\"id\": 1, \"start_m\": [0.3, 0, 0.5], \"radius_m\": 0.02}' | cdcrctl obstacle stdin")]
+    Stdin(ObstacleStdin),
+}
+
+/// A scene.
+#[derive(Debug, Args)]
+pub(crate) struct ObstacleFile {
+    /// The file
+    pub(crate) path: PathBuf,
+    /// Accept obstacles that are far away or contain the base: the numbers are in m
+    #[arg(long)]
+    pub(crate) far: bool,
+}
+
+/// Obstacles from elsewhere.
+#[derive(Debug, Args)]
+pub(crate) struct ObstacleStdin {
+    /// Accept obstacles that are far away or contain the base: the numbers are in m
+    #[arg(long)]
+    pub(crate) far: bool,
 }
 
 /// How to show the obstacles.

@@ -1,6 +1,7 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use cdcr_client::FigurePlane;
 use cdcr_shared_types::codes::Interpolation;
 use clap::{Args, Subcommand};
 
@@ -25,12 +26,31 @@ pub(crate) enum Curve {
     /// The paper's circle, §4.3
     #[command(after_help = "Example:\n  cdcrctl ref circle --radius 0.1 --rate 2 --track")]
     Circle(CircleOptions),
+    /// A screw line around an axis, there and back again
+    #[command(
+        after_help = "Example:\n  cdcrctl ref helix --turns 2 --rise 0.05 --speed 0.2 --repeat 2 --track"
+    )]
+    Helix(HelixOptions),
+    /// Two sine waves across each other: a figure eight by default
+    #[command(
+        after_help = "Example:\n  cdcrctl ref lissajous --ratio 3:2 --plane xz --speed 0.1 --dry-run"
+    )]
+    Lissajous(LissajousOptions),
+    /// A rose, r = cos(k φ), through its centre again and again
+    #[command(after_help = "Example:\n  cdcrctl ref rose --petals 3 --speed 0.1 --track")]
+    Rose(RoseOptions),
+    /// A regular polygon, corners and all
+    #[command(after_help = "Example:\n  cdcrctl ref polygon --corners 3 --radius 0.05 --track")]
+    Polygon(PolygonOptions),
     /// A CSV file with the columns `t_s,x_m,y_m,z_m[,qx,qy,qz,qw]`
     ///
     /// With the orientation qx,qy,qz,qw, a unit quaternion, the tip turns, too, as much as the
     /// orientation weight of the daemon asks for.
     #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
     File(FileOptions),
+    /// The same from the standard input: it is read to its end and checked before anything is sent
+    #[command(after_help = "Example:\n  make_path.py | cdcrctl ref stdin --track")]
+    Stdin(StdinOptions),
 }
 
 /// How any reference is fed.
@@ -114,6 +134,78 @@ pub(crate) struct CircleOptions {
     pub(crate) rate: f64,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}
+
+/// Where a figure is, how large, and how fast.
+#[derive(Debug, Args)]
+pub(crate) struct FigureArguments {
+    /// Its centre, in m [default: on the axis, at 85 % of the robot's length]
+    #[arg(long, value_name = "X,Y,Z", value_parser = value::vector, allow_hyphen_values = true)]
+    pub(crate) centre: Option<Vector>,
+    /// From its centre to its outermost points in m, along each axis for lissajous [default: 10 % of the robot's length]
+    #[arg(long, value_name = "M", value_parser = value::positive)]
+    pub(crate) radius: Option<f64>,
+    /// Two axes of the base frame that it is drawn in; a helix rises along the third
+    #[arg(long, value_parser = value::plane(), default_value = "xy")]
+    pub(crate) plane: FigurePlane,
+    /// How fast the tip goes, in m/s, the same everywhere
+    #[arg(long, value_name = "M/S", value_parser = value::positive, default_value = "0.05")]
+    pub(crate) speed: f64,
+    /// How often it is gone through
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1)]
+    pub(crate) repeat: u32,
+    #[command(flatten)]
+    pub(crate) feed: FeedArguments,
+}
+
+/// Options of the helix.
+#[derive(Debug, Args)]
+pub(crate) struct HelixOptions {
+    /// Turns from end to end
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 3)]
+    pub(crate) turns: u32,
+    /// From end to end, in m; negative: the other way [default: the radius]
+    #[arg(long, value_name = "M", value_parser = value::number, allow_hyphen_values = true)]
+    pub(crate) rise: Option<f64>,
+    #[command(flatten)]
+    pub(crate) figure: FigureArguments,
+}
+
+/// Options of Lissajous' figures.
+#[derive(Debug, Args)]
+pub(crate) struct LissajousOptions {
+    /// Waves along the first axis and along the second in a round, 1 to 100
+    #[arg(long, value_name = "A:B", value_parser = value::ratio, default_value = "1:2")]
+    pub(crate) ratio: value::Ratio,
+    #[command(flatten)]
+    pub(crate) figure: FigureArguments,
+}
+
+/// Options of the rose.
+#[derive(Debug, Args)]
+pub(crate) struct RoseOptions {
+    /// k: so many petals where it is odd, twice as many where it is even
+    #[arg(long, value_name = "K", value_parser = clap::value_parser!(u32).range(1..=100), default_value_t = 5)]
+    pub(crate) petals: u32,
+    #[command(flatten)]
+    pub(crate) figure: FigureArguments,
+}
+
+/// Options of the polygon.
+#[derive(Debug, Args)]
+pub(crate) struct PolygonOptions {
+    /// How many corners it has
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(3..=100), default_value_t = 4)]
+    pub(crate) corners: u32,
+    #[command(flatten)]
+    pub(crate) figure: FigureArguments,
+}
+
+/// Options of the standard input.
+#[derive(Debug, Args)]
+pub(crate) struct StdinOptions {
     #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }

@@ -1,9 +1,11 @@
 //! Prints messages as they pass.
 
+pub(crate) mod field;
 pub(crate) mod json;
 pub(crate) mod line;
 
 use std::io::Write;
+use std::ops::ControlFlow;
 use std::time::{Duration, Instant};
 
 use cdcr_client::{Connection, Message, Stream};
@@ -20,93 +22,127 @@ const QUIET: Duration = Duration::from_secs(1);
 const LOOK: Duration = Duration::from_millis(100);
 
 /// How one kind of message is printed.
-struct Look<T> {
+pub(crate) struct Look<T> {
     heading: &'static str,
     line: fn(&T) -> String,
 }
 
-pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done> {
-    let connection = target.connect()?;
-    match options.topic {
+/// What is done with the messages of a service.
+pub(crate) trait Watch {
+    /// Until there is enough of them.
+    fn watch<T: Message + Struct>(
+        &self,
+        connection: &Connection,
+        stream: Stream<T>,
+        look: &Look<T>,
+    ) -> anyhow::Result<Done>;
+}
+
+/// Gives the messages of a topic to `watch`.
+pub(crate) fn watch(target: &Target, topic: Topic, watch: &impl Watch) -> anyhow::Result<Done> {
+    let connection = &target.connect()?;
+    match topic {
         Topic::Telemetry => {
-            let look = Look {
-                heading: line::TELEMETRY_HEADING,
-                line: line::telemetry,
-            };
-            print_all(&connection, connection.telemetry()?, options, &look)
+            let look = Look::new(line::TELEMETRY_HEADING, line::telemetry);
+            watch.watch(connection, connection.telemetry()?, &look)
         }
         Topic::Command => {
-            let look = Look {
-                heading: line::COMMAND_HEADING,
-                line: line::command,
-            };
-            print_all(&connection, connection.commands()?, options, &look)
+            let look = Look::new(line::COMMAND_HEADING, line::command);
+            watch.watch(connection, connection.commands()?, &look)
         }
         Topic::Status => {
-            let look = Look {
-                heading: line::STATUS_HEADING,
-                line: line::status,
-            };
-            print_all(&connection, connection.statuses()?, options, &look)
+            let look = Look::new(line::STATUS_HEADING, line::status);
+            watch.watch(connection, connection.statuses()?, &look)
         }
         Topic::Incidents => {
-            let look = Look {
-                heading: line::INCIDENT_HEADING,
-                line: line::incident,
-            };
-            print_all(&connection, connection.incidents()?, options, &look)
+            let look = Look::new(line::INCIDENT_HEADING, line::incident);
+            watch.watch(connection, connection.incidents()?, &look)
         }
         Topic::Reference => {
-            let look = Look {
-                heading: line::REFERENCE_HEADING,
-                line: line::reference,
-            };
-            print_all(&connection, connection.references()?, options, &look)
+            let look = Look::new(line::REFERENCE_HEADING, line::reference);
+            watch.watch(connection, connection.references()?, &look)
         }
         Topic::Obstacles => {
-            let look = Look {
-                heading: line::OBSTACLES_HEADING,
-                line: line::obstacles,
-            };
-            print_all(&connection, connection.obstacle_updates()?, options, &look)
+            let look = Look::new(line::OBSTACLES_HEADING, line::obstacles);
+            watch.watch(connection, connection.obstacle_updates()?, &look)
         }
     }
 }
 
-fn print_all<T: Message + Struct>(
+/// Gives each message to `take`, and `None` now and then where none comes, until that says that it is enough, or an interrupt.
+pub(crate) fn each<T: Message>(
     connection: &Connection,
-    mut stream: Stream<T>,
-    options: &EchoOptions,
-    look: &Look<T>,
-) -> anyhow::Result<Done> {
+    stream: &mut Stream<T>,
+    mut take: impl FnMut(Option<&T>) -> anyhow::Result<ControlFlow<()>>,
+) -> anyhow::Result<()> {
     let interrupt = Interrupt::catch()?;
-    let mut out = std::io::stdout().lock();
-    if options.format == Format::Text {
-        writeln!(out, "{}", look.heading)?;
-    }
-    let mut pace = Pace::new(options.rate);
-    let mut printed = 0;
     let mut heard = Instant::now();
-    while !interrupt.is_raised() && options.count.is_none_or(|count| printed < count) {
-        let Some(message) = stream.next_within(LOOK)? else {
-            if heard.elapsed() > QUIET {
-                connection.status(QUIET)?;
-                heard = Instant::now();
-            }
-            continue;
-        };
-        heard = Instant::now();
-        if pace.is_due(heard) {
-            match options.format {
-                Format::Text => writeln!(out, "{}", (look.line)(&message))?,
-                Format::Json => writeln!(out, "{}", json::message(&message))?,
-            }
-            out.flush()?;
-            printed += 1;
+    while !interrupt.is_raised() {
+        let message = stream.next_within(LOOK)?;
+        if message.is_some() {
+            heard = Instant::now();
+        } else if heard.elapsed() > QUIET {
+            connection.status(QUIET)?;
+            heard = Instant::now();
+        }
+        if take(message.as_ref())?.is_break() {
+            break;
         }
     }
-    warn_of_loss(T::SERVICE, stream.lost());
-    Ok(Done::Good)
+    Ok(())
+}
+
+pub(crate) fn run(target: &Target, options: &EchoOptions) -> anyhow::Result<Done> {
+    watch(target, options.topic, options)
+}
+
+impl Watch for EchoOptions {
+    fn watch<T: Message + Struct>(
+        &self,
+        connection: &Connection,
+        mut stream: Stream<T>,
+        look: &Look<T>,
+    ) -> anyhow::Result<Done> {
+        let mut out = std::io::stdout().lock();
+        if self.format == Format::Text {
+            let fields = self.field.join("\t");
+            let heading = if fields.is_empty() {
+                look.heading
+            } else {
+                &fields
+            };
+            writeln!(out, "{heading}")?;
+        }
+        let mut pace = Pace::new(self.rate);
+        let mut printed = 0;
+        each(connection, &mut stream, |message| {
+            let Some(message) = message.filter(|_| pace.is_due(Instant::now())) else {
+                return Ok(ControlFlow::Continue(()));
+            };
+            let shown = match (self.format, &*self.field) {
+                (Format::Text, []) => (look.line)(message),
+                (Format::Text, fields) => field::line(&json::message(message), fields)?,
+                (Format::Json, []) => json::message(message).to_string(),
+                (Format::Json, fields) => field::of(&json::message(message), fields)?.to_string(),
+            };
+            writeln!(out, "{shown}")?;
+            out.flush()?;
+            printed += 1;
+            Ok(if self.count == Some(printed) {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            })
+        })?;
+        warn_of_loss(T::SERVICE, stream.lost());
+        Ok(Done::Good)
+    }
+}
+
+impl<T> Look<T> {
+    fn new(heading: &'static str, line: fn(&T) -> String) -> Self {
+        Self { heading, line }
+    }
 }
 
 fn warn_of_loss(service: Service, lost: u64) {
@@ -119,13 +155,13 @@ fn warn_of_loss(service: Service, lost: u64) {
 }
 
 /// Lets at most so many messages a second through.
-struct Pace {
+pub(crate) struct Pace {
     every: Duration,
     next: Option<Instant>,
 }
 
 impl Pace {
-    fn new(rate_hz: Option<f64>) -> Self {
+    pub(crate) fn new(rate_hz: Option<f64>) -> Self {
         // Slower than once a day is once a day.
         let period_s = rate_hz.map_or(0.0, |rate_hz| (1.0 / rate_hz).min(86_400.0));
         Self {
@@ -134,7 +170,7 @@ impl Pace {
         }
     }
 
-    fn is_due(&mut self, now: Instant) -> bool {
+    pub(crate) fn is_due(&mut self, now: Instant) -> bool {
         let due = self.next.is_none_or(|next| now >= next);
         if due {
             // On a grid, so that the average rate is right; never a burst after a pause.

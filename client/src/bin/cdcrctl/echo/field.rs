@@ -1,0 +1,108 @@
+//! Fields of a message by their paths: names and numbers of elements, with points between.
+
+use anyhow::{Context, bail};
+use serde_json::{Map, Value};
+
+/// The value at `path`; null for an element that is not used.
+fn get<'a>(message: &'a Value, path: &str) -> anyhow::Result<&'a Value> {
+    let mut value = message;
+    for part in path.split('.') {
+        value = match value {
+            Value::Object(fields) => {
+                let field = fields.get(part).with_context(|| {
+                    let names: Vec<_> = fields.keys().map(String::as_str).collect();
+                    let names = names.join(", ");
+                    format!("there is no field {part:?} in --field {path}; there are {names}")
+                });
+                field?
+            }
+            Value::Array(elements) => match part.parse::<usize>() {
+                Ok(index) => elements.get(index).unwrap_or(&Value::Null),
+                Err(_) => bail!("{part:?} in --field {path} is no number of an element, from 0"),
+            },
+            Value::Null => value,
+            _ => bail!("--field {path} goes on beyond a value, at {part:?}"),
+        };
+    }
+    Ok(value)
+}
+
+/// The values at some paths, each under its path.
+pub(crate) fn of(message: &Value, paths: &[String]) -> anyhow::Result<Value> {
+    let mut found = Map::new();
+    for path in paths {
+        found.insert(path.clone(), get(message, path)?.clone());
+    }
+    Ok(Value::Object(found))
+}
+
+/// The same as one line of text, with tabulators between.
+pub(super) fn line(message: &Value, paths: &[String]) -> anyhow::Result<String> {
+    let mut words = Vec::new();
+    for path in paths {
+        words.push(match get(message, path)? {
+            Value::String(text) => text.clone(),
+            value => value.to_string(),
+        });
+    }
+    Ok(words.join("\t"))
+}
+
+/// Without what is null, NaN and infinite numbers above all: a plotter has no point there. `None`: nothing is left.
+pub(crate) fn without_null(value: Value) -> Option<Value> {
+    match value {
+        Value::Null => None,
+        Value::Object(fields) => {
+            let fields = fields.into_iter();
+            let left: Map<_, _> = fields
+                .filter_map(|(name, value)| Some((name, without_null(value)?)))
+                .collect();
+            (!left.is_empty()).then_some(Value::Object(left))
+        }
+        // The place of an element is its name: what comes after a gap would move up.
+        Value::Array(elements) if elements.iter().any(Value::is_null) => {
+            let named = elements.into_iter().enumerate();
+            let named = named.map(|(index, value)| (index.to_string(), value));
+            without_null(Value::Object(named.collect()))
+        }
+        value => Some(value),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn paths(paths: &[&str]) -> Vec<String> {
+        paths.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn a_path_leads_to_its_value_or_says_what_there_is() {
+        let message =
+            json!({"cycle": 7, "mode": "tracking", "tip": [1.0, null], "report": {"cost": 2.5}});
+        let good = paths(&["cycle", "mode", "tip.1", "tip.9", "report.cost", "tip"]);
+        let shown = line(&message, &good).expect("known");
+        assert_eq!(shown, "7\ttracking\tnull\tnull\t2.5\t[1.0,null]");
+        let found = of(&message, &paths(&["tip.0", "report"])).expect("known");
+        assert_eq!(found, json!({"tip.0": 1.0, "report": {"cost": 2.5}}));
+        for (bad, part) in [
+            ("cycles", "there are cycle, mode, tip, report"),
+            ("report.costs", "there are cost"),
+            ("tip.x", "number of an element"),
+            ("cycle.0", "beyond a value"),
+        ] {
+            let error = of(&message, &paths(&[bad])).expect_err(bad).to_string();
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_null_is_absent() {
+        let value = json!({"a": null, "b": [1, null, 3], "c": {"d": null}, "e": [1, 2]});
+        let left = json!({"b": {"0": 1, "2": 3}, "e": [1, 2]});
+        assert_eq!(without_null(value), Some(left));
+        assert_eq!(without_null(json!({"a": [null]})), None);
+    }
+}

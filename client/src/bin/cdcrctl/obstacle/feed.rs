@@ -1,0 +1,201 @@
+//! Obstacles that come from elsewhere: a file that describes a scene, or lines on the standard input.
+
+use std::io::{BufRead, Write};
+use std::path::Path;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
+use std::thread::{self, sleep};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, anyhow, bail};
+use cdcr_client::{Connection, ObstacleSender, TelemetryStream, monotonic_ns};
+use cdcr_shared_types::limits::OBSTACLES_MAX;
+use cdcr_shared_types::{Header, Obstacle};
+
+use super::scene::{self, Change, What};
+use super::{TIMEOUT, accepted, check};
+use crate::Done;
+use crate::interrupt::Interrupt;
+
+/// How often an interrupt is looked for.
+const LOOK: Duration = Duration::from_millis(50);
+/// Lines that wait to be sent, at most: a faster writer waits.
+const WAITING: usize = 1024;
+
+/// What was read of the standard input: a change with the time at which it came, or what is wrong.
+type Read = Result<Change, String>;
+
+/// Sends changes, and counts them.
+struct Feed {
+    sender: ObstacleSender,
+    telemetry: TelemetryStream,
+    changes: usize,
+    known: u32,
+}
+
+/// `cdcrctl obstacle file PATH`: each change at its time. All of it is checked first.
+pub(super) fn file(connection: &Connection, path: &Path, far: bool) -> anyhow::Result<Done> {
+    let name = path.display();
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {name}"))?;
+    let changes = scene::parse(&text).map_err(|cause| anyhow!("{name}: {cause}"))?;
+    if changes.is_empty() {
+        bail!("{name} has no obstacle");
+    }
+    let status = connection.status(TIMEOUT)?;
+    for change in &changes {
+        if let What::Upsert(obstacle) = &change.what {
+            check(obstacle, &status, far, true)
+                .with_context(|| format!("{name}: line {}", change.number))?;
+        }
+    }
+    let interrupt = Interrupt::catch()?;
+    let mut feed = Feed::new(connection)?;
+    let begin = Instant::now();
+    for together in changes.chunk_by(|one, next| one.time_s == next.time_s) {
+        let due = Duration::from_secs_f64(together[0].time_s);
+        while let Some(left) = due.checked_sub(begin.elapsed()).filter(|d| !d.is_zero()) {
+            if interrupt.is_raised() {
+                return feed.end(Done::Interrupted);
+            }
+            sleep(left.min(LOOK));
+        }
+        // Where they were when the scene was written down is where they are when it is played.
+        let mut now = together.to_vec();
+        for change in &mut now {
+            change.stamp(monotonic_ns());
+        }
+        feed.send(&now)?;
+    }
+    feed.end(Done::Good)
+}
+
+/// `cdcrctl obstacle stdin`: each line as it comes, those that wait together.
+pub(super) fn stdin(connection: &Connection, far: bool) -> anyhow::Result<Done> {
+    let status = connection.status(TIMEOUT)?;
+    let interrupt = Interrupt::catch()?;
+    let mut feed = Feed::new(connection)?;
+    let lines = read_lines();
+    loop {
+        let first = match lines.recv_timeout(LOOK) {
+            Ok(first) => first,
+            Err(RecvTimeoutError::Disconnected) => return feed.end(Done::Good),
+            Err(RecvTimeoutError::Timeout) => {
+                if interrupt.is_raised() {
+                    return feed.end(Done::Interrupted);
+                }
+                feed.check_daemon(connection)?;
+                continue;
+            }
+        };
+        let waiting = lines.try_iter().take(OBSTACLES_MAX - 1);
+        let mut together = Vec::new();
+        let mut bad = None;
+        for read in std::iter::once(first).chain(waiting) {
+            let checked = read.and_then(|change| match &change.what {
+                What::Upsert(obstacle) => check(obstacle, &status, far, false)
+                    .map(|()| change.clone())
+                    .map_err(|cause| format!("line {}: {cause:#}", change.number)),
+                What::Remove(_) => Ok(change),
+            });
+            match checked {
+                Ok(change) => together.push(change),
+                Err(cause) => {
+                    bad = Some(cause);
+                    break;
+                }
+            }
+        }
+        feed.send(&together)?;
+        if let Some(cause) = bad {
+            let sent = feed.changes;
+            bail!("standard input: {cause}\nwhat came before stays as it is: {sent} changes");
+        }
+    }
+}
+
+/// Lines as a thread reads them, so that an interrupt or a daemon that goes is noticed meanwhile.
+fn read_lines() -> Receiver<Read> {
+    let (send, receive) = mpsc::sync_channel(WAITING);
+    thread::spawn(move || {
+        for (index, line) in std::io::stdin().lock().lines().enumerate() {
+            let line = line.map_err(|cause| format!("line {}: {cause}", index + 1));
+            let read = match line.and_then(|line| scene::parse_line(index + 1, &line)) {
+                Ok(None) => continue,
+                Ok(Some(mut change)) => {
+                    change.stamp_where_none(monotonic_ns());
+                    Ok(change)
+                }
+                Err(cause) => Err(cause),
+            };
+            if send.send(read).is_err() {
+                break;
+            }
+        }
+    });
+    receive
+}
+
+impl Feed {
+    fn new(connection: &Connection) -> anyhow::Result<Self> {
+        Ok(Self {
+            telemetry: connection.telemetry()?,
+            sender: connection.obstacle_sender()?,
+            changes: 0,
+            known: 0,
+        })
+    }
+
+    /// In their order, as few messages as that takes.
+    fn send(&mut self, changes: &[Change]) -> anyhow::Result<()> {
+        let is_same = |one: &Change, next: &Change| {
+            matches!((&one.what, &next.what), (What::Upsert(_), What::Upsert(_)))
+        };
+        for group in changes.chunk_by(is_same) {
+            if let What::Remove(ids) = &group[0].what {
+                let header = self.sender.remove(ids)?;
+                self.note(&header, group)?;
+                continue;
+            }
+            for some in group.chunks(OBSTACLES_MAX) {
+                let obstacle = |change: &Change| match &change.what {
+                    What::Upsert(obstacle) => Some(*obstacle),
+                    What::Remove(_) => None,
+                };
+                let obstacles: Vec<Obstacle> = some.iter().filter_map(obstacle).collect();
+                let header = self.sender.upsert(&obstacles)?;
+                self.note(&header, some)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn note(&mut self, header: &Header, sent: &[Change]) -> anyhow::Result<()> {
+        let lines = || match sent {
+            [one] => format!("line {}", one.number),
+            _ => format!(
+                "lines {} to {}",
+                sent[0].number,
+                sent[sent.len() - 1].number
+            ),
+        };
+        self.known = accepted(&mut self.telemetry, header).with_context(lines)?;
+        self.changes += sent.len();
+        Ok(())
+    }
+
+    /// Fails where no cycle was heard of for a while and the daemon is gone.
+    fn check_daemon(&mut self, connection: &Connection) -> anyhow::Result<()> {
+        if self.telemetry.next_within(LOOK)?.is_none() {
+            connection.status(TIMEOUT)?;
+        }
+        Ok(())
+    }
+
+    fn end(&self, done: Done) -> anyhow::Result<Done> {
+        let (changes, known) = (self.changes, self.known);
+        writeln!(
+            std::io::stdout(),
+            "obstacles: {changes} changes accepted, {known} known to the daemon now"
+        )?;
+        Ok(done)
+    }
+}

@@ -1,0 +1,254 @@
+//! Obstacles as JSON: what `obstacle list --format json` prints, and what `obstacle file` and `obstacle stdin` take.
+
+use cdcr_shared_types::Obstacle;
+use cdcr_shared_types::codes::ObstacleShape;
+use serde::Deserialize;
+use serde_json::Value;
+
+/// A time in a scene is a day at most \[s\].
+const TIME_MAX_S: f64 = 86_400.0;
+
+/// One change of a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Change {
+    /// Of the line, or of the element of an array, from 1.
+    pub(super) number: usize,
+    /// When, after the scene began \[s\].
+    pub(super) time_s: f64,
+    pub(super) what: What,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum What {
+    Upsert(Obstacle),
+    Remove(Vec<u32>),
+}
+
+impl Change {
+    /// It holds at this time \[ns\].
+    pub(super) fn stamp(&mut self, measured_ns: u64) {
+        if let What::Upsert(obstacle) = &mut self.what {
+            obstacle.measured_ns = measured_ns;
+        }
+    }
+
+    /// The same, where it says nothing itself.
+    pub(super) fn stamp_where_none(&mut self, measured_ns: u64) {
+        if matches!(&self.what, What::Upsert(obstacle) if obstacle.measured_ns == 0) {
+            self.stamp(measured_ns);
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Known {
+    #[serde(default)]
+    time_s: f64,
+    id: u32,
+    #[serde(default)]
+    shape: Option<String>,
+    start_m: [f64; 3],
+    #[serde(default)]
+    end_m: Option<[f64; 3]>,
+    radius_m: f64,
+    #[serde(default)]
+    velocity_m_s: [f64; 3],
+    #[serde(default)]
+    measured_ns: u64,
+    #[serde(default)]
+    lifetime_ns: u64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Removed {
+    #[serde(default)]
+    time_s: f64,
+    remove: Vec<u32>,
+}
+
+/// A whole scene: an object on each line, or an array of them. Times never fall.
+pub(super) fn parse(text: &str) -> Result<Vec<Change>, String> {
+    let changes: Vec<Change> = if text.trim_start().starts_with('[') {
+        let all: Vec<Value> = serde_json::from_str(text).map_err(|cause| cause.to_string())?;
+        let elements = all.into_iter().enumerate();
+        let changes = elements.map(|(index, value)| {
+            change(index + 1, value).map_err(|cause| format!("element {}: {cause}", index + 1))
+        });
+        changes.collect::<Result<_, _>>()?
+    } else {
+        let lines = text.lines().enumerate();
+        let changes = lines.filter_map(|(index, line)| parse_line(index + 1, line).transpose());
+        changes.collect::<Result<_, _>>()?
+    };
+    let falls = |pair: &&[Change]| pair[1].time_s < pair[0].time_s;
+    match changes.windows(2).find(falls) {
+        Some([before, after]) => Err(format!(
+            "line {}: time_s = {} is before that of line {}, {}",
+            after.number, after.time_s, before.number, before.time_s
+        )),
+        _ => Ok(changes),
+    }
+}
+
+/// One line; `None`: it is empty.
+pub(super) fn parse_line(number: usize, line: &str) -> Result<Option<Change>, String> {
+    if line.trim().is_empty() {
+        return Ok(None);
+    }
+    let value = serde_json::from_str(line).map_err(|cause| cause.to_string());
+    value
+        .and_then(|value| change(number, value))
+        .map(Some)
+        .map_err(|cause| format!("line {number}: {cause}"))
+}
+
+fn change(number: usize, value: Value) -> Result<Change, String> {
+    let is_removal = value.get("remove").is_some();
+    let (time_s, what) = if is_removal {
+        let removed: Removed = read(value)?;
+        (removed.time_s, What::Remove(removed.remove))
+    } else {
+        let known: Known = read(value)?;
+        (known.time_s, What::Upsert(obstacle(&known)?))
+    };
+    if !(0.0..=TIME_MAX_S).contains(&time_s) {
+        return Err(format!("time_s = {time_s} is not 0 to {TIME_MAX_S} s"));
+    }
+    Ok(Change {
+        number,
+        time_s,
+        what,
+    })
+}
+
+fn read<T: for<'de> Deserialize<'de>>(value: Value) -> Result<T, String> {
+    serde_json::from_value(value).map_err(|cause| {
+        format!(
+            "{cause}; an obstacle is {{\"id\": 1, \"start_m\": [x, y, z], \"radius_m\": r}}, perhaps with end_m (a capsule), \
+             velocity_m_s, lifetime_ns, measured_ns and time_s; {{\"remove\": [1, 2]}} removes some"
+        )
+    })
+}
+
+fn obstacle(known: &Known) -> Result<Obstacle, String> {
+    let shape = match known.shape.as_deref() {
+        None if known.end_m.is_some() => ObstacleShape::Capsule,
+        None => ObstacleShape::Sphere,
+        Some(name) => *ObstacleShape::ALL
+            .iter()
+            .find(|shape| shape.text() == name)
+            .ok_or_else(|| format!("shape = {name:?} is neither sphere nor capsule"))?,
+    };
+    if shape == ObstacleShape::Capsule && known.end_m.is_none() {
+        return Err("a capsule needs end_m".to_owned());
+    }
+    Ok(Obstacle {
+        id: known.id,
+        shape: shape.code(),
+        start_m: known.start_m,
+        end_m: known.end_m.unwrap_or(known.start_m),
+        radius_m: known.radius_m,
+        velocity_m_s: known.velocity_m_s,
+        measured_ns: known.measured_ns,
+        lifetime_ns: known.lifetime_ns,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::echo::json;
+
+    #[test]
+    fn what_the_list_prints_is_taken() {
+        let sphere = Obstacle {
+            id: 1,
+            start_m: [0.1, 0.2, -0.3],
+            end_m: [0.1, 0.2, -0.3],
+            radius_m: 0.02,
+            velocity_m_s: [0.0, 0.01, 0.0],
+            measured_ns: 77,
+            lifetime_ns: 5,
+            ..Obstacle::default()
+        };
+        let capsule = Obstacle {
+            id: 2,
+            shape: ObstacleShape::Capsule.code(),
+            end_m: [0.5, 0.0, 0.1],
+            ..sphere
+        };
+        let all = [sphere, capsule];
+        let rows = all.map(|one| json::message(&one));
+        let lines = rows.clone().map(|row| row.to_string()).join("\n\n");
+        let array = serde_json::to_string_pretty(&rows).expect("JSON");
+        for text in [lines, array] {
+            let changes = parse(&text).expect("legal");
+            let read: Vec<_> = changes.into_iter().map(|change| change.what).collect();
+            assert_eq!(read, all.map(What::Upsert));
+        }
+    }
+
+    #[test]
+    fn little_is_enough_and_some_go_again() {
+        let text = "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 0.1}\n\
+            {\"time_s\": 1.5, \"id\": 3, \"start_m\": [0, 0, 1], \"end_m\": [0, 1, 1], \"radius_m\": 0.1}\n\
+            {\"time_s\": 2, \"remove\": [3]}";
+        let changes = parse(text).expect("legal");
+        let times_s: Vec<_> = changes.iter().map(|change| change.time_s).collect();
+        assert_eq!(times_s, [0.0, 1.5, 2.0]);
+        let shapes = changes.iter().filter_map(|change| match &change.what {
+            What::Upsert(obstacle) => Some(ObstacleShape::text_of(obstacle.shape)),
+            What::Remove(ids) => {
+                assert_eq!(ids, &[3]);
+                None
+            }
+        });
+        assert_eq!(shapes.collect::<Vec<_>>(), ["sphere", "capsule"]);
+    }
+
+    #[test]
+    fn a_bad_line_is_named_with_its_reason() {
+        let good = "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 0.1, \"time_s\": 1}\n";
+        for (bad, parts) in [
+            ("{\"id\": 3", &["line 3", "EOF"][..]),
+            (
+                "{\"id\": -3, \"start_m\": [0, 0, 1], \"radius_m\": 1}",
+                &["line 3", "-3"],
+            ),
+            (
+                "{\"id\": 3, \"start_m\": [0, 0], \"radius_m\": 1}",
+                &["line 3", "3"],
+            ),
+            (
+                "{\"id\": 3, \"radius_m\": 1}",
+                &["line 3", "start_m", "an obstacle is"],
+            ),
+            (
+                "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 1, \"r\": 2}",
+                &["line 3", "`r`"],
+            ),
+            (
+                "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 1, \"shape\": \"cube\"}",
+                &["line 3", "cube"],
+            ),
+            (
+                "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 1, \"shape\": \"capsule\"}",
+                &["end_m"],
+            ),
+            (
+                "{\"id\": 3, \"start_m\": [0, 0, 1], \"radius_m\": 1}",
+                &["line 3", "before that of line 1"],
+            ),
+            ("{\"remove\": [3], \"time_s\": -1}", &["line 3", "-1"]),
+            ("7", &["line 3", "an obstacle is"]),
+        ] {
+            let error = parse(&format!("{good}\n{bad}\n")).expect_err(bad);
+            for part in parts {
+                assert!(error.contains(part), "{bad}: {error}");
+            }
+        }
+        assert!(parse("[7]").expect_err("a number").contains("element 1"));
+    }
+}

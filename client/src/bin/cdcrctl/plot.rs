@@ -1,0 +1,117 @@
+//! Messages as JSON datagrams, for plotters that listen.
+
+use std::net::{ToSocketAddrs, UdpSocket};
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use cdcr_client::{Connection, Message, Stream};
+use cdcr_shared_types::message::Struct;
+use serde_json::{Value, json};
+
+use crate::Done;
+use crate::args::{PlotOptions, Target, Topic};
+use crate::echo::field::{of, without_null};
+use crate::echo::{Look, Pace, Watch, each, json, watch};
+
+/// A datagram is smaller than this, so that no listener cuts it off.
+const BYTES_MAX: usize = 2000;
+/// What of the telemetry is sent where nothing else is asked for.
+const TELEMETRY: [&str; 8] = [
+    "cycle",
+    "mode",
+    "tip_position_m",
+    "position_error_m",
+    "reference.position_m",
+    "bend_rad",
+    "command.bend_rate_rad_s",
+    "clearance_m",
+];
+
+pub(crate) fn run(target: &Target, options: &PlotOptions) -> anyhow::Result<Done> {
+    watch(target, options.topic, options)
+}
+
+impl Watch for PlotOptions {
+    fn watch<T: Message + Struct>(
+        &self,
+        connection: &Connection,
+        mut stream: Stream<T>,
+        _: &Look<T>,
+    ) -> anyhow::Result<Done> {
+        let to = self.udp.to_socket_addrs();
+        let to = to.ok().and_then(|mut all| all.next());
+        let to = to.with_context(|| format!("--udp {}: expected HOST:PORT", self.udp))?;
+        let any = if to.is_ipv4() { "0.0.0.0:0" } else { "[::]:0" };
+        let socket = UdpSocket::bind(any).context("cannot open a socket")?;
+        let fields = match (self.topic, &*self.field) {
+            (Topic::Telemetry, []) => TELEMETRY.map(str::to_owned).to_vec(),
+            (_, fields) => fields.to_vec(),
+        };
+        let mut pace = Pace::new(self.rate);
+        let mut sent = 0;
+        each(connection, &mut stream, |message| {
+            let Some(message) = message.filter(|_| pace.is_due(Instant::now())) else {
+                return Ok(ControlFlow::Continue(()));
+            };
+            let packet = packet(message.header().sent_ns, json::message(message), &fields)?;
+            // A plotter that does not listen yet is no error: there is nobody who answers.
+            let _ = socket.send_to(packet.as_bytes(), to);
+            sent += 1;
+            Ok(if self.count == Some(sent) {
+                ControlFlow::Break(())
+            } else {
+                ControlFlow::Continue(())
+            })
+        })?;
+        Ok(Done::Good)
+    }
+}
+
+/// One datagram: the fields, all where there are none, and the time in seconds.
+fn packet(sent_ns: u64, message: Value, fields: &[String]) -> anyhow::Result<String> {
+    let chosen = if fields.is_empty() {
+        message
+    } else {
+        of(&message, fields)?
+    };
+    let mut chosen = without_null(chosen).unwrap_or_else(|| json!({}));
+    chosen["timestamp"] = json!(sent_ns as f64 * 1e-9);
+    let text = chosen.to_string();
+    if text.len() >= BYTES_MAX {
+        bail!(
+            "a message takes {} bytes, and a datagram has less than {BYTES_MAX}: choose some fields with --field",
+            text.len()
+        );
+    }
+    Ok(text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use cdcr_shared_types::Telemetry;
+    use cdcr_shared_types::limits::SECTIONS_MAX;
+
+    #[test]
+    fn the_usual_fields_of_the_largest_robot_fit_and_nan_is_absent() {
+        let mut record = Telemetry {
+            position_error_m: f64::NAN,
+            clearance_m: f64::INFINITY,
+            bend_rad: [-1.234_567_890_123_456_7e-3; 2 * SECTIONS_MAX],
+            ..Telemetry::default()
+        };
+        record.command.sections = SECTIONS_MAX as u32;
+        record.command.bend_rate_rad_s = record.bend_rad;
+        let fields = TELEMETRY.map(str::to_owned);
+        let text = packet(2_500_000_000, json::message(&record), &fields).expect("it fits");
+        let value: Value = serde_json::from_str(&text).expect("JSON");
+        assert_eq!(value["timestamp"], 2.5);
+        assert_eq!(value["bend_rad"].as_array().map(Vec::len), Some(12));
+        for absent in ["position_error_m", "clearance_m"] {
+            assert!(value.get(absent).is_none(), "{text}");
+        }
+        let error = packet(0, json::message(&record), &[]).expect_err("too large");
+        assert!(error.to_string().contains("choose some fields"), "{error}");
+    }
+}

@@ -1,0 +1,167 @@
+//! What `cdcrctl` takes from formulas, files and pipes, figures to follow and scenes to keep away from, and what it gives to other programs.
+
+use std::io::Write;
+use std::net::UdpSocket;
+use std::process::{Child, Output, Stdio};
+
+use cdcr_tests::{Daemon, PATIENT, TIMEOUT, assert_says, wait_status};
+use serde_json::Value;
+
+/// Starts `cdcrctl` with a standard input that the test writes.
+fn piped(daemon: &Daemon, line: &str) -> Child {
+    let mut command = daemon.place().command("cdcrctl");
+    command.args(line.split(' ')).stdin(Stdio::piped());
+    command.stdout(Stdio::piped()).stderr(Stdio::piped());
+    command.spawn().unwrap()
+}
+
+fn write(child: &mut Child, text: &str) {
+    let mut stdin = child.stdin.as_ref().unwrap();
+    stdin.write_all(text.as_bytes()).unwrap();
+}
+
+/// Ends its standard input.
+fn ended(child: Child) -> Output {
+    child.wait_with_output().unwrap()
+}
+
+fn says(daemon: &Daemon, line: &str, status: i32, part: &str) -> String {
+    let line = format!("cdcrctl {line}");
+    daemon.place().says(&line, status, &[part])
+}
+
+#[test]
+fn figures_are_tried_and_followed() {
+    let daemon = Daemon::start(PATIENT);
+    for figure in [
+        "helix --turns 1 --rise 0.02 --repeat 2",
+        "lissajous --ratio 1:2 --plane xz",
+        "rose --petals 3 --plane yz",
+        "polygon",
+    ] {
+        let line = format!("ref {figure} --radius 0.02 --speed 0.15 --dry-run");
+        says(&daemon, &line, 0, "tip error");
+    }
+    says(
+        &daemon,
+        "ref polygon --radius 0.5 --speed 1 --dry-run",
+        1,
+        "not reachable: at",
+    );
+    let line =
+        "ref polygon --corners 3 --centre 0,0,0.88 --radius 0.01 --repeat 8 --track --lead 1s";
+    says(&daemon, line, 0, "tracked to its end");
+
+    let mut path = piped(&daemon, "ref stdin --track --lead 1s");
+    write(&mut path, "t_s,x_m,y_m,z_m\n0,0,0,0.89\n3,0,0.001,0.89\n");
+    assert_says(&ended(path), 0, &["standard input: 2 points"]);
+    let mut path = piped(&daemon, "ref stdin --track");
+    write(&mut path, "t_s,x_m,y_m,z_m\n0,0,0,0.89\n0,0,0.001,0.89\n");
+    assert_says(&ended(path), 1, &["standard input:3"]);
+}
+
+#[test]
+fn a_scene_is_played_from_a_file() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    let ball = r#""start_m": [0.5, 0, 0.5], "radius_m": 0.02"#;
+    let scene = format!(
+        "{{\"id\": 1, {ball}}}\n{{\"id\": 2, {ball}}}\n{{\"time_s\": 0.1, \"id\": 3, {ball}}}\n{{\"time_s\": 0.2, \"remove\": [1, 2]}}\n"
+    );
+    place.write("scene.json", &scene);
+    let played = "4 changes accepted, 1 known";
+    says(&daemon, "obstacle file scene.json", 0, played);
+    // What the list prints is a scene, too.
+    let list = says(&daemon, "obstacle list --format json", 0, "\"id\": 3");
+    place.write("list.json", &list);
+    says(&daemon, "obstacle clear", 0, "0 known");
+    says(&daemon, "obstacle file list.json", 0, "1 known");
+    // All is checked before anything is sent.
+    for (bad, part) in [
+        ("{\"id\": 5}\n", "line 5: missing field `start_m`"),
+        ("{\"remove\": [1]}\n", "line 5: time_s = 0 is before"),
+        (
+            "{\"time_s\": 1, \"id\": 5, \"start_m\": [500, 0, 0], \"radius_m\": 1}\n",
+            "line 5: the obstacle is 499.0 m away",
+        ),
+    ] {
+        place.write("bad.json", &format!("{scene}{bad}"));
+        says(&daemon, "obstacle file bad.json", 1, part);
+    }
+    place.write("empty.json", "\n");
+    says(&daemon, "obstacle file empty.json", 1, "no obstacle");
+    says(&daemon, "obstacle list", 0, "3  sphere");
+}
+
+#[test]
+fn obstacles_are_taken_as_a_program_writes_them() {
+    let mut daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut camera = piped(&daemon, "obstacle stdin");
+    for id in 1..=3_u32 {
+        let line = format!("{{\"id\": {id}, \"start_m\": [0.5, 0, 0.5], \"radius_m\": 0.02}}\n");
+        write(&mut camera, &line);
+        wait_status(&connection, |status| status.obstacle_count == id);
+    }
+    write(&mut camera, "\n{\"remove\": [1, 2]}\n");
+    assert_says(&ended(camera), 0, &["4 changes accepted", "1 known"]);
+
+    let mut camera = piped(&daemon, "obstacle stdin");
+    write(&mut camera, "{\"remove\": [3]}\n{\"id\": 7\n");
+    assert_says(&ended(camera), 1, &["standard input: line 2"]);
+    wait_status(&connection, |status| status.obstacle_count == 0);
+
+    // The daemon goes away while it waits for a line.
+    let mut camera = piped(&daemon, "obstacle stdin");
+    write(
+        &mut camera,
+        "{\"id\": 1, \"start_m\": [0.5, 0, 0.5], \"radius_m\": 0.02}\n",
+    );
+    wait_status(&connection, |status| status.obstacle_count == 1);
+    let stdin = camera.stdin.take();
+    daemon.stop();
+    let output = ended(camera);
+    drop(stdin);
+    assert_says(&output, 1, &["daemon"]);
+}
+
+#[test]
+fn messages_are_counted_cut_to_fields_and_sent_to_a_plotter() {
+    let daemon = Daemon::start(PATIENT);
+    let printed = says(&daemon, "hz status --count 1", 0, "messages/s");
+    let words: Vec<_> = printed.lines().nth(1).unwrap().split_whitespace().collect();
+    let rate_hz: f64 = words[0].parse().unwrap();
+    assert!(words.len() == 6 && rate_hz > 0.0, "{printed}");
+
+    let line =
+        "echo status --count 1 --field robot.sections.0.length_m --field robot.sections.9.name";
+    let sections = says(
+        &daemon,
+        line,
+        0,
+        "robot.sections.0.length_m\trobot.sections.9.name",
+    );
+    assert_eq!(sections.lines().nth(1), Some("0.3\tnull"), "{sections}");
+    let line = "echo telemetry --count 1 --field tip";
+    says(&daemon, line, 1, "there is no field \"tip\"");
+
+    let plotter = UdpSocket::bind("127.0.0.1:0").unwrap();
+    plotter.set_read_timeout(Some(TIMEOUT)).unwrap();
+    let line = format!("plot --count 3 --udp {}", plotter.local_addr().unwrap());
+    says(&daemon, &line, 0, "");
+    let mut packet = [0; 4096];
+    let mut last_s = 0.0;
+    for _ in 0..3 {
+        let length = plotter.recv(&mut packet).unwrap();
+        let value: Value = serde_json::from_slice(&packet[..length]).unwrap();
+        assert!(length < 2000 && value["tip_position_m"][2].as_f64() > Some(0.5));
+        // Nothing is followed, so there is no error.
+        assert!(value.get("position_error_m").is_none(), "{value}");
+        let time_s = value["timestamp"].as_f64().unwrap();
+        assert!(time_s > last_s);
+        last_s = time_s;
+    }
+    says(&daemon, "plot --udp nowhere", 1, "expected HOST:PORT");
+    let whole = "plot status --count 1 --udp 127.0.0.1:9";
+    says(&daemon, whole, 1, "choose some fields with --field");
+}
