@@ -19,7 +19,7 @@
 //!   [`Connection::status`] is the newest snapshot; [`Connection::incidents`] are the last bad cycles,
 //!   kept whole.
 //! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say;
-//!   `PlantDriver` is a simulated robot behind a driver.
+//!   `PlantDriver` is a simulated robot behind a driver; [`replay`] computes recorded cycles again.
 //! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
 //!   programs that do more than feed a curve.
 //!
@@ -83,6 +83,8 @@ mod outlet;
 mod plant_driver;
 mod reference_feed;
 mod remedy;
+#[cfg(feature = "model")]
+pub mod replay;
 mod request;
 mod requester;
 mod robot;

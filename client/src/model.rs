@@ -6,8 +6,10 @@ use cdcr_controller::reference;
 use cdcr_controller::robot::{
     Obstacle, Robot, RobotError, RobotParameters, SectionParameters, Shape,
 };
-use cdcr_shared_types::codes::{self, ObstacleShape, UnknownCode};
-use cdcr_shared_types::{RobotDescription, SectionDescription, SolverSettings};
+use cdcr_shared_types::codes::{self, ObstacleShape, OrientationKind, UnknownCode};
+use cdcr_shared_types::{
+    ReferenceChunk, ReferencePoint, RobotDescription, SectionDescription, SolverSettings,
+};
 use nalgebra::{Quaternion, Unit, UnitQuaternion};
 
 use crate::Orientation;
@@ -81,6 +83,30 @@ pub fn settings_of(settings: &SolverSettings) -> Result<NmpcSettings, UnknownCod
         rate_change_weight, terminal_weight, safe_distance_m, obstacle_step_penalty, obstacle_slope_penalty,
         obstacle_square_penalty, seed,
     })
+}
+
+/// The points of a reference chunk that a daemon accepted. None: of a chunk that no daemon accepts.
+pub fn reference_points(chunk: &ReferenceChunk) -> Option<Vec<reference::ReferencePoint>> {
+    let interpolation = match codes::Interpolation::try_from(chunk.interpolation).ok()? {
+        codes::Interpolation::Linear => reference::Interpolation::Linear,
+        codes::Interpolation::Cubic => reference::Interpolation::Cubic,
+    };
+    let used = chunk.points.get(..chunk.count as usize)?;
+    let point = |point: &ReferencePoint| {
+        let [x, y, z, _] = point.orientation;
+        let orientation = match OrientationKind::try_from(point.orientation_kind).ok()? {
+            OrientationKind::None => Orientation::Free,
+            OrientationKind::Axis => Orientation::Axis([x, y, z]),
+            OrientationKind::Full => Orientation::Full(point.orientation),
+        };
+        Some(reference::ReferencePoint {
+            time_ns: point.time_ns,
+            position_m: point.position_m.into(),
+            orientation: orientation_of(orientation),
+            interpolation,
+        })
+    };
+    used.iter().map(point).collect()
 }
 
 /// An orientation of a trajectory.

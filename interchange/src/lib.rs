@@ -5,9 +5,12 @@
 //! there is in every recording. Used lengths become sequences, texts become strings, reserved fields are left out; doubles keep
 //! their bits, so that a recording can be computed again.
 //!
+//! [`mcap`] is the container of recordings.
+//!
 //! Knows no service, no clock and no file.
 
 pub mod cdr;
+pub mod mcap;
 #[cfg(any(test, feature = "sample"))]
 pub mod sample;
 mod schema;

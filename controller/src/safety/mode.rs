@@ -210,6 +210,15 @@ pub struct ModeMachine {
 }
 
 impl ModeMachine {
+    /// A machine in this mode: to go on from a record. `lease_number`: of the reference that it tracks.
+    pub fn resumed(mode: Mode, lease_number: u32) -> Self {
+        Self {
+            mode,
+            tracked_lease: lease_number,
+            ..Self::default()
+        }
+    }
+
     /// The present mode.
     pub fn mode(&self) -> Mode {
         self.mode

@@ -2,6 +2,7 @@ mod calibrate;
 pub(crate) mod complete;
 mod obstacle;
 mod plant;
+mod recording;
 mod reference;
 mod settings;
 mod straight;
@@ -21,6 +22,7 @@ pub(crate) use calibrate::{
 };
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
+pub(crate) use recording::{ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions};
 pub(crate) use reference::{
     CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, LineOptions, RefOptions,
     SpiralOptions,
@@ -39,7 +41,7 @@ pub(crate) use straight::{GotoOptions, JogOptions, StraightArguments};
         cdcrctl demo                     everything at once, with a daemon of its own\n  \
         cdcrctl ref spiral --track       feed the paper's spiral to a running daemon\n  \
         cdcrctl status\n\n\
-        Exit codes: 0 good, 1 error, 2 wrong usage, 130 interrupted."
+        Exit codes: 0 good, 1 error, 2 wrong usage, 3 disk full (record), 130 interrupted."
 )]
 pub(crate) struct Arguments {
     #[command(flatten)]
@@ -203,6 +205,31 @@ pub(crate) enum Task {
         cdcrctl plot --udp localhost:9870 --field position_error_m --field report.cost"
     )]
     Plot(PlotOptions),
+    /// Record what passes into an MCAP file: all that its cycles can be computed again from
+    #[command(
+        after_help = "Examples:\n  cdcrctl record                    into ROBOT-DATE-TIME.mcap, until interrupted or the daemon ends\n  \
+        cdcrctl record -o spiral.mcap & cdcrctl ref spiral --track\n\n\
+        Begin it before the reference is fed: what was sent before is not in the file, and cycles that follow it\n\
+        cannot be computed again. A full disk ends the recording with exit code 3; the file keeps what is whole."
+    )]
+    Record(RecordingOptions),
+    /// Show what a recording holds: messages, gaps, modes, misses, the largest error
+    #[command(
+        after_help = "Examples:\n  cdcrctl info spiral.mcap\n  cdcrctl info spiral.mcap --repair     save what a recorder that was killed left"
+    )]
+    Info(InfoOptions),
+    /// Compute the cycles of a recording again and compare them with what was
+    #[command(after_help = "Example:\n  cdcrctl replay --verify spiral.mcap\n\n\
+        Needs no daemon. The first cycle that comes out otherwise is saved with its inputs as NAME-cycle-N.mcap, which the same\n\
+        command reads, and makes the exit code 1. Cycles that follow a reference from before the recording are counted apart.")]
+    Replay(ReplayOptions),
+    /// Write the messages of a recording as tables
+    #[command(
+        after_help = "Example:\n  cdcrctl convert spiral.mcap --csv spiral\n\n\
+        One row for each cycle, event, reference point, obstacle, snapshot and incident; a column has the name of its field, as\n\
+        command.mode or bend_rad[2]. Plans are left out."
+    )]
+    Convert(ConvertOptions),
     /// Add or remove obstacles that the body of the robot keeps away from
     #[command(
         after_help = "Example:\n  cdcrctl obstacle add --id 1 --at 0,0.17,0.22 --radius 0.02\n  \

@@ -20,6 +20,7 @@ mod obstacle;
 mod picture;
 mod plant;
 mod plot;
+mod recording;
 mod request;
 mod setting;
 mod settings;
@@ -41,12 +42,15 @@ use args::{Arguments, Task};
 
 /// What a shell expects of a program that SIGINT ended: 128 + 2.
 const EXIT_INTERRUPTED: u8 = 130;
+/// A recording ended because there was no room for more.
+const EXIT_DISK_FULL: u8 = 3;
 
 /// How a task ended without an error.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Done {
     Good,
     Interrupted,
+    DiskFull,
 }
 
 fn main() -> ExitCode {
@@ -57,6 +61,7 @@ fn main() -> ExitCode {
     match run(&arguments) {
         Ok(Done::Good) => ExitCode::SUCCESS,
         Ok(Done::Interrupted) => ExitCode::from(EXIT_INTERRUPTED),
+        Ok(Done::DiskFull) => ExitCode::from(EXIT_DISK_FULL),
         // The reader of our output (head, less) has seen enough.
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
         Err(error) => {
@@ -88,6 +93,10 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Echo(options) => echo::run(target, options),
         Task::Hz(options) => hz::run(target, options),
         Task::Plot(options) => plot::run(target, options),
+        Task::Record(options) => recording::record::run(target, options),
+        Task::Info(options) => recording::info::run(options),
+        Task::Convert(options) => recording::convert::run(options),
+        Task::Replay(options) => recording::replay::run(options),
         Task::Obstacle(options) => obstacle::run(target, options),
         Task::Calibrate(options) => calibrate::run(target, options),
     }

@@ -1,6 +1,6 @@
 //! The settings of the solver by their keys, as in the table `[controller]` of the configuration.
 
-mod save;
+pub(crate) mod save;
 
 use std::fmt::Write as _;
 use std::io::Write;

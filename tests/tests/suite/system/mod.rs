@@ -18,6 +18,7 @@ mod motions;
 mod obstacles;
 mod program;
 mod reconnect;
+mod recording;
 mod replay;
 mod scenes;
 mod silence;

@@ -1,203 +1,21 @@
 //! A recording of telemetry and reference chunks holds everything: each cycle, with its obstacles, is
 //! computed again from it, bit for bit.
 
-use std::collections::{BTreeMap, HashMap};
 use std::ops::ControlFlow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, events, monotonic_ns};
-use cdcr_controller::estimator::Slack;
-use cdcr_controller::nmpc::{Nmpc, SolveInput};
-use cdcr_controller::optimizer::Budget;
+use cdcr_client::replay::{Outcome, Replayer};
+use cdcr_client::{FeedError, FeedEvent, Line, Spiral, Trajectory as Curve, monotonic_ns};
 use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_controller::reference::{Approach, ReferenceWindow, Trajectory};
-use cdcr_controller::robot::{BendRates, Configuration, Robot};
-use cdcr_controller::safety::{Situation, ramp_to_zero, safe_command};
-use cdcr_daemon::convert;
 use cdcr_shared_types::codes::{
-    ChunkMode, EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome, Reason,
+    EventKind, Interface, MeasurementKind, Mode, ObstacleShape, Outcome as Judged, Reason,
 };
-use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
-use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry, codes};
-use nalgebra::Vector3;
+use cdcr_shared_types::{ReferenceChunk, Telemetry, codes};
 
-use cdcr_tests::record::{configuration_of, largest, obstacles_of, robot_of};
+use cdcr_tests::record::largest;
 use cdcr_tests::robot::DrivenRobot;
 use cdcr_tests::{Daemon, EndWhenDropped, PATIENT, TIMEOUT, tracked, until_undisturbed, wait_mode};
-
-/// The events of a recording by the gather that they took effect with, in order.
-fn events_by_gather(records: &[Telemetry]) -> BTreeMap<u64, Vec<InputEvent>> {
-    let mut by_gather = BTreeMap::<u64, Vec<_>>::new();
-    for record in records {
-        for event in events(record) {
-            let gather = record.gather - u64::from(event.gathers_ago);
-            by_gather.entry(gather).or_default().push(*event);
-        }
-    }
-    by_gather
-}
-
-/// Repeats what the exchange did with a chunk that it accepted.
-fn apply(
-    event: &InputEvent,
-    chunks: &HashMap<(u64, u64), ReferenceChunk>,
-    robot: &Robot,
-    trajectory: &mut Trajectory,
-) {
-    let accepted = event.outcome == Outcome::Accepted.code();
-    if event.kind != EventKind::Reference.code() || !accepted {
-        return;
-    }
-    let chunk = &chunks[&(event.sender_id, event.sequence)];
-    let points = convert::reference_points(chunk, robot, event.judged_ns)
-        .map_err(|refused| refused.outcome)
-        .expect("it was accepted");
-    if chunk.mode == ChunkMode::Replace.code() {
-        trajectory.replace(points).expect("it was accepted");
-    } else {
-        trajectory.append(points).expect("it was accepted");
-    }
-}
-
-/// The state of a record, and the rates of the command before.
-fn state_of(record: &Telemetry) -> (Configuration, BendRates) {
-    let at = configuration_of(record);
-    let width = at.as_slice().len();
-    let before = BendRates::from_slice(&record.previous_rate_rad_s[..width]).unwrap();
-    (at, before)
-}
-
-fn approach_of(record: &Telemetry) -> Approach {
-    Approach {
-        begin_ns: record.approach.begin_ns,
-        duration_ns: record.approach.duration_ns,
-        joining_ns: record.approach.joining_ns,
-        offset_m: record.approach.offset_m.into(),
-        velocity_m_s: record.approach.velocity_m_s.into(),
-        turn_rad: record.approach.turn_rad.into(),
-    }
-}
-
-/// Computes the solve of a record again; the rates that it wants.
-fn solve_again(record: &Telemetry, robot: &Robot, trajectory: &Trajectory) -> BendRates {
-    let settings = convert::settings_from_wire(&record.settings, record.period_ns);
-    let settings = settings.expect("they were in force");
-    let settings = settings.nmpc;
-    let period_s = record.period_ns as f64 * 1e-9;
-    let mut nmpc = Nmpc::new(robot.clone(), period_s, settings).expect("they were in force");
-    let length = record.plan_length as usize;
-    assert!(nmpc.restore_plan(&record.warm_plan[..length]));
-    let mut window = ReferenceWindow::default();
-    let steps = settings.horizon_steps as usize;
-    // A cycle that is late has inputs that were gathered for the next one.
-    let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
-    let ahead_ns = ahead * record.period_ns.cast_signed();
-    window.fill(
-        trajectory,
-        record.window_first_cycle,
-        record.release_ns.saturating_add_signed(ahead_ns),
-        record.period_ns,
-        steps,
-        record.reference_lead_ns,
-    );
-    let (at, before) = state_of(record);
-    let offset_m = Vector3::from(record.tip_offset_m);
-    let approach = approach_of(record);
-    let samples = window.ahead(record.cycle, steps).iter().zip(1..);
-    let led = samples.map(|(sample, step)| {
-        let time_ns = record.release_ns + step * record.period_ns;
-        approach.led(sample, time_ns).moved(&-offset_m)
-    });
-    let reference: Vec<_> = led.collect();
-    let input = SolveInput {
-        configuration: &at,
-        previous_rates: &before,
-        reference: &reference,
-        obstacles: &obstacles_of(record),
-        tip_offset_m: offset_m.norm(),
-        // The recorded warm start is moved on in time already.
-        elapsed_periods: 0,
-        seed: record.report.seed,
-    };
-    let (rates, report) = nmpc.solve(&input, &mut Budget::of_quanta(record.report.quanta));
-    assert_eq!(report.evaluations, record.report.evaluations);
-    assert_eq!(report.cost.to_bits(), record.report.cost.to_bits());
-    let again = bits(nmpc.plan());
-    assert_eq!(
-        again,
-        bits(&record.plan[..length]),
-        "cycle {}",
-        record.cycle
-    );
-    rates
-}
-
-fn bits(values: &[f64]) -> Vec<u64> {
-    values.iter().map(|value| value.to_bits()).collect()
-}
-
-/// Computes again what limits and guard make of the rates that the mode desires. Whether the guard changed them, and whether for the play alone.
-fn command_again(record: &Telemetry, robot: &Robot, desired: &BendRates) -> [bool; 2] {
-    let (at, previous) = state_of(record);
-    let width = robot.coordinate_count();
-    let commanded = Configuration::from_slice(&record.commanded_rad[..width]).unwrap();
-    let motors = Configuration::from_slice(&record.motor_rad[..width]).unwrap();
-    let obeys_positions = record.command.interface == Interface::Position.code();
-    let moving_ns = if obeys_positions {
-        record.period_ns
-    } else {
-        record.command.valid_until_ns - record.release_ns
-    };
-    let slack = (record.play_m > 0.0).then(|| Slack::new(record.play_m, record.slack_m));
-    let situation = Situation {
-        robot,
-        at: &at,
-        commanded: if obeys_positions {
-            Some(&commanded)
-        } else {
-            Some(&motors).filter(|motors| **motors != at)
-        },
-        slack: slack.as_ref(),
-        previous: &previous,
-        obstacles: &obstacles_of(record),
-        safe_distance_m: record.settings.safe_distance_m,
-        tip_offset_m: Vector3::from(record.tip_offset_m).norm(),
-        acceleration_rad_s2: record.acceleration_rad_s2,
-        period_s: record.period_ns as f64 * 1e-9,
-        moving_s: moving_ns as f64 * 1e-9,
-        deceleration_rad_s2: record.deceleration_rad_s2,
-        comes_to_rest: ![Mode::Tracking, Mode::Homing]
-            .map(Mode::code)
-            .contains(&record.mode),
-    };
-    let safe = safe_command(&situation, desired);
-    let command = &record.command;
-    assert_eq!(
-        bits(safe.rates.as_slice()),
-        bits(&command.bend_rate_rad_s[..width]),
-        "cycle {}",
-        record.cycle
-    );
-    let target = commanded.advanced(&safe.rates, situation.period_s);
-    assert_eq!(
-        bits(target.as_slice()),
-        bits(&command.bend_target_rad[..width])
-    );
-    if record.reference_lead_ns == 0 {
-        assert_eq!(safe.clearance_m.to_bits(), record.clearance_m.to_bits());
-    }
-    let flagged = record.guard_flags & codes::guard::CLEARANCE != 0;
-    assert_eq!(safe.clearance_hit, flagged);
-    let accelerated = record.guard_flags & codes::guard::ACCELERATION != 0;
-    assert_eq!(safe.limits_hit.acceleration, accelerated);
-    let without_play = Situation {
-        slack: None,
-        ..situation
-    };
-    let by_play = safe.rates != safe_command(&without_play, desired).rates;
-    [flagged, by_play]
-}
 
 /// How many cycles solved, and how many commands the guard changed: of those, which only for the play of the cables.
 #[derive(Debug, Default)]
@@ -210,7 +28,7 @@ struct Replayed {
 #[derive(Default)]
 struct Recording {
     records: Vec<Telemetry>,
-    chunks: HashMap<(u64, u64), ReferenceChunk>,
+    chunks: Vec<ReferenceChunk>,
 }
 
 impl Recording {
@@ -226,7 +44,7 @@ impl Recording {
         let sender = connection.obstacle_sender().unwrap();
         let header = sender.upsert(known).unwrap();
         let verdict = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
-        assert_eq!(verdict.unwrap(), Outcome::Accepted);
+        assert_eq!(verdict.unwrap(), Judged::Accepted);
         let mut sent = connection.references().unwrap();
         until_undisturbed("a curve is tracked to its end", || {
             let mut recording = Self::default();
@@ -235,8 +53,7 @@ impl Recording {
                     recording.records.push(*record);
                 }
                 while let Some(chunk) = sent.try_next().unwrap() {
-                    let of = (chunk.header.sender_id, chunk.header.sequence);
-                    recording.chunks.insert(of, chunk);
+                    recording.chunks.push(chunk);
                 }
                 ControlFlow::Continue(())
             });
@@ -254,35 +71,33 @@ impl Recording {
 
     /// Computes every cycle again.
     fn replay(&self) -> Replayed {
-        let robot = robot_of(&self.records[0].robot);
-        assert_eq!(self.records[0].robot.fingerprint, robot.fingerprint());
-        let mut to_come = events_by_gather(&self.records);
-        let mut trajectory = Trajectory::with_capacity(REFERENCE_POINTS_MAX, robot.reach_m());
         let mut replayed = Replayed::default();
-        for record in &self.records {
-            while let Some(entry) = to_come.first_entry()
-                && *entry.key() <= record.gather
-            {
-                for event in entry.remove() {
-                    apply(&event, &self.chunks, &robot, &mut trajectory);
-                }
-            }
-            let desired_rates = if record.plan_length > 0 {
-                replayed.solved += 1;
-                solve_again(record, &robot, &trajectory)
-            } else if record.mode == Mode::Holding.code() {
-                let (_, before) = state_of(record);
-                let period_s = record.period_ns as f64 * 1e-9;
-                ramp_to_zero(&before, record.deceleration_rad_s2, period_s)
-            } else {
-                continue;
+        for outcome in self.outcomes() {
+            let Outcome::Reproduced(made) = outcome else {
+                panic!("{outcome:?}");
             };
-            let [guarded, by_play] = command_again(record, &robot, &desired_rates);
-            replayed.guarded += u32::from(guarded);
-            replayed.by_play += u32::from(by_play);
+            replayed.solved += u32::from(made.solved);
+            replayed.guarded += u32::from(made.guarded);
+            replayed.by_play += u32::from(made.by_play);
         }
         assert!(replayed.solved > 100, "too few cycles: {replayed:?}");
         replayed
+    }
+
+    fn outcomes(&self) -> Vec<Outcome> {
+        let mut replayer = Replayer::default();
+        for chunk in &self.chunks {
+            replayer.take_chunk(chunk);
+        }
+        let mut outcomes = Vec::new();
+        for record in &self.records {
+            outcomes.extend(replayer.take_record(record).unwrap());
+        }
+        while let Some(cycle) = replayer.finish_one().unwrap() {
+            outcomes.push(cycle);
+        }
+        assert_eq!(outcomes.len(), self.records.len());
+        outcomes.into_iter().map(|cycle| cycle.outcome).collect()
     }
 }
 
@@ -323,6 +138,52 @@ fn in_the_way() -> [cdcr_shared_types::Obstacle; 2] {
 fn every_recorded_cycle_is_computed_again_bit_for_bit() {
     let replayed = Recording::make(PATIENT, &[], &spiral()).replay();
     assert_eq!(replayed.guarded, 0);
+}
+
+#[test]
+fn a_bit_that_is_wrong_is_found_and_a_missing_record_makes_no_other_wrong() {
+    let recording = Recording::make(PATIENT, &[], &spiral());
+    let solves = |record: &Telemetry| record.plan_length > 0;
+    let at = 50 + recording.records.iter().position(solves).unwrap();
+    let altered = |change: fn(&mut Telemetry)| {
+        let mut records = recording.records.clone();
+        change(&mut records[at]);
+        let chunks = recording.chunks.clone();
+        Recording { records, chunks }.outcomes()
+    };
+    for (change, field) in [
+        (
+            (|record| record.plan[3] += f64::EPSILON) as fn(&mut Telemetry),
+            "plan[3]",
+        ),
+        (|record| record.clearance_m = 0.5, "clearance_m"),
+        (
+            |record| record.command.bend_rate_rad_s[0] += 1e-12,
+            "command.bend_rate_rad_s[0]",
+        ),
+        (|record| record.mode = Mode::Homing.code(), "mode"),
+        (|record| record.lease_number += 1, "mode"),
+    ] {
+        let outcomes = altered(change);
+        assert!(
+            matches!(&outcomes[at], Outcome::Different(found) if found.what == field),
+            "{field}: {:?}",
+            outcomes[at]
+        );
+    }
+    let mut records = recording.records.clone();
+    records.remove(at);
+    let chunks = recording.chunks.clone();
+    let outcomes = Recording { records, chunks }.outcomes();
+    let different = outcomes
+        .iter()
+        .find(|outcome| matches!(outcome, Outcome::Different(_)));
+    assert_eq!(different, None);
+    // Until the next chunk nobody knows what the missing record took in.
+    let unknown = outcomes
+        .iter()
+        .filter(|outcome| **outcome == Outcome::WithoutReference);
+    assert!((1..outcomes.len() - at).contains(&unknown.count()));
 }
 
 #[test]

@@ -25,6 +25,12 @@ const HEAD: &str = "# Settings of cdcrd that differ from its defaults.\n";
 /// As many as Linux follows.
 const LINKS_MAX: usize = 40;
 
+/// Settings of the solver that differ from the defaults, as a configuration has them.
+pub(crate) fn configuration(settings: SolverSettings, status: &Status) -> anyhow::Result<String> {
+    let (text, _) = merged("", settings, status)?;
+    Ok(format!("{HEAD}{text}"))
+}
+
 pub(super) fn run(connection: &Connection, file: Option<&Path>) -> anyhow::Result<Done> {
     let settings = connection.settings()?;
     let status = connection.status(STATUS_TIMEOUT)?;

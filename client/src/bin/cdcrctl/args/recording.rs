@@ -1,0 +1,61 @@
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+
+use super::Format;
+use crate::setting::Change;
+use crate::value;
+
+/// Options of `record`.
+#[derive(Debug, Args)]
+pub(crate) struct RecordingOptions {
+    /// File to make [default: ROBOT-DATE-TIME.mcap, in UTC]
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: Option<PathBuf>,
+    /// End after this long
+    #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
+    pub(crate) duration: Option<Duration>,
+}
+
+/// Options of `info`.
+#[derive(Debug, Args)]
+pub(crate) struct InfoOptions {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    pub(crate) format: Format,
+    /// Save what a cut recording has, with an index, beside it as NAME-repaired.mcap
+    #[arg(long)]
+    pub(crate) repair: bool,
+}
+
+/// Options of `replay`.
+#[derive(Debug, Args)]
+pub(crate) struct ReplayOptions {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+    /// Compute every cycle again, offline, and compare modes, plans, commands and clearances bit for bit
+    #[arg(long, required_unless_present = "with")]
+    pub(crate) verify: bool,
+    /// Compute what other settings would have commanded from the same inputs, cycle by cycle, without a limit of time
+    #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = Change::parse, conflicts_with = "verify")]
+    pub(crate) with: Vec<Change>,
+    /// How to print
+    #[arg(long, value_enum, default_value = "text")]
+    pub(crate) format: Format,
+}
+
+/// Options of `convert`.
+#[derive(Debug, Args)]
+pub(crate) struct ConvertOptions {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+    /// Folder for telemetry.csv, events.csv, reference.csv, obstacles.csv, status.csv and incidents.csv; made where it is missing
+    #[arg(long, value_name = "DIR", required = true)]
+    pub(crate) csv: PathBuf,
+}

@@ -1,0 +1,209 @@
+use std::collections::btree_map::{BTreeMap, Entry};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, ensure};
+use cdcr_client::{events, text};
+use cdcr_shared_types::codes::{EventKind, Outcome, RequestKind};
+use cdcr_shared_types::message::{Array, Field, Kind, Meaning, Struct, Value};
+
+use super::file::{Recorded, Recording};
+use crate::Done;
+use crate::args::ConvertOptions;
+
+/// A name, and what stands below it; nothing where that means nothing.
+type Cell = (String, String);
+
+pub(crate) fn run(options: &ConvertOptions) -> anyhow::Result<Done> {
+    let folder = &options.csv;
+    let name = folder.display();
+    let mut recording = Recording::open(&options.file)?;
+    fs::create_dir_all(folder).with_context(|| format!("cannot make {name}"))?;
+    let mut tables = Tables::new(folder);
+    while let Some(message) = recording.next_message()? {
+        tables
+            .take(&message)
+            .with_context(|| format!("cannot write into {name}"))?;
+    }
+    let rows = tables
+        .finish()
+        .with_context(|| format!("cannot write into {name}"))?;
+    ensure!(
+        !rows.is_empty(),
+        "{} holds no message of cdcrd",
+        options.file.display()
+    );
+    let mut out = io::stdout().lock();
+    for (path, rows) in rows {
+        writeln!(out, "{}: {rows} rows", path.display())?;
+    }
+    recording.warn_of_cut();
+    Ok(Done::Good)
+}
+
+/// Tables that are written, by their names.
+struct Tables<'a> {
+    folder: &'a Path,
+    open: BTreeMap<&'static str, Table>,
+}
+
+struct Table {
+    out: csv::Writer<BufWriter<File>>,
+    path: PathBuf,
+    rows: u64,
+}
+
+impl<'a> Tables<'a> {
+    fn new(folder: &'a Path) -> Self {
+        Self {
+            folder,
+            open: BTreeMap::new(),
+        }
+    }
+
+    fn take(&mut self, message: &Recorded) -> anyhow::Result<()> {
+        match message {
+            Recorded::Telemetry(record) => {
+                self.put("telemetry", &cells(&**record))?;
+                for event in events(record) {
+                    let mut row = vec![("cycle".to_owned(), record.cycle.to_string())];
+                    row.extend(cells(event));
+                    let is_request = event.kind == EventKind::Request.code();
+                    let request = is_request.then(|| RequestKind::text_of(event.detail));
+                    row.push(("request".to_owned(), request.unwrap_or_default().to_owned()));
+                    row.push((
+                        "accepted".to_owned(),
+                        (event.outcome == Outcome::Accepted.code()).to_string(),
+                    ));
+                    self.put("events", &row)?;
+                }
+                Ok(())
+            }
+            Recorded::Reference(chunk) => {
+                let used = chunk.points.get(..chunk.count as usize).unwrap_or_default();
+                self.put_each("reference", &cells(&**chunk), used)
+            }
+            Recorded::Obstacles(update) => {
+                let used = update
+                    .obstacles
+                    .get(..update.count as usize)
+                    .unwrap_or_default();
+                self.put_each("obstacles", &cells(&**update), used)
+            }
+            Recorded::Status(status) => self.put("status", &cells(&**status)),
+            Recorded::Incident(incident) => self.put("incidents", &cells(&**incident)),
+        }
+    }
+
+    /// A row for each part; one alone with empty cells where there is none.
+    fn put_each<T: Struct + Default>(
+        &mut self,
+        name: &'static str,
+        whole: &[Cell],
+        parts: &[T],
+    ) -> anyhow::Result<()> {
+        let row = |part: Vec<Cell>| [whole, &part].concat();
+        if parts.is_empty() {
+            let mut empty = cells(&T::default());
+            for (_, value) in &mut empty {
+                value.clear();
+            }
+            return self.put(name, &row(empty));
+        }
+        parts
+            .iter()
+            .try_for_each(|part| self.put(name, &row(cells(part))))
+    }
+
+    fn put(&mut self, name: &'static str, row: &[Cell]) -> anyhow::Result<()> {
+        let table = match self.open.entry(name) {
+            Entry::Occupied(table) => table.into_mut(),
+            Entry::Vacant(free) => {
+                let path = self.folder.join(format!("{name}.csv"));
+                let file = File::create_new(&path).with_context(|| path.display().to_string())?;
+                let mut out = csv::Writer::from_writer(BufWriter::new(file));
+                out.write_record(row.iter().map(|(name, _)| name))?;
+                free.insert(Table { out, path, rows: 0 })
+            }
+        };
+        table.out.write_record(row.iter().map(|(_, value)| value))?;
+        table.rows += 1;
+        Ok(())
+    }
+
+    /// Where they are, and how many rows each has.
+    fn finish(self) -> io::Result<Vec<(PathBuf, u64)>> {
+        let mut rows = Vec::new();
+        for (_, mut table) in self.open {
+            table.out.flush()?;
+            rows.push((table.path, table.rows));
+        }
+        Ok(rows)
+    }
+}
+
+/// A message as one row: `command.mode`, `bend_rad[2]`. Lists that grow and shrink (plans, events, obstacles, points) are left out, so that
+/// each row has the same cells.
+fn cells(message: &dyn Struct) -> Vec<Cell> {
+    let mut row = Vec::new();
+    add(message, "", true, &mut row);
+    row
+}
+
+fn add(message: &dyn Struct, before: &str, has_meaning: bool, row: &mut Vec<Cell>) {
+    message.visit(&mut |field, value| {
+        let has_meaning = has_meaning && message.used(field).is_some();
+        let name = format!("{before}{}", field.name);
+        match (field.meaning, value) {
+            (Meaning::Reserved, _) => {}
+            (Meaning::Text, Value::Array(array)) => {
+                let bytes = (0..array.count()).map(|i| match array.element(i) {
+                    Value::U8(byte) => byte,
+                    _ => 0,
+                });
+                row.push((name, text(&bytes.collect::<Vec<_>>())));
+            }
+            (_, Value::Array(array)) => {
+                for i in 0..lasting(message, field, array) {
+                    put(
+                        field,
+                        array.element(i),
+                        format!("{name}[{i}]"),
+                        has_meaning,
+                        row,
+                    );
+                }
+            }
+            (_, value) => put(field, value, name, has_meaning, row),
+        }
+    });
+}
+
+/// Elements of an array that every message of a robot has.
+fn lasting(message: &dyn Struct, field: &Field, array: &dyn Array) -> usize {
+    let Some(used) = field.used else {
+        return array.count();
+    };
+    if !used.count.ends_with("sections") {
+        return 0;
+    }
+    let count = message.number(used.count).unwrap_or(0) as usize;
+    (count * used.each).min(array.count())
+}
+
+fn put(field: &Field, value: Value<'_>, name: String, has_meaning: bool, row: &mut Vec<Cell>) {
+    let text = match (field.meaning, value) {
+        (_, Value::Struct(part)) => return add(part, &format!("{name}."), has_meaning, row),
+        (Meaning::Code(codes), Value::U32(code)) if matches!(field.kind, Kind::U32) => {
+            codes.text(code).to_owned()
+        }
+        (Meaning::OrNone, Value::U32(u32::MAX)) => String::new(),
+        (_, Value::U8(number)) => number.to_string(),
+        (_, Value::U32(number)) => number.to_string(),
+        (_, Value::U64(number)) => number.to_string(),
+        (_, Value::F64(number)) => number.to_string(),
+        (_, Value::Array(_)) => return,
+    };
+    row.push((name, if has_meaning { text } else { String::new() }));
+}

@@ -1,0 +1,132 @@
+use std::fs::File;
+use std::io::BufReader;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use cdcr_interchange::decode;
+use cdcr_interchange::mcap::{Item, Message, ReadError, Reader};
+use cdcr_shared_types::message::Struct;
+use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
+
+use super::topic::{Topic, WIRE_TYPE};
+
+/// A message of ours.
+#[derive(Debug)]
+pub(super) enum Recorded {
+    Telemetry(Box<Telemetry>),
+    Reference(Box<ReferenceChunk>),
+    Obstacles(Box<ObstacleUpdate>),
+    Status(Box<Status>),
+    Incident(Box<Incident>),
+}
+
+impl Recorded {
+    fn zero(topic: Topic) -> Self {
+        match topic {
+            Topic::Telemetry => Self::Telemetry(Box::default()),
+            Topic::Reference => Self::Reference(Box::default()),
+            Topic::Obstacles => Self::Obstacles(Box::default()),
+            Topic::Status => Self::Status(Box::default()),
+            Topic::Incidents => Self::Incident(Box::default()),
+        }
+    }
+
+    fn fields_mut(&mut self) -> &mut dyn Struct {
+        match self {
+            Self::Telemetry(message) => &mut **message,
+            Self::Reference(message) => &mut **message,
+            Self::Obstacles(message) => &mut **message,
+            Self::Status(message) => &mut **message,
+            Self::Incident(message) => &mut **message,
+        }
+    }
+}
+
+/// A recording that is read from its beginning to its end; one chunk of it is in memory.
+pub(super) struct Recording {
+    path: PathBuf,
+    reader: Reader<BufReader<File>>,
+    /// It ended in the middle.
+    is_cut: bool,
+}
+
+impl Recording {
+    pub(super) fn open(path: &Path) -> anyhow::Result<Self> {
+        let name = || path.display().to_string();
+        let file = File::open(path).with_context(name)?;
+        let reader = Reader::new(BufReader::with_capacity(1 << 17, file)).with_context(name)?;
+        Ok(Self {
+            path: path.to_owned(),
+            reader,
+            is_cut: false,
+        })
+    }
+
+    /// The next item, whatever it is; none at the end, also where the file is cut.
+    pub(super) fn next_item(&mut self) -> anyhow::Result<Option<Item<'_>>> {
+        match self.reader.next_item() {
+            Err(ReadError::Cut) => {
+                self.is_cut = true;
+                Ok(None)
+            }
+            item => item.with_context(|| self.path.display().to_string()),
+        }
+    }
+
+    /// The next message of ours. What others have put into the file is passed over.
+    pub(super) fn next_message(&mut self) -> anyhow::Result<Option<Recorded>> {
+        loop {
+            let name = self.path.display().to_string();
+            match self.next_item()? {
+                None => return Ok(None),
+                Some(Item::Message(message)) => {
+                    if let Some(message) = decoded(&message).with_context(|| name)? {
+                        return Ok(Some(message));
+                    }
+                }
+                Some(_) => {}
+            }
+        }
+    }
+
+    /// Whether it ended in the middle: known at the end.
+    pub(super) fn is_cut(&self) -> bool {
+        self.is_cut
+    }
+
+    /// Says how to mend a recording that is cut.
+    pub(super) fn warn_of_cut(&self) {
+        if self.is_cut {
+            let name = self.path.display();
+            eprintln!(
+                "{name} is cut: what is whole was read; `cdcrctl info --repair {name}` saves it"
+            );
+        }
+    }
+}
+
+/// The message, where it is one of ours. One of another version is an error that names both.
+fn decoded(message: &Message<'_>) -> anyhow::Result<Option<Recorded>> {
+    let Some(topic) = Topic::of_schema(&message.channel.schema) else {
+        return Ok(None);
+    };
+    check_version(topic, message)?;
+    let mut zero = Recorded::zero(topic);
+    decode(message.data, zero.fields_mut())
+        .with_context(|| format!("message {} of {}", message.sequence, message.channel.topic))?;
+    Ok(Some(zero))
+}
+
+fn check_version(topic: Topic, message: &Message<'_>) -> anyhow::Result<()> {
+    let ours = topic.layout().type_name;
+    let wire_type = message.channel.metadata.get(WIRE_TYPE);
+    let found = wire_type.map_or("a type that it does not name", String::as_str);
+    if found != ours {
+        bail!(
+            "{} was recorded as {found}, and this cdcrctl ({}) reads {ours}: use the cdcrctl that recorded it",
+            message.channel.topic,
+            env!("CARGO_PKG_VERSION")
+        );
+    }
+    Ok(())
+}

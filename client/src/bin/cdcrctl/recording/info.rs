@@ -1,0 +1,269 @@
+use std::collections::HashMap;
+use std::collections::btree_map::{BTreeMap, Entry};
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::Path;
+
+use anyhow::{Context, ensure};
+use cdcr_interchange::mcap::{Item, Stamp, Writer};
+use cdcr_shared_types::codes::{LateCause, Mode, timing};
+use cdcr_shared_types::{Header, Telemetry};
+use serde_json::{Map, Value, json};
+
+use super::file::{Recorded, Recording};
+use super::topic::Topic;
+use crate::Done;
+use crate::args::{Format, InfoOptions};
+
+pub(crate) fn run(options: &InfoOptions) -> anyhow::Result<Done> {
+    if options.repair {
+        return repair(&options.file);
+    }
+    let mut recording = Recording::open(&options.file)?;
+    let mut seen = Seen::default();
+    while let Some(message) = recording.next_message()? {
+        seen.take(&message);
+    }
+    let name = options.file.display();
+    ensure!(
+        !seen.channels.is_empty(),
+        "{name} holds no message of cdcrd"
+    );
+    let mut out = io::stdout().lock();
+    match options.format {
+        Format::Text => write!(out, "{}", seen.text())?,
+        Format::Json => writeln!(out, "{}", seen.json(recording.is_cut()))?,
+    }
+    recording.warn_of_cut();
+    Ok(Done::Good)
+}
+
+/// Copies what is whole into another file, which is ended as it should be.
+fn repair(path: &Path) -> anyhow::Result<Done> {
+    let mut recording = Recording::open(path)?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let other = path.with_file_name(format!("{stem}-repaired.mcap"));
+    let name = other.display();
+    let file = File::create_new(&other).with_context(|| format!("cannot make {name}"))?;
+    let library = concat!("cdcrctl ", env!("CARGO_PKG_VERSION"));
+    let mut writer = Writer::new(file, "ros2", library)?;
+    let mut ids = BTreeMap::new();
+    let mut messages = 0_u64;
+    let cannot_write = || format!("cannot write {name}");
+    while let Some(item) = recording.next_item()? {
+        match item {
+            Item::Message(message) => {
+                let id = match ids.entry(message.channel_id) {
+                    Entry::Occupied(id) => *id.get(),
+                    Entry::Vacant(free) => *free.insert(writer.add_channel(message.channel)?),
+                };
+                let stamp = Stamp {
+                    sequence: message.sequence,
+                    log_ns: message.log_ns,
+                    publish_ns: message.publish_ns,
+                };
+                writer
+                    .write(id, stamp, message.data)
+                    .with_context(cannot_write)?;
+                messages += 1;
+            }
+            Item::Attachment {
+                name,
+                media_type,
+                time_ns,
+                data,
+            } => writer.attach(&name, &media_type, time_ns, &data)?,
+            Item::Metadata { name, values } => writer.add_metadata(&name, values)?,
+        }
+    }
+    let finished = writer.finish().map_err(|(_, error)| error);
+    finished.with_context(cannot_write)?;
+    let was = if recording.is_cut() { "cut" } else { "whole" };
+    writeln!(
+        io::stdout(),
+        "{}, which was {was}: {messages} messages saved in {name}",
+        path.display()
+    )?;
+    Ok(Done::Good)
+}
+
+/// What a recording holds.
+#[derive(Debug, Default)]
+struct Seen {
+    channels: BTreeMap<&'static str, Channel>,
+    first_ns: Option<u64>,
+    last_ns: u64,
+    modes: BTreeMap<u32, u64>,
+    deadline_misses: BTreeMap<u32, u64>,
+    late_starts: u64,
+    skipped_periods: u64,
+    /// Distance of tip and reference \[m\], and the cycle.
+    largest_error: Option<(f64, u64)>,
+    least_clearance: Option<(f64, u64)>,
+    refused: u64,
+}
+
+/// Messages of one kind.
+#[derive(Debug, Default)]
+struct Channel {
+    count: u64,
+    /// Numbers that are missing, and in how many places.
+    missing: u64,
+    gaps: u64,
+    last: HashMap<u64, u64>,
+}
+
+impl Channel {
+    fn take(&mut self, header: &Header) {
+        self.count += 1;
+        if let Some(last) = self.last.insert(header.sender_id, header.sequence) {
+            let missing = header.sequence.saturating_sub(last + 1);
+            self.missing += missing;
+            self.gaps += u64::from(missing > 0);
+        }
+    }
+}
+
+impl Seen {
+    fn take(&mut self, message: &Recorded) {
+        let (topic, header) = match message {
+            Recorded::Telemetry(record) => {
+                self.take_cycle(record);
+                (Topic::Telemetry, record.header)
+            }
+            Recorded::Reference(chunk) => (Topic::Reference, chunk.header),
+            Recorded::Obstacles(update) => (Topic::Obstacles, update.header),
+            Recorded::Status(status) => (Topic::Status, status.header),
+            Recorded::Incident(incident) => (Topic::Incidents, incident.header),
+        };
+        let channel = self.channels.entry(topic.service().key()).or_default();
+        channel.take(&header);
+    }
+
+    fn take_cycle(&mut self, record: &Telemetry) {
+        self.first_ns.get_or_insert(record.release_ns);
+        self.last_ns = record.release_ns;
+        *self.modes.entry(record.mode).or_default() += 1;
+        if record.timing_flags & timing::DEADLINE_MISS != 0 {
+            let cause = record.scheduling.late_cause;
+            *self.deadline_misses.entry(cause).or_default() += 1;
+        }
+        self.late_starts += u64::from(record.timing_flags & timing::LATE_START != 0);
+        self.skipped_periods += u64::from(record.skipped_periods);
+        let refused = cdcr_client::events(record)
+            .iter()
+            .filter(|event| event.outcome != 0);
+        self.refused += refused.count() as u64;
+        let is_tracking = record.mode == Mode::Tracking.code();
+        let error_m = record.position_error_m;
+        if is_tracking
+            && self
+                .largest_error
+                .is_none_or(|(most_m, _)| error_m > most_m)
+        {
+            self.largest_error = Some((error_m, record.cycle));
+        }
+        let clearance_m = record.clearance_m;
+        if clearance_m.is_finite()
+            && self
+                .least_clearance
+                .is_none_or(|(least_m, _)| clearance_m < least_m)
+        {
+            self.least_clearance = Some((clearance_m, record.cycle));
+        }
+    }
+
+    fn duration_s(&self) -> f64 {
+        let first_ns = self.first_ns.unwrap_or(self.last_ns);
+        (self.last_ns - first_ns) as f64 * 1e-9
+    }
+
+    fn text(&self) -> String {
+        let mut lines = vec![format!("{:.3} s", self.duration_s())];
+        lines.push(format!(
+            "{:<12}{:>10}{:>10}{:>10}",
+            "channel", "messages", "missing", "gaps"
+        ));
+        for (name, channel) in &self.channels {
+            let Channel {
+                count,
+                missing,
+                gaps,
+                ..
+            } = channel;
+            lines.push(format!("{name:<12}{count:>10}{missing:>10}{gaps:>10}"));
+        }
+        let list = |counts: &BTreeMap<u32, u64>, text: fn(u32) -> &'static str| {
+            let parts = counts
+                .iter()
+                .map(|(code, count)| format!("{count} {}", text(*code)));
+            let parts: Vec<_> = parts.collect();
+            if parts.is_empty() {
+                "none".to_owned()
+            } else {
+                parts.join(", ")
+            }
+        };
+        lines.push(format!(
+            "cycles by mode: {}",
+            list(&self.modes, Mode::text_of)
+        ));
+        lines.push(format!(
+            "deadline misses: {}",
+            list(&self.deadline_misses, LateCause::text_of)
+        ));
+        lines.push(format!(
+            "late starts: {}, skipped periods: {}, refused messages: {}",
+            self.late_starts, self.skipped_periods, self.refused
+        ));
+        if let Some((error_m, cycle)) = self.largest_error {
+            lines.push(format!(
+                "largest error: {:.3e} mm in cycle {cycle}",
+                error_m * 1e3
+            ));
+        }
+        if let Some((clearance_m, cycle)) = self.least_clearance {
+            lines.push(format!(
+                "least clearance: {:.3} mm in cycle {cycle}",
+                clearance_m * 1e3
+            ));
+        }
+        lines.join("\n") + "\n"
+    }
+
+    fn json(&self, is_cut: bool) -> Value {
+        let channels = self.channels.iter().map(|(name, channel)| {
+            let Channel {
+                count,
+                missing,
+                gaps,
+                ..
+            } = channel;
+            (
+                (*name).to_owned(),
+                json!({"messages": count, "missing": missing, "gaps": gaps}),
+            )
+        });
+        let named = |counts: &BTreeMap<u32, u64>, text: fn(u32) -> &'static str| -> Map<_, _> {
+            let named = counts
+                .iter()
+                .map(|(code, count)| (text(*code).to_owned(), json!(count)));
+            named.collect()
+        };
+        let extreme = |found: Option<(f64, u64)>, name: &str| {
+            found.map(|(value_m, cycle)| json!({name: value_m, "cycle": cycle}))
+        };
+        json!({
+            "duration_s": self.duration_s(),
+            "cut": is_cut,
+            "channels": channels.collect::<Map<_, _>>(),
+            "modes": named(&self.modes, Mode::text_of),
+            "deadline_misses": named(&self.deadline_misses, LateCause::text_of),
+            "late_starts": self.late_starts,
+            "skipped_periods": self.skipped_periods,
+            "refused": self.refused,
+            "largest_error": extreme(self.largest_error, "position_error_m"),
+            "least_clearance": extreme(self.least_clearance, "clearance_m"),
+        })
+    }
+}

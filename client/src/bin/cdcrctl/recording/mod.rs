@@ -1,0 +1,10 @@
+//! Recordings: MCAP files of all that passes on the services, and what is made of them.
+
+pub(crate) mod convert;
+mod file;
+pub(crate) mod info;
+pub(crate) mod record;
+pub(crate) mod replay;
+mod topic;
+mod what_if;
+mod when;

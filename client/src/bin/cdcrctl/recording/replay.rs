@@ -1,0 +1,231 @@
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, bail, ensure};
+use cdcr_client::replay::{Difference, Outcome, ReplayedCycle, Replayer};
+use cdcr_interchange::encode;
+use cdcr_interchange::mcap::{Channel, Stamp, Writer};
+use cdcr_shared_types::codes::{ChunkMode, EventKind};
+use cdcr_shared_types::limits::EVENTS_MAX;
+use cdcr_shared_types::message::Struct;
+use cdcr_shared_types::{Header, InputEvent, ReferenceChunk, Telemetry};
+use serde_json::json;
+
+use super::file::{Recorded, Recording};
+use super::topic::Topic;
+use super::what_if;
+use crate::Done;
+use crate::args::{Format, ReplayOptions};
+
+pub(crate) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
+    if !options.with.is_empty() {
+        return what_if::run(options);
+    }
+    let mut recording = Recording::open(&options.file)?;
+    let begin = Instant::now();
+    let verified = verify(&mut recording, &options.file)?;
+    let name = options.file.display();
+    ensure!(verified.cycles > 0, "{name} holds no cycle");
+    let took_s = begin.elapsed().as_secs_f64();
+    let mut out = io::stdout().lock();
+    match options.format {
+        Format::Text => write!(out, "{}", verified.text(took_s))?,
+        Format::Json => writeln!(out, "{}", verified.json(took_s))?,
+    }
+    out.flush()?;
+    recording.warn_of_cut();
+    if let Some((_, saved)) = &verified.first_difference {
+        bail!(
+            "not all cycles came out as they were: `cdcrctl replay --verify {}` shows the first alone",
+            saved.display()
+        );
+    }
+    Ok(Done::Good)
+}
+
+/// What came of computing a recording again.
+#[derive(Debug, Default)]
+struct Verified {
+    cycles: u64,
+    reproduced: u64,
+    solved: u64,
+    without_reference: u64,
+    different: u64,
+    /// With the file of its inputs.
+    first_difference: Option<(Difference, PathBuf)>,
+    first_ns: Option<u64>,
+    last_ns: u64,
+}
+
+fn verify(recording: &mut Recording, path: &Path) -> anyhow::Result<Verified> {
+    let mut verified = Verified::default();
+    each_cycle(recording, |cycle, replayer| {
+        verified.take(cycle, replayer, path)
+    })?;
+    Ok(verified)
+}
+
+/// Computes the cycles of a recording again, one after the other.
+pub(super) fn each_cycle(
+    recording: &mut Recording,
+    mut take: impl FnMut(ReplayedCycle, &mut Replayer) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let mut replayer = Replayer::default();
+    while let Some(message) = recording.next_message()? {
+        match message {
+            Recorded::Reference(chunk) => replayer.take_chunk(&chunk),
+            Recorded::Telemetry(record) => {
+                if let Some(cycle) = replayer.take_record(&record)? {
+                    take(cycle, &mut replayer)?;
+                }
+            }
+            Recorded::Obstacles(_) | Recorded::Status(_) | Recorded::Incident(_) => {}
+        }
+    }
+    while let Some(cycle) = replayer.finish_one()? {
+        take(cycle, &mut replayer)?;
+    }
+    Ok(())
+}
+
+impl Verified {
+    fn take(
+        &mut self,
+        cycle: ReplayedCycle,
+        replayer: &Replayer,
+        path: &Path,
+    ) -> anyhow::Result<()> {
+        let ReplayedCycle { record, outcome } = cycle;
+        self.cycles += 1;
+        self.first_ns.get_or_insert(record.release_ns);
+        self.last_ns = record.release_ns;
+        match outcome {
+            Outcome::Reproduced(made) => {
+                self.reproduced += 1;
+                self.solved += u64::from(made.solved);
+            }
+            Outcome::WithoutReference => self.without_reference += 1,
+            Outcome::Different(difference) => {
+                self.different += 1;
+                if self.first_difference.is_none() {
+                    let saved = save(&record, replayer.chunks_in_force(), path)?;
+                    self.first_difference = Some((difference, saved));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// How much faster than the robot it went.
+    fn speed(&self, took_s: f64) -> f64 {
+        let first_ns = self.first_ns.unwrap_or(self.last_ns);
+        (self.last_ns - first_ns) as f64 * 1e-9 / took_s
+    }
+
+    fn text(&self, took_s: f64) -> String {
+        let Self {
+            cycles,
+            reproduced,
+            solved,
+            without_reference,
+            different,
+            ..
+        } = self;
+        let speed = self.speed(took_s);
+        let mut lines = vec![format!(
+            "{reproduced} of {cycles} cycles reproduced, {solved} of them solved; {speed:.0} times as fast as it was"
+        )];
+        if *without_reference > 0 {
+            lines.push(format!(
+                "{without_reference} cycles follow a reference that is not, or not all, in the recording"
+            ));
+        }
+        if let Some((difference, saved)) = &self.first_difference {
+            lines.push(format!(
+                "{different} cycles came out otherwise; the first: {difference}"
+            ));
+            lines.push(format!("its inputs: {}", saved.display()));
+        }
+        lines.join("\n") + "\n"
+    }
+
+    fn json(&self, took_s: f64) -> serde_json::Value {
+        let first = self.first_difference.as_ref().map(|(difference, saved)| {
+            json!({
+                "cycle": difference.cycle,
+                "what": difference.what,
+                "recorded": difference.recorded,
+                "computed": difference.computed,
+                "inputs": saved.display().to_string(),
+            })
+        });
+        json!({
+            "cycles": self.cycles,
+            "reproduced": self.reproduced,
+            "first_difference": first,
+            "different": self.different,
+            "without_reference": self.without_reference,
+            "solved": self.solved,
+            "times_real_time": self.speed(took_s),
+        })
+    }
+}
+
+/// Saves one cycle with its inputs as a recording. The chunks about it become one whole reference: the first one begins it, and the
+/// record's events accept them all.
+fn save(
+    record: &Telemetry,
+    mut chunks: Vec<ReferenceChunk>,
+    path: &Path,
+) -> anyhow::Result<PathBuf> {
+    chunks.truncate(EVENTS_MAX);
+    let mut record = *record;
+    record.event_count = chunks.len() as u32;
+    for (i, (chunk, event)) in chunks.iter_mut().zip(&mut record.events).enumerate() {
+        let mode = if i == 0 {
+            ChunkMode::Replace
+        } else {
+            ChunkMode::Append
+        };
+        chunk.mode = mode.code();
+        *event = InputEvent {
+            sender_id: chunk.header.sender_id,
+            sequence: chunk.header.sequence,
+            kind: EventKind::Reference.code(),
+            ..InputEvent::default()
+        };
+    }
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let other = path.with_file_name(format!("{stem}-cycle-{}.mcap", record.cycle));
+    let written = || -> anyhow::Result<()> {
+        let mut writer = Writer::new(
+            File::create(&other)?,
+            "ros2",
+            concat!("cdcrctl ", env!("CARGO_PKG_VERSION")),
+        )?;
+        let [references, telemetry] = [Topic::Reference, Topic::Telemetry]
+            .map(|topic| -> anyhow::Result<Channel> { Ok(topic.channel("cdcr")?) });
+        let [references, telemetry] = [
+            writer.add_channel(&references?)?,
+            writer.add_channel(&telemetry?)?,
+        ];
+        let mut put = |id: u16, header: &Header, message: &dyn Struct| -> anyhow::Result<()> {
+            let stamp = Stamp {
+                sequence: header.sequence as u32,
+                log_ns: header.sent_ns,
+                publish_ns: header.sent_ns,
+            };
+            Ok(writer.write(id, stamp, &encode(message)?)?)
+        };
+        for chunk in &chunks {
+            put(references, &chunk.header, chunk)?;
+        }
+        put(telemetry, &record.header, &record)?;
+        writer.finish().map_err(|(_, error)| error)?;
+        Ok(())
+    };
+    written().with_context(|| format!("cannot write {}", other.display()))?;
+    Ok(other)
+}

@@ -1,0 +1,108 @@
+use cdcr_client::Message;
+use cdcr_interchange::mcap::Channel;
+use cdcr_interchange::of_layout;
+use cdcr_shared_types::message::{Layout, Struct};
+use cdcr_shared_types::{
+    Incident, ObstacleUpdate, ReferenceChunk, Service, ServiceNameError, Status, Telemetry,
+};
+
+/// Under which name a channel keeps the type and version that its messages had on the wire.
+pub(super) const WIRE_TYPE: &str = "wire_type";
+/// The same of the ROS 2 type hash, as rosbag2 names it.
+const TYPE_HASH: &str = "topic_type_hash";
+
+/// What is recorded.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Topic {
+    Telemetry,
+    Reference,
+    Obstacles,
+    Status,
+    Incidents,
+}
+
+impl Topic {
+    pub(super) const ALL: [Self; 5] = [
+        Self::Telemetry,
+        Self::Reference,
+        Self::Obstacles,
+        Self::Status,
+        Self::Incidents,
+    ];
+
+    /// The service whose messages these are.
+    pub(super) fn service(self) -> Service {
+        match self {
+            Self::Telemetry => Telemetry::SERVICE,
+            Self::Reference => ReferenceChunk::SERVICE,
+            Self::Obstacles => ObstacleUpdate::SERVICE,
+            Self::Status => Status::SERVICE,
+            Self::Incidents => Incident::SERVICE,
+        }
+    }
+
+    /// A message of it, to be filled.
+    pub(super) fn layout(self) -> &'static Layout {
+        match self {
+            Self::Telemetry => Telemetry::LAYOUT,
+            Self::Reference => ReferenceChunk::LAYOUT,
+            Self::Obstacles => ObstacleUpdate::LAYOUT,
+            Self::Status => Status::LAYOUT,
+            Self::Incidents => Incident::LAYOUT,
+        }
+    }
+
+    /// Its channel in a file.
+    pub(super) fn channel(self, robot: &str) -> Result<Channel, ServiceNameError> {
+        let layout = self.layout();
+        let schema = of_layout(layout);
+        let name = self.service().name(robot)?;
+        Ok(Channel {
+            topic: format!("/{name}"),
+            schema: schema.name,
+            text: schema.text,
+            metadata: [
+                (WIRE_TYPE.to_owned(), layout.type_name.to_owned()),
+                (TYPE_HASH.to_owned(), schema.hash),
+            ]
+            .into(),
+        })
+    }
+
+    /// What a channel of a file holds, by the name of its schema.
+    pub(super) fn of_schema(schema: &str) -> Option<Self> {
+        let name = schema.strip_prefix("cdcr_msgs/msg/")?;
+        Self::ALL
+            .into_iter()
+            .find(|topic| topic.layout().name == name)
+    }
+
+    /// What its messages are called beside a number.
+    pub(super) fn plural(self) -> &'static str {
+        match self {
+            Self::Telemetry => "cycles",
+            Self::Reference => "reference chunks",
+            Self::Obstacles => "obstacle updates",
+            Self::Status => "snapshots",
+            Self::Incidents => "incidents",
+        }
+    }
+}
+
+/// A message that is recorded.
+pub(super) trait Recorded: Message + Struct {
+    const TOPIC: Topic;
+}
+
+macro_rules! recorded {
+    ($($message:ident => $topic:ident,)+) => { $(
+        impl Recorded for $message { const TOPIC: Topic = Topic::$topic; }
+    )+ };
+}
+recorded! {
+    Telemetry => Telemetry,
+    ReferenceChunk => Reference,
+    ObstacleUpdate => Obstacles,
+    Status => Status,
+    Incident => Incidents,
+}

@@ -1,0 +1,231 @@
+use cdcr_controller::reference::ReferenceState;
+use cdcr_controller::safety::{self, LeaseState, ModeMachine, Observation};
+use cdcr_shared_types::codes::{
+    self, MeasurementKind, Mode, Reason, RequestKind, SolverStatus, guard,
+};
+use cdcr_shared_types::{InputEvent, Telemetry};
+
+use super::Difference;
+use super::check::Check;
+
+/// The mode machine, fed with what the records hold.
+///
+/// What a record does not hold is taken from its reason: faults of measurements, that the robot is home, that the machine slept, that
+/// inputs or obstacles are stale, a stop by a signal, the end of the daemon. All else is computed: clearance and following error that are
+/// faults, the bucket of misses, lease and end of the reference, requests, faults of the solver, and what becomes of a mode by each.
+#[derive(Debug, Default)]
+pub(super) struct Modes {
+    before: Option<Before>,
+}
+
+/// After the cycle before.
+#[derive(Debug)]
+struct Before {
+    machine: ModeMachine,
+    clearance_m: f64,
+    miss_bucket: u32,
+}
+
+impl Modes {
+    /// Records are missing: the mode of the next one is taken as it is.
+    pub(super) fn forget(&mut self) {
+        self.before = None;
+    }
+
+    /// The mode of a record that follows the last one, after these accepted requests.
+    pub(super) fn check(
+        &mut self,
+        record: &Telemetry,
+        requests: &[InputEvent],
+    ) -> Option<Difference> {
+        let recorded = mode_of(record);
+        let mut check = Check::new(record.cycle);
+        let mut machine = None;
+        if let Some(before) = self.before.take() {
+            let moved_on = before.moved_on(record, requests);
+            let (mode, reason) = codes_of(moved_on.mode());
+            check.same("mode", Mode::text_of(record.mode), mode.text());
+            check.same("reason", Reason::text_of(record.reason), reason.text());
+            machine = Some(moved_on);
+        }
+        let difference = check.first();
+        let machine = machine.filter(|_| difference.is_none());
+        // After a difference, as after a gap, it goes on with what the record says.
+        self.before = recorded.map(|mode| Before {
+            machine: machine.unwrap_or_else(|| ModeMachine::resumed(mode, record.lease_number)),
+            clearance_m: record.clearance_m,
+            miss_bucket: record.miss_bucket,
+        });
+        difference
+    }
+}
+
+impl Before {
+    fn moved_on(&self, record: &Telemetry, requests: &[InputEvent]) -> ModeMachine {
+        let mut machine = self.machine;
+        let is_now = |mode: Mode, reason: Reason| {
+            record.mode == mode.code() && record.reason == reason.code()
+        };
+        if is_now(Mode::Stopped, Reason::Shutdown) {
+            machine.shut_down();
+        }
+        let seen = self.observation(record);
+        machine.observe(&seen);
+        let mut requests = requests
+            .iter()
+            .filter_map(|event| request(event, record))
+            .peekable();
+        // A stop by a signal is no message.
+        if requests.peek().is_none()
+            && is_now(Mode::Stopped, Reason::Request)
+            && !machine.mode().is_latched()
+        {
+            let _ = machine.request(safety::Request::Stop, &seen);
+        }
+        let requests: Vec<_> = requests.collect();
+        let stop = Some(&safety::Request::Stop).filter(|stop| requests.contains(stop));
+        for request in stop.into_iter().chain(&requests) {
+            // What it refuses shows in the mode.
+            let _ = machine.request(*request, &seen);
+        }
+        let failed = record.report.status == SolverStatus::NonFinite.code();
+        if failed || record.guard_flags & guard::NON_FINITE != 0 {
+            machine.fault(safety::Reason::NonFinite);
+        }
+        machine
+    }
+
+    fn observation(&self, record: &Telemetry) -> Observation {
+        let told = reason_of(record.reason);
+        let told_in = |mode: Mode, reasons: &[Reason]| {
+            let is_told = record.mode == mode.code()
+                && reasons.iter().any(|reason| reason.code() == record.reason);
+            told.filter(|_| is_told)
+        };
+        let miss_limit = record.miss_limit;
+        Observation {
+            measured: record.measurement.kind != MeasurementKind::None.code(),
+            reference: match codes::ReferenceState::try_from(record.reference.state) {
+                Ok(codes::ReferenceState::Before) => ReferenceState::Before,
+                Ok(codes::ReferenceState::Inside) => ReferenceState::Inside,
+                Ok(codes::ReferenceState::Ended) => ReferenceState::Ended,
+                Ok(codes::ReferenceState::None) | Err(_) => ReferenceState::None,
+            },
+            // A request that this refuses is not among those that were accepted.
+            too_far: false,
+            lease: match codes::LeaseState::try_from(record.lease_state) {
+                Ok(codes::LeaseState::Held) => LeaseState::Held,
+                Ok(codes::LeaseState::Expired) => LeaseState::Expired,
+                Ok(codes::LeaseState::Free) | Err(_) => LeaseState::Free,
+            },
+            lease_number: record.lease_number,
+            at_home: told_in(Mode::Holding, &[Reason::HomeReached]).is_some(),
+            misses_overflow: miss_limit > 0 && self.miss_bucket >= miss_limit,
+            suspended: told_in(Mode::Stopped, &[Reason::Suspended]).is_some(),
+            wait: told_in(
+                Mode::Holding,
+                &[
+                    Reason::InputsStale,
+                    Reason::ObstacleSourceSilent,
+                    Reason::ReferenceTooFar,
+                ],
+            ),
+            fault: self.fault(
+                record,
+                told_in(
+                    Mode::Faulted,
+                    &[
+                        Reason::MeasurementLost,
+                        Reason::MeasurementJump,
+                        Reason::MeasurementFrozen,
+                        Reason::CommonMode,
+                        Reason::LimitBroken,
+                    ],
+                ),
+            ),
+        }
+    }
+
+    /// In the order in which the daemon looks.
+    fn fault(&self, record: &Telemetry, told: Option<safety::Reason>) -> Option<safety::Reason> {
+        if record.measurement.kind == MeasurementKind::None.code() {
+            return None;
+        }
+        let is_measured = told.filter(|told| *told != safety::Reason::LimitBroken);
+        if is_measured.is_some() {
+            return is_measured;
+        }
+        if self.clearance_m < record.clearance_fault_m {
+            return Some(safety::Reason::ClearanceBroken);
+        }
+        let errors_rad = record.following_error_rad.iter();
+        let largest_rad = errors_rad.copied().fold(0.0, f64::max);
+        let is_in_control = !self.machine.mode().is_latched() && record.control_begins == 0;
+        if is_in_control && largest_rad > record.following_fault_rad {
+            return Some(safety::Reason::FollowingError);
+        }
+        if record.bend_rad.iter().any(|bend| !bend.is_finite()) {
+            return Some(safety::Reason::NonFinite);
+        }
+        told
+    }
+}
+
+/// A request that concerns the mode.
+fn request(event: &InputEvent, record: &Telemetry) -> Option<safety::Request> {
+    Some(match RequestKind::try_from(event.detail).ok()? {
+        RequestKind::Track => safety::Request::Track {
+            lease_number: record.lease_number,
+        },
+        RequestKind::Hold => safety::Request::Hold,
+        RequestKind::Home => safety::Request::Home,
+        RequestKind::Stop => safety::Request::Stop,
+        RequestKind::Reset => safety::Request::Reset,
+        RequestKind::AcquireLease
+        | RequestKind::ReleaseLease
+        | RequestKind::Settings
+        | RequestKind::ResetStatistics => return None,
+    })
+}
+
+/// The mode of a record; none where a code has no meaning.
+fn mode_of(record: &Telemetry) -> Option<safety::Mode> {
+    let reason = reason_of(record.reason)?;
+    Some(match Mode::try_from(record.mode).ok()? {
+        Mode::Starting => safety::Mode::Starting,
+        Mode::Holding => safety::Mode::Holding { reason },
+        Mode::Tracking => safety::Mode::Tracking { begun: false },
+        Mode::Homing => safety::Mode::Homing,
+        Mode::Stopped => safety::Mode::Stopped { reason },
+        Mode::Faulted => safety::Mode::Faulted { reason },
+    })
+}
+
+fn codes_of(mode: safety::Mode) -> (Mode, Reason) {
+    let code = match mode {
+        safety::Mode::Starting => Mode::Starting,
+        safety::Mode::Holding { .. } => Mode::Holding,
+        safety::Mode::Tracking { .. } => Mode::Tracking,
+        safety::Mode::Homing => Mode::Homing,
+        safety::Mode::Stopped { .. } => Mode::Stopped,
+        safety::Mode::Faulted { .. } => Mode::Faulted,
+    };
+    (code, reason_code(mode.reason()))
+}
+
+/// Reasons have the same names on both sides; one that is missing does not compile.
+macro_rules! reasons {
+    ($($reason:ident),+ $(,)?) => {
+        fn reason_of(code: u32) -> Option<safety::Reason> {
+            Some(match Reason::try_from(code).ok()? { $(Reason::$reason => safety::Reason::$reason,)+ })
+        }
+        fn reason_code(reason: safety::Reason) -> Reason {
+            match reason { $(safety::Reason::$reason => Reason::$reason,)+ }
+        }
+    };
+}
+reasons! {
+    Start, Request, ReferenceEnded, LeaseExpired, HomeReached, DeadlineMisses, MeasurementLost, NonFinite,
+    LimitBroken, Shutdown, LeaseReleased, ClearanceBroken, MeasurementJump, MeasurementFrozen, FollowingError,
+    InputsStale, Suspended, ObstacleSourceSilent, ReferenceTooFar, CommonMode,
+}

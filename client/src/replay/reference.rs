@@ -1,0 +1,204 @@
+use std::collections::{BTreeMap, HashMap, VecDeque};
+
+use cdcr_controller::reference::{ReferenceWindow, Trajectory};
+use cdcr_controller::robot::Robot;
+use cdcr_shared_types::codes::{ChunkMode, EventKind, Outcome};
+use cdcr_shared_types::limits::REFERENCE_POINTS_MAX;
+use cdcr_shared_types::{InputEvent, ReferenceChunk, Telemetry};
+
+use crate::events;
+use crate::model::reference_points;
+
+/// Chunks that wait for what became of them. A daemon buffers 32.
+const CHUNKS_MAX: usize = 512;
+
+/// Client and number of a chunk.
+type Key = (u64, u64);
+
+/// The reference as the daemon had it, rebuilt from the chunks and the events that tell what became of each.
+#[derive(Debug, Default)]
+pub(super) struct Reference {
+    chunks: HashMap<Key, Box<ReferenceChunk>>,
+    /// The same, oldest first.
+    order: VecDeque<Key>,
+    /// By the gather that they took effect with.
+    events: BTreeMap<u64, Vec<InputEvent>>,
+    trajectory: Option<Trajectory>,
+    window: ReferenceWindow,
+    /// Chunks of the trajectory whose points are not all passed, and the one before.
+    in_force: VecDeque<Box<ReferenceChunk>>,
+    last: Option<Key>,
+    /// The trajectory is all there.
+    is_known: bool,
+    /// It may have been continued in records that are missing.
+    is_doubtful: bool,
+    /// Accepted requests that took effect with the present gather or later, in order.
+    requests: VecDeque<(u64, InputEvent)>,
+}
+
+impl Reference {
+    pub(super) fn take_chunk(&mut self, chunk: &ReferenceChunk) {
+        let key = (chunk.header.sender_id, chunk.header.sequence);
+        if self.chunks.insert(key, Box::new(*chunk)).is_none() {
+            self.order.push_back(key);
+        }
+        if self.order.len() > CHUNKS_MAX
+            && let Some(oldest) = self.order.pop_front()
+        {
+            self.chunks.remove(&oldest);
+        }
+    }
+
+    pub(super) fn take_events(&mut self, record: &Telemetry) {
+        for event in events(record) {
+            let gather = record.gather.saturating_sub(event.gathers_ago.into());
+            self.events.entry(gather).or_default().push(*event);
+        }
+    }
+
+    /// Another daemon begins: its gathers count anew.
+    pub(super) fn forget_events(&mut self) {
+        self.events.clear();
+        self.requests.clear();
+    }
+
+    /// No reference, of this robot.
+    pub(super) fn begin(&mut self, robot: &Robot) {
+        // The daemon forgets a little earlier.
+        let capacity = 2 * REFERENCE_POINTS_MAX;
+        self.trajectory = Some(Trajectory::with_capacity(capacity, robot.reach_m()));
+        self.in_force.clear();
+        (self.last, self.is_known, self.is_doubtful) = (None, false, false);
+    }
+
+    /// Records are missing: the trajectory may have been continued or replaced.
+    pub(super) fn doubt(&mut self) {
+        self.is_doubtful = true;
+    }
+
+    pub(super) fn is_known(&self) -> bool {
+        self.is_known && !self.is_doubtful
+    }
+
+    /// Repeats what the daemon did up to the gather of a record.
+    pub(super) fn move_on_to(&mut self, record: &Telemetry) {
+        let behind_ns = record.release_ns.saturating_sub(2 * record.period_ns);
+        if let Some(trajectory) = &mut self.trajectory {
+            trajectory.forget_before(behind_ns);
+        }
+        let ends_ns = |chunk: &ReferenceChunk| {
+            let last = chunk.count.saturating_sub(1) as usize;
+            chunk.points.get(last).map_or(0, |point| point.time_ns)
+        };
+        // A sample needs the points around it: of the chunk before, too.
+        while self.in_force.len() > 2 && ends_ns(&self.in_force[1]) < behind_ns {
+            self.in_force.pop_front();
+        }
+        while let Some(entry) = self.events.first_entry()
+            && *entry.key() <= record.gather
+        {
+            let (gather, events) = entry.remove_entry();
+            for event in events {
+                if event.outcome != Outcome::Accepted.code() {
+                    continue;
+                }
+                if event.kind == EventKind::Reference.code() {
+                    self.apply((event.sender_id, event.sequence));
+                } else if event.kind == EventKind::Request.code() {
+                    self.requests.push_back((gather, event));
+                }
+            }
+        }
+    }
+
+    /// A chunk was accepted.
+    fn apply(&mut self, key: Key) {
+        let (sender, number) = key;
+        let Some(chunk) = self.chunks.remove(&key) else {
+            // It was sent before the recording began, or lost.
+            (self.is_known, self.last) = (false, Some(key));
+            return;
+        };
+        if chunk.mode == ChunkMode::Replace.code() {
+            self.put(chunk, key);
+            return;
+        }
+        // What is appended follows the chunk before without a gap: those between were accepted, too.
+        let Some((_, last)) = self
+            .last
+            .filter(|(of, last)| *of == sender && *last < number)
+        else {
+            (self.is_known, self.last) = (false, Some(key));
+            return;
+        };
+        for between in last + 1..number {
+            match self.chunks.remove(&(sender, between)) {
+                Some(chunk) => self.put(chunk, (sender, between)),
+                None => self.is_known = false,
+            }
+        }
+        self.put(chunk, key);
+    }
+
+    fn put(&mut self, chunk: Box<ReferenceChunk>, key: Key) {
+        self.order.retain(|kept| *kept != key);
+        self.is_doubtful = false;
+        self.last = Some(key);
+        let begins = chunk.mode == ChunkMode::Replace.code();
+        let Some((points, trajectory)) = reference_points(&chunk).zip(self.trajectory.as_mut())
+        else {
+            self.is_known = false;
+            return;
+        };
+        let taken = if begins {
+            self.in_force.clear();
+            self.is_known = true;
+            trajectory.replace(points.into_iter())
+        } else {
+            trajectory.append(points.into_iter())
+        };
+        self.is_known &= taken.is_ok();
+        self.in_force.push_back(chunk);
+    }
+
+    /// The window of a record, of a horizon of so many steps.
+    pub(super) fn window(&mut self, record: &Telemetry, steps: usize) -> &ReferenceWindow {
+        // A cycle that is late has inputs that were gathered for the next one.
+        let ahead = record.window_first_cycle.cast_signed() - record.cycle.cast_signed();
+        let ahead_ns = ahead.wrapping_mul(record.period_ns.cast_signed());
+        if let Some(trajectory) = &self.trajectory {
+            self.window.fill(
+                trajectory,
+                record.window_first_cycle,
+                record.release_ns.saturating_add_signed(ahead_ns),
+                record.period_ns,
+                steps,
+                record.reference_lead_ns,
+            );
+        }
+        &self.window
+    }
+
+    /// The accepted requests that the cycle of a record carried out; `later`: the record after it.
+    pub(super) fn requests(
+        &mut self,
+        record: &Telemetry,
+        later: Option<&Telemetry>,
+    ) -> Vec<InputEvent> {
+        let is_next = |(gather, event): &(u64, InputEvent)| {
+            *gather < record.gather
+                || later.is_none_or(|later| {
+                    later.gather > *gather || event.judged_ns < later.handed_over_ns
+                })
+        };
+        let mut requests = Vec::new();
+        while self.requests.front().is_some_and(is_next) {
+            requests.extend(self.requests.pop_front().map(|(_, event)| event));
+        }
+        requests
+    }
+
+    pub(super) fn chunks_in_force(&self) -> Vec<ReferenceChunk> {
+        self.in_force.iter().map(|chunk| **chunk).collect()
+    }
+}

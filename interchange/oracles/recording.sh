@@ -1,0 +1,19 @@
+#!/usr/bin/env bash
+# Makes a recording of a daemon of its own, recording.mcap, and its tables in a folder.
+set -euo pipefail
+folder=$1
+cargo build -q --locked -p cdcr-daemon -p cdcr-client --bins
+root=$(mktemp -d -p /dev/shm)
+export CDCR_PREFIX=cdcr_oracle_ CDCR_ROOT=$root CDCR_ROBOT=oracle
+programs=()
+trap 'kill "${programs[@]}" 2>/dev/null || true; wait; rm -r "$root"' EXIT
+target/debug/cdcrd run --set link.simulated=laboratory --set realtime.mode=off 2> "$folder/daemon.log" & programs+=($!)
+for _ in $(seq 100); do target/debug/cdcrctl status > /dev/null 2>&1 && break; sleep 0.1; done
+target/debug/cdcrctl record -o "$folder/recording.mcap" 2> /dev/null & programs+=($!)
+recorder=$!
+for _ in $(seq 100); do [ -e "$folder/recording.mcap" ] && break; sleep 0.1; done
+target/debug/cdcrctl obstacle add --id 1 --at 0.3,0,0.5 --radius 0.02 > /dev/null
+target/debug/cdcrctl jog 0.01,0,-0.01 > /dev/null
+kill -INT "$recorder"
+wait "$recorder"
+target/debug/cdcrctl convert "$folder/recording.mcap" --csv "$folder/tables" > /dev/null

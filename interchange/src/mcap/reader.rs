@@ -1,0 +1,218 @@
+use std::collections::{BTreeMap, HashMap};
+use std::io::{self, Read};
+
+use mcap::records::Record;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{MAGIC, McapError, parse_record};
+
+use super::Channel;
+
+/// A record or chunk above this is none of ours \[bytes\].
+const RECORD_MAX: usize = 64 << 20;
+
+/// Why a recording cannot be read, or not any further.
+#[derive(Debug, thiserror::Error)]
+pub enum ReadError {
+    /// The file system's.
+    #[error(transparent)]
+    Io(#[from] io::Error),
+    /// It has no byte.
+    #[error("the file is empty")]
+    Empty,
+    /// It begins otherwise.
+    #[error("this is no MCAP file")]
+    Foreign,
+    /// It ends too early; all before was read.
+    #[error("the recording is cut: it ends in the middle of a record")]
+    Cut,
+    /// In a way that is not known here.
+    #[error(
+        "its chunks are compressed with {0}: `mcap compress --compression lz4` makes a file that can be read"
+    )]
+    Compressed(String),
+    /// A record is not what it should be.
+    #[error("the recording is damaged: {0}")]
+    Damaged(McapError),
+}
+
+/// What a recording holds, in the order of the file.
+#[derive(Debug)]
+pub enum Item<'a> {
+    /// Of a channel.
+    Message(Message<'a>),
+    /// A file.
+    Attachment {
+        /// Its name.
+        name: String,
+        /// What it is, such as `application/toml`.
+        media_type: String,
+        /// Since 1970 \[ns\].
+        time_ns: u64,
+        /// Its bytes.
+        data: Vec<u8>,
+    },
+    /// Values with names.
+    Metadata {
+        /// What they are about.
+        name: String,
+        /// By their names.
+        values: BTreeMap<String, String>,
+    },
+}
+
+/// A message of a channel.
+#[derive(Debug, Clone, Copy)]
+pub struct Message<'a> {
+    /// Its channel's number in this file.
+    pub channel_id: u16,
+    /// What it is of.
+    pub channel: &'a Channel,
+    /// Its number in that.
+    pub sequence: u32,
+    /// Since 1970 \[ns\].
+    pub log_ns: u64,
+    /// Since 1970 \[ns\].
+    pub publish_ns: u64,
+    /// Its bytes.
+    pub data: &'a [u8],
+}
+
+/// Reads a recording from its beginning to its end; one chunk of it is in memory.
+pub struct Reader<R> {
+    input: R,
+    events: LinearReader,
+    /// The data of the newest message.
+    data: Vec<u8>,
+    ended: bool,
+    schemas: HashMap<u16, (String, String)>,
+    channels: HashMap<u16, Channel>,
+}
+
+/// An item without what it borrows.
+enum Found {
+    Message(mcap::records::MessageHeader),
+    Item(Item<'static>),
+}
+
+impl<R: Read> Reader<R> {
+    /// Begins to read.
+    ///
+    /// # Errors
+    /// When it is no recording.
+    pub fn new(mut input: R) -> Result<Self, ReadError> {
+        let mut magic = Vec::new();
+        let mut first = input.by_ref().take(MAGIC.len() as u64);
+        first.read_to_end(&mut magic)?;
+        if magic.is_empty() {
+            return Err(ReadError::Empty);
+        }
+        if magic != MAGIC {
+            return Err(ReadError::Foreign);
+        }
+        let options = LinearReaderOptions::default()
+            .with_skip_start_magic(true)
+            // Nothing of a chunk that is damaged is handed out.
+            .with_prevalidate_chunk_crcs(true)
+            .with_record_length_limit(RECORD_MAX);
+        Ok(Self {
+            input,
+            events: LinearReader::new_with_options(options),
+            data: Vec::new(),
+            ended: false,
+            schemas: HashMap::new(),
+            channels: HashMap::new(),
+        })
+    }
+
+    /// The next item; none at the end. After an error, nothing more.
+    ///
+    /// # Errors
+    /// When the file cannot be read, or is not what it should be from here on.
+    pub fn next_item(&mut self) -> Result<Option<Item<'_>>, ReadError> {
+        let found = self.find();
+        self.ended |= !matches!(found, Ok(Some(_)));
+        Ok(match found? {
+            None => None,
+            Some(Found::Item(item)) => Some(item),
+            Some(Found::Message(header)) => {
+                let unknown = || McapError::UnknownChannel(header.sequence, header.channel_id);
+                let channel = self.channels.get(&header.channel_id);
+                Some(Item::Message(Message {
+                    channel_id: header.channel_id,
+                    channel: channel.ok_or_else(|| ReadError::Damaged(unknown()))?,
+                    sequence: header.sequence,
+                    log_ns: header.log_time,
+                    publish_ns: header.publish_time,
+                    data: &self.data,
+                }))
+            }
+        })
+    }
+
+    fn find(&mut self) -> Result<Option<Found>, ReadError> {
+        while !self.ended {
+            let (opcode, data) = match self.events.next_event() {
+                None => break,
+                Some(Ok(LinearReadEvent::ReadRequest(count))) => {
+                    let room = self.events.insert(count);
+                    let count = self.input.read(room)?;
+                    self.events.notify_read(count);
+                    continue;
+                }
+                Some(Ok(LinearReadEvent::Record { data, opcode })) => (opcode, data),
+                Some(Err(error)) => return Err(error.into()),
+            };
+            match parse_record(opcode, data)? {
+                Record::Message { header, data } => {
+                    self.data.clear();
+                    self.data.extend_from_slice(&data);
+                    return Ok(Some(Found::Message(header)));
+                }
+                Record::Schema { header, data } => {
+                    let text = String::from_utf8_lossy(&data).into_owned();
+                    self.schemas.insert(header.id, (header.name, text));
+                }
+                Record::Channel(channel) => {
+                    let schema = self.schemas.get(&channel.schema_id);
+                    let (schema, text) = schema.cloned().unwrap_or_default();
+                    let known = Channel {
+                        topic: channel.topic,
+                        schema,
+                        text,
+                        metadata: channel.metadata,
+                    };
+                    self.channels.insert(channel.id, known);
+                }
+                Record::Attachment { header, data, .. } => {
+                    return Ok(Some(Found::Item(Item::Attachment {
+                        name: header.name,
+                        media_type: header.media_type,
+                        time_ns: header.log_time,
+                        data: data.into_owned(),
+                    })));
+                }
+                Record::Metadata(metadata) => {
+                    return Ok(Some(Found::Item(Item::Metadata {
+                        name: metadata.name,
+                        values: metadata.metadata,
+                    })));
+                }
+                // What follows is the index.
+                Record::DataEnd(_) => break,
+                _ => {}
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl From<McapError> for ReadError {
+    fn from(error: McapError) -> Self {
+        match error {
+            McapError::Io(error) => Self::Io(error),
+            McapError::UnexpectedEof => Self::Cut,
+            McapError::UnsupportedCompression(name) => Self::Compressed(name),
+            error => Self::Damaged(error),
+        }
+    }
+}

@@ -1,0 +1,187 @@
+use rand::{Rng as _, SeedableRng as _};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::*;
+
+fn channel(topic: &str) -> Channel {
+    Channel {
+        topic: topic.to_owned(),
+        schema: "cdcr_msgs/msg/Header".to_owned(),
+        text: "uint64 sender_id\n".to_owned(),
+        metadata: [("offset_ns".to_owned(), "7".to_owned())].into(),
+    }
+}
+
+fn stamp(sequence: u32) -> Stamp {
+    Stamp {
+        sequence,
+        log_ns: 1_000 + u64::from(sequence),
+        publish_ns: 2_000,
+    }
+}
+
+/// A file of `count` messages of 1 kB, and where each flush ended it.
+fn file(count: u32) -> (Vec<u8>, Vec<u64>) {
+    let mut writer = Writer::new(Vec::new(), "ros2", "test").unwrap();
+    let ids = ["/a", "/b"].map(|topic| writer.add_channel(&channel(topic)).unwrap());
+    writer
+        .attach("note.txt", "text/plain", 5, b"hello")
+        .unwrap();
+    writer
+        .add_metadata("about", [("x".to_owned(), "1".to_owned())].into())
+        .unwrap();
+    let mut flushed = Vec::new();
+    for sequence in 0..count {
+        let data = [sequence as u8; 1000];
+        let id = ids[sequence as usize % 2];
+        writer.write(id, stamp(sequence), &data).unwrap();
+        if sequence % 10 == 9 {
+            writer.flush().unwrap();
+            flushed.push(writer.whole_bytes());
+        }
+    }
+    let Ok(bytes) = writer.finish() else {
+        panic!("memory takes it all");
+    };
+    (bytes, flushed)
+}
+
+/// Messages, other items, and how it ended.
+fn read(bytes: &[u8]) -> (Vec<u32>, usize, Result<(), ReadError>) {
+    let (mut messages, mut others) = (Vec::new(), 0);
+    let mut reader = match Reader::new(bytes) {
+        Ok(reader) => reader,
+        Err(error) => return (messages, others, Err(error)),
+    };
+    loop {
+        match reader.next_item() {
+            Ok(Some(Item::Message(message))) => {
+                let topic = ["/a", "/b"][message.sequence as usize % 2];
+                assert_eq!(*message.channel, channel(topic));
+                assert_eq!(message.data, [message.sequence as u8; 1000]);
+                assert_eq!(
+                    (message.log_ns, message.publish_ns),
+                    (1_000 + u64::from(message.sequence), 2_000)
+                );
+                messages.push(message.sequence);
+            }
+            Ok(Some(Item::Attachment { name, data, .. })) => {
+                assert_eq!((name.as_str(), &data[..]), ("note.txt", &b"hello"[..]));
+                others += 1;
+            }
+            Ok(Some(Item::Metadata { name, values })) => {
+                assert_eq!(name, "about");
+                assert_eq!(values, [("x".to_owned(), "1".to_owned())].into());
+                others += 1;
+            }
+            Ok(None) => return (messages, others, Ok(())),
+            Err(error) => return (messages, others, Err(error)),
+        }
+    }
+}
+
+#[test]
+fn what_is_written_is_read_again() {
+    let (bytes, _) = file(100);
+    let (messages, others, end) = read(&bytes);
+    end.unwrap();
+    assert_eq!(messages, (0..100).collect::<Vec<_>>());
+    assert_eq!(others, 2);
+}
+
+#[test]
+fn a_file_that_is_cut_anywhere_has_all_that_was_flushed() {
+    let (bytes, flushed) = file(40);
+    for end in (0..bytes.len() - 1).step_by(37) {
+        let (messages, _, result) = read(&bytes[..end]);
+        let whole = flushed.iter().filter(|at| **at <= end as u64).count();
+        assert!(messages.len() >= 10 * whole, "{end}");
+        assert!(messages.iter().copied().eq(0..messages.len() as u32));
+        match result {
+            Err(ReadError::Cut) => {}
+            Err(ReadError::Empty) => assert_eq!(end, 0),
+            // All messages came: what is missing is the index.
+            Ok(()) => assert_eq!(messages.len(), 40),
+            Err(ReadError::Foreign) => assert!(end < mcap::MAGIC.len()),
+            Err(other) => panic!("{end}: {other}"),
+        }
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_refused() {
+    assert!(matches!(read(b"").2, Err(ReadError::Empty)));
+    assert!(matches!(
+        read(b"time_s,x_m\n0,1\n").2,
+        Err(ReadError::Foreign)
+    ));
+    let (bytes, _) = file(40);
+    for at in (9..bytes.len()).step_by(101) {
+        let mut wrong = bytes.clone();
+        wrong[at] ^= 0xFF;
+        // Never a panic, whatever stands there.
+        let Ok(mut reader) = Reader::new(&wrong[..]) else {
+            continue;
+        };
+        while let Ok(Some(_)) = reader.next_item() {}
+    }
+    let chunk = bytes
+        .windows(4)
+        .position(|window| window == [39; 4])
+        .unwrap();
+    let mut wrong = bytes.clone();
+    wrong[chunk] ^= 1;
+    assert!(matches!(read(&wrong).2, Err(ReadError::Damaged { .. })));
+}
+
+/// A disk with room for so many bytes.
+struct Disk(Vec<u8>, usize);
+
+impl std::io::Write for Disk {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        let room = self.1.saturating_sub(self.0.len()).min(bytes.len());
+        self.0.extend(&bytes[..room]);
+        if room == 0 && !bytes.is_empty() {
+            return Err(std::io::ErrorKind::StorageFull.into());
+        }
+        Ok(room)
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// Bytes that cannot be made fewer.
+fn noise(seed: u32) -> [u8; 1000] {
+    let mut bytes = [0; 1000];
+    Xoshiro256PlusPlus::seed_from_u64(seed.into()).fill_bytes(&mut bytes);
+    bytes
+}
+
+#[test]
+fn a_full_disk_keeps_what_is_whole() {
+    let mut writer = Writer::new(Disk(Vec::new(), 50_500), "ros2", "test").unwrap();
+    let id = writer.add_channel(&channel("/a")).unwrap();
+    let mut written = 0;
+    let full = (0..).step_by(2).find(|sequence| {
+        let data = noise(*sequence);
+        writer.write(id, stamp(*sequence), &data).unwrap();
+        let is_full = writer.flush().is_err();
+        written += usize::from(!is_full);
+        is_full
+    });
+    assert!(full.is_some());
+    let whole = writer.whole_bytes() as usize;
+    let mut disk = writer.abandon();
+    disk.0.truncate(whole);
+    end(&mut disk).unwrap();
+    let mut reader = Reader::new(&disk.0[..]).unwrap();
+    for sequence in (0..).step_by(2).take(written) {
+        let Some(Item::Message(message)) = reader.next_item().unwrap() else {
+            panic!("{sequence} of {written}");
+        };
+        assert_eq!(message.data, noise(sequence));
+    }
+    assert!(reader.next_item().unwrap().is_none() && written > 10);
+}

@@ -1,0 +1,449 @@
+//! `cdcrctl record` and what reads its files.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use cdcr_client::{Connection, Spiral};
+use cdcr_interchange::mcap::{Channel, Item, Reader, Stamp, Writer};
+use cdcr_interchange::{decode, encode};
+use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
+use cdcr_shared_types::message::Struct;
+use cdcr_shared_types::{Obstacle, Telemetry};
+use cdcr_tests::{
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, wait_mode, wait_until,
+};
+use rustix::process::Signal;
+use serde_json::Value;
+
+use crate::own_mounts::{has_own_mounts, mount, name_of};
+
+/// A daemon, and a program that records what it does.
+struct Recorded {
+    daemon: Daemon,
+    recorder: Program,
+    file: PathBuf,
+}
+
+impl Recorded {
+    fn start(configuration: &str) -> Self {
+        let daemon = Daemon::start(configuration);
+        let file = daemon.place().folder().join("run.mcap");
+        Self::into(daemon, file)
+    }
+
+    fn into(daemon: Daemon, file: PathBuf) -> Self {
+        Self {
+            recorder: Self::recorder(&daemon, &file),
+            daemon,
+            file,
+        }
+    }
+
+    /// A recorder whose streams are open.
+    fn recorder(daemon: &Daemon, file: &Path) -> Program {
+        let mut command = daemon.place().command("cdcrctl");
+        let recorder = Program::start(command.arg("record").arg("-o").arg(file));
+        wait_until("the recorder has begun", || file.exists());
+        recorder
+    }
+
+    fn end(&mut self) -> String {
+        self.recorder.signal(Signal::INT);
+        assert_says(&self.recorder.output(), 0, &["run.mcap"])
+    }
+
+    fn cdcrctl(&self, arguments: &[&str]) -> String {
+        let mut command = self.daemon.place().command("cdcrctl");
+        let folder = self.daemon.place().folder();
+        let output = Program::start(command.args(arguments).current_dir(folder)).output();
+        assert!(output.status.success(), "{arguments:?}: {}", text(&output));
+        String::from_utf8(output.stdout).unwrap()
+    }
+
+    fn info(&self) -> Value {
+        let printed = self.cdcrctl(&["info", "run.mcap", "--format", "json"]);
+        serde_json::from_str(&printed).unwrap()
+    }
+}
+
+fn curve() -> Spiral {
+    Spiral {
+        duration_s: 1.0,
+        ..Spiral::for_sections(&[0.3; 3])
+    }
+}
+
+fn know_an_obstacle(connection: &Connection) {
+    let mut telemetry = connection.telemetry().unwrap();
+    let obstacle = Obstacle {
+        id: 1,
+        start_m: [0.3, 0.0, 0.5],
+        radius_m: 0.02,
+        measured_ns: cdcr_client::monotonic_ns(),
+        ..Default::default()
+    };
+    let sender = connection.obstacle_sender().unwrap();
+    let header = sender.upsert(&[obstacle]).unwrap();
+    let outcome = telemetry.outcome_on(EventKind::Obstacles, &header, TIMEOUT);
+    assert_eq!(outcome.unwrap().code(), 0);
+}
+
+#[test]
+fn a_recording_has_every_cycle_and_what_clients_sent() {
+    let mut run = Recorded::start(PATIENT);
+    let connection = run.daemon.connect();
+    know_an_obstacle(&connection);
+    let records = track(&connection, &curve());
+    let said = run.end();
+    assert!(said.contains("1 obstacle updates"), "{said}");
+    let info = run.info();
+    let telemetry = &info["channels"]["telemetry"];
+    assert!(telemetry["messages"].as_u64().unwrap() >= records.len() as u64);
+    for name in ["telemetry", "reference", "obstacles", "status"] {
+        let channel = &info["channels"][name];
+        assert!(channel["messages"].as_u64().unwrap() > 0, "{name}: {info}");
+        assert_eq!(channel["missing"], 0, "{info}");
+    }
+    run.cdcrctl(&["convert", "run.mcap", "--csv", "tables"]);
+    let table = |name: &str| {
+        let path = run.file.with_file_name("tables").join(name);
+        let text = fs::read_to_string(path).unwrap();
+        let mut rows = text
+            .lines()
+            .map(|row| row.split(',').map(str::to_owned).collect::<Vec<_>>());
+        (rows.next().unwrap(), rows.collect::<Vec<_>>())
+    };
+    let (heads, rows) = table("telemetry.csv");
+    assert_eq!(telemetry["messages"], rows.len());
+    let column = |name: &str| heads.iter().position(|head| head == name).unwrap();
+    let cycle = column("cycle");
+    let at = |record: &Telemetry| {
+        rows.iter()
+            .find(|row| row[cycle] == record.cycle.to_string())
+            .unwrap()
+    };
+    for record in &records {
+        let row = at(record);
+        assert_eq!(row[column("command.mode")], "tracking");
+        // Written in full: the same bits when it is read.
+        assert_eq!(row[column("bend_rad[2]")].parse(), Ok(record.bend_rad[2]));
+        assert_eq!(row.len(), heads.len());
+    }
+    assert!(
+        !heads
+            .iter()
+            .any(|head| head.starts_with("plan[") || head.starts_with("bend_rad[6"))
+    );
+    let (heads, rows) = table("obstacles.csv");
+    assert_eq!(
+        (rows.len(), heads.contains(&"radius_m".to_owned())),
+        (1, true)
+    );
+    assert!(
+        table("events.csv")
+            .1
+            .iter()
+            .any(|row| row.contains(&"track".to_owned()))
+    );
+    assert_eq!(info["cut"], false);
+    assert!(info["modes"]["tracking"].as_u64().unwrap() > 100);
+    let error_m = info["largest_error"]["position_error_m"].as_f64().unwrap();
+    assert!((1e-9..0.1).contains(&error_m), "{error_m}");
+}
+
+/// Modes change, requests are refused, obstacles come, solves run out of their budget: whatever a cycle did, the recording alone tells it.
+#[test]
+fn every_cycle_of_a_recording_is_computed_again() {
+    let budget =
+        "[cycle]\nmiss_limit = 1000000\nbudget_ms = 0.02\n[reference]\nlease_ms = 60000.0\n";
+    let mut run = Recorded::start(budget);
+    let connection = run.daemon.connect();
+    know_an_obstacle(&connection);
+    track(&connection, &curve());
+    // Refused: nobody feeds.
+    assert!(connection.request(RequestKind::Track).is_err());
+    let mut telemetry = connection.telemetry().unwrap();
+    for (request, mode) in [
+        (RequestKind::Home, Mode::Homing),
+        (RequestKind::Stop, Mode::Stopped),
+        (RequestKind::Reset, Mode::Holding),
+    ] {
+        connection.request(request).unwrap();
+        wait_mode(&mut telemetry, mode);
+    }
+    let settings = connection.settings().unwrap();
+    let changed = cdcr_shared_types::SolverSettings {
+        horizon_steps: settings.horizon_steps + 1,
+        ..settings
+    };
+    connection.change_settings(changed).unwrap();
+    track(&connection, &curve());
+    run.end();
+    let printed = run.cdcrctl(&["replay", "--verify", "run.mcap", "--format", "json"]);
+    let verified: Value = serde_json::from_str(&printed).unwrap();
+    assert_eq!(verified["cycles"], verified["reproduced"], "{verified}");
+    assert_eq!(verified["first_difference"], Value::Null);
+    assert!(verified["solved"].as_u64().unwrap() > 300, "{verified}");
+    let info = run.info();
+    assert_eq!(
+        verified["cycles"],
+        info["channels"]["telemetry"]["messages"]
+    );
+    for mode in ["tracking", "holding", "homing", "stopped"] {
+        assert!(info["modes"][mode].as_u64().unwrap() > 0, "{info}");
+    }
+}
+
+#[test]
+fn cycles_of_a_reference_from_before_the_recording_are_counted_apart() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let file = daemon.place().folder().join("run.mcap");
+    let mut run = std::thread::scope(|scope| {
+        let feed = scope.spawn(|| track(&daemon.connect(), &curve()));
+        let mut telemetry = connection.telemetry().unwrap();
+        wait_mode(&mut telemetry, Mode::Tracking);
+        let recorder = Recorded::recorder(&daemon, &file);
+        feed.join().unwrap();
+        recorder
+    });
+    drop(connection);
+    run.signal(Signal::INT);
+    assert_says(&run.output(), 0, &["run.mcap"]);
+    let said = daemon
+        .place()
+        .says("cdcrctl replay --verify run.mcap", 0, &["reproduced"]);
+    assert!(said.contains("not all, in the recording"), "{said}");
+}
+
+#[test]
+fn a_recording_ends_with_its_daemon() {
+    let mut run = Recorded::start(PATIENT);
+    run.daemon.stop();
+    assert_says(&run.recorder.output(), 0, &["the daemon ended"]);
+    assert_eq!(run.info()["cut"], false);
+}
+
+#[test]
+fn of_a_recorder_that_is_killed_the_last_second_is_missing_at_most() {
+    let mut run = Recorded::start(PATIENT);
+    let mut telemetry = run.daemon.connect().telemetry().unwrap();
+    let begin = telemetry.next_within(TIMEOUT).unwrap().unwrap();
+    let newest = loop {
+        let record = telemetry.next_within(TIMEOUT).unwrap().unwrap();
+        if record.release_ns - begin.release_ns > 2_500_000_000 {
+            break record;
+        }
+    };
+    run.recorder.signal(Signal::KILL);
+    run.recorder.output();
+    let info = run.info();
+    assert_eq!(info["cut"], true);
+    let seen_s = info["duration_s"].as_f64().unwrap();
+    let all_s = (newest.release_ns - begin.release_ns) as f64 * 1e-9;
+    // A machine that stalls delays the recorder, too; it flushes when it runs.
+    assert!(seen_s > all_s - 2.0, "{seen_s} of {all_s} s");
+    let said = run.cdcrctl(&["info", "run.mcap", "--repair"]);
+    assert!(said.contains("which was cut"), "{said}");
+    fs::rename(run.file.with_file_name("run-repaired.mcap"), &run.file).unwrap();
+    let repaired = run.info();
+    assert_eq!(repaired["cut"], false);
+    assert_eq!(repaired["channels"], info["channels"]);
+}
+
+#[test]
+fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
+    if !has_own_mounts(&name_of(
+        &a_full_disk_ends_the_recording_and_the_file_is_whole,
+    )) {
+        return;
+    }
+    let daemon = Daemon::start(PATIENT);
+    let disk = daemon.place().folder().join("disk");
+    fs::create_dir(&disk).unwrap();
+    let folder = disk.display();
+    if !mount(&format!("mount -t tmpfs -o size=512k tmpfs {folder}")) {
+        return;
+    }
+    let mut run = Recorded::into(daemon, disk.join("run.mcap"));
+    assert_says(
+        &run.recorder.output(),
+        3,
+        &["run.mcap", "the recording ended there"],
+    );
+    let file = Path::new("disk/run.mcap").display().to_string();
+    let info: Value =
+        serde_json::from_str(&run.cdcrctl(&["info", &file, "--format", "json"])).unwrap();
+    assert_eq!(info["cut"], false);
+    assert!(info["channels"]["telemetry"]["messages"].as_u64().unwrap() > 10);
+    assert_eq!(info["channels"]["telemetry"]["missing"], 0);
+    // The loop never noticed.
+    let status = run
+        .daemon
+        .connect()
+        .status(Duration::from_secs(10))
+        .unwrap();
+    assert_eq!(status.mode, Mode::Holding.code());
+    drop(run);
+    assert!(mount(&format!("umount {folder}")));
+}
+
+/// Copies a recording, with its channels and telemetry changed.
+fn rewrite(
+    from: &Path,
+    to: &Path,
+    mut change_channel: impl FnMut(&mut Channel),
+    mut change: impl FnMut(&mut Telemetry),
+) {
+    let mut reader = Reader::new(fs::File::open(from).unwrap()).unwrap();
+    let mut writer = Writer::new(fs::File::create(to).unwrap(), "ros2", "test").unwrap();
+    let mut ids = BTreeMap::new();
+    while let Some(item) = reader.next_item().unwrap() {
+        let Item::Message(message) = item else {
+            continue;
+        };
+        let id = *ids.entry(message.channel_id).or_insert_with(|| {
+            let mut channel = message.channel.clone();
+            change_channel(&mut channel);
+            writer.add_channel(&channel).unwrap()
+        });
+        let mut data = message.data.to_vec();
+        if message.channel.schema.ends_with("Telemetry") {
+            let mut record = Telemetry::default();
+            decode(&data, &mut record).unwrap();
+            change(&mut record);
+            data = encode(&record).unwrap();
+        }
+        let stamp = Stamp {
+            sequence: message.sequence,
+            log_ns: message.log_ns,
+            publish_ns: message.publish_ns,
+        };
+        writer.write(id, stamp, &data).unwrap();
+    }
+    writer.finish().unwrap();
+}
+
+/// A recording of a curve that was tracked.
+fn tracked_curve() -> Recorded {
+    let mut run = Recorded::start(PATIENT);
+    track(&run.daemon.connect(), &curve());
+    run.end();
+    run
+}
+
+#[test]
+fn the_first_difference_is_named_and_saved_so_that_it_shows_again_alone() {
+    let run = tracked_curve();
+    let altered = run.file.with_file_name("altered.mcap");
+    let mut solved = 0;
+    rewrite(
+        &run.file,
+        &altered,
+        |_| {},
+        |record| {
+            solved += u32::from(record.plan_length > 0);
+            // Tracking for a while: chunks were appended meanwhile.
+            if solved == 150 || solved == 160 {
+                record.plan[3] += f64::EPSILON;
+            }
+        },
+    );
+    let verify = |file: &str| -> Value {
+        let mut command = run.daemon.place().command("cdcrctl");
+        command.args(["replay", "--format", "json", "--verify", file]);
+        let output = Program::start(command.current_dir(run.daemon.place().folder())).output();
+        assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let all = verify("altered.mcap");
+    let first = &all["first_difference"];
+    assert_eq!(
+        (&all["different"], &first["what"]),
+        (&2.into(), &"plan[3]".into()),
+        "{all}"
+    );
+    let alone = verify(first["inputs"].as_str().unwrap());
+    assert_eq!(
+        (&alone["cycles"], &alone["different"]),
+        (&1.into(), &1.into()),
+        "{alone}"
+    );
+    for name in ["cycle", "what", "recorded", "computed"] {
+        assert_eq!(alone["first_difference"][name], first[name], "{name}");
+    }
+}
+
+#[test]
+fn other_settings_are_compared_with_what_was_commanded() {
+    let run = tracked_curve();
+    let with = |changes: &str| -> Value {
+        let printed = run.cdcrctl(&["replay", "--with", changes, "run.mcap", "--format", "json"]);
+        serde_json::from_str(&printed).unwrap()
+    };
+    let [same, others] = [
+        "velocity_rule=inertia",
+        "solver=gauss-newton,horizon_steps=5",
+    ]
+    .map(with);
+    let most = |found: &Value| found["rates_apart_rad_s"]["max"].as_f64().unwrap();
+    let mean = |found: &Value| found["tips_apart_m"]["mean"].as_f64().unwrap();
+    assert!(same["cycles"].as_u64().unwrap() > 150, "{same}");
+    // Only a solve that the machine cut short comes out otherwise.
+    assert!(mean(&same) < 0.1 * mean(&others), "{same} {others}");
+    assert!(most(&others) > 1e-6, "{others}");
+    assert_eq!(same["cycles"], others["cycles"]);
+    assert_ne!(same["with"]["evaluations"], others["with"]["evaluations"]);
+    let place = run.daemon.place();
+    place.says("cdcrctl replay --with horizon=5 run.mcap", 2, &["horizon"]);
+    place.says("cdcrctl replay run.mcap", 2, &["--verify"]);
+}
+
+#[test]
+fn a_recording_of_another_version_is_refused_and_both_are_named() {
+    let run = tracked_curve();
+    let other = run.file.with_file_name("other.mcap");
+    rewrite(
+        &run.file,
+        &other,
+        |channel| {
+            channel
+                .metadata
+                .get_mut("wire_type")
+                .unwrap()
+                .push_str("99");
+        },
+        |_| {},
+    );
+    let name = <Telemetry as Struct>::layout(&Telemetry::default()).type_name;
+    let place = run.daemon.place();
+    for task in ["info", "replay --verify", "convert --csv tables"] {
+        let found = format!("{name}99");
+        let ours = format!("reads {name}:");
+        // Which message comes first is chance; each has its two versions.
+        let said = place.says(
+            &format!("cdcrctl {task} other.mcap"),
+            1,
+            &["was recorded as", "reads"],
+        );
+        assert!(said.contains(&found) == said.contains(&ours), "{said}");
+    }
+}
+
+#[test]
+fn what_is_no_recording_is_refused_with_the_reason() {
+    let run = Recorded::start(PATIENT);
+    let place = run.daemon.place();
+    place.write("empty.mcap", "");
+    place.write("foreign.mcap", "time_s,x_m\n0,1\n");
+    for (file, reason) in [
+        ("empty.mcap", "the file is empty"),
+        ("foreign.mcap", "no MCAP file"),
+        ("missing.mcap", "No such file"),
+    ] {
+        place.says(&format!("cdcrctl info {file}"), 1, &[file, reason]);
+    }
+    place.says("cdcrctl record -o run.mcap", 1, &["run.mcap", "exists"]);
+}
