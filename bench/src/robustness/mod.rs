@@ -21,11 +21,11 @@ use crate::chart::{Curve, Panel, Scale, sheet};
 use crate::dataset::{Column, Dataset, Plot, Sheet, fixed, plain, word};
 use crate::interrupt;
 use crate::progress::Progress;
-use scenario::{Control, Scenario};
+use scenario::{Control, Scenario, Way};
 
 const EXPLANATION: &str = "\
 <p>Three sections follow a figure eight of 160 mm by 80 mm at up to 52 mm/s; where a robot is said to go <em>through straight</em>, as many \
-sections as its name says follow one through the tip of the straight robot. The robot is not its model: its motors lag, its \
+sections as its name says follow one through the tip of the straight robot; some follow the paper's spiral, one of them 60 mm lower. The robot is not its model: its motors lag, its \
 sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
 second: mean and settled are means over the seeds, rms, largest error and following are those of the worst seed. The controller is the one of \
 a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off. <em>At rest</em> is the largest error, in the worst \
@@ -257,9 +257,10 @@ impl Case {
     /// One run for each seed.
     fn runs(&self, arena: &Arena, seeds: u32, progress: &Mutex<&mut Progress>) -> Result<Runs> {
         let scenario = &self.scenario;
-        let eight = match scenario.through_straight {
-            Some(sections) => FigureEight::through_straight(sections)?,
-            None => arena.eight.clone(),
+        let eight = match scenario.way {
+            Way::Eight => arena.eight.clone(),
+            Way::ThroughStraight(sections) => FigureEight::through_straight(sections)?,
+            Way::Spiral { lower_m } => FigureEight::spiral(lower_m)?,
         };
         let obstacles = &arena.ball[..usize::from(scenario.has_ball)];
         let mut runs = Runs::default();

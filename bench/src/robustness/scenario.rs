@@ -8,6 +8,10 @@ use plotters::style::RGBColor;
 use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
 use crate::named::named;
 
+/// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
+/// \[mm\]: docs/robustness.md.
+const OUT_OF_REACH_MM: f64 = 34.22;
+
 /// Time constant of a daemon's estimate, by default \[s\].
 const TIME_CONSTANT_S: f64 = 0.15;
 
@@ -47,6 +51,17 @@ impl Control {
     }
 }
 
+/// What the tip follows.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Way {
+    /// The common figure eight of three sections.
+    Eight,
+    /// The one of so many sections through the straight robot.
+    ThroughStraight(usize),
+    /// The paper's spiral, so much lower \[m\].
+    Spiral { lower_m: f64 },
+}
+
 /// A robot, and what is known of it.
 #[derive(Debug, Clone)]
 pub(super) struct Scenario {
@@ -55,8 +70,7 @@ pub(super) struct Scenario {
     /// What its motors are taken for.
     actuator: Actuator,
     sensor: Sensor,
-    /// Sections whose figure eight goes through the straight robot; none: the three of the common one.
-    pub(super) through_straight: Option<usize>,
+    pub(super) way: Way,
     /// A ball stands at the way.
     pub(super) has_ball: bool,
     pub(super) targets: Targets,
@@ -114,7 +128,7 @@ impl Scenario {
             actuator: flaws.actuator,
             flaws,
             sensor: Sensor::Cables,
-            through_straight: None,
+            way: Way::Eight,
             has_ball: false,
             targets: Targets::NONE,
         }
@@ -143,15 +157,27 @@ impl Scenario {
             Self::new(name, with(|f| f.tip_noise_m = noise_m)).sensor(Sensor::Tip { every: 1 })
         };
         let straight = |sections, name, noise_m| Self {
-            through_straight: Some(sections),
+            way: Way::ThroughStraight(sections),
             ..noisy_tip(name, noise_m)
         };
         let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
-        let wrong_model = with(|f| {
-            f.length_error = 0.05;
-            f.payload_rad = [0.015, 0.0];
-            f.tip_noise_m = 3e-4;
-        });
+        let wrong_model = |name, length_error, way| Self {
+            way,
+            ..Self::new(
+                name,
+                with(|f| {
+                    f.length_error = length_error;
+                    f.payload_rad = [0.015, 0.0];
+                    f.tip_noise_m = 3e-4;
+                }),
+            )
+            .sensor(Sensor::CablesAndTip { every: 2 })
+        };
+        let [spiral, lower] = [0.0, 0.06].map(|lower_m| Way::Spiral { lower_m });
+        let settled = Targets {
+            settled_mm: 0.2,
+            ..Targets::NONE
+        };
         let play = with(|f| {
             f.actuator.play_m = 5e-4;
             f.noise_m = 3e-5;
@@ -182,12 +208,14 @@ impl Scenario {
             lagging("lag 30 ms, delay 15 ms", known),
             lagging("lag 21 ms, delay 10 ms", motors(0.01, 0.021)),
             lagging("lag 39 ms, delay 20 ms", motors(0.02, 0.039)),
-            Self::new("wrong model", wrong_model)
-                .sensor(tip(2))
-                .wants(Targets {
-                    settled_mm: 0.2,
-                    ..Targets::NONE
-                }),
+            wrong_model("wrong model", 0.05, Way::Eight).wants(settled),
+            wrong_model("wrong model, 5 % shorter", -0.05, Way::Eight).wants(settled),
+            wrong_model("wrong model, spiral", 0.05, spiral).wants(settled),
+            wrong_model("wrong model, 5 % shorter, lower spiral", -0.05, lower).wants(settled),
+            wrong_model("wrong model, 5 % shorter, spiral", -0.05, spiral).wants(Targets {
+                settled_mm: OUT_OF_REACH_MM + 0.2,
+                ..Targets::NONE
+            }),
             with_play("play of 0.5 mm", 5e-4),
             with_play("play of 0.5 mm, known as 0.4", 4e-4),
             with_play("play of 0.5 mm, taken for 0.6", 6e-4),

@@ -1,4 +1,5 @@
-//! A figure eight: the task on which robots that are not their model are compared. Of three sections, or through the straight robot.
+//! A figure eight: the task on which robots that are not their model are compared. Of three sections, or through the straight robot; and
+//! the paper's spiral.
 
 use nalgebra::Vector3;
 
@@ -14,6 +15,8 @@ const ACCELERATION_RAD_S2: f64 = 40.0;
 const SIZE_M: f64 = 0.08;
 /// Cycles of a robot at rest that count.
 const REST_CYCLES: core::ops::Range<u32> = 1000..4000;
+/// Cycles of the paper's spiral.
+const SPIRAL_CYCLES: u32 = 994;
 /// Periods until the robot has reached the beginning of the reference.
 const APPROACH_CYCLES: u32 = 600;
 
@@ -23,8 +26,18 @@ pub struct FigureEight {
     robot: Robot,
     settings: Option<NmpcSettings>,
     start: Configuration,
-    /// It goes through the straight robot, whose sections all bend so far (rad).
-    bend_rad: Option<f64>,
+    way: Way,
+}
+
+/// What the tip follows.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    /// The figure eight of three sections.
+    Eight,
+    /// One through the tip of the straight robot, whose sections all bend so far (rad).
+    ThroughStraight(f64),
+    /// The paper's spiral (Eq. 8), so much lower (m).
+    Spiral { lower_m: f64 },
 }
 
 /// Why there is no run.
@@ -63,8 +76,13 @@ impl FigureEight {
     }
 
     fn sample(&self, time_s: f64) -> ReferenceSample {
-        let Some(bend_rad) = self.bend_rad else {
-            return Self::reference(time_s);
+        let bend_rad = match self.way {
+            Way::Eight => return Self::reference(time_s),
+            Way::ThroughStraight(bend_rad) => bend_rad,
+            Way::Spiral { lower_m } => {
+                let tip_m = self.robot.tip_position(&on_the_spiral(time_s));
+                return at(tip_m - lower_m * Vector3::z());
+            }
         };
         let mut bends = self.start;
         let eight = lying_eight(time_s);
@@ -92,7 +110,7 @@ impl FigureEight {
             start: *closed.configuration(),
             robot,
             settings: None,
-            bend_rad: None,
+            way: Way::Eight,
         })
     }
 
@@ -108,7 +126,22 @@ impl FigureEight {
             start: Configuration::straight(sections),
             robot,
             settings: None,
-            bend_rad: Some(bend_rad),
+            way: Way::ThroughStraight(bend_rad),
+        })
+    }
+
+    /// The paper's spiral (Eq. 8) of three sections instead, `lower_m` (m) lower: robots with shorter sections do not reach it as it is.
+    /// It lasts 5 s.
+    ///
+    /// # Errors
+    /// [`FigureEightError`], which the paper's robot never gives.
+    pub fn spiral(lower_m: f64) -> Result<Self, FigureEightError> {
+        let robot = Robot::new(&RobotParameters::paper(3))?;
+        Ok(Self {
+            start: on_the_spiral(0.0),
+            robot,
+            settings: None,
+            way: Way::Spiral { lower_m },
         })
     }
 
@@ -117,6 +150,13 @@ impl FigureEight {
     pub fn with_settings(self, settings: NmpcSettings) -> Self {
         let settings = Some(settings);
         Self { settings, ..self }
+    }
+
+    fn cycles(&self) -> u32 {
+        match self.way {
+            Way::Eight | Way::ThroughStraight(_) => Self::CYCLES,
+            Way::Spiral { .. } => SPIRAL_CYCLES,
+        }
     }
 
     /// Those of a daemon without a configuration: of the ideal robot the paper's.
@@ -156,7 +196,7 @@ impl FigureEight {
             limit_excess: 0.0,
         };
         let mut before = BendRates::zero(robot.section_count());
-        for cycle in 0..Self::CYCLES {
+        for cycle in 0..self.cycles() {
             closed.step(&mut nmpc);
             let rates = closed.command().rates;
             run.errors_mm.push(1e3 * closed.error_m());
@@ -197,6 +237,12 @@ impl FigureEight {
         }
         Ok(most_mm)
     }
+}
+
+/// The last section alone draws the spiral: θ = 2t/15, φ = t, from t = 5°.
+fn on_the_spiral(time_s: f64) -> Configuration {
+    let t = 5_f64.to_radians() + time_s;
+    Configuration::from_bend_angles(&[[0.0; 2], [0.0; 2], [2.0 * t / 15.0, t]])
 }
 
 /// Twice across, once along: a figure eight within 1 and 1/2.

@@ -7,6 +7,7 @@ mod actuator;
 mod slack;
 mod tip_filter;
 mod tip_offset;
+mod tip_slope;
 
 use nalgebra::Vector3;
 
@@ -202,16 +203,20 @@ impl Estimator {
             before = *stage;
         }
         self.led = self.motors.cables_led(self.motors());
+        if self.tip_offset.is_measured() {
+            self.tip_offset.follow(&robot.tip_position(&self.led));
+        }
         &self.led
     }
 
     /// Takes the position of a tip (m) whose bends are measured, too: they stay, and how far the tip is beside where they place it
-    /// is learnt ([`Self::tip_offset_m`]). False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
+    /// is learnt ([`Self::tip_offset_m`]), and how that changes along its way: between two positions it goes along. False, and nothing learnt, where it is more than 0.1 m beside, not finite, or in every bit the
     /// last one: a sensor that stands still while the robot moves says nothing.
     pub fn correct_tip(&mut self, robot: &Robot, position_m: &Vector3<f64>, age_s: f64) -> bool {
         let way = self.motors.way_left(age_s);
         let then = way.cables(&way.back_from(self.motors()));
         let placed_m = robot.tip_position(&then);
+        self.tip_offset.follow(&robot.tip_position(&self.led));
         self.tip_offset.correct(position_m, &placed_m)
     }
 }

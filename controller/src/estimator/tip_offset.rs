@@ -1,22 +1,31 @@
 use nalgebra::Vector3;
 
+use super::tip_slope::TipSlope;
+
 /// How slowly the offset follows what is measured (s): of 0.3 mm of noise in each coordinate, measured at 100 Hz, 0.1 mm is left.
 const TIME_CONSTANT_S: f64 = 0.1;
 /// A tip that is measured farther beside (m) is not believed: either the model or the sensor is wrong, and following it no help.
 const OFFSET_MAX_M: f64 = 0.1;
 
+/// Positions that come this much later than the interval between the last two are a sensor that says nothing.
+const SILENT: f64 = 1.5;
+
 /// Part of the noise of a measured coordinate that the offset may be beside what was learnt. Without it, noise leads the tip about for ever,
 /// and a robot whose cables have more play than is known swings: by 4 mm at 0.5 mm of play (docs/robustness.md).
 const STILL: f64 = 0.25;
 
-/// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes slowly, as
-/// the robot bends.
+/// What the measured tip is beside the one that the measured bends give: errors of lengths and radii, sag, a load. It changes as
+/// the robot bends, which is learnt, too ([`TipSlope`]), so that it is not late along a way.
 #[derive(Debug, Clone)]
 pub(super) struct TipOffset {
     offset_m: Vector3<f64>,
     /// The same as it was learnt: the offset follows it at the end of a line of this length (m).
     learnt_m: Vector3<f64>,
-    still_m: f64,
+    slope: TipSlope,
+    /// Where the bends place the tip now (m); none: control began anew.
+    placed_m: Option<Vector3<f64>>,
+    /// Since that (s).
+    unplaced_s: f64,
     /// The last position that was measured (m).
     measured_m: Vector3<f64>,
     /// Since the last tip position (s).
@@ -31,7 +40,9 @@ impl TipOffset {
         Self {
             offset_m: Vector3::zeros(),
             learnt_m: Vector3::zeros(),
-            still_m: STILL * noise_m,
+            slope: TipSlope::new(noise_m),
+            placed_m: None,
+            unplaced_s: 0.0,
             measured_m: Vector3::repeat(f64::NAN),
             unmeasured_s: 0.0,
             interval_s: TIME_CONSTANT_S,
@@ -43,16 +54,14 @@ impl TipOffset {
         *self = Self {
             offset_m: self.offset_m,
             learnt_m: self.learnt_m,
+            slope: self.slope.clone(),
             ..self.forgotten()
         };
     }
 
     /// The same where nothing was learnt.
     pub(super) fn forgotten(&self) -> Self {
-        Self {
-            still_m: self.still_m,
-            ..Self::new(0.0)
-        }
+        Self::new(self.slope.noise_m())
     }
 
     pub(super) fn offset_m(&self) -> Vector3<f64> {
@@ -61,9 +70,27 @@ impl TipOffset {
 
     pub(super) fn predict(&mut self, elapsed_s: f64) {
         self.unmeasured_s = (self.unmeasured_s + elapsed_s).min(TIME_CONSTANT_S);
+        self.unplaced_s += elapsed_s;
     }
 
-    /// The tip was measured at `measured_m`, and the bends place it at `placed_m`. Whether that was believed: not what is farther
+    /// Whether a tip was measured since control began.
+    pub(super) fn is_measured(&self) -> bool {
+        self.placed_m.is_some()
+    }
+
+    /// The bends place the tip at `placed_m` (m) now. The offset goes along, unless the sensor is silent.
+    pub(super) fn follow(&mut self, placed_m: &Vector3<f64>) {
+        let elapsed_s = core::mem::take(&mut self.unplaced_s);
+        if let Some(before_m) = self.placed_m.replace(*placed_m)
+            && self.unmeasured_s < SILENT * self.interval_s
+        {
+            let change_m = self.slope.change_in_m(&(placed_m - before_m), elapsed_s);
+            self.learnt_m += change_m;
+            self.offset_m = (self.offset_m + change_m).cap_magnitude(OFFSET_MAX_M);
+        }
+    }
+
+    /// The tip was measured at `measured_m`, and the bends placed it at `placed_m` then. Whether that was believed: not what is farther
     /// beside than the largest offset, nor what is the last position in every bit. A sensor that stands still while the robot
     /// moves would lead it away from its reference, and away from where the sensor says it is.
     pub(super) fn correct(&mut self, measured_m: &Vector3<f64>, placed_m: &Vector3<f64>) -> bool {
@@ -76,12 +103,18 @@ impl TipOffset {
         // A pause of the sensor does not make its next position count for more than the one before: the offset must not jump.
         let since_s = self.unmeasured_s.min(self.interval_s);
         self.interval_s = self.unmeasured_s;
+        self.slope.learn(&beside_m, placed_m, since_s);
+        // How far it is beside where it is placed now.
+        let since_m = self.placed_m.map(|now_m| now_m - placed_m);
+        let beside_m = beside_m + self.slope.change_m(&since_m.unwrap_or_default());
         let gain = since_s / (since_s + TIME_CONSTANT_S);
         self.learnt_m += gain * (beside_m - self.learnt_m);
         let missing_m = self.learnt_m - self.offset_m;
         let far_m = missing_m.norm();
-        if far_m > self.still_m {
-            self.offset_m += missing_m * (1.0 - self.still_m / far_m);
+        let still_m = STILL * self.slope.noise_m();
+        if far_m > still_m {
+            let moved_m = self.offset_m + missing_m * (1.0 - still_m / far_m);
+            self.offset_m = moved_m.cap_magnitude(OFFSET_MAX_M);
         }
         self.unmeasured_s = 0.0;
         true
