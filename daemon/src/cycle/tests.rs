@@ -202,9 +202,9 @@ fn a_tip_that_is_measured_beside_the_cables_is_where_it_shall_be() {
     assert_eq!(bits(jump.rates.as_slice()), bits(rates.as_slice()));
     trial.tip_error_m = Vector3::zeros();
     assert_eq!(trial.turn().tip_use, MeasurementUse::Used);
-    // It stops: the offset stays.
+    // It stops: the offset goes along for one and a half of its intervals, of which the jump made the last two cycles long, and stays.
     trial.measures_tip = false;
-    let before_m = trial.turn().tip_offset_m;
+    let before_m = trial.turns(3).tip_offset_m;
     let after = trial.turns(200);
     assert_eq!(
         (after.tip_use, after.tip_offset_m),
