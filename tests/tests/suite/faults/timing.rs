@@ -206,6 +206,10 @@ fn nothing_that_controls_looks_at_the_wall_clock() {
         "client/src",
     ] {
         for path in sources(&workspace.join(folder)) {
+            // A recording is stamped with the time of day, and controls nothing.
+            if path.ends_with("cdcrctl/recording/when.rs") {
+                continue;
+            }
             looked += 1;
             let text = std::fs::read_to_string(&path).unwrap();
             for clock in [

@@ -155,6 +155,8 @@ fn every_example_works_as_typed() {
             "cdcrd doctor",
             "cdcrctl plant",
             "cdcrctl calibrate",
+            "cdcrctl record",
+            "cdcrctl top",
         ];
         of_their_own.iter().any(|command| line.contains(command)) || line.contains("--root")
     };
@@ -180,7 +182,16 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     ] {
         fs::copy(root().join(from), folder.join(file)).unwrap();
     }
+    // What examples read; those that record are tried elsewhere.
+    daemon
+        .place()
+        .says("cdcrctl record -o recorded --duration 300ms", 0, &[]);
+    let recorded = folder.join("recorded");
     for example in examples {
+        let is_recording = |word: &&str| Path::new(word).extension().is_some_and(|of| of == "mcap");
+        for file in example.split(' ').filter(is_recording) {
+            fs::copy(&recorded, folder.join(file)).unwrap();
+        }
         // Once more, where the machine stalled for longer than a reference is sent ahead.
         if let Err(first) = run(&daemon, example)
             && let Err(second) = run(&daemon, example)
