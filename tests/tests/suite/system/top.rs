@@ -12,13 +12,11 @@ use rustix::process::{Pid, Signal, kill_process};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{LocalModes, Winsize, tcgetattr, tcsetwinsize};
 
-/// What a program writes when it leaves the alternate screen.
-const LEAVES: &str = "\x1b[?1049l";
-
-/// A terminal, what was drawn on it, and where keys go.
+/// A terminal, and where keys go.
 struct Terminal {
     keys: File,
-    drawn: Arc<Mutex<String>>,
+    /// What it shows.
+    shown: Arc<Mutex<vt100::Parser>>,
 }
 
 impl Terminal {
@@ -39,15 +37,14 @@ impl Terminal {
         };
         tcsetwinsize(&ours, size).unwrap();
         let keys = File::from(ours);
-        let drawn = Arc::<Mutex<String>>::default();
-        let (mut screen, heard) = (keys.try_clone().unwrap(), Arc::clone(&drawn));
+        let shown = Arc::new(Mutex::new(vt100::Parser::new(rows, columns, 0)));
+        let (mut screen, heard) = (keys.try_clone().unwrap(), Arc::clone(&shown));
         std::thread::spawn(move || {
             let mut bytes = [0; 4096];
             loop {
                 match screen.read(&mut bytes) {
                     Ok(count) if count > 0 => {
-                        let text = String::from_utf8_lossy(&bytes[..count]);
-                        heard.lock().unwrap().push_str(&text);
+                        heard.lock().unwrap().process(&bytes[..count]);
                     }
                     Err(error) if error.kind() == ErrorKind::Interrupted => {}
                     // The last program that had it has ended.
@@ -55,7 +52,7 @@ impl Terminal {
                 }
             }
         });
-        (Self { keys, drawn }, theirs)
+        (Self { keys, shown }, theirs)
     }
 
     fn press(&mut self, key: &str) {
@@ -63,10 +60,14 @@ impl Terminal {
     }
 
     fn wait_for(&self, words: &str) {
+        self.wait_until(words, |screen| screen.contents().contains(words));
+    }
+
+    fn wait_until(&self, what: &str, is_it: impl Fn(&vt100::Screen) -> bool) {
         let begin = Instant::now();
-        while !self.drawn.lock().unwrap().contains(words) {
-            let drawn = self.drawn.lock().unwrap().clone();
-            assert!(begin.elapsed() < TIMEOUT, "{words}: {drawn}");
+        while !is_it(self.shown.lock().unwrap().screen()) {
+            let shown = self.shown.lock().unwrap().screen().contents();
+            assert!(begin.elapsed() < TIMEOUT, "{what}:\n{shown}");
             std::thread::sleep(Duration::from_millis(10));
         }
     }
@@ -110,6 +111,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
         let mut top = Top::start(&daemon, &theirs);
         terminal.wait_for("STOP");
         terminal.wait_for("side x, z");
+        terminal.wait_until("a screen of its own", vt100::Screen::alternate_screen);
         assert!(
             !tcgetattr(&theirs)
                 .unwrap()
@@ -128,7 +130,7 @@ fn keys_hold_and_stop_the_robot_and_every_way_out_gives_the_terminal_back() {
             Some(signal) => kill_process(Pid::from_child(&top.0), signal).unwrap(),
         }
         assert_eq!(top.wait(), Some(if signal.is_none() { 0 } else { 130 }));
-        terminal.wait_for(LEAVES);
+        terminal.wait_until("it is given back", |screen| !screen.alternate_screen());
         assert_eq!(tcgetattr(&theirs).unwrap().local_modes, before);
     }
 }
