@@ -119,6 +119,7 @@ fn check_found(found: &Value, zero_within_m: f64) {
                 -1.0 / 3.0
             };
         let off_m = (zero["found_m"].as_f64().unwrap() - truth_m).abs();
+        println!("zero of cable {}: off by {off_m} m", cable + 1);
         assert!(
             off_m < zero_within_m,
             "zero of cable {}: {off_m} m",

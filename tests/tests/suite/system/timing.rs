@@ -146,11 +146,16 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     let connection = daemon.connect();
     let mut telemetry = connection.telemetry().unwrap();
     wait_mode(&mut telemetry, Mode::Holding);
+    let flags = timing::LATE_START | timing::DEADLINE_MISS;
     // On a bad machine more than are kept may be late before somebody asks: then it is another stall's turn.
     let (bad, incident, late) = (0..STALLS_MAX)
         .find_map(|_| {
             freeze(&daemon, Duration::from_millis(200));
             let bad = wait_record(&mut telemetry, |record| record.skipped_periods > 20);
+            // One that began inside a cycle made that one late, and not the next one.
+            if bad.timing_flags & flags != flags {
+                return None;
+            }
             let late = daemon.connect();
             let mut stream = late.incidents().unwrap();
             loop {
@@ -171,8 +176,6 @@ fn a_stall_is_kept_whole_with_its_cause_for_who_asks_later() {
     as_seen.scheduling.late_cause = bad.scheduling.late_cause;
     assert_eq!(as_seen.scheduling, bad.scheduling);
     assert!(cause == LateCause::Platform || incident.telemetry.scheduling == bad.scheduling);
-    let flags = timing::LATE_START | timing::DEADLINE_MISS;
-    assert_eq!(bad.timing_flags & flags, flags);
     let status = wait_status(&late, |status| status.since_reset.longest_streak > 20);
     assert!(status.since_reset.causes[cause.code() as usize] >= 1);
 }

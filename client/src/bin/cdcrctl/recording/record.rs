@@ -201,10 +201,9 @@ impl Recorder {
         let begin = Instant::now();
         let (mut heard, mut flushed) = (begin, begin);
         loop {
+            // What has passed until then is read once more.
             let is_over = duration.is_some_and(|duration| begin.elapsed() >= duration);
-            if interrupt.is_raised() || is_over {
-                return Ok(Ended::Asked);
-            }
+            let is_asked = interrupt.is_raised() || is_over;
             // What a cycle took in stands before its record: it came before that.
             let mut records = Vec::new();
             while let Some(record) = streams.telemetry.try_next()? {
@@ -223,6 +222,9 @@ impl Recorder {
             });
             if let Err(cause) = written {
                 return Ok(Ended::Failed(cause));
+            }
+            if is_asked {
+                return Ok(Ended::Asked);
             }
             if is_other {
                 return Ok(Ended::Daemon);
