@@ -286,7 +286,7 @@ fn a_full_disk_ends_the_recording_and_the_file_is_whole() {
         .status(Duration::from_secs(10))
         .unwrap();
     assert_eq!(status.mode, Mode::Holding.code());
-    drop(run);
+    // Before the folder goes in which it stands.
     assert!(mount(&format!("umount {folder}")));
 }
 
