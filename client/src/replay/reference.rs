@@ -134,7 +134,10 @@ impl Reference {
         for between in last + 1..number {
             match self.chunks.remove(&(sender, between)) {
                 Some(chunk) => self.put(chunk, (sender, between)),
-                None => self.is_known = false,
+                None => {
+                    self.is_known = false;
+                    break;
+                }
             }
         }
         self.put(chunk, key);

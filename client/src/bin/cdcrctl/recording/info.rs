@@ -117,8 +117,8 @@ impl Channel {
     fn take(&mut self, header: &Header) {
         self.count += 1;
         if let Some(last) = self.last.insert(header.sender_id, header.sequence) {
-            let missing = header.sequence.saturating_sub(last + 1);
-            self.missing += missing;
+            let missing = header.sequence.saturating_sub(last.saturating_add(1));
+            self.missing = self.missing.saturating_add(missing);
             self.gaps += u64::from(missing > 0);
         }
     }
@@ -157,6 +157,7 @@ impl Seen {
         let is_tracking = record.mode == Mode::Tracking.code();
         let error_m = record.position_error_m;
         if is_tracking
+            && error_m.is_finite()
             && self
                 .largest_error
                 .is_none_or(|(most_m, _)| error_m > most_m)
@@ -175,7 +176,7 @@ impl Seen {
 
     fn duration_s(&self) -> f64 {
         let first_ns = self.first_ns.unwrap_or(self.last_ns);
-        (self.last_ns - first_ns) as f64 * 1e-9
+        self.last_ns.saturating_sub(first_ns) as f64 * 1e-9
     }
 
     fn text(&self) -> String {
