@@ -389,10 +389,10 @@ fn other_settings_are_compared_with_what_was_commanded() {
     ]
     .map(with);
     let most = |found: &Value| found["rates_apart_rad_s"]["max"].as_f64().unwrap();
-    let mean = |found: &Value| found["tips_apart_m"]["mean"].as_f64().unwrap();
     assert!(same["cycles"].as_u64().unwrap() > 150, "{same}");
     // Only a solve that the machine cut short comes out otherwise.
-    assert!(mean(&same) < 0.1 * mean(&others), "{same} {others}");
+    let is_cut_short = same["recorded_cut_short"].as_u64().unwrap() > 0;
+    assert!(most(&same) == 0.0 || is_cut_short, "{same}");
     assert!(most(&others) > 1e-6, "{others}");
     assert_eq!(same["cycles"], others["cycles"]);
     assert_ne!(same["with"]["evaluations"], others["with"]["evaluations"]);

@@ -23,6 +23,7 @@ pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
         if let Some(found) = replayer.what_if(&cycle, &settings)? {
             let record = &cycle.record;
             compared.cycles += 1;
+            compared.cut_short += u64::from(record.report.budget_spent != 0);
             compared.recorded.take(
                 record.report.evaluations,
                 record.guard_flags & guard::CLEARANCE != 0,
@@ -52,6 +53,8 @@ pub(super) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
 #[derive(Debug, Default)]
 struct Compared {
     cycles: u64,
+    /// Recorded solves that were ended by their budget of time. None of the others is.
+    cut_short: u64,
     recorded: Solves,
     other: Solves,
     rates_rad_s: Apart,
@@ -111,6 +114,10 @@ impl Compared {
                 "{} cycles that solved, each with its recorded inputs",
                 self.cycles
             ),
+            format!(
+                "{} of them cut short by their budget; with these settings none is",
+                self.cut_short
+            ),
             format!("{:<34}{:>12}{:>12}", "", "recorded", "with these"),
             row(
                 "evaluations, mean",
@@ -142,6 +149,7 @@ impl Compared {
         let apart = |apart: &Apart| json!({"mean": apart.sum / self.cycles as f64, "max": apart.max, "max_cycle": apart.max_cycle});
         json!({
             "cycles": self.cycles,
+            "recorded_cut_short": self.cut_short,
             "recorded": solves(&self.recorded),
             "with": solves(&self.other),
             "rates_apart_rad_s": apart(&self.rates_rad_s),
