@@ -132,6 +132,23 @@ impl Panel {
 
 /// Draws panels in rows of `columns`, each `height` high.
 pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
+    draw_all(panels, columns, height, None)
+}
+
+/// The same with one x axis for all, which can be compared then.
+pub(crate) fn sheet_of_one_axis(panels: &[Panel], columns: usize, height: u32) -> Result<String> {
+    let size = (WIDTH / columns as u32, height);
+    let all = panels.iter().map(|panel| ranges(panel, size).0);
+    let across = all.reduce(|a, b| a.start.min(b.start)..a.end.max(b.end));
+    draw_all(panels, columns, height, across.as_ref())
+}
+
+fn draw_all(
+    panels: &[Panel],
+    columns: usize,
+    height: u32,
+    across: Option<&Range<f64>>,
+) -> Result<String> {
     let rows = panels.len().div_ceil(columns);
     let mut svg = String::new();
     {
@@ -139,7 +156,7 @@ pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<Str
         let root = SVGBackend::with_string(&mut svg, size).into_drawing_area();
         root.fill(&WHITE)?;
         for (area, panel) in root.split_evenly((rows, columns)).iter().zip(panels) {
-            draw(area, panel)?;
+            draw(area, panel, across)?;
         }
         root.present()?;
     }
@@ -148,7 +165,7 @@ pub(crate) fn sheet(panels: &[Panel], columns: usize, height: u32) -> Result<Str
 
 type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 
-fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
+fn draw(area: &Area<'_>, panel: &Panel, common: Option<&Range<f64>>) -> Result<()> {
     let (width, height) = area.dim_in_pixel();
     let entries = legend(panel, width - MARGIN_LEFT - LABEL_LEFT - MARGIN_RIGHT);
     let head = LINE_OF_TEXT * (entries.last().map_or(0, |entry| entry.line + 1) + 1) + MARGIN;
@@ -171,7 +188,8 @@ fn draw(area: &Area<'_>, panel: &Panel) -> Result<()> {
             TICK.into_font().color(&DARK),
         ))?;
     }
-    let (across, up) = ranges(panel, (width, height - head));
+    let (own, up) = ranges(panel, (width, height - head));
+    let across = common.cloned().unwrap_or(own);
     match panel.scale {
         Scale::Log { floor } => plot(&chart, panel, across, up.log_scale(), floor),
         Scale::LogLog { floor } => plot(&chart, panel, across.log_scale(), up.log_scale(), floor),
@@ -323,7 +341,8 @@ fn widened(low: f64, high: f64) -> Range<f64> {
 
 fn decades(low: f64, high: f64) -> Range<f64> {
     let (first, last) = (low.log10().floor(), high.log10().ceil());
-    10_f64.powf(first)..10_f64.powf(last.max(first + 1.0))
+    // A little more, or rounding takes the labels from the ends.
+    0.999 * 10_f64.powf(first)..1.001 * 10_f64.powf(last.max(first + 1.0))
 }
 
 #[cfg(test)]

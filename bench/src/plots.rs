@@ -1,18 +1,21 @@
 //! The paper's figures, drawn from the first run of each experiment.
 
+mod view;
+
 use anyhow::{Context, Result};
 use cdcr_controller::nmpc::Coordinates;
-use cdcr_controller::robot::{CABLES_MAX, Configuration, Robot, ZyxAngles};
-use nalgebra::Vector3;
+use cdcr_controller::robot::{Configuration, ZyxAngles};
 use plotters::style::RGBColor;
 
 use crate::chart::{
     BLUE, Curve, DARK, GREEN, GREY, ORANGE, PURPLE, Panel, Point, SKY, Scale, YELLOW, sheet,
+    sheet_of_one_axis,
 };
 use crate::closed_loop::Sample;
 use crate::dataset::Plot;
 use crate::experiment::{CIRCLE_DISTANCES_M, LINE_RATES_RAD_S, LINE_TILT_MAX_RAD, Solver, Task};
 use crate::simulation::{Outcome, obstacle_m};
+use view::View;
 
 /// A section bent by less than this has no direction to speak of \[rad\].
 const STRAIGHT_RAD: f64 = 1e-3;
@@ -23,21 +26,28 @@ const COLOURS: [RGBColor; 3] = [BLUE, ORANGE, GREEN];
 const PALE_COLOURS: [RGBColor; 3] = [SKY, YELLOW, PURPLE];
 /// Shapes of the robot that are drawn of the line.
 const SHAPES: usize = 6;
-const POINTS: u32 = 24;
+
+/// Rates of angles are drawn up to this: a spike where a section is nearly straight would flatten all else \[rad/s\].
+const ANGLE_RATE_MAX_RAD_S: f64 = 10.0;
+/// Clearances beyond the safe distance are drawn up to this \[mm\].
+const CLEARANCE_MAX_MM: f64 = 2.0;
+/// The least share of the cycles that is drawn.
+const SHARES: f64 = 1e-3;
+const SHARE: &str = "share of the cycles";
 
 /// All figures: spiral, line and circle. Every experiment that is drawn must be among the outcomes.
 pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
     let spiral = |sections| {
         let plural = if sections == 1 { "" } else { "s" };
-        let title = format!("Spiral, {sections} section{plural}");
+        let title = format!("Simulated spiral, {sections} section{plural}");
         Drawn::new(outcomes, Task::Spiral { sections }, title)
     };
     let line = |rate_limit_rad_s: f64| {
-        let title = format!("Line, rates up to {rate_limit_rad_s} rad/s");
+        let title = format!("Simulated line, rates up to {rate_limit_rad_s} rad/s");
         Drawn::new(outcomes, Task::Line { rate_limit_rad_s }, title)
     };
     let circle = |safe_distance_m: f64| {
-        let title = format!("Circle, D = {} mm", 1e3 * safe_distance_m);
+        let title = format!("Simulated circle, D = {} mm", 1e3 * safe_distance_m);
         Drawn::new(outcomes, Task::Circle { safe_distance_m }, title)
     };
     let spirals = (1..=3).map(spiral).collect::<Result<Vec<_>>>()?;
@@ -50,7 +60,14 @@ pub fn plots(outcomes: &[Outcome]) -> Result<Vec<Plot>> {
         .into_iter()
         .collect::<Result<Vec<_>>>()?;
     let drawn = |(name, caption, (columns, height), panels): Figure| {
-        let svg = sheet(&panels, columns, height)?;
+        // Shares are compared from panel to panel.
+        let is_compared = panels.iter().all(|panel| panel.y == SHARE);
+        let draw = if is_compared {
+            sheet_of_one_axis
+        } else {
+            sheet
+        };
+        let svg = draw(&panels, columns, height)?;
         Ok(Plot { name, caption, svg })
     };
     let all = [of_spirals(&spirals), of_lines(&lines), of_circles(&circles)];
@@ -67,14 +84,14 @@ fn of_spirals(tasks: &[Drawn<'_>]) -> Vec<Figure> {
           with one, two and three sections at the end.", (2, 900), spiral_paths(tasks)),
         ("spiral-errors", "Errors along the axes with kpso-refined (the paper's Fig. 3, right, and Fig. 4).",
          (1, 560), tasks.iter().map(Drawn::errors).collect()),
-        ("spiral-solvers", "Distance of the tip from the reference with every solver.",
+        ("spiral-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
          (1, 560), tasks.iter().map(Drawn::distances).collect()),
         ("spiral-controls", "Control signals with kpso-refined (Fig. 6): left the rates of the bend vectors, which are \
-          commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad.",
+          commanded, right the same in the paper's angles, where a section is bent by more than 1e-3 rad, and up to 10 rad/s.",
          (2, 620), tasks.iter().flat_map(Drawn::controls).collect()),
-        ("spiral-cables", "Lengths of the cables with kpso-refined, with several sections less the length at the straight \
-          robot; Lji is cable i of section j.", (1, 600), tasks.iter().map(Drawn::cables).collect()),
-        ("spiral-times", "Computation time of every cycle (Fig. 5).",
+        ("spiral-cables", "Lengths of the cables with kpso-refined less those at the straight robot; Lji is cable i of \
+          section j.", (1, 600), tasks.iter().map(Drawn::cables).collect()),
+        ("spiral-times", "How many cycles take longer to compute than so much (Fig. 5).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
@@ -92,11 +109,11 @@ fn of_lines(tasks: &[Drawn<'_>]) -> Vec<Figure> {
         ("line-errors", "Errors along the axes and of the orientation (Fig. 10). The straight robot cannot move along \
           its axis, so the first samples are late.",
          (1, 560), tasks.iter().map(Drawn::errors).chain(tasks.iter().map(Drawn::tilt)).collect()),
-        ("line-solvers", "Distance of the tip from the reference with every solver.",
+        ("line-solvers", "How many cycles of each solver leave the tip farther from the reference than so much.",
          (1, 560), tasks.iter().map(Drawn::distances).collect()),
         ("line-cables", "Lengths of the cables less those at the straight robot; Lji is cable i of section j.",
          (1, 600), tasks.iter().map(Drawn::cables).collect()),
-        ("line-times", "Computation time of every cycle (Fig. 11).",
+        ("line-times", "How many cycles take longer to compute than so much (Fig. 11).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
@@ -110,17 +127,30 @@ fn of_circles(tasks: &[Drawn<'_>]) -> Vec<Figure> {
         ("circle-errors", "Distance of the tip from the reference: the approach from the straight robot, then the \
           detour at t = π/2 (Fig. 12). What remains is the rounding of the printed circle.",
          (1, 640), vec![circle_errors(tasks)]),
-        ("circle-clearance", "Clearance between the whole body and the obstacle, and the safe distances.",
+        ("circle-clearance", "Clearance between the whole body and the obstacle less the safe distance D, up to 2 mm: below 0 the body \
+          is too near.",
          (1, 640), vec![circle_clearance(tasks)]),
-        ("circle-cables", "Lengths of the cables (Fig. 13).",
+        ("circle-cables", "Lengths of the cables less those at the straight robot (Fig. 13).",
          (1, 520), tasks.iter().map(Drawn::cables).collect()),
-        ("circle-times", "Computation time of every cycle (Fig. 14).",
+        ("circle-times", "How many cycles take longer to compute than so much (Fig. 14).",
          (1, 560), tasks.iter().map(Drawn::times).collect()),
     ]
 }
 
 fn over_time(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
     samples.iter().map(|s| (s.time_s, value(s))).collect()
+}
+
+/// For each value the share of the samples that are above it, or equal.
+fn exceeded(samples: &[Sample], value: impl Fn(&Sample) -> f64) -> Vec<Point> {
+    let mut values: Vec<f64> = samples.iter().map(value).collect();
+    values.retain(|value| *value > 0.0);
+    values.sort_unstable_by(f64::total_cmp);
+    let count = values.len();
+    let points = values.into_iter().enumerate();
+    points
+        .map(|(k, value)| (value, (count - k) as f64 / count as f64))
+        .collect()
 }
 
 fn timed(title: String, y: &'static str, scale: Scale, curves: Vec<Curve>) -> Panel {
@@ -195,11 +225,21 @@ impl<'a> Drawn<'a> {
         // The first is broad, as the next often lies upon it.
         let styles = [(SKY, 9), (PURPLE, 3), (ORANGE, 3), (BLUE, 3)];
         let curve = |(outcome, (colour, width)): (&&Outcome, (RGBColor, u32))| {
-            let points = over_time(&outcome.first, Sample::error_mm);
+            let points = exceeded(&outcome.first, Sample::error_mm);
             Curve::line(outcome.experiment.solver.name(), points, colour).width(width)
         };
         let curves = self.all.iter().zip(styles).map(curve);
-        timed(self.title.clone(), "error [mm]", ERRORS, curves.collect())
+        self.shares("error is larger than [mm]", curves.collect())
+    }
+
+    fn shares(&self, x: &'static str, curves: Vec<Curve>) -> Panel {
+        Panel {
+            title: self.title.clone(),
+            x,
+            y: SHARE,
+            scale: Scale::LogLog { floor: SHARES },
+            curves,
+        }
     }
 
     /// Bend θ and direction φ of every section.
@@ -241,7 +281,8 @@ impl<'a> Drawn<'a> {
             for (i, colour) in colours.into_iter().enumerate() {
                 let points = over_time(samples, |s| s.rates.section(j)[i]);
                 vectors.push(Curve::line(label(["u̇", "v̇"][i]), points, colour).width(3));
-                let points = over_time(samples, |s| angle_rates(s, j)[i]);
+                let most = ANGLE_RATE_MAX_RAD_S;
+                let points = over_time(samples, |s| angle_rates(s, j)[i].clamp(-most, most));
                 let pieces = bent(samples, j, points);
                 angles.push(Curve::pieces(label(["θ̇", "φ̇"][i]), pieces, colour).width(3));
             }
@@ -256,16 +297,11 @@ impl<'a> Drawn<'a> {
         ]
     }
 
-    /// Lengths of all cables; of several sections less those at the straight robot, beside which they change
-    /// little.
+    /// How far the lengths of all cables are from those at the straight robot.
     fn cables(&self) -> Panel {
         let colours = [COLOURS, PALE_COLOURS, [DARK, GREY, BROWN]];
         let robot = &self.run.scene.robot;
-        let straight_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
-        let (label, from_m) = match robot.section_count() {
-            1 => ("length [mm]", [0.0; CABLES_MAX]),
-            _ => ("change of length [mm]", straight_m),
-        };
+        let from_m = robot.cable_lengths(&Configuration::straight(robot.section_count()));
         let curve = |i: usize| {
             let length = |s: &Sample| 1e3 * (robot.cable_lengths(&s.configuration)[i] - from_m[i]);
             let (section, cable) = (i / 3, i % 3);
@@ -274,13 +310,18 @@ impl<'a> Drawn<'a> {
             Curve::line(label, points, colours[section % 3][cable]).width(3)
         };
         let curves = (0..robot.cable_count()).map(curve);
-        timed(self.title.clone(), label, Scale::Linear, curves.collect())
+        timed(
+            self.title.clone(),
+            "change of length [mm]",
+            Scale::Linear,
+            curves.collect(),
+        )
     }
 
-    /// Solve times of several solvers, and the paper's mean.
+    /// How many solves of each solver took longer than so much, and the paper's mean.
     fn times(&self) -> Panel {
         let curve = |outcome: &&Outcome| {
-            let points = over_time(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
+            let points = exceeded(&outcome.first, |s| s.solve_ns as f64 * 1e-3);
             let colour = match outcome.experiment.solver {
                 Solver::Kpso => SKY,
                 Solver::KpsoVerbatim => PURPLE,
@@ -290,15 +331,10 @@ impl<'a> Drawn<'a> {
             Curve::line(outcome.experiment.solver.name(), points, colour).width(2)
         };
         let mean_ms = self.run.experiment.task.paper().mean_solve_ms;
-        let mean = self.level(format!("paper's mean {mean_ms} ms"), 1e3 * mean_ms, DARK);
+        let mean = vec![(1e3 * mean_ms, SHARES), (1e3 * mean_ms, 1.0)];
+        let mean = Curve::line(format!("paper's mean {mean_ms} ms"), mean, DARK);
         let curves = self.all.iter().map(curve).chain([mean]);
-        let scale = Scale::Log { floor: 0.1 };
-        timed(
-            self.title.clone(),
-            "solve time [µs]",
-            scale,
-            curves.collect(),
-        )
+        self.shares("solve takes longer than [µs]", curves.collect())
     }
 
     fn shapes(&self) -> [Panel; 2] {
@@ -446,71 +482,20 @@ fn circle_errors(tasks: &[Drawn<'_>]) -> Panel {
     )
 }
 
+/// Below zero, the body is nearer than the safe distance.
 fn circle_clearance(tasks: &[Drawn<'_>]) -> Panel {
-    let mut curves = Vec::new();
-    for (task, distance_m, colour) in detours(tasks) {
-        let (points, distance_mm) = (
-            over_time(task.samples(), |s| 1e3 * s.clearance_m),
-            1e3 * distance_m,
-        );
-        curves.push(Curve::line(format!("D = {distance_mm} mm"), points, colour));
-        curves.push(task.level(String::new(), distance_mm, colour).width(2));
-    }
-    let title = "Circle: clearance of the body".into();
-    timed(title, "clearance [mm]", Scale::Log { floor: 1.0 }, curves)
-}
-
-/// Two axes of the base frame, across and up: paths and robot shapes in projection.
-#[derive(Debug, Clone, Copy)]
-struct View([usize; 2]);
-
-impl View {
-    const ABOVE: Self = Self([0, 1]);
-    const SIDE: Self = Self([0, 2]);
-    const FRONT: Self = Self([1, 2]);
-
-    fn point(self, p_m: &Vector3<f64>) -> Point {
-        (1e3 * p_m[self.0[0]], 1e3 * p_m[self.0[1]])
-    }
-
-    fn path(self, samples: &[Sample]) -> Vec<Point> {
-        samples
-            .iter()
-            .map(|s| self.point(&s.tip.position_m))
-            .collect()
-    }
-
-    fn reference(self, samples: &[Sample]) -> Vec<Point> {
-        samples.iter().map(|s| self.point(&s.reference_m)).collect()
-    }
-
-    /// The backbone from the base to the tip.
-    fn backbone(self, robot: &Robot, at: &Configuration) -> Vec<Point> {
-        let sections = 0..robot.section_count();
-        let places =
-            sections.flat_map(|j| (0..=POINTS).map(move |i| (j, f64::from(i) / f64::from(POINTS))));
-        places
-            .map(|(j, share)| self.point(&robot.body_point(at, j, share)))
-            .collect()
-    }
-
-    fn ball(self, centre_m: &Vector3<f64>, radius_m: f64) -> Vec<Point> {
-        let (x, y) = self.point(centre_m);
-        let at = |degrees: u32| {
-            let (sin, cos) = f64::from(degrees).to_radians().sin_cos();
-            (x + 1e3 * radius_m * cos, y + 1e3 * radius_m * sin)
-        };
-        (0..=360).step_by(4).map(at).collect()
-    }
-
-    fn panel(self, title: &str, curves: Vec<Curve>) -> Panel {
-        let [x, y] = self.0.map(|axis| ["x [mm]", "y [mm]", "z [mm]"][axis]);
-        Panel {
-            title: title.to_owned(),
-            x,
-            y,
-            scale: Scale::Equal,
-            curves,
-        }
-    }
+    let curve = |(task, distance_m, colour): (&Drawn<'_>, f64, RGBColor)| {
+        let points = over_time(task.samples(), |s| {
+            (1e3 * (s.clearance_m - distance_m)).min(CLEARANCE_MAX_MM)
+        });
+        Curve::line(format!("D = {} mm", 1e3 * distance_m), points, colour)
+    };
+    let mut curves: Vec<_> = detours(tasks).map(curve).collect();
+    curves.extend(
+        tasks
+            .first()
+            .map(|task| task.level(String::new(), 0.0, DARK)),
+    );
+    let title = "Simulated circle: clearance of the body beyond D".into();
+    timed(title, "clearance - D [mm]", Scale::Linear, curves)
 }

@@ -204,8 +204,9 @@ impl Benchmark for DeadlineOptions {
                 progress.advance(start.elapsed().as_secs_f64());
             }
         }
-        let mut dataset = report::dataset(&cases, self)?;
-        dataset.fact("period_ms", runner.period().as_secs_f64() * 1e3);
+        let period_ms = runner.period().as_secs_f64() * 1e3;
+        let mut dataset = report::dataset(&cases, self, 1e3 * period_ms)?;
+        dataset.fact("period_ms", period_ms);
         dataset.fact("realtime_granted", is_realtime);
         dataset.fact("measured_again", failures);
         Ok(dataset)

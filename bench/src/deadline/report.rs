@@ -10,7 +10,9 @@ use statrs::distribution::{Binomial, DiscreteCDF};
 use super::segment::Subject;
 use super::tally::{COMMAND, TIME_NAMES, Tally, Times, WAKE, times_json};
 use super::{DeadlineOptions, Setup};
-use crate::chart::{BLUE, Curve, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet};
+use crate::chart::{
+    BLUE, Curve, DARK, GREEN, GREY, ORANGE, Panel, Point, Scale, sheet_of_one_axis,
+};
 use crate::dataset::{
     Column, Dataset, Plot, Recording, Sheet, each, fixed, joined, number, percent, plain, signed,
     together, word,
@@ -20,6 +22,8 @@ use crate::metric::{median, range};
 use crate::quantiles::Quantiles;
 
 /// The wake-ups of a plot begin here \[µs\].
+/// The least share of the cycles that is drawn.
+const SHARES: f64 = 1e-5;
 const SHORTEST_US: f64 = 0.1;
 
 /// Two counts of misses differ when chance alone would make such a difference less often than this.
@@ -263,12 +267,12 @@ fn ratio(
     row
 }
 
-pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions) -> Result<Dataset> {
+pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions, period_us: f64) -> Result<Dataset> {
     let mut dataset = Dataset {
         name: "deadline",
         heading: "Deadline misses and latencies, beside a bare loop",
         explanation: EXPLANATION,
-        plots: plots(cases)?,
+        plots: plots(cases, period_us)?,
         ..Dataset::default()
     };
     let of = |key: Key, load, subject| {
@@ -346,13 +350,14 @@ pub(super) fn dataset(cases: &Cases, options: &DeadlineOptions) -> Result<Datase
     Ok(dataset)
 }
 
-fn plots(cases: &Cases) -> Result<Vec<Plot>> {
+fn plots(cases: &Cases, period_us: f64) -> Result<Vec<Plot>> {
     let all = [
         (
             Setup::Realtime,
             "deadline-realtime",
             "With real time: share of the cycles that started later than so much after their release, and of \
-             the commands that came later to the client. Both axes are logarithmic.",
+             the commands that came later to the client. Both axes are logarithmic, and the same in all panels; the \
+             upright line is the period.",
         ),
         (
             Setup::Ordinary,
@@ -361,9 +366,9 @@ fn plots(cases: &Cases) -> Result<Vec<Plot>> {
         ),
     ];
     let drawn = all.into_iter().filter_map(|(setup, name, caption)| {
-        let panels = panels(cases, setup);
+        let panels = panels(cases, setup, period_us);
         (!panels.is_empty()).then(|| {
-            let svg = sheet(&panels, 2, 520)?;
+            let svg = sheet_of_one_axis(&panels, 2, 520)?;
             Ok(Plot { name, caption, svg })
         })
     });
@@ -371,10 +376,15 @@ fn plots(cases: &Cases) -> Result<Vec<Plot>> {
 }
 
 /// Of each load: how many wake-ups, or commands in the client's hands, were later than so much.
-fn panels(cases: &Cases, setup: Setup) -> Vec<Panel> {
+fn panels(cases: &Cases, setup: Setup, period_us: f64) -> Vec<Panel> {
     let keys = cases.keys().filter(|key| key.setup == setup);
     let mut loads: Vec<Load> = keys.map(|key| key.load).collect();
     loads.dedup();
+    // A daemon's deadline is its period, unless its configuration says otherwise.
+    let deadline = || {
+        let line = vec![(period_us, SHARES), (period_us, 1.0)];
+        Curve::line("period", line, DARK).width(2)
+    };
     let panel = |load: Load| {
         let curve = |(subject, label, colour)| {
             let key = Key {
@@ -400,8 +410,12 @@ fn panels(cases: &Cases, setup: Setup) -> Vec<Panel> {
             title: format!("Load {}", load.name()),
             x: "later than, µs after the release",
             y: "share of the cycles",
-            scale: Scale::LogLog { floor: 1e-5 },
-            curves: curves.into_iter().filter_map(curve).collect(),
+            scale: Scale::LogLog { floor: SHARES },
+            curves: curves
+                .into_iter()
+                .filter_map(curve)
+                .chain([deadline()])
+                .collect(),
         }
     };
     loads.into_iter().map(panel).collect()

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use super::file_name;
-use crate::dataset::{Dataset, escape};
+use crate::dataset::{Dataset, Plot, escape};
 
 const STYLE: &str = include_str!("page.css");
 
@@ -30,6 +30,9 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         let links: String = all.iter().map(link).collect();
         let _ = writeln!(html, "<nav><ul>\n{links}</ul></nav>");
     }
+    if let ([dataset, ..], "") = (all, introduction) {
+        add_contents(&mut html, dataset);
+    }
     for dataset in all {
         if dataset.heading != title {
             let (name, heading) = (dataset.name, escape(dataset.heading));
@@ -38,6 +41,21 @@ pub(super) fn page(title: &str, introduction: &str, all: &[&Dataset]) -> String 
         add(&mut html, dataset);
     }
     html + "</body>\n</html>\n"
+}
+
+/// The plots of a page of one result, where there are several: what stands in their captions before the first mark.
+fn add_contents(html: &mut String, dataset: &Dataset) {
+    let link = |plot: &Plot| {
+        let id = file_name(dataset.name, plot.name);
+        let marks = [',', ':', ';', '(', '.'];
+        let what = plot.caption.split(marks).next().unwrap_or_default();
+        let (name, what) = (escape(&plot.name.replace('-', " ")), escape(what.trim()));
+        format!("<li><a href=\"#{id}\">{name}</a>: {what}</li>\n")
+    };
+    if dataset.plots.len() > 1 {
+        let links: String = dataset.plots.iter().map(link).collect();
+        let _ = writeln!(html, "<nav><ul>\n{links}</ul></nav>");
+    }
 }
 
 fn add(html: &mut String, dataset: &Dataset) {
@@ -109,5 +127,26 @@ mod tests {
             html.contains("<p class=\"failed\">not judged</p>"),
             "{html}"
         );
+    }
+
+    #[test]
+    fn a_result_with_several_plots_has_a_list_of_them() {
+        let plot = |name| Plot {
+            name,
+            caption: "What it shows (Fig. 3).",
+            svg: String::new(),
+        };
+        let dataset = Dataset {
+            name: "a",
+            plots: vec![plot("b-c"), plot("d")],
+            ..Dataset::default()
+        };
+        let html = page("a", "", &[&dataset, &Dataset::default()]);
+        for name in ["b-c", "d"] {
+            let id = file_name("a", name);
+            assert!(html.contains(&format!("href=\"#{id}\"")), "{html}");
+            assert!(html.contains(&format!("id=\"{id}\"")), "{html}");
+        }
+        assert!(html.contains("</a>: What it shows</li>"), "{html}");
     }
 }
