@@ -119,7 +119,7 @@ pub use tip_sensor::TipSensor;
 #[cfg(feature = "model")]
 pub use trajectory::Straight;
 pub use trajectory::{
-    Circle, Figure, FigurePlane, FigureShape, Line, Orientation, PAPER_SECTION_M, Spiral,
+    Changed, Circle, Figure, FigurePlane, FigureShape, Line, Orientation, PAPER_SECTION_M, Spiral,
     Trajectory,
 };
 #[cfg(feature = "csv")]

@@ -34,6 +34,17 @@ pub enum FigurePlane {
     Yz,
 }
 
+impl FigurePlane {
+    /// x and y along its axes, z along the third.
+    pub(super) fn placed(self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Xy => [x, y, z],
+            Self::Xz => [x, z, y],
+            Self::Yz => [z, x, y],
+        }
+    }
+}
+
 /// A figure that the tip goes through at an even speed, once or more often.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Figure {
@@ -149,11 +160,7 @@ impl Trajectory for Figure {
         let [from, to] = [self.lengths[chord], self.lengths[chord + 1]];
         let part = ((length - from) / (to - from)).clamp(0.0, 1.0);
         let [x, y, z] = self.shape.point((chord as f64 + part) / CHORDS as f64);
-        let placed = match self.plane {
-            FigurePlane::Xy => [x, y, z],
-            FigurePlane::Xz => [x, z, y],
-            FigurePlane::Yz => [z, x, y],
-        };
+        let placed = self.plane.placed([x, y, z]);
         core::array::from_fn(|i| self.centre_m[i] + self.radius_m * placed[i])
     }
 }

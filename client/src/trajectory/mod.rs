@@ -2,6 +2,7 @@
 //!
 //! Invariant: nothing here knows a clock or a daemon. Time counts from the start of the curve.
 
+mod changed;
 mod circle;
 mod figure;
 #[cfg(feature = "csv")]
@@ -11,6 +12,7 @@ mod spiral;
 #[cfg(feature = "model")]
 mod straight;
 
+pub use changed::Changed;
 pub use circle::Circle;
 pub use figure::{Figure, FigurePlane, FigureShape};
 #[cfg(feature = "csv")]

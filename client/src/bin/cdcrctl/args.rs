@@ -24,8 +24,8 @@ pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
 pub(crate) use recording::{ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions};
 pub(crate) use reference::{
-    CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, LineOptions, RefOptions,
-    SpiralOptions,
+    ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments,
+    LineOptions, RefOptions, SpiralOptions,
 };
 pub(crate) use settings::{SettingsAction, SettingsOptions};
 pub(crate) use straight::{GotoOptions, JogOptions, StraightArguments};

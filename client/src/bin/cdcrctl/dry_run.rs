@@ -276,7 +276,8 @@ impl Demands {
     }
 }
 
-fn away(error_m: f64, [x, y, z]: [f64; 3]) -> String {
+/// How far the tip stays away from a point, in words.
+pub(crate) fn away(error_m: f64, [x, y, z]: [f64; 3]) -> String {
     let error_mm = 1e3 * error_m;
     format!("the tip stays {error_mm:.1} mm away from ({x:.4}, {y:.4}, {z:.4}) m")
 }

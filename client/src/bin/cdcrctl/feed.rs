@@ -3,22 +3,24 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Duration;
 
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use cdcr_client::{
-    Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigureShape,
-    FileTrajectory, Line, PAPER_SECTION_M, Spiral, Straight, Trajectory, section_lengths_m,
+    Changed, Circle, Connection, FeedEnd, FeedEvent, FeedOptions, FeedReport, Figure, FigurePlane,
+    FigureShape, FileTrajectory, Line, Orientation, PAPER_SECTION_M, Spiral, Straight, Trajectory,
+    section_lengths_m,
 };
 use cdcr_shared_types::Telemetry;
 use cdcr_shared_types::codes::{Mode, RequestKind};
 
 use crate::Done;
 use crate::args::{
-    CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments, LineOptions, RefOptions,
-    SpiralOptions, StraightArguments, Target,
+    ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments,
+    LineOptions, RefOptions, SpiralOptions, StraightArguments, Target,
 };
 use crate::bar::Bar;
 use crate::dry_run;
 use crate::interrupt::Interrupt;
+use crate::reach;
 use crate::tip_error::TipError;
 
 /// How long after now `goto` and `jog` begin.
@@ -31,6 +33,9 @@ const MOVED_M: f64 = 2e-3;
 pub(crate) const MISSED_M: f64 = 1e-3;
 /// A reference so many times as far from the base as the robot is long is asked about.
 const FAR: f64 = 10.0;
+/// A curve or a file that is gone through again and again lasts no longer \[s\], and has no more rows.
+const LONGEST_S: f64 = 86_400.0;
+const ROWS_MAX: usize = 10_000_000;
 
 /// How a reference is fed, what it is, and to whom.
 type Prepared<'a> = (&'a FeedArguments, Box<dyn Trajectory>, Connection);
@@ -39,12 +44,15 @@ pub(crate) fn run(target: &Target, options: &RefOptions) -> anyhow::Result<Done>
     let (arguments, trajectory, connection) = prepare(target, &options.curve)?;
     check_unit(&*trajectory, lengths_m(&connection, None)?.iter().sum())?;
     let feed = feed_options(arguments);
+    let allowed_m = arguments.max_error.unwrap_or(MISSED_M);
     if arguments.dry_run {
         let demands = dry_run::compute(&connection, &*trajectory, &feed)?;
         demands.print(trajectory.name())?;
-        demands.check(arguments.max_error.unwrap_or(MISSED_M))?;
+        reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
+        demands.check(allowed_m)?;
         return Ok(Done::Good);
     }
+    reach::check(&newest(&connection)?, &*trajectory, allowed_m)?;
     let (done, error) = follow(&connection, &*trajectory, feed, |_| Ok(()))?;
     if done == Done::Good {
         error.tell(arguments.max_error)?;
@@ -207,16 +215,48 @@ fn check_unit(trajectory: &dyn Trajectory, reach_m: f64) -> anyhow::Result<()> {
 
 /// Checks everything that needs no daemon first, so that a bad file is told even without one.
 fn prepare<'a>(target: &Target, curve: &'a Curve) -> anyhow::Result<Prepared<'a>> {
-    let (arguments, trajectory) = match curve {
-        Curve::File(options) => (&options.feed, FileTrajectory::read(&options.path)?),
+    let (arguments, change, trajectory) = match curve {
+        Curve::File(options) => {
+            let trajectory = FileTrajectory::read(&options.path)?;
+            (&options.feed, &options.change, trajectory)
+        }
         Curve::Stdin(options) => {
             let text = std::io::read_to_string(std::io::stdin()).context("the standard input")?;
-            let name = Path::new("standard input");
-            (&options.feed, FileTrajectory::parse(name, &text)?)
+            let trajectory = FileTrajectory::parse(Path::new("standard input"), &text)?;
+            (&options.feed, &options.change, trajectory)
         }
         _ => return prepare_drawn(target.connect()?, curve),
     };
-    Ok((arguments, Box::new(trajectory), target.connect()?))
+    let trajectory = changed(trajectory, change)?;
+    Ok((arguments, trajectory, target.connect()?))
+}
+
+/// A curve or a file, faster, larger, in another plane, or more often.
+fn changed(
+    trajectory: impl Trajectory + 'static,
+    change: &ChangeArguments,
+) -> anyhow::Result<Box<dyn Trajectory>> {
+    let &ChangeArguments {
+        speed,
+        repeat,
+        scale,
+        plane,
+    } = change;
+    let is_turned = matches!(trajectory.orientation(0.0), Orientation::Full(_));
+    ensure!(
+        !is_turned || plane == FigurePlane::Xy,
+        "--plane moves points, and the file has orientations, too: leave out qx,qy,qz,qw"
+    );
+    let duration_s = f64::from(repeat) * trajectory.duration_s() / speed;
+    let rows = trajectory.knots_s().map_or(0, <[f64]>::len) * repeat as usize;
+    ensure!(
+        duration_s <= LONGEST_S && rows <= ROWS_MAX,
+        "the reference lasts {duration_s:.0} s and has {rows} rows: {LONGEST_S} s and {ROWS_MAX} rows are the most"
+    );
+    let trajectory = Box::new(trajectory);
+    Ok(Box::new(Changed::new(
+        trajectory, speed, scale, plane, repeat,
+    )))
 }
 
 /// A curve that a formula draws, for the daemon's robot.
@@ -226,15 +266,15 @@ fn prepare_drawn(connection: Connection, curve: &Curve) -> anyhow::Result<Prepar
     let (arguments, trajectory): (_, Box<dyn Trajectory>) = match curve {
         Curve::Spiral(options) => {
             let spiral = spiral(options, &lengths(&options.curve)?);
-            (&options.feed, Box::new(spiral))
+            (&options.feed, changed(spiral, &options.change)?)
         }
         Curve::Line(options) => {
             let line = line(options, &lengths(&options.curve)?);
-            (&options.feed, Box::new(line))
+            (&options.feed, changed(line, &options.change)?)
         }
         Curve::Circle(options) => {
             let circle = circle(options, &lengths(&options.curve)?);
-            (&options.feed, Box::new(circle))
+            (&options.feed, changed(circle, &options.change)?)
         }
         Curve::Helix(options) => {
             let rise = |radius_m| options.rise.map_or(1.0, |rise_m| rise_m / radius_m);

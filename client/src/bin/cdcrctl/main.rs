@@ -20,6 +20,7 @@ mod obstacle;
 mod picture;
 mod plant;
 mod plot;
+mod reach;
 mod recording;
 mod request;
 mod setting;

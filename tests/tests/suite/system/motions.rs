@@ -49,6 +49,32 @@ fn the_tip_goes_to_a_point_and_by_so_much_and_nothing_moves_that_cannot_be_reach
 }
 
 #[test]
+fn a_curve_and_a_file_are_changed_before_they_are_sent() {
+    let daemon = Daemon::start(PATIENT);
+    let rows = "t_s,x_m,y_m,z_m\n0,0.1,0,0.85\n0.2,0.1,0.01,0.85\n0.8,0.1,0.05,0.85\n";
+    daemon.place().write("path.csv", rows);
+    says(&daemon, "goto 0.1,0,0.85 --speed 0.2 --acceleration 2", 0);
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    // There and back, twice as fast, in half the size, upright.
+    let fed = says(
+        &daemon,
+        "ref file path.csv --speed 2 --repeat 2 --scale 0.5 --plane xz --track --max-error 50mm --lead 1s",
+        0,
+    );
+    assert!(fed.contains("5 points") && fed.contains("0.80 s"), "{fed}");
+    let last = wait_record(&mut telemetry, |record| record.reference.state == 3);
+    assert!(distance_m(last.reference.position_m, [0.1, 0.0, 0.85]) < 1e-9);
+    let line = says(&daemon, "ref line --duration 400ms --repeat 2 --speed 2", 0);
+    assert!(line.contains("0.40 s"), "{line}");
+    let turned = rows
+        .replace("z_m\n", "z_m,qx,qy,qz,qw\n")
+        .replace(".85\n", ".85,0,0,0,1\n");
+    daemon.place().write("turned.csv", &turned);
+    let said = says(&daemon, "ref file turned.csv --plane xz", 1);
+    assert!(said.contains("orientations"), "{said}");
+}
+
+#[test]
 fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     let daemon = Daemon::start(PATIENT);
     let reachable = says(&daemon, "ref spiral --dry-run", 0);
@@ -73,6 +99,17 @@ fn a_reference_is_tried_without_moving_and_its_approach_is_told_apart() {
     );
     assert!(says(&daemon, "ref spiral --dry-run", 0).contains("clearance"));
     assert!(says(&daemon, "ref line --start 0,0,0.95 --dry-run", 1).contains("not reachable"));
+    // Also where it was not asked for: the first point that is missed, not the farthest.
+    let before_m = tip_m(&daemon);
+    let far = "ref line --start 0,0,0.85 --velocity 0,0,0.1 --duration 2s --track";
+    let said = daemon
+        .place()
+        .says(&format!("cdcrctl {far}"), 1, &["first point"]);
+    let (_, after) = said.split_once("at ").unwrap();
+    let time_s: f64 = after.split(' ').next().unwrap().parse().unwrap();
+    // The robot is 0.9 m long, and 1 mm is allowed.
+    assert!((time_s - 0.51).abs() < 0.02, "{said}");
+    assert!(distance_m(tip_m(&daemon), before_m) < 1e-3, "{said}");
     // The approach may be over before the spiral begins: it counts all the same.
     let spiral = says(&daemon, "ref spiral --track --lead 1s --max-error 100mm", 0);
     assert!(spiral.contains("approached in"), "{spiral}");

@@ -46,7 +46,9 @@ pub(crate) enum Curve {
     ///
     /// With the orientation qx,qy,qz,qw, a unit quaternion, the tip turns, too, as much as the
     /// orientation weight of the daemon asks for.
-    #[command(after_help = "Example:\n  cdcrctl ref file path.csv --interpolation linear --track")]
+    #[command(
+        after_help = "Examples:\n  cdcrctl ref file path.csv --interpolation linear --track\n  cdcrctl ref file path.csv --speed 0.5 --scale 0.8 --repeat 2 --dry-run"
+    )]
     File(FileOptions),
     /// The same from the standard input: it is read to its end and checked before anything is sent
     #[command(after_help = "Example:\n  make_path.py | cdcrctl ref stdin --track")]
@@ -67,7 +69,7 @@ pub(crate) struct FeedArguments {
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
     /// Largest error of the tip: fail when it is larger in any cycle after the approach, or nothing was tracked; with its
-    /// unit, 2mm or 0.002m
+    /// unit, 2mm or 0.002m. A point that no bend of the robot comes so near to, 1 mm without this option, is refused before anything moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Time from now until the reference begins
@@ -89,6 +91,23 @@ pub(crate) struct CurveArguments {
     pub(crate) duration: Option<Duration>,
 }
 
+/// How a curve or a file is changed before it is sent. Its first point stays where it is.
+#[derive(Debug, Args)]
+pub(crate) struct ChangeArguments {
+    /// How many times as fast as it is
+    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1")]
+    pub(crate) speed: f64,
+    /// How often it is gone through: there and back, unless it ends where it begins
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000), default_value_t = 1)]
+    pub(crate) repeat: u32,
+    /// How many times as large, about its first point
+    #[arg(long, value_name = "TIMES", value_parser = value::positive, default_value = "1")]
+    pub(crate) scale: f64,
+    /// Two axes of the base frame that its x and y go along from its first point on
+    #[arg(long, value_parser = value::plane(), default_value = "xy")]
+    pub(crate) plane: FigurePlane,
+}
+
 /// Options of the spiral.
 #[derive(Debug, Args)]
 pub(crate) struct SpiralOptions {
@@ -97,6 +116,8 @@ pub(crate) struct SpiralOptions {
     pub(crate) start: Option<f64>,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) change: ChangeArguments,
     #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }
@@ -117,6 +138,8 @@ pub(crate) struct LineOptions {
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
     #[command(flatten)]
+    pub(crate) change: ChangeArguments,
+    #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }
 
@@ -134,6 +157,8 @@ pub(crate) struct CircleOptions {
     pub(crate) rate: f64,
     #[command(flatten)]
     pub(crate) curve: CurveArguments,
+    #[command(flatten)]
+    pub(crate) change: ChangeArguments,
     #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }
@@ -207,6 +232,8 @@ pub(crate) struct PolygonOptions {
 #[derive(Debug, Args)]
 pub(crate) struct StdinOptions {
     #[command(flatten)]
+    pub(crate) change: ChangeArguments,
+    #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }
 
@@ -215,6 +242,8 @@ pub(crate) struct StdinOptions {
 pub(crate) struct FileOptions {
     /// The CSV file; its rows are sent as they are, time counts from the first row
     pub(crate) path: PathBuf,
+    #[command(flatten)]
+    pub(crate) change: ChangeArguments,
     #[command(flatten)]
     pub(crate) feed: FeedArguments,
 }
