@@ -67,6 +67,8 @@ needs! {
     UtilLinux = "util-linux": "install util-linux",
     /// `cyclictest`.
     Cyclictest = "cyclictest": "install cyclictest (Debian: apt install rt-tests)",
+    /// `chromium`.
+    Chromium = "chromium": "install chromium",
     /// `stress-ng`.
     StressNg = "stress-ng": "install stress-ng",
 }

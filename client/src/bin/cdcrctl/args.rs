@@ -22,7 +22,9 @@ pub(crate) use calibrate::{
 };
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
-pub(crate) use recording::{ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions};
+pub(crate) use recording::{
+    ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions, ReportOptions,
+};
 pub(crate) use reference::{
     ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments,
     LineOptions, RefOptions, SpiralOptions,
@@ -218,11 +220,22 @@ pub(crate) enum Task {
         after_help = "Examples:\n  cdcrctl info spiral.mcap\n  cdcrctl info spiral.mcap --repair     save what a recorder that was killed left"
     )]
     Info(InfoOptions),
-    /// Compute the cycles of a recording again and compare them with what was
-    #[command(after_help = "Example:\n  cdcrctl replay --verify spiral.mcap\n\n\
-        Needs no daemon. The first cycle that comes out otherwise is saved with its inputs as NAME-cycle-N.mcap, which the same\n\
-        command reads, and makes the exit code 1. Cycles that follow a reference from before the recording are counted apart.")]
+    /// Feed references and obstacles of a recording to the daemon again; or compute its cycles again and compare them with what was
+    ///
+    /// The tip goes to the first reference on a smooth way, from wherever it is. References, obstacles and their motion keep their times, or
+    /// have --speed. In the end the daemon holds, and obstacles that were sent are removed.
+    #[command(
+        after_help = "Examples:\n  cdcrctl replay spiral.mcap --speed 0.5     with a daemon of the same robot\n  cdcrctl replay --verify spiral.mcap\n\n\
+        --verify and --with need no daemon. The first cycle that comes out otherwise is saved with its inputs as NAME-cycle-N.mcap, which the same\n\
+        command reads, and makes the exit code 1. Cycles that follow a reference from before the recording are counted apart."
+    )]
     Replay(ReplayOptions),
+    /// Make a page of a recording: the robot in 3-D, its path, error, clearance, controls, cables, latencies, events
+    ///
+    /// One HTML file that any browser opens, without a network. It stays below 5 MB however long the recording is: curves then
+    /// show the least and the largest value of each stretch of time.
+    #[command(after_help = "Example:\n  cdcrctl report spiral.mcap -o spiral.html")]
+    Report(ReportOptions),
     /// Write the messages of a recording as tables
     #[command(
         after_help = "Example:\n  cdcrctl convert spiral.mcap --csv spiral\n\n\

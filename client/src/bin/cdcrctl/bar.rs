@@ -40,6 +40,11 @@ impl Bar {
             .set_position((100.0 * share.clamp(0.0, 1.0)) as u64);
     }
 
+    /// How long it has gone on, where nobody knows how long it lasts.
+    pub(crate) fn show_time(&self, played_s: f64) {
+        self.bar.set_message(format!("{played_s:.1} s"));
+    }
+
     pub(crate) fn show(&self, progress: &FeedProgress) {
         self.bar.set_length(ms(progress.duration_s));
         self.bar.set_position(ms(progress.played_s));

@@ -96,8 +96,9 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Plot(options) => plot::run(target, options),
         Task::Record(options) => recording::record::run(target, options),
         Task::Info(options) => recording::info::run(options),
+        Task::Report(options) => recording::report::run(options),
         Task::Convert(options) => recording::convert::run(options),
-        Task::Replay(options) => recording::replay::run(options),
+        Task::Replay(options) => recording::replay::run(target, options),
         Task::Obstacle(options) => obstacle::run(target, options),
         Task::Calibrate(options) => calibrate::run(target, options),
     }

@@ -74,6 +74,14 @@ impl Measured {
 }
 
 impl TipError {
+    /// Of a reference that is fed from now on \[ns\].
+    pub(crate) fn since(fed_ns: u64) -> Self {
+        Self {
+            fed_ns,
+            ..Self::default()
+        }
+    }
+
     /// Takes a record in, if its cycle tracked.
     pub(crate) fn take(&mut self, record: &Telemetry) {
         let is_tracking = record.mode == Mode::Tracking.code();
@@ -111,9 +119,8 @@ impl TipError {
                  or raise motion.approach_speed_m_s and motion.approach_acceleration_m_s2"
             );
         }
-        if self.cycles > 0 {
-            let mean_m = self.sum_m / self.cycles as f64;
-            let [mean, max, last] = [mean_m, self.max_m, self.final_m].map(|m| 1e3 * m);
+        if let Some(error_m) = self.mean_max_final_m() {
+            let [mean, max, last] = error_m.map(|m| 1e3 * m);
             writeln!(
                 std::io::stdout(),
                 "tip error: mean {mean:.3}, max {max:.3}, final {last:.3} mm in {} cycles, of which limits or guard changed {:.1} %",
@@ -135,6 +142,12 @@ impl TipError {
             )?;
         }
         limit_m.map_or(Ok(()), |limit_m| self.check(limit_m))
+    }
+
+    /// Of the cycles after the approach \[m\]; none without them.
+    pub(crate) fn mean_max_final_m(&self) -> Option<[f64; 3]> {
+        let mean_m = self.sum_m / self.cycles as f64;
+        (self.cycles > 0).then_some([mean_m, self.max_m, self.final_m])
     }
 
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {

@@ -49,9 +49,21 @@ pub(crate) fn positive(text: &str) -> Result<f64, String> {
 
 /// How often a second the tip is measured.
 pub(crate) fn tip_rate_hz(text: &str) -> Result<f64, String> {
-    match number(text)? {
-        value if (0.01..=1000.0).contains(&value) => Ok(value),
-        value => Err(format!("{value} is not between 0.01 and 1000")),
+    number_in(text, 0.01..=1000.0)
+}
+
+/// How many times as fast a recording is replayed.
+pub(crate) fn replay_speed(text: &str) -> Result<f64, String> {
+    number_in(text, 0.1..=4.0)
+}
+
+fn number_in(text: &str, range: RangeInclusive<f64>) -> Result<f64, String> {
+    let value = number(text)?;
+    if range.contains(&value) {
+        Ok(value)
+    } else {
+        let (least, most) = (range.start(), range.end());
+        Err(format!("{value} is not between {least} and {most}"))
     }
 }
 

@@ -64,7 +64,7 @@ fn of_guide(path: &Path) -> Vec<String> {
 }
 
 /// A shell at the daemon's place that is given `line`, and waits for what it left in the background.
-fn shell(place: &Place, line: &str) -> Program {
+pub(super) fn shell(place: &Place, line: &str) -> Program {
     let programs = binary("cdcrctl");
     let path = std::env::var("PATH").unwrap_or_default();
     let path = format!("{}:{path}", programs.parent().unwrap().display());
@@ -144,6 +144,8 @@ fn every_example_works_as_typed() {
         .map(|entry| entry.unwrap().path())
         .chain([root().join("README.md")]);
     let guides = guides.filter(|path| path.extension().is_some_and(|extension| extension == "md"));
+    // It has a test of its own: each line needs those before.
+    let guides = guides.filter(|path| !path.ends_with("tutorial.md"));
     let of_guides = guides.flat_map(|path| of_guide(&path));
     let examples: BTreeSet<String> = of_helps.chain(of_guides).collect();
     assert!(examples.len() > 40, "{examples:#?}");
@@ -182,7 +184,9 @@ fn run_all<'a>(examples: impl Iterator<Item = &'a String>) {
     ] {
         fs::copy(root().join(from), folder.join(file)).unwrap();
     }
-    // What examples read; those that record are tried elsewhere.
+    // What examples read; those that record are tried elsewhere. It has an obstacle, or there is nothing to feed again.
+    let obstacle = "cdcrctl obstacle add --id 9 --at 0.5,0,0.5 --radius 0.01";
+    daemon.place().says(obstacle, 0, &[]);
     daemon
         .place()
         .says("cdcrctl record -o recorded --duration 300ms", 0, &[]);

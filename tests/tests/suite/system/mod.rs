@@ -16,15 +16,18 @@ mod lifecycle;
 mod modes;
 mod motions;
 mod obstacles;
+mod play;
 mod program;
 mod reconnect;
 mod recording;
 mod replay;
+mod report;
 mod scenes;
 mod silence;
 mod strangers;
 mod timing;
 mod top;
+mod tutorial;
 
 use std::time::Duration;
 

@@ -39,12 +39,15 @@ pub(crate) struct ReplayOptions {
     #[arg(value_name = "FILE")]
     pub(crate) file: PathBuf,
     /// Compute every cycle again, offline, and compare modes, plans, commands and clearances bit for bit
-    #[arg(long, required_unless_present = "with")]
+    #[arg(long)]
     pub(crate) verify: bool,
     /// Compute what other settings would have commanded from the same inputs, cycle by cycle, without a limit of time
     #[arg(long, value_name = "KEY=VALUE,...", value_delimiter = ',', value_parser = Change::parse, conflicts_with = "verify")]
     pub(crate) with: Vec<Change>,
-    /// How to print
+    /// How many times as fast as it was the recording is fed to the daemon, 0.1 to 4
+    #[arg(long, value_name = "TIMES", value_parser = value::replay_speed, default_value = "1", conflicts_with_all = ["verify", "with"])]
+    pub(crate) speed: f64,
+    /// How to print what was computed
     #[arg(long, value_enum, default_value = "text")]
     pub(crate) format: Format,
 }
@@ -58,4 +61,15 @@ pub(crate) struct ConvertOptions {
     /// Folder for telemetry.csv, events.csv, reference.csv, obstacles.csv, status.csv and incidents.csv; made where it is missing
     #[arg(long, value_name = "DIR", required = true)]
     pub(crate) csv: PathBuf,
+}
+
+/// Options of `report`.
+#[derive(Debug, Args)]
+pub(crate) struct ReportOptions {
+    /// The recording
+    #[arg(value_name = "FILE")]
+    pub(crate) file: PathBuf,
+    /// The page to make; one that is there is replaced [default: beside the recording, as NAME.html]
+    #[arg(short, long, value_name = "FILE.html")]
+    pub(crate) output: Option<PathBuf>,
 }

@@ -3,8 +3,10 @@
 pub(crate) mod convert;
 mod file;
 pub(crate) mod info;
+mod play;
 pub(crate) mod record;
 pub(crate) mod replay;
+pub(crate) mod report;
 mod topic;
 mod what_if;
 mod when;

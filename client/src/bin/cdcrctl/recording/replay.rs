@@ -15,13 +15,16 @@ use serde_json::json;
 
 use super::file::{Recorded, Recording};
 use super::topic::Topic;
-use super::what_if;
+use super::{play, what_if};
 use crate::Done;
-use crate::args::{Format, ReplayOptions};
+use crate::args::{Format, ReplayOptions, Target};
 
-pub(crate) fn run(options: &ReplayOptions) -> anyhow::Result<Done> {
+pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
     if !options.with.is_empty() {
         return what_if::run(options);
+    }
+    if !options.verify {
+        return play::run(target, options);
     }
     let mut recording = Recording::open(&options.file)?;
     let begin = Instant::now();

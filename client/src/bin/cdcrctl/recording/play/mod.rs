@@ -1,0 +1,302 @@
+//! Feeds the references and obstacles of a recording to a running daemon again.
+
+mod source;
+
+use std::collections::BTreeSet;
+use std::io::{self, Write};
+use std::thread;
+use std::time::Duration;
+
+use anyhow::{Context, bail, ensure};
+use cdcr_client::{
+    Connection, Lease, ObstacleSender, ReferenceFeed, TelemetryStream, events, monotonic_ns,
+};
+use cdcr_shared_types::codes::{
+    ChunkMode, EventKind, Interpolation, Mode, ObstacleAction, Outcome, RequestKind,
+};
+use cdcr_shared_types::{ObstacleUpdate, ReferenceChunk, Telemetry};
+
+use super::file::Recording;
+use crate::Done;
+use crate::args::{ReplayOptions, Target};
+use crate::bar::Bar;
+use crate::interrupt::Interrupt;
+use crate::tip_error::TipError;
+use source::{Source, Step};
+
+/// References are sent so much earlier than they were: what this program may be late \[ns\].
+const LEAD_NS: u64 = 300_000_000;
+/// So much of the recording is read ahead \[ns\]: the outcome of a message stands after it.
+const READ_AHEAD_NS: u64 = 1_000_000_000;
+const TURN: Duration = Duration::from_millis(2);
+/// How long a status or a record is waited for.
+const TIMEOUT: Duration = Duration::from_secs(1);
+
+pub(crate) fn run(target: &Target, options: &ReplayOptions) -> anyhow::Result<Done> {
+    let name = options.file.display().to_string();
+    let interrupt = Interrupt::catch()?;
+    let connection = target.connect()?;
+    let mut source = Source::new(Recording::open(&options.file)?);
+    source.read_to(READ_AHEAD_NS)?;
+    let status = connection.status(TIMEOUT)?;
+    let fingerprint = source.robot_fingerprint();
+    let fingerprint = fingerprint.with_context(|| format!("{name} holds no cycle"))?;
+    ensure!(
+        fingerprint == status.robot.fingerprint,
+        "{name} is of another robot than the daemon's: its sections or limits differ"
+    );
+    if [Mode::Stopped, Mode::Faulted]
+        .map(Mode::code)
+        .contains(&status.mode)
+    {
+        let mode = Mode::text_of(status.mode);
+        bail!("the daemon is {mode}: leave that with cdcrctl reset");
+    }
+    let mut player = Player::new(&connection, options.speed)?;
+    let played = player.play(&mut source, &name, &interrupt);
+    // However it ended; the first error is the one that says why.
+    let held = connection.request(RequestKind::Hold);
+    let removed = player.take_obstacles_away();
+    let done = played?;
+    held?;
+    removed?;
+    let Player {
+        chunks, updates, ..
+    } = player;
+    ensure!(
+        chunks + updates > 0 || done == Done::Interrupted,
+        "{name} holds no obstacles, and no reference from its first chunk on"
+    );
+    let speed = options.speed;
+    writeln!(
+        io::stdout(),
+        "{name}: {chunks} reference chunks and {updates} obstacle updates sent, {speed} times as fast as they were; the daemon holds"
+    )?;
+    source.recording.warn_of_cut();
+    if done == Done::Good {
+        player.error.tell(None)?;
+    }
+    Ok(done)
+}
+
+struct Player<'c> {
+    connection: &'c Connection,
+    telemetry: TelemetryStream,
+    lease: Lease<'c>,
+    feed: ReferenceFeed,
+    obstacles: ObstacleSender,
+    renewed_ns: u64,
+    /// When the recording begins again.
+    begin_ns: u64,
+    speed: f64,
+    /// Number of the newest chunk that begins a reference, until it is accepted.
+    beginning: Option<u64>,
+    has_reference: bool,
+    /// The recording tracks.
+    wants_tracking: bool,
+    ids: BTreeSet<u32>,
+    chunks: u64,
+    updates: u64,
+    heard_ns: u64,
+    error: TipError,
+}
+
+impl<'c> Player<'c> {
+    fn new(connection: &'c Connection, speed: f64) -> anyhow::Result<Self> {
+        let telemetry = connection.telemetry()?;
+        let lease = connection.acquire_lease()?;
+        let now_ns = monotonic_ns();
+        Ok(Self {
+            connection,
+            telemetry,
+            lease,
+            feed: connection.reference_feed()?,
+            obstacles: connection.obstacle_sender()?,
+            renewed_ns: now_ns,
+            begin_ns: now_ns + LEAD_NS,
+            speed,
+            beginning: None,
+            has_reference: false,
+            wants_tracking: false,
+            ids: BTreeSet::new(),
+            chunks: 0,
+            updates: 0,
+            heard_ns: now_ns,
+            error: TipError::since(now_ns),
+        })
+    }
+
+    fn play(
+        &mut self,
+        source: &mut Source,
+        name: &str,
+        interrupt: &Interrupt,
+    ) -> anyhow::Result<Done> {
+        let bar = Bar::new(name);
+        loop {
+            if interrupt.is_raised() {
+                return Ok(Done::Interrupted);
+            }
+            let played_ns = self.recorded_ns(monotonic_ns());
+            let lead_ns = (LEAD_NS as f64 * self.speed) as u64;
+            source.read_to(played_ns + lead_ns + READ_AHEAD_NS)?;
+            while let Some(step) = source.due(played_ns, lead_ns) {
+                self.take(step)?;
+            }
+            self.listen()?;
+            self.renew()?;
+            if source.is_over(played_ns) {
+                return Ok(Done::Good);
+            }
+            bar.show_time(played_ns as f64 * 1e-9);
+            thread::sleep(TURN);
+        }
+    }
+
+    /// From the beginning of the recording to this time.
+    fn recorded_ns(&self, now_ns: u64) -> u64 {
+        (now_ns.saturating_sub(self.begin_ns) as f64 * self.speed) as u64
+    }
+
+    /// When something is that was so long after the beginning of the recording.
+    fn live_ns(&self, since_ns: i64) -> u64 {
+        let since_ns = (since_ns as f64 / self.speed) as i64;
+        self.begin_ns.saturating_add_signed(since_ns)
+    }
+
+    fn take(&mut self, step: Step) -> anyhow::Result<()> {
+        match step {
+            Step::Chunk(chunk, first_ns) => self.send_chunk(&chunk, first_ns),
+            Step::Obstacles(update, first_ns) => self.send_obstacles(&update, first_ns),
+            Step::Track => {
+                self.wants_tracking = true;
+                self.track()
+            }
+            Step::Hold => {
+                self.wants_tracking = false;
+                self.connection.request(RequestKind::Hold)?;
+                Ok(())
+            }
+        }
+    }
+
+    fn send_chunk(&mut self, chunk: &ReferenceChunk, first_ns: u64) -> anyhow::Result<()> {
+        let mode = ChunkMode::try_from(chunk.mode).unwrap_or_default();
+        // The rest of a reference whose beginning is not in the recording.
+        if mode == ChunkMode::Append && self.chunks == 0 {
+            return Ok(());
+        }
+        let used = chunk.points.get(..chunk.count as usize).unwrap_or_default();
+        let points: Vec<_> = used
+            .iter()
+            .map(|point| {
+                let mut point = *point;
+                point.time_ns = self.live_ns(point.time_ns.wrapping_sub(first_ns).cast_signed());
+                point
+            })
+            .collect();
+        let interpolation = Interpolation::try_from(chunk.interpolation).unwrap_or_default();
+        let header = self.feed.send(mode, interpolation, &points)?;
+        if mode == ChunkMode::Replace {
+            self.beginning = Some(header.sequence);
+        }
+        self.chunks += 1;
+        Ok(())
+    }
+
+    fn send_obstacles(&mut self, update: &ObstacleUpdate, first_ns: u64) -> anyhow::Result<()> {
+        let used = update.obstacles.get(..update.count as usize);
+        let mut solids = used.unwrap_or_default().to_vec();
+        let now_ns = monotonic_ns();
+        for solid in &mut solids {
+            let since_ns = solid.measured_ns.wrapping_sub(first_ns).cast_signed();
+            solid.measured_ns = self.live_ns(since_ns).min(now_ns);
+            solid.lifetime_ns = (solid.lifetime_ns as f64 / self.speed).ceil() as u64;
+            solid.velocity_m_s = solid.velocity_m_s.map(|m_s| m_s * self.speed);
+        }
+        let ids: Vec<_> = solids.iter().map(|solid| solid.id).collect();
+        match ObstacleAction::try_from(update.action).unwrap_or_default() {
+            ObstacleAction::Upsert => {
+                self.obstacles.upsert(&solids)?;
+                self.ids.extend(ids);
+            }
+            ObstacleAction::Remove => {
+                self.obstacles.remove(&ids)?;
+            }
+            ObstacleAction::Clear => {
+                self.obstacles.clear()?;
+            }
+        }
+        self.updates += 1;
+        Ok(())
+    }
+
+    /// Those that were sent.
+    fn take_obstacles_away(&mut self) -> anyhow::Result<()> {
+        let ids: Vec<_> = self.ids.iter().copied().collect();
+        for ids in ids.chunks(cdcr_shared_types::limits::OBSTACLES_MAX) {
+            let header = self.obstacles.remove(ids)?;
+            self.telemetry
+                .outcome_on(EventKind::Obstacles, &header, TIMEOUT)?;
+        }
+        Ok(())
+    }
+
+    /// Asks for tracking where the recording tracks and the reference is there.
+    fn track(&mut self) -> anyhow::Result<()> {
+        if self.wants_tracking && self.has_reference {
+            self.connection.request(RequestKind::Track)?;
+            self.wants_tracking = false;
+        }
+        Ok(())
+    }
+
+    fn listen(&mut self) -> anyhow::Result<()> {
+        while let Some(record) = self.telemetry.try_next()? {
+            self.heard_ns = monotonic_ns();
+            self.error.take(&record);
+            self.check_outcomes(&record)?;
+        }
+        let silent_ns = monotonic_ns().saturating_sub(self.heard_ns);
+        if silent_ns > TIMEOUT.as_nanos() as u64 {
+            // It says whether the daemon is gone.
+            self.connection.status(TIMEOUT)?;
+        }
+        self.track()
+    }
+
+    /// What became of what was sent.
+    fn check_outcomes(&mut self, record: &Telemetry) -> anyhow::Result<()> {
+        let sender_id = self.connection.sender_id();
+        for event in events(record) {
+            let is_reference = event.kind == EventKind::Reference.code();
+            let is_ours = event.sender_id == sender_id
+                && (is_reference || event.kind == EventKind::Obstacles.code());
+            if !is_ours {
+                continue;
+            }
+            if event.outcome != Outcome::Accepted.code() {
+                bail!(
+                    "the daemon refused {}: {}",
+                    EventKind::text_of(event.kind),
+                    Outcome::text_of(event.outcome)
+                );
+            }
+            let is_begun = |sequence: &mut u64| *sequence <= event.sequence;
+            if is_reference && self.beginning.take_if(is_begun).is_some() {
+                self.has_reference = true;
+            }
+        }
+        Ok(())
+    }
+
+    fn renew(&mut self) -> anyhow::Result<()> {
+        let now_ns = monotonic_ns();
+        let every_ns = self.lease.left().as_nanos() as u64 / 5;
+        if now_ns - self.renewed_ns > every_ns {
+            self.lease.renew()?;
+            self.renewed_ns = now_ns;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,82 @@
+use serde_json::{Value, json};
+
+/// Bins of a decade, and decades from 1 µs on.
+const PER_DECADE: usize = 40;
+const DECADES: usize = 6;
+
+/// How often which latency was: bins of equal ratio from 1 µs to 1 s.
+#[derive(Debug)]
+pub(super) struct Histogram {
+    bins: [u64; PER_DECADE * DECADES],
+    count: u64,
+    max_ns: u64,
+}
+
+impl Default for Histogram {
+    fn default() -> Self {
+        Self {
+            bins: [0; PER_DECADE * DECADES],
+            count: 0,
+            max_ns: 0,
+        }
+    }
+}
+
+impl Histogram {
+    pub(super) fn take(&mut self, latency_ns: u64) {
+        let decades = (latency_ns.max(1_000) as f64 * 1e-3).log10();
+        let last = self.bins.len() - 1;
+        self.bins[((decades * PER_DECADE as f64) as usize).min(last)] += 1;
+        self.count += 1;
+        self.max_ns = self.max_ns.max(latency_ns);
+    }
+
+    /// The upper end of the bin in which the share `part` of all values ends \[µs\], and no more than the largest.
+    fn percentile_us(&self, part: f64) -> f64 {
+        let wanted = (part * self.count as f64).ceil() as u64;
+        let mut below = 0;
+        let bin = self.bins.iter().position(|count| {
+            below += count;
+            below >= wanted
+        });
+        let end = bin.unwrap_or(self.bins.len()) + 1;
+        10_f64
+            .powf(end as f64 / PER_DECADE as f64)
+            .min(self.max_ns as f64 * 1e-3)
+    }
+
+    pub(super) fn json(&self) -> Value {
+        json!({
+            "bins_per_decade": PER_DECADE,
+            "bins": self.bins.as_slice(),
+            "count": self.count,
+            "p50_us": self.percentile_us(0.5),
+            "p99_us": self.percentile_us(0.99),
+            "p999_us": self.percentile_us(0.999),
+            "max_us": self.max_ns as f64 * 1e-3,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_right_to_a_bin_and_nothing_is_lost() {
+        let mut histogram = Histogram::default();
+        assert_eq!(histogram.json()["count"], 0);
+        for us in 1..=1000 {
+            histogram.take(us * 1000);
+        }
+        histogram.take(0);
+        histogram.take(u64::MAX);
+        let counted: u64 = histogram.bins.iter().sum();
+        assert_eq!((histogram.count, counted), (1002, 1002));
+        let width = 10_f64.powf(1.0 / PER_DECADE as f64);
+        for (part, expected_us) in [(0.5, 500.0), (0.99, 990.0)] {
+            let ratio = histogram.percentile_us(part) / expected_us;
+            assert!((1.0 / width..=width).contains(&ratio), "{ratio}");
+        }
+    }
+}

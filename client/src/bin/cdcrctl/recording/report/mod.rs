@@ -1,0 +1,49 @@
+//! A recording as one page of HTML that needs nothing else: figures, the robot in 3-D, curves, latencies, events. The page's script draws it
+//! all from one block of JSON.
+
+mod columns;
+mod content;
+mod happened;
+mod histogram;
+
+use std::fs;
+use std::io::{self, Write};
+
+use anyhow::{Context, ensure};
+
+use super::file::Recording;
+use crate::Done;
+use crate::args::ReportOptions;
+use content::Content;
+
+const PAGE: &str = include_str!("page.html");
+const SCRIPT: &str = include_str!("page.js");
+
+pub(crate) fn run(options: &ReportOptions) -> anyhow::Result<Done> {
+    let name = options.file.display();
+    let mut recording = Recording::open(&options.file)?;
+    let mut content = Content::default();
+    while let Some(message) = recording.next_message()? {
+        content.take(&message)?;
+    }
+    let page = options
+        .output
+        .clone()
+        .unwrap_or_else(|| options.file.with_extension("html"));
+    ensure!(page != options.file, "{name} is the recording itself");
+    let data = content.json(&recording, &name.to_string())?;
+    // Nothing in it ends the block early.
+    let data = serde_json::to_string(&data)?.replace('<', "\\u003c");
+    let text = PAGE.replacen("{DATA}", &data, 1);
+    let (head, tail) = text.rsplit_once("{SCRIPT}").unwrap_or((&text, ""));
+    fs::write(&page, [head, SCRIPT, tail].concat())
+        .with_context(|| format!("cannot write {}", page.display()))?;
+    writeln!(
+        io::stdout(),
+        "{}: {} cycles; open it in a browser",
+        page.display(),
+        content.cycles()
+    )?;
+    recording.warn_of_cut();
+    Ok(Done::Good)
+}

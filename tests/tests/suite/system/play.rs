@@ -1,0 +1,121 @@
+//! `cdcrctl replay` of a recording into a daemon.
+
+use std::path::PathBuf;
+
+use cdcr_client::Spiral;
+use cdcr_shared_types::Obstacle;
+use cdcr_shared_types::codes::{EventKind, Mode, RequestKind};
+use cdcr_tests::{
+    Daemon, PATIENT, Program, TIMEOUT, assert_says, text, track, wait_record, wait_status,
+    wait_until,
+};
+use rustix::process::Signal;
+
+/// A recording of a curve beside an obstacle that moves, and the daemon that drew it, at rest elsewhere.
+fn recorded() -> (Daemon, PathBuf) {
+    let daemon = Daemon::start(PATIENT);
+    let file = daemon.place().folder().join("run.mcap");
+    let mut command = daemon.place().command("cdcrctl");
+    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
+    wait_until("the recorder has begun", || file.exists());
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let obstacle = Obstacle {
+        id: 7,
+        start_m: [0.4, 0.0, 0.5],
+        radius_m: 0.02,
+        velocity_m_s: [0.0, 0.01, 0.0],
+        measured_ns: cdcr_client::monotonic_ns(),
+        ..Default::default()
+    };
+    let sender = connection.obstacle_sender().unwrap();
+    let header = sender.upsert(&[obstacle]).unwrap();
+    telemetry
+        .outcome_on(EventKind::Obstacles, &header, TIMEOUT)
+        .unwrap();
+    let curve = Spiral {
+        duration_s: 1.5,
+        ..Spiral::for_sections(&[0.3; 3])
+    };
+    track(&connection, &curve);
+    recorder.signal(Signal::INT);
+    assert_says(&recorder.output(), 0, &["1 obstacle updates"]);
+    let place = daemon.place();
+    place.says("cdcrctl obstacle clear", 0, &[]);
+    place.says("cdcrctl home --wait", 0, &[]);
+    (daemon, file)
+}
+
+#[test]
+fn references_and_obstacles_of_a_recording_are_fed_again_and_the_robot_holds() {
+    let (daemon, _) = recorded();
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut command = daemon.place().command("cdcrctl");
+    command.args(["replay", "run.mcap", "--speed", "2"]);
+    let mut player = Program::start(command.current_dir(daemon.place().folder()));
+    let mut known = wait_record(&mut telemetry, |record| record.obstacle_count == 1);
+    // Twice as fast: so is the obstacle.
+    assert_eq!(known.obstacles[0].velocity_m_s, [0.0, 0.02, 0.0]);
+    known = wait_record(&mut telemetry, |record| {
+        record.mode == Mode::Tracking.code()
+    });
+    // From where it is, on a smooth way.
+    assert!(known.approach.duration_ns > 0);
+    let begin_m = known.reference.position_m;
+    let late = wait_record(&mut telemetry, |record| record.mode == Mode::Holding.code());
+    let moved = (0..3).any(|i| (late.tip_position_m[i] - begin_m[i]).abs() > 1e-3);
+    assert!(moved, "{:?}", late.tip_position_m);
+    let said = assert_says(
+        &player.output(),
+        0,
+        &[
+            "1 obstacle updates sent, 2 times",
+            "the daemon holds",
+            "tip error",
+        ],
+    );
+    assert!(!said.contains(" 0 reference chunks"), "{said}");
+    wait_status(&connection, |status| {
+        (status.mode, status.lease_holder) == (Mode::Holding.code(), 0)
+    });
+    wait_record(&mut telemetry, |record| record.obstacle_count == 0);
+}
+
+#[test]
+fn an_interrupted_replay_ends_in_hold() {
+    let (daemon, _) = recorded();
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let mut command = daemon.place().command("cdcrctl");
+    command.args(["replay", "run.mcap", "--speed", "0.1"]);
+    let mut player = Program::start(command.current_dir(daemon.place().folder()));
+    wait_record(&mut telemetry, |record| record.obstacle_count == 1);
+    player.signal(Signal::INT);
+    let output = player.output();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output));
+    wait_record(&mut telemetry, |record| {
+        record.obstacle_count == 0 && record.mode == Mode::Holding.code()
+    });
+}
+
+#[test]
+fn what_cannot_be_fed_again_is_refused_before_anything_moves() {
+    let (daemon, file) = recorded();
+    let place = daemon.place();
+    let section = "[[robot.sections]]\nlength_m = 0.31\ncable_radius_m = 0.0125\ncable_offset_rad = 0.0\n\
+                   bend_max_rad = 2.8\nrate_max_rad_s = 2.0\nbody_radius_m = 0.015\n";
+    let other = Daemon::start(&format!("{PATIENT}{section}"));
+    let play = format!("cdcrctl replay {}", file.display());
+    other.place().says(&play, 1, &["another robot"]);
+    place.write("empty.mcap", "");
+    place.says("cdcrctl replay empty.mcap", 1, &["the file is empty"]);
+    place.says("cdcrctl replay run.mcap --speed 9", 2, &["0.1 and 4"]);
+    place.says(
+        "cdcrctl replay run.mcap --speed 2 --verify",
+        2,
+        &["--verify"],
+    );
+    daemon.connect().request(RequestKind::Stop).unwrap();
+    place.says("cdcrctl replay run.mcap", 1, &["cdcrctl reset"]);
+}

@@ -1,0 +1,236 @@
+//! The page that `cdcrctl report` makes of a recording, read as a file and opened in a browser.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use cdcr_client::Spiral;
+use cdcr_shared_types::Obstacle;
+use cdcr_shared_types::codes::{EventKind, RequestKind};
+use cdcr_test_skip::{Need, skip};
+use cdcr_tests::{Daemon, PATIENT, Program, TIMEOUT, assert_says, track, wait_until};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// A recording of a robot of the laboratory that tracks beside an obstacle, and its page.
+fn page() -> (Daemon, String) {
+    let daemon = Daemon::start(PATIENT);
+    let file = daemon.place().folder().join("run.mcap");
+    let mut command = daemon.place().command("cdcrctl");
+    let mut recorder = Program::start(command.arg("record").arg("-o").arg(&file));
+    wait_until("the recorder has begun", || file.exists());
+    let connection = daemon.connect();
+    let mut telemetry = connection.telemetry().unwrap();
+    let obstacle = Obstacle {
+        id: 1,
+        start_m: [0.3, 0.0, 0.5],
+        radius_m: 0.02,
+        velocity_m_s: [0.0, 0.01, 0.0],
+        measured_ns: cdcr_client::monotonic_ns(),
+        ..Default::default()
+    };
+    let sender = connection.obstacle_sender().unwrap();
+    let header = sender.upsert(&[obstacle]).unwrap();
+    telemetry
+        .outcome_on(EventKind::Obstacles, &header, TIMEOUT)
+        .unwrap();
+    // Refused: nobody feeds.
+    assert!(connection.request(RequestKind::Track).is_err());
+    let curve = Spiral {
+        duration_s: 1.5,
+        ..Spiral::for_sections(&[0.3; 3])
+    };
+    track(&connection, &curve);
+    recorder.signal(Signal::INT);
+    assert_says(&recorder.output(), 0, &["run.mcap"]);
+    let place = daemon.place();
+    place.says(
+        "cdcrctl report run.mcap -o run.html",
+        0,
+        &["run.html", "cycles"],
+    );
+    let page = fs::read_to_string(place.folder().join("run.html")).unwrap();
+    (daemon, page)
+}
+
+/// The block of JSON of a page.
+fn data(page: &str) -> Value {
+    let (_, rest) = page.split_once("id=\"data\">").unwrap();
+    serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()
+}
+
+#[test]
+fn a_page_has_all_that_was_recorded_and_needs_nothing_else() {
+    let (daemon, page) = page();
+    for word in [
+        "src=",
+        "@import",
+        "fetch(",
+        "import(",
+        "XMLHttpRequest",
+        "url(h",
+    ] {
+        assert!(!page.contains(word), "{word}");
+    }
+    // The name of the vector format is no address.
+    let addresses = page.replace("http://www.w3.org/2000/svg", "");
+    assert!(!addresses.contains("http://") && !addresses.contains("https://"));
+    assert!(page.len() < 1_000_000, "{}", page.len());
+    let data = data(&page);
+    let info: Value = serde_json::from_str(&daemon.place().says(
+        "cdcrctl info run.mcap --format json",
+        0,
+        &["telemetry"],
+    ))
+    .unwrap();
+    assert_eq!(data["cycles"], info["channels"]["telemetry"]["messages"]);
+    assert_eq!(data["deadline_misses"], info["deadline_misses"]);
+    let [mean, max, last] = [0, 1, 2].map(|k| data["error_mm"][k].as_f64().unwrap());
+    // A robot that is not its model.
+    assert!(
+        0.0 < mean && mean <= max && last <= max && max < 50.0,
+        "{mean} {max}"
+    );
+    let curves = &data["curves"];
+    let columns = curves["t_s"].as_array().unwrap().len();
+    assert!(columns > 200);
+    let length = |list: &Value| list.as_array().unwrap().len();
+    for name in ["mode", "misses", "bend_rad", "tip_mm", "reference_mm"] {
+        assert_eq!(length(&curves[name]), columns, "{name}");
+    }
+    let series = curves["series"].as_object().unwrap();
+    // Error, clearance, three latencies; of three sections two rates and three cables each.
+    assert_eq!(series.len(), 5 + 6 + 9);
+    for (name, ends) in series {
+        assert!(
+            ends.as_array()
+                .unwrap()
+                .iter()
+                .all(|end| length(end) == columns),
+            "{name}"
+        );
+    }
+    assert!(data["least_clearance"]["mm"].as_f64().unwrap() > 0.0);
+    assert!(length(&data["scenes"]) > 1, "the obstacle comes, and moves");
+    for latency in ["wake", "response"] {
+        assert_eq!(data["latencies"][latency]["count"], data["cycles"]);
+    }
+    let events = data["events"].as_array().unwrap();
+    let texts: Vec<_> = events
+        .iter()
+        .filter_map(|event| event["text"].as_str())
+        .collect();
+    for begin in [
+        "holding",
+        "tracking",
+        "refused: track",
+        "request: track",
+        "1 obstacles",
+    ] {
+        assert!(
+            texts.iter().any(|text| text.starts_with(begin)),
+            "{begin}: {texts:?}"
+        );
+    }
+}
+
+#[test]
+fn a_page_is_not_made_of_what_is_no_recording_nor_over_it() {
+    let (daemon, _) = page();
+    let place = daemon.place();
+    place.write("empty.mcap", "");
+    place.says("cdcrctl report empty.mcap", 1, &["the file is empty"]);
+    assert!(!place.folder().join("empty.html").exists());
+    let out = "cdcrctl report run.mcap -o run.mcap";
+    place.says(out, 1, &["is the recording itself"]);
+    place.says("cdcrctl info run.mcap", 0, &["telemetry"]);
+}
+
+/// What the page's own script made, told by a script of this test at its end: what went wrong, the sections, how many colours the picture of the
+/// robot has, and how far the drawn tip is from the recorded one.
+const PROBE: &str = r"<script>
+setTimeout(() => {
+  const canvas = document.querySelector('canvas');
+  const pixels = new Uint32Array(canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.buffer);
+  const apart = curves.bend_rad.map((bend, i) => {
+    const robot = backbone(bend);
+    const tip = robot[robot.length - 1][16].p;
+    return Math.hypot(...tip.map((mm, k) => mm - curves.tip_mm[i][k]));
+  });
+  const told = {
+    errors, sections: [...document.querySelectorAll('section')].map((one) => one.id),
+    empty: [...document.querySelectorAll('section')].filter((one) => one.offsetHeight < 40).map((one) => one.id),
+    colours: new Set(pixels).size, apart_mm: Math.max(...apart), curves: document.querySelectorAll('svg path').length,
+  };
+  document.body.replaceChildren(JSON.stringify(told));
+}, 1500);
+</script></body>";
+const WATCH: &str = "<head><script>const errors = []; addEventListener('error', (event) => errors.push(event.message));</script>";
+
+#[test]
+fn a_browser_draws_the_page_without_an_error() {
+    let browser = "chromium";
+    if Command::new(browser).arg("--version").output().is_err() {
+        skip(Need::Chromium, format!("there is no {browser}"));
+        return;
+    }
+    let (daemon, page) = page();
+    let folder = daemon.place().folder();
+    let probed = page
+        .replacen("<head>", WATCH, 1)
+        .replacen("</body>", PROBE, 1);
+    let path = daemon.place().write("probed.html", &probed);
+    let told = in_browser(browser, folder, &path);
+    assert_eq!(told["errors"], Value::Array(Vec::new()), "{told}");
+    let sections = [
+        "summary",
+        "robot",
+        "path",
+        "error",
+        "clearance",
+        "controls",
+        "cables",
+        "latencies",
+        "events",
+        "misses",
+    ];
+    assert_eq!(told["sections"], serde_json::json!(sections));
+    assert_eq!(told["empty"], Value::Array(Vec::new()), "{told}");
+    assert!(told["colours"].as_u64().unwrap() > 50, "{told}");
+    assert!(
+        told["curves"].as_u64().unwrap() >= 6 + 2 + 6 + 9 + 2,
+        "{told}"
+    );
+    // The tip of bends that are measured: the robot's own is elsewhere, the offset is not known here. Numbers have five digits.
+    assert!(told["apart_mm"].as_f64().unwrap() < 0.2, "{told}");
+}
+
+/// What a page says when its scripts have run.
+fn in_browser(browser: &str, folder: &Path, page: &Path) -> Value {
+    let mut command = Command::new(browser);
+    command.args([
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--disable-dev-shm-usage",
+    ]);
+    command.args([
+        "--virtual-time-budget=10000",
+        "--window-size=1100,900",
+        "--dump-dom",
+    ]);
+    command.arg(format!(
+        "--user-data-dir={}",
+        folder.join("browser").display()
+    ));
+    command
+        .env("HOME", folder)
+        .arg(format!("file://{}", page.display()));
+    let output = Program::start(&mut command).output();
+    let printed = String::from_utf8_lossy(&output.stdout).into_owned();
+    let json = printed
+        .split_once("<body>")
+        .and_then(|(_, rest)| rest.split_once("</body>"));
+    let (json, _) = json.unwrap_or_else(|| panic!("no page: {}", cdcr_tests::text(&output)));
+    serde_json::from_str(json).unwrap_or_else(|cause| panic!("{cause}: {json}"))
+}

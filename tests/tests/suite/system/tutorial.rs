@@ -1,0 +1,78 @@
+//! `docs/tutorial.md`, and the session of the README, typed from the beginning to the end.
+
+use std::fs;
+use std::path::Path;
+
+use cdcr_client::Connection;
+use cdcr_tests::{Daemon, PATIENT, Place, ROBOT, text, wait_until};
+use rustix::process::Signal;
+
+use super::examples::shell;
+
+/// The blocks of commands of a page.
+fn blocks(page: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(page);
+    let page = fs::read_to_string(path).unwrap();
+    let blocks = page.split("```").skip(1).step_by(2);
+    let blocks = blocks.filter_map(|block| block.strip_prefix("sh\n"));
+    blocks
+        .map(|block| block.replace("./target/release/", ""))
+        .collect()
+}
+
+#[test]
+fn the_session_of_the_readme_works_as_typed() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    fs::create_dir(place.folder().join("configs")).unwrap();
+    let scene = Path::new(env!("CARGO_MANIFEST_DIR")).join("../configs/scene.json");
+    fs::copy(scene, place.folder().join("configs/scene.json")).unwrap();
+    let all = blocks("README.md");
+    let mut sessions = all.iter().filter(|block| block.contains("cdcrctl record"));
+    let session = sessions.next().unwrap();
+    for word in [
+        "obstacle file",
+        "ref helix",
+        "top",
+        "info",
+        "replay --verify",
+        "report",
+    ] {
+        assert!(session.contains(word), "{word}");
+    }
+    let output = shell(place, &format!("set -e\n{session}")).output();
+    let said = text(&output);
+    assert!(output.status.success(), "{said}");
+    assert!(
+        said.contains("cycles reproduced") && said.contains("run.html"),
+        "{said}"
+    );
+    assert_eq!(sessions.next(), None);
+}
+
+#[test]
+fn the_tutorial_works_as_typed() {
+    let place = Place::new();
+    let mut daemon = None;
+    for block in blocks("docs/tutorial.md") {
+        if block.starts_with("cdcrd run") {
+            daemon = Some(shell(&place, &format!("exec {block}")));
+            let location = place.location();
+            wait_until("the daemon is up", || {
+                Connection::open(location, ROBOT).is_ok()
+            });
+            continue;
+        }
+        let output = shell(&place, &format!("set -e\n{block}")).output();
+        assert!(output.status.success(), "{block}\n{}", text(&output));
+    }
+    let mut daemon = daemon.expect("a block that starts the daemon");
+    daemon.signal(Signal::INT);
+    assert!(daemon.output().status.success());
+    let said = place.says("cdcrctl info loop.mcap --format json", 0, &["tracking"]);
+    let info: serde_json::Value = serde_json::from_str(&said).unwrap();
+    // A robot that is not its model, beside an obstacle that is not in its way.
+    let error_m = info["largest_error"]["position_error_m"].as_f64().unwrap();
+    assert!(error_m > 0.0, "{info}");
+    assert!(place.folder().join("loop.html").exists());
+}
