@@ -20,6 +20,7 @@
 //!   kept whole.
 //! * [`model`] (feature `model`) makes the robot of `cdcr_controller` of what messages say;
 //!   `PlantDriver` is a simulated robot behind a driver; [`replay`] computes recorded cycles again.
+//! * [`channels`] (feature `channels`) is what recordings and live views hold: messages, and what viewers draw of them.
 //! * [`Lease`], [`ReferenceFeed`], [`ObstacleSender`] and [`Driver`] are the single ports, for
 //!   programs that do more than feed a curve.
 //!
@@ -66,6 +67,8 @@
 
 #![forbid(unsafe_code)]
 
+#[cfg(feature = "channels")]
+pub mod channels;
 mod clock;
 mod connect_error;
 mod connection;

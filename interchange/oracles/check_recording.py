@@ -31,6 +31,7 @@ def main(path, table):
         decoded = list(reader.iter_decoded_messages())
         by_mcap = [row(message) for schema, _, _, message in decoded if schema.name == "cdcr_msgs/msg/Telemetry"]
         attached = {attachment.name for attachment in reader.iter_attachments()}
+        schemas = {schema.name for schema, _, _, _ in decoded}
         about = next(m.metadata for m in reader.iter_metadata() if m.name == "cdcr")
         count = reader.get_summary().statistics.message_count
     with AnyReader([path]) as reader:
@@ -40,7 +41,11 @@ def main(path, table):
         "mcap finds other cycles": sorted(by_mcap) == sorted(expected),
         "rosbags finds other cycles": sorted(by_rosbags) == sorted(expected),
         "the index counts other messages": count == len(decoded) == len(messages),
-        "an attachment is missing": attached == {"settings.toml", "status.json"},
+        "an attachment is missing": attached >= {"settings.toml", "status.json"},
+        "a message for viewers is missing": schemas >= {
+            "tf2_msgs/msg/TFMessage", "geometry_msgs/msg/PoseStamped", "sensor_msgs/msg/JointState",
+            "visualization_msgs/msg/MarkerArray", "rcl_interfaces/msg/Log",
+        },
         "the offset of its clock is missing": int(about["unix_minus_monotonic_ns"]) > 0,
         "no cycle": len(expected) > 0,
     }

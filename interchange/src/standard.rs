@@ -137,10 +137,14 @@ messages! {
     }
 }
 
-/// Shapes of [`Marker::kind`].
+/// Shapes of [`Marker::kind`], and what may be done with them.
 pub mod shape {
+    /// [`Marker::action`](super::Marker::action), not a shape: take everything away.
+    pub const DELETE_ALL: i32 = 3;
     /// A sphere of the diameters `scale`.
     pub const SPHERE: i32 = 2;
+    /// A cylinder along z of the diameters `scale.x` and `scale.y`, as long as `scale.z`.
+    pub const CYLINDER: i32 = 3;
     /// A line through `points`, as wide as `scale.x`.
     pub const LINE_STRIP: i32 = 4;
     /// A sphere of the diameters `scale` at each of `points`.

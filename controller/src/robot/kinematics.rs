@@ -87,19 +87,22 @@ impl Robot {
         section: usize,
         s: f64,
     ) -> Vector3<f64> {
+        self.body_pose(configuration, section, s).position_m
+    }
+
+    /// The same with the direction of the backbone there.
+    pub fn body_pose(&self, configuration: &Configuration, section: usize, s: f64) -> Pose {
         let start = self
             .arcs(configuration)
             .take(section)
             .fold(Pose::identity(), |pose, arc| pose.then(&arc));
         let Some(parameters) = self.sections().get(section) else {
-            return start.position_m;
+            return start;
         };
         let s = s.clamp(0.0, 1.0);
         let [u, v] = configuration.section(section);
         // The first part of an arc is an arc: the same curvature over the length s l.
-        start
-            .then(&Arc::new(s * parameters.length_m, [s * u, s * v]))
-            .position_m
+        start.then(&Arc::new(s * parameters.length_m, [s * u, s * v]))
     }
 
     /// The arcs from base to tip.
@@ -161,6 +164,7 @@ mod tests {
             for j in 0..n {
                 prop_assert_eq!(robot.body_point(&shape, j, 0.0), frames[j].position_m);
                 prop_assert_eq!(robot.body_point(&shape, j, 1.0), frames[j + 1].position_m);
+                prop_assert_eq!(robot.body_pose(&shape, j, 1.0), frames[j + 1]);
             }
             prop_assert_eq!(robot.body_point(&shape, n + 3, 0.2), frames[n].position_m);
         }

@@ -23,7 +23,7 @@ pub(crate) use calibrate::{
 pub(crate) use obstacle::{ObstacleAction, ObstacleAdd, ObstacleOptions};
 pub(crate) use plant::PlantOptions;
 pub(crate) use recording::{
-    ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions, ReportOptions,
+    ConvertOptions, InfoOptions, RecordingOptions, ReplayOptions, ReportOptions, ScopeOptions,
 };
 pub(crate) use reference::{
     ChangeArguments, CircleOptions, Curve, CurveArguments, FeedArguments, FigureArguments,
@@ -210,11 +210,19 @@ pub(crate) enum Task {
     /// Record what passes into an MCAP file: all that its cycles can be computed again from
     #[command(
         after_help = "Examples:\n  cdcrctl record                    into ROBOT-DATE-TIME.mcap, until interrupted or the daemon ends\n  \
-        cdcrctl record -o spiral.mcap & cdcrctl ref spiral --track\n\n\
+        cdcrctl record -o spiral.mcap & cdcrctl ref spiral --track\n  \
+        cdcrctl record --around incident     5 s before the next bad cycle, and 5 s after\n\n\
         Begin it before the reference is fed: what was sent before is not in the file, and cycles that follow it\n\
         cannot be computed again. A full disk ends the recording with exit code 3; the file keeps what is whole."
     )]
     Record(RecordingOptions),
+    /// Wait until something happens, record what is around it, and draw it
+    #[command(
+        after_help = "Examples:\n  cdcrctl scope --trigger 'error>5mm'\n  cdcrctl scope --trigger fault --before 10s -o fault.mcap\n\n\
+        Draws error, clearance, response and the fastest bend over the time, each with its least and largest value, and a line at the\n\
+        cycle that fired: the first in which it holds after one in which it does not. What was before is in the file, too."
+    )]
+    Scope(ScopeOptions),
     /// Show what a recording holds: messages, gaps, modes, misses, the largest error
     #[command(
         after_help = "Examples:\n  cdcrctl info spiral.mcap\n  cdcrctl info spiral.mcap --repair     save what a recorder that was killed left"

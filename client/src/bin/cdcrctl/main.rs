@@ -29,6 +29,7 @@ mod show_status;
 mod standstill;
 mod tip_error;
 mod top;
+mod trigger;
 mod value;
 mod wait;
 
@@ -95,6 +96,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<Done> {
         Task::Hz(options) => hz::run(target, options),
         Task::Plot(options) => plot::run(target, options),
         Task::Record(options) => recording::record::run(target, options),
+        Task::Scope(options) => recording::scope::run(target, options),
         Task::Info(options) => recording::info::run(options),
         Task::Report(options) => recording::report::run(options),
         Task::Convert(options) => recording::convert::run(options),

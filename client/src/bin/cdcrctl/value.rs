@@ -106,6 +106,11 @@ pub(crate) fn wait_duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.3..=86_400.0)
 }
 
+/// What is recorded around something.
+pub(crate) fn around_duration(text: &str) -> Result<Duration, String> {
+    duration_in(text, 0.0..=60.0)
+}
+
 /// A time between points, or before the start; the library checks the range.
 pub(crate) fn duration(text: &str) -> Result<Duration, String> {
     duration_in(text, 0.0..=86_400.0)

@@ -1,6 +1,7 @@
 //! The whole system: real processes over real shared memory, each test on a prefix of its own.
 
 mod access;
+mod around;
 mod bad_input;
 mod bare;
 mod calibration;

@@ -5,6 +5,7 @@ use clap::Args;
 
 use super::Format;
 use crate::setting::Change;
+use crate::trigger::Trigger;
 use crate::value;
 
 /// Options of `record`.
@@ -16,6 +17,36 @@ pub(crate) struct RecordingOptions {
     /// End after this long
     #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
     pub(crate) duration: Option<Duration>,
+    /// Record only what is around the first time that this happens: incident, fault, mode, error>LENGTH, clearance<LENGTH or
+    /// response>TIME. What was before is kept in memory until then, 64 MB at most
+    #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
+    pub(crate) around: Option<Trigger>,
+    /// With --around: how much of what was before, 0 to 60 s
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::around_duration, requires = "around")]
+    pub(crate) before: Duration,
+    /// With --around: how much of what comes after, 0 to 60 s
+    #[arg(long, value_name = "TIME", default_value = "5s", value_parser = value::around_duration, requires = "around")]
+    pub(crate) after: Duration,
+}
+
+/// Options of `scope`.
+#[derive(Debug, Args)]
+pub(crate) struct ScopeOptions {
+    /// What to wait for: incident, fault, mode, error>LENGTH, clearance<LENGTH or response>TIME, as in error>5mm
+    #[arg(long, value_name = "TRIGGER", value_parser = Trigger::parse)]
+    pub(crate) trigger: Trigger,
+    /// How much of what was before, 0 to 60 s
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::around_duration)]
+    pub(crate) before: Duration,
+    /// How much of what comes after, 0 to 60 s
+    #[arg(long, value_name = "TIME", default_value = "1s", value_parser = value::around_duration)]
+    pub(crate) after: Duration,
+    /// Give up after this long
+    #[arg(long, value_name = "TIME", value_parser = value::wait_duration)]
+    pub(crate) duration: Option<Duration>,
+    /// File to make [default: ROBOT-DATE-TIME.mcap, in UTC]
+    #[arg(short, long, value_name = "FILE")]
+    pub(crate) output: Option<PathBuf>,
 }
 
 /// Options of `info`.

@@ -1,12 +1,17 @@
 //! Recordings: MCAP files of all that passes on the services, and what is made of them.
 
 pub(crate) mod convert;
+mod examination;
 mod file;
 pub(crate) mod info;
+mod invocation;
 mod play;
 pub(crate) mod record;
 pub(crate) mod replay;
 pub(crate) mod report;
-mod topic;
+pub(crate) mod scope;
+mod sink;
 mod what_if;
 mod when;
+
+use cdcr_client::channels as topic;

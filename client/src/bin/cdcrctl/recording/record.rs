@@ -1,24 +1,27 @@
 use std::collections::VecDeque;
-use std::fs::File;
-use std::io::{self, ErrorKind, Seek, SeekFrom, Write};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
-use cdcr_client::{Connection, Stream, events, monotonic_ns, text};
+use anyhow::{Context, bail};
+use cdcr_client::channels::{Drawing, Drawings, Drawn, Recorded, Topic};
+use cdcr_client::{Connection, Stream, events, monotonic_ns};
 use cdcr_interchange::encode;
-use cdcr_interchange::mcap::{self, Stamp, Writer};
+use cdcr_interchange::mcap::Stamp;
 use cdcr_shared_types::codes::{EventKind, Outcome};
 use cdcr_shared_types::{Incident, ObstacleUpdate, ReferenceChunk, Status, Telemetry};
 
-use super::topic::{Recorded, Topic};
+use super::examination::Examination;
+use super::invocation::Invocation;
+use super::sink::{CHANNELS, Head, Sink};
 use super::when::{date_time, unix_offset_ns};
 use crate::Done;
 use crate::args::{RecordingOptions, Target};
 use crate::echo::json;
 use crate::interrupt::Interrupt;
 use crate::settings::save::configuration;
+use crate::trigger::Trigger;
 
 /// How often the services are read. The queue of telemetry lasts for 256 cycles, but a client that sends one message leaves a few milliseconds
 /// later, and takes along what nobody has read.
@@ -33,6 +36,41 @@ const REMEMBERED: usize = 256;
 const QUIET: Duration = Duration::from_secs(1);
 
 pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result<Done> {
+    let around = options.around.map(|trigger| Around {
+        trigger,
+        before: options.before,
+        after: options.after,
+    });
+    let task = Task {
+        output: options.output.as_deref(),
+        duration: options.duration,
+        around,
+        watch: &mut |_, _| {},
+    };
+    record(target, task)
+}
+
+/// What is recorded, and how long.
+pub(super) struct Task<'a> {
+    /// File to make; by default one named for robot and time.
+    pub(super) output: Option<&'a Path>,
+    pub(super) duration: Option<Duration>,
+    /// Only what is around this.
+    pub(super) around: Option<Around>,
+    /// Sees each record, and whether the recording begins with it.
+    pub(super) watch: &'a mut dyn FnMut(&Telemetry, bool),
+}
+
+/// A recording of what was before something and of what comes after.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Around {
+    pub(super) trigger: Trigger,
+    pub(super) before: Duration,
+    pub(super) after: Duration,
+}
+
+/// Records a daemon into a file.
+pub(super) fn record(target: &Target, task: Task<'_>) -> anyhow::Result<Done> {
     let interrupt = Interrupt::catch()?;
     let (_, robot) = target.location()?;
     let connection = target.connect()?;
@@ -46,44 +84,69 @@ pub(crate) fn run(target: &Target, options: &RecordingOptions) -> anyhow::Result
         )
         .into()
     };
-    let path: PathBuf = options.output.clone().unwrap_or_else(default);
+    let path: PathBuf = task.output.map_or_else(default, Path::to_owned);
     let name = path.display();
-    let file = File::create_new(&path).with_context(|| format!("cannot make {name}"))?;
     let cannot_write = || format!("cannot write {name}");
-    let mut recorder =
-        Recorder::begin(file, robot, &status, offset_ns).with_context(cannot_write)?;
+    let mut head = Head::new(robot, &status, offset_ns)?;
     let settings = configuration(status.settings, &status)?;
-    let attached = recorder.attach("settings.toml", "application/toml", settings.as_bytes());
-    let ended = attached.and_then(|()| {
-        recorder.attach(
-            "status.json",
-            "application/json",
-            json::message(&status).to_string().as_bytes(),
-        )
-    });
-    eprintln!("recording into {name}; Ctrl-C ends it");
-    let ended = match ended {
-        Ok(()) => recorder.record(&connection, &mut streams, options.duration, &interrupt)?,
-        Err(cause) => Ended::Failed(cause),
+    head.attach("settings.toml", "application/toml", settings.into_bytes());
+    let snapshot = json::message(&status).to_string();
+    head.attach("status.json", "application/json", snapshot.into_bytes());
+    if let Some(started) = Invocation::of(status.process_id) {
+        let how = started.json().to_string().into_bytes();
+        head.attach("daemon.json", "application/json", how);
+        if let Some(text) = started.configuration() {
+            head.attach("configuration.toml", "application/toml", text);
+        }
+    }
+    let examination = Examination::begin();
+    let before = task.around.map_or(Duration::ZERO, |around| around.before);
+    let sink = Sink::new(head, &path, before);
+    let mut recorder = Recorder::new(sink, robot, &status, offset_ns);
+    let ended = match task.around {
+        // Not after the wait for it.
+        Some(_) if path.exists() => bail!("{name} is there already"),
+        Some(around) => {
+            eprintln!("waiting for {}; Ctrl-C ends it", around.trigger);
+            recorder.record(&connection, &mut streams, task, &interrupt)?
+        }
+        None => match recorder.begin()? {
+            Ok(()) => {
+                eprintln!("recording into {name}; Ctrl-C ends it");
+                recorder.record(&connection, &mut streams, task, &interrupt)?
+            }
+            Err(cause) => Ended::Failed(cause),
+        },
     };
-    let (lost, counts) = (recorder.lost(&streams), recorder.counts);
-    recorder.finish(&ended, &lost).with_context(cannot_write)?;
+    if !recorder.sink.has_begun() {
+        return match ended {
+            Ended::Interrupted => Ok(Done::Interrupted),
+            Ended::Daemon => bail!("the daemon ended, and nothing was recorded"),
+            Ended::Asked | Ended::Failed(_) => bail!("it did not happen, and nothing was recorded"),
+        };
+    }
+    let (lost, counts) = (recorder.lost(&streams), recorder.sink.counts);
+    recorder
+        .finish(&ended, &lost, examination)
+        .with_context(cannot_write)?;
     tell(&path, counts, &ended, &lost)?;
     match ended {
-        Ended::Asked | Ended::Daemon => Ok(Done::Good),
         Ended::Failed(cause) if is_full(&cause) => {
             eprintln!("error: {name}: {cause}: the recording ended there");
             Ok(Done::DiskFull)
         }
         Ended::Failed(cause) => Err(cause).with_context(cannot_write),
+        _ => Ok(Done::Good),
     }
 }
 
 /// Why a recording ended.
 #[derive(Debug)]
 enum Ended {
-    /// By a signal, or its time was over.
+    /// Its time was over.
     Asked,
+    /// By a signal.
+    Interrupted,
     /// The daemon ended, or another one follows.
     Daemon,
     /// The file cannot be written.
@@ -96,12 +159,17 @@ fn is_full(cause: &io::Error) -> bool {
 }
 
 /// What was recorded, on one line, and what is missing.
-fn tell(path: &Path, counts: Counts, ended: &Ended, lost: &[(Topic, u64)]) -> io::Result<()> {
+fn tell(
+    path: &Path,
+    counts: [u64; CHANNELS],
+    ended: &Ended,
+    lost: &[(Topic, u64)],
+) -> io::Result<()> {
     let mut out = io::stdout().lock();
     let counts = Topic::ALL.map(|topic| format!("{} {}", counts[topic as usize], topic.plural()));
     let why = match ended {
         Ended::Daemon => "; the daemon ended",
-        Ended::Asked | Ended::Failed(_) => "",
+        _ => "",
     };
     writeln!(out, "{}: {}{why}", path.display(), counts.join(", "))?;
     for (topic, count) in lost {
@@ -136,58 +204,54 @@ impl Streams {
     }
 }
 
-/// A file that grows.
+/// Takes what comes, and sees to it that nothing is missing.
 struct Recorder {
-    writer: Writer<File>,
-    /// The number of each topic in the file.
-    channels: [u16; Topic::ALL.len()],
+    sink: Sink,
+    drawings: Drawings,
+    /// Messages of each drawn channel so far.
+    drawn: [u32; Drawn::ALL.len()],
     /// From `CLOCK_MONOTONIC` to the time since 1970 \[ns\].
     offset_ns: u64,
     begun_ns: u64,
     /// The daemon.
     sender_id: u64,
-    counts: Counts,
     /// Sender and number of the newest chunks and updates.
     taken: VecDeque<(u64, u64)>,
     /// Those that the daemon accepted and that never came here.
-    missed: Counts,
+    missed: [u64; Topic::ALL.len()],
+    /// The daemon told of a bad cycle.
+    had_incident: bool,
+    before: Option<Box<Telemetry>>,
 }
 
-/// Messages of each topic.
-type Counts = [u64; Topic::ALL.len()];
-
 impl Recorder {
-    fn begin(file: File, robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Self> {
-        let library = concat!("cdcrctl ", env!("CARGO_PKG_VERSION"));
-        let mut writer = Writer::new(file, "ros2", library)?;
-        let mut channels = [0; Topic::ALL.len()];
-        for topic in Topic::ALL {
-            channels[topic as usize] = writer.add_channel(&topic.channel(robot)?)?;
-        }
-        let about = [
-            ("robot", robot.to_owned()),
-            ("robot_fingerprint", status.robot.fingerprint.to_string()),
-            ("daemon", text(&status.build)),
-            ("recorder", library.to_owned()),
-            ("unix_minus_monotonic_ns", offset_ns.to_string()),
-        ];
-        let about = about.map(|(name, value)| (name.to_owned(), value));
-        writer.add_metadata("cdcr", about.into())?;
-        Ok(Self {
-            writer,
-            channels,
+    fn new(sink: Sink, robot: &str, status: &Status, offset_ns: u64) -> Self {
+        Self {
+            sink,
+            drawings: Drawings::new(robot, offset_ns),
+            drawn: [0; Drawn::ALL.len()],
             offset_ns,
             begun_ns: monotonic_ns(),
             sender_id: status.header.sender_id,
-            counts: [0; Topic::ALL.len()],
             taken: VecDeque::with_capacity(REMEMBERED),
             missed: [0; Topic::ALL.len()],
-        })
+            had_incident: false,
+            before: None,
+        }
     }
 
-    fn attach(&mut self, name: &str, media_type: &str, data: &[u8]) -> io::Result<()> {
-        let time_ns = self.begun_ns + self.offset_ns;
-        self.writer.attach(name, media_type, time_ns, data)
+    /// Makes the file.
+    fn begin(&mut self) -> anyhow::Result<io::Result<()>> {
+        self.sink.begin(monotonic_ns() + self.offset_ns)
+    }
+
+    /// Whether it happens with a record.
+    fn fires(&mut self, trigger: Trigger, record: &Telemetry) -> bool {
+        let before = self.before.replace(Box::new(*record));
+        if trigger == Trigger::Incident {
+            return self.had_incident;
+        }
+        before.is_some_and(|before| trigger.fires(&before, record))
     }
 
     /// Records until it ends.
@@ -195,35 +259,45 @@ impl Recorder {
         &mut self,
         connection: &Connection,
         streams: &mut Streams,
-        duration: Option<Duration>,
+        task: Task<'_>,
         interrupt: &Interrupt,
     ) -> anyhow::Result<Ended> {
         let begin = Instant::now();
         let (mut heard, mut flushed) = (begin, begin);
+        let mut ends = task.duration.map(|duration| begin + duration);
         loop {
             // What has passed until then is read once more.
-            let is_over = duration.is_some_and(|duration| begin.elapsed() >= duration);
-            let is_asked = interrupt.is_raised() || is_over;
+            let is_interrupted = interrupt.is_raised();
+            let is_over = ends.is_some_and(|ends| Instant::now() >= ends);
             // What a cycle took in stands before its record: it came before that.
             let mut records = Vec::new();
             while let Some(record) = streams.telemetry.try_next()? {
                 records.push(record);
             }
             let (cycles, is_other) = self.of_our_daemon(&records);
-            let written = self.take_all(streams, cycles)?;
+            let mut written = self.take_all(streams, cycles)?;
             let now = Instant::now();
-            let flush = |recorder: &mut Self| recorder.writer.flush();
-            let written = written.and_then(|()| {
-                if now - flushed < FLUSH_EVERY {
-                    return Ok(());
+            for record in cycles {
+                let waits_for = task.around.filter(|_| !self.sink.has_begun());
+                let fires = waits_for.filter(|around| self.fires(around.trigger, record));
+                (task.watch)(record, fires.is_some());
+                if let Some(around) = fires {
+                    eprintln!("{} in cycle {}", around.trigger, record.cycle);
+                    ends = Some(now + around.after);
+                    written = written.and(self.begin()?);
                 }
+            }
+            if now - flushed >= FLUSH_EVERY {
                 flushed = now;
-                flush(self)
-            });
+                written = written.and_then(|()| self.sink.flush());
+            }
             if let Err(cause) = written {
                 return Ok(Ended::Failed(cause));
             }
-            if is_asked {
+            if is_interrupted {
+                return Ok(Ended::Interrupted);
+            }
+            if is_over {
                 return Ok(Ended::Asked);
             }
             if is_other {
@@ -266,7 +340,8 @@ impl Recorder {
         take!(references, obstacles, statuses, incidents);
         let written = records.iter().try_for_each(|record| {
             self.miss(record);
-            self.write(record)
+            self.write(record)?;
+            self.draw(record)
         });
         Ok(written)
     }
@@ -302,56 +377,60 @@ impl Recorder {
 
     fn write<T: Recorded>(&mut self, message: &T) -> io::Result<()> {
         let header = message.header();
-        // Bad cycles that the daemon kept from before.
-        if header.sent_ns < self.begun_ns && T::TOPIC == Topic::Incidents {
-            return Ok(());
+        if T::TOPIC == Topic::Incidents {
+            // Bad cycles that the daemon kept from before.
+            if header.sent_ns < self.begun_ns {
+                return Ok(());
+            }
+            self.had_incident = true;
         }
         let bytes = encode(message).map_err(io::Error::other)?;
-        let unix_ns = header.sent_ns + self.offset_ns;
-        let stamp = Stamp {
-            sequence: header.sequence as u32,
-            log_ns: unix_ns,
-            publish_ns: unix_ns,
-        };
         if matches!(T::TOPIC, Topic::Reference | Topic::Obstacles) {
             if self.taken.len() == REMEMBERED {
                 self.taken.pop_front();
             }
             self.taken.push_back((header.sender_id, header.sequence));
         }
-        let channel = self.channels[T::TOPIC as usize];
-        self.writer.write(channel, stamp, &bytes)?;
-        self.counts[T::TOPIC as usize] += 1;
+        let stamp = self.stamp(header.sequence as u32, header.sent_ns);
+        self.sink.put(T::TOPIC as usize, stamp, bytes)
+    }
+
+    /// What viewers draw of a record.
+    fn draw(&mut self, record: &Telemetry) -> io::Result<()> {
+        let drawings = self.drawings.of(record).map_err(io::Error::other)?;
+        for Drawing { channel, data } in drawings {
+            self.drawn[channel as usize] += 1;
+            let number = self.drawn[channel as usize];
+            let stamp = self.stamp(number, record.header.sent_ns);
+            let place = Topic::ALL.len() + channel as usize;
+            self.sink.put(place, stamp, data)?;
+        }
         Ok(())
     }
 
-    /// Ends the file, also where there is hardly room left.
-    fn finish(mut self, ended: &Ended, lost: &[(Topic, u64)]) -> io::Result<()> {
-        let whole_bytes = self.writer.whole_bytes();
-        if matches!(ended, Ended::Failed(_)) {
-            return cut(self.writer.abandon(), whole_bytes);
+    fn stamp(&self, sequence: u32, sent_ns: u64) -> Stamp {
+        let unix_ns = sent_ns + self.offset_ns;
+        Stamp {
+            sequence,
+            log_ns: unix_ns,
+            publish_ns: unix_ns,
         }
+    }
+
+    /// Ends the file, also where there is hardly room left.
+    fn finish(
+        self,
+        ended: &Ended,
+        lost: &[(Topic, u64)],
+        examination: Option<Examination>,
+    ) -> io::Result<()> {
         let counts = lost
             .iter()
             .map(|(topic, count)| (format!("lost_{}", topic.service().key()), count.to_string()));
-        if self
-            .writer
-            .add_metadata("cdcr_end", counts.collect())
-            .is_err()
-        {
-            return cut(self.writer.abandon(), whole_bytes);
-        }
-        let whole_bytes = self.writer.whole_bytes();
-        match self.writer.finish() {
-            Ok(_) => Ok(()),
-            Err((file, _)) => cut(file, whole_bytes),
-        }
+        let report = examination.and_then(Examination::end);
+        let unix_ns = self.begun_ns + self.offset_ns;
+        let report = report.map(|report| ("doctor.json", unix_ns, report));
+        let is_good = !matches!(ended, Ended::Failed(_));
+        self.sink.finish(is_good, counts.collect(), report)
     }
-}
-
-/// Takes away what is half written, and ends what is whole.
-fn cut(mut file: File, whole_bytes: u64) -> io::Result<()> {
-    file.set_len(whole_bytes)?;
-    file.seek(SeekFrom::Start(whole_bytes))?;
-    mcap::end(&mut file)
 }

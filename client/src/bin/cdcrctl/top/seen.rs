@@ -2,12 +2,11 @@
 
 use std::collections::VecDeque;
 
+use cdcr_client::channels::{Happening, Level, happenings};
 use cdcr_client::model::{obstacle_of, robot_of};
-use cdcr_client::{events, obstacles, section_lengths_m};
+use cdcr_client::{obstacles, section_lengths_m};
 use cdcr_controller::robot::{Configuration, Robot};
-use cdcr_shared_types::codes::{
-    LateCause, Mode, ObstacleShape, Outcome, Reason, RequestKind, SolverStatus, timing,
-};
+use cdcr_shared_types::codes::{LateCause, ObstacleShape, RequestKind, SolverStatus};
 use cdcr_shared_types::{Obstacle, Status, Telemetry};
 
 use super::recent::Recent;
@@ -92,50 +91,17 @@ impl Seen {
 
     fn note_changes(&mut self, record: &Telemetry, before: Option<&Telemetry>, lost: u64) {
         let now_ns = record.release_ns;
-        if before.is_none_or(|before| (before.mode, before.reason) != (record.mode, record.reason))
-        {
-            let (mode, reason) = (Mode::text_of(record.mode), Reason::text_of(record.reason));
-            let is_bad = [Mode::Faulted, Mode::Stopped]
-                .map(Mode::code)
-                .contains(&record.mode);
-            self.tell(now_ns, format!("{mode}: {reason}"), is_bad);
-        }
-        for event in events(record)
-            .iter()
-            .filter(|event| event.outcome != Outcome::Accepted.code())
-        {
-            let why = Outcome::text_of(event.outcome);
-            self.tell(now_ns, format!("refused: {why}"), true);
-        }
-        if before.is_some_and(|before| before.obstacle_count != record.obstacle_count) {
-            self.tell(
-                now_ns,
-                format!("{} obstacles", record.obstacle_count),
-                false,
-            );
+        for Happening { text, level } in happenings(record, before) {
+            self.tell(now_ns, text, level > Level::Info);
         }
         if lost > self.lost {
-            self.tell(
-                now_ns,
-                format!("{} records did not arrive here", lost - self.lost),
-                true,
-            );
+            let text = format!("{} records did not arrive here", lost - self.lost);
+            self.tell(now_ns, text, true);
             self.lost = lost;
         }
         let cause = LateCause::try_from(record.scheduling.late_cause).unwrap_or(LateCause::None);
         if cause != LateCause::None {
             self.last_late = Some((now_ns, cause));
-            let is_miss = record.timing_flags & timing::DEADLINE_MISS != 0;
-            let what = match (is_miss, record.skipped_periods) {
-                (true, _) => "deadline missed".to_owned(),
-                (false, 0) => "late start".to_owned(),
-                (false, skipped) => format!("{skipped} periods skipped"),
-            };
-            self.tell(
-                now_ns,
-                format!("cycle {}: {what} ({cause})", record.cycle),
-                is_miss,
-            );
         }
     }
 
@@ -254,6 +220,8 @@ fn keep(points: &mut VecDeque<Position>, point: Position) {
 
 #[cfg(test)]
 mod tests {
+    use cdcr_shared_types::codes::Mode;
+
     use super::*;
 
     fn record(cycle: u64, sender_id: u64) -> Telemetry {

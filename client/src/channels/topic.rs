@@ -1,4 +1,3 @@
-use cdcr_client::Message;
 use cdcr_interchange::mcap::Channel;
 use cdcr_interchange::of_layout;
 use cdcr_shared_types::message::{Layout, Struct};
@@ -6,23 +5,31 @@ use cdcr_shared_types::{
     Incident, ObstacleUpdate, ReferenceChunk, Service, ServiceNameError, Status, Telemetry,
 };
 
-/// Under which name a channel keeps the type and version that its messages had on the wire.
-pub(super) const WIRE_TYPE: &str = "wire_type";
-/// The same of the ROS 2 type hash, as rosbag2 names it.
-const TYPE_HASH: &str = "topic_type_hash";
+use crate::Message;
 
-/// What is recorded.
+/// Under which name a channel keeps the type and version that its messages had on the wire.
+pub const WIRE_TYPE: &str = "wire_type";
+/// The same of the ROS 2 type hash, as rosbag2 names it.
+pub(super) const TYPE_HASH: &str = "topic_type_hash";
+
+/// A service whose messages leave the machine.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Topic {
+pub enum Topic {
+    /// [`Telemetry`].
     Telemetry,
+    /// [`ReferenceChunk`].
     Reference,
+    /// [`ObstacleUpdate`].
     Obstacles,
+    /// [`Status`].
     Status,
+    /// [`Incident`].
     Incidents,
 }
 
 impl Topic {
-    pub(super) const ALL: [Self; 5] = [
+    /// All of them; the place of each is its number.
+    pub const ALL: [Self; 5] = [
         Self::Telemetry,
         Self::Reference,
         Self::Obstacles,
@@ -31,7 +38,7 @@ impl Topic {
     ];
 
     /// The service whose messages these are.
-    pub(super) fn service(self) -> Service {
+    pub fn service(self) -> Service {
         match self {
             Self::Telemetry => Telemetry::SERVICE,
             Self::Reference => ReferenceChunk::SERVICE,
@@ -42,7 +49,7 @@ impl Topic {
     }
 
     /// A message of it, to be filled.
-    pub(super) fn layout(self) -> &'static Layout {
+    pub fn layout(self) -> &'static Layout {
         match self {
             Self::Telemetry => Telemetry::LAYOUT,
             Self::Reference => ReferenceChunk::LAYOUT,
@@ -52,8 +59,11 @@ impl Topic {
         }
     }
 
-    /// Its channel in a file.
-    pub(super) fn channel(self, robot: &str) -> Result<Channel, ServiceNameError> {
+    /// Its channel, of the daemon of this robot.
+    ///
+    /// # Errors
+    /// For a name that no robot has.
+    pub fn channel(self, robot: &str) -> Result<Channel, ServiceNameError> {
         let layout = self.layout();
         let schema = of_layout(layout);
         let name = self.service().name(robot)?;
@@ -70,7 +80,7 @@ impl Topic {
     }
 
     /// What a channel of a file holds, by the name of its schema.
-    pub(super) fn of_schema(schema: &str) -> Option<Self> {
+    pub fn of_schema(schema: &str) -> Option<Self> {
         let name = schema.strip_prefix("cdcr_msgs/msg/")?;
         Self::ALL
             .into_iter()
@@ -78,7 +88,7 @@ impl Topic {
     }
 
     /// What its messages are called beside a number.
-    pub(super) fn plural(self) -> &'static str {
+    pub fn plural(self) -> &'static str {
         match self {
             Self::Telemetry => "cycles",
             Self::Reference => "reference chunks",
@@ -90,7 +100,8 @@ impl Topic {
 }
 
 /// A message that is recorded.
-pub(super) trait Recorded: Message + Struct {
+pub trait Recorded: Message + Struct {
+    /// Where it leaves.
     const TOPIC: Topic;
 }
 

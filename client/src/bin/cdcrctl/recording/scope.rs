@@ -1,0 +1,214 @@
+use std::collections::VecDeque;
+use std::io::{self, Write};
+
+use cdcr_shared_types::Telemetry;
+use cdcr_shared_types::codes::Mode;
+
+use super::record::{Around, Task, record};
+use crate::Done;
+use crate::args::{ScopeOptions, Target};
+
+/// Columns of a chart, beside its numbers.
+const COLUMNS: usize = 64;
+const ROWS: usize = 5;
+
+pub(crate) fn run(target: &Target, options: &ScopeOptions) -> anyhow::Result<Done> {
+    let around = Around {
+        trigger: options.trigger,
+        before: options.before,
+        after: options.after,
+    };
+    let mut shot = Shot::new(around);
+    let task = Task {
+        output: options.output.as_deref(),
+        duration: options.duration,
+        around: Some(around),
+        watch: &mut |record, fires| shot.take(record, fires),
+    };
+    let done = record(target, task)?;
+    if done == Done::Good {
+        write!(io::stdout().lock(), "{}", shot.text())?;
+    }
+    Ok(done)
+}
+
+/// Strip charts: name, and the value of a record in that unit.
+const STRIPS: [(&str, fn(&Telemetry) -> f64); 4] = [
+    ("error [mm]", |record| 1e3 * record.position_error_m),
+    ("clearance [mm]", |record| 1e3 * record.clearance_m),
+    ("response [us]", |record| {
+        record.handed_over_ns.saturating_sub(record.due_ns) as f64 * 1e-3
+    }),
+    ("fastest bend [rad/s]", |record| {
+        let rates = record.command.bend_rate_rad_s.iter();
+        rates.fold(0.0, |most: f64, rate| most.max(rate.abs()))
+    }),
+];
+
+/// One record, as the charts need it.
+#[derive(Debug, Clone, Copy)]
+struct Sample {
+    release_ns: u64,
+    cycle: u64,
+    mode: u32,
+    values: [f64; STRIPS.len()],
+}
+
+/// What was around the cycle that fired.
+#[derive(Debug)]
+struct Shot {
+    around: Around,
+    samples: VecDeque<Sample>,
+    fired: Option<Sample>,
+}
+
+impl Shot {
+    fn new(around: Around) -> Self {
+        Self {
+            around,
+            samples: VecDeque::new(),
+            fired: None,
+        }
+    }
+
+    fn take(&mut self, record: &Telemetry, fires: bool) {
+        let sample = Sample {
+            release_ns: record.release_ns,
+            cycle: record.cycle,
+            mode: record.mode,
+            values: STRIPS.map(|(_, value)| value(record)),
+        };
+        self.samples.push_back(sample);
+        if fires {
+            self.fired = Some(sample);
+        }
+        if self.fired.is_none() || fires {
+            let before_ns = self.around.before.as_nanos() as u64;
+            let begin_ns = record.release_ns.saturating_sub(before_ns);
+            let is_old = |sample: &Sample| sample.release_ns < begin_ns;
+            while self.samples.front().is_some_and(is_old) {
+                self.samples.pop_front();
+            }
+        }
+    }
+
+    /// A sentence, and a chart of each number.
+    fn text(&self) -> String {
+        let (Some(fired), Some(first), Some(last)) =
+            (self.fired, self.samples.front(), self.samples.back())
+        else {
+            return String::new();
+        };
+        let seconds = |from: &Sample, to: &Sample| (to.release_ns - from.release_ns) as f64 * 1e-9;
+        let mut lines = vec![format!(
+            "{} in cycle {}, {}: {:.2} s before and {:.2} s after",
+            self.around.trigger,
+            fired.cycle,
+            Mode::text_of(fired.mode),
+            seconds(first, &fired),
+            seconds(&fired, last),
+        )];
+        let all_s = seconds(first, last).max(f64::MIN_POSITIVE);
+        let column = |sample: &Sample| {
+            let share = seconds(first, sample) / all_s;
+            ((share * COLUMNS as f64) as usize).min(COLUMNS - 1)
+        };
+        for (i, (name, _)) in STRIPS.iter().enumerate() {
+            let values = self.samples.iter();
+            let values = values.map(|sample| (column(sample), sample.values[i]));
+            lines.push(format!("{name}, {:.4} at the line", fired.values[i]));
+            lines.extend(strip(values, column(&fired)));
+        }
+        let begin = format!("-{:.2} s", seconds(first, &fired));
+        let end = format!("+{:.2} s", seconds(&fired, last));
+        let gap = (COLUMNS + 1).saturating_sub(begin.len() + end.len());
+        lines.push(format!("{:>12} {begin}{:gap$}{end}", "", ""));
+        lines.join("\n") + "\n"
+    }
+}
+
+/// One chart: the least to the largest value of each column, over the range of all. Columns without a number stay empty.
+fn strip(values: impl Iterator<Item = (usize, f64)>, fired: usize) -> Vec<String> {
+    let mut columns: [Option<(f64, f64)>; COLUMNS] = [None; COLUMNS];
+    for (column, value) in values.filter(|(_, value)| value.is_finite()) {
+        let (least, most) = columns[column].unwrap_or((value, value));
+        columns[column] = Some((least.min(value), most.max(value)));
+    }
+    let all = columns.iter().flatten();
+    let range = all.fold(None, |range: Option<(f64, f64)>, &(least, most)| {
+        let (low, high) = range.unwrap_or((least, most));
+        Some((low.min(least), high.max(most)))
+    });
+    let Some((low, high)) = range else {
+        return vec![format!("{:>12} no number", "")];
+    };
+    let row_of = |value: f64| {
+        let share = (value - low) / (high - low).max(f64::MIN_POSITIVE);
+        (ROWS - 1) - ((share * ROWS as f64) as usize).min(ROWS - 1)
+    };
+    let rows = (0..ROWS).map(|row| {
+        let label = match row {
+            0 => format!("{high:.4}"),
+            _ if row == ROWS - 1 => format!("{low:.4}"),
+            _ => String::new(),
+        };
+        let sign = |(column, found): (usize, &Option<(f64, f64)>)| match found {
+            Some((least, most)) if (row_of(*most)..=row_of(*least)).contains(&row) => '#',
+            _ if column == fired => '|',
+            _ => ' ',
+        };
+        let signs: String = columns.iter().enumerate().map(sign).collect();
+        format!("{label:>12} {}", signs.trim_end())
+    });
+    rows.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::trigger::Trigger;
+
+    #[test]
+    fn a_chart_shows_where_it_fired_and_how_far_each_number_went() {
+        let mut shot = Shot::new(Around {
+            trigger: Trigger::Error(0.005),
+            before: Duration::from_secs(1),
+            after: Duration::from_secs(1),
+        });
+        for cycle in 0..=600_u64 {
+            let record = Telemetry {
+                cycle,
+                release_ns: 5_000_000 * cycle,
+                position_error_m: 1e-5 * cycle as f64,
+                clearance_m: f64::INFINITY,
+                ..Telemetry::default()
+            };
+            shot.take(&record, cycle == 400);
+        }
+        let text = shot.text();
+        let lines: Vec<_> = text.lines().collect();
+        assert!(lines[0].starts_with("error>5mm in cycle 400"), "{text}");
+        assert!(
+            lines[0].ends_with(": 1.00 s before and 1.00 s after"),
+            "{text}"
+        );
+        assert_eq!(lines[1], "error [mm], 4.0000 at the line");
+        // From 2 mm to 6 mm, rising; the line stands in the middle where the value does not.
+        assert!(
+            lines[2].starts_with("      6.0000 ") && lines[2].ends_with('#'),
+            "{text}"
+        );
+        assert!(lines[6].starts_with("      2.0000 ####"), "{text}");
+        assert_eq!(lines[2].chars().nth(13 + 32), Some('|'), "{text}");
+        assert_eq!(lines[8].trim(), "no number");
+    }
+
+    #[test]
+    fn what_never_changes_is_a_line() {
+        let rows = strip((0..COLUMNS).map(|column| (column, 2.0)), 3);
+        assert_eq!(rows.len(), ROWS);
+        assert_eq!(rows[ROWS - 1].matches('#').count(), COLUMNS);
+    }
+}

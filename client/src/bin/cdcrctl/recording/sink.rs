@@ -1,0 +1,248 @@
+use std::collections::{BTreeMap, VecDeque};
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context;
+use cdcr_client::text;
+use cdcr_interchange::mcap::{self, Channel, Stamp, Writer};
+use cdcr_shared_types::Status;
+
+use super::topic::{Drawn, Topic};
+
+/// The channels of a file: those of the services, then those that viewers draw.
+pub(super) const CHANNELS: usize = Topic::ALL.len() + Drawn::ALL.len();
+/// What is kept in memory at most, whatever time that is.
+const RING_BYTES: usize = 64 << 20;
+
+/// What a file begins with.
+pub(super) struct Head {
+    channels: Vec<Channel>,
+    about: BTreeMap<String, String>,
+    attachments: Vec<Attachment>,
+}
+
+struct Attachment {
+    name: &'static str,
+    media_type: &'static str,
+    data: Vec<u8>,
+}
+
+impl Head {
+    /// Of a recording of this daemon; `offset_ns` leads from `CLOCK_MONOTONIC` to the time since 1970.
+    pub(super) fn new(robot: &str, status: &Status, offset_ns: u64) -> anyhow::Result<Self> {
+        let services = Topic::ALL.map(|topic| topic.channel(robot));
+        let mut channels = services.into_iter().collect::<Result<Vec<_>, _>>()?;
+        channels.extend(Drawn::ALL.map(|drawn| drawn.channel(robot)));
+        let kernel = std::fs::read_to_string("/proc/sys/kernel/osrelease").unwrap_or_default();
+        let about = [
+            ("robot", robot.to_owned()),
+            ("robot_fingerprint", status.robot.fingerprint.to_string()),
+            ("daemon", text(&status.build)),
+            ("recorder", library()),
+            ("kernel", kernel.trim().to_owned()),
+            ("unix_minus_monotonic_ns", offset_ns.to_string()),
+        ];
+        Ok(Self {
+            channels,
+            about: about
+                .map(|(name, value)| (name.to_owned(), value))
+                .into_iter()
+                .collect(),
+            attachments: Vec::new(),
+        })
+    }
+
+    pub(super) fn attach(&mut self, name: &'static str, media_type: &'static str, data: Vec<u8>) {
+        self.attachments.push(Attachment {
+            name,
+            media_type,
+            data,
+        });
+    }
+}
+
+fn library() -> String {
+    concat!("cdcrctl ", env!("CARGO_PKG_VERSION")).to_owned()
+}
+
+/// A message on its way.
+struct Held {
+    channel: usize,
+    stamp: Stamp,
+    data: Vec<u8>,
+}
+
+/// The newest messages, no older than a time.
+struct Ring {
+    held: VecDeque<Held>,
+    bytes: usize,
+    kept_ns: u64,
+}
+
+impl Ring {
+    fn push(&mut self, held: Held) {
+        let oldest_ns = held.stamp.log_ns.saturating_sub(self.kept_ns);
+        self.bytes += held.data.len();
+        self.held.push_back(held);
+        while self
+            .held
+            .front()
+            .is_some_and(|first| first.stamp.log_ns < oldest_ns || self.bytes > RING_BYTES)
+        {
+            self.bytes -= self.held.pop_front().map_or(0, |first| first.data.len());
+        }
+    }
+}
+
+/// Where messages go: into memory until there is a file, then into that.
+pub(super) struct Sink {
+    head: Head,
+    ring: Ring,
+    file: Option<(Writer<File>, Vec<u16>)>,
+    path: PathBuf,
+    /// Messages of each channel in the file.
+    pub(super) counts: [u64; CHANNELS],
+}
+
+impl Sink {
+    /// One that keeps what is not older than `kept` until [`begin`](Self::begin).
+    pub(super) fn new(head: Head, path: &Path, kept: Duration) -> Self {
+        Self {
+            head,
+            ring: Ring {
+                held: VecDeque::new(),
+                bytes: 0,
+                kept_ns: kept.as_nanos() as u64,
+            },
+            file: None,
+            path: path.to_owned(),
+            counts: [0; CHANNELS],
+        }
+    }
+
+    /// Makes the file, with all that was kept; the inner error is that of a full disk or the like.
+    pub(super) fn begin(&mut self, unix_ns: u64) -> anyhow::Result<io::Result<()>> {
+        let name = self.path.display();
+        let file = File::create_new(&self.path).with_context(|| format!("cannot make {name}"))?;
+        let mut writer = Writer::new(file, "ros2", &library())
+            .with_context(|| format!("cannot write {name}"))?;
+        let mut begun = || {
+            let ids = self.head.channels.iter();
+            let ids = ids
+                .map(|channel| writer.add_channel(channel))
+                .collect::<io::Result<_>>()?;
+            writer.add_metadata("cdcr", self.head.about.clone())?;
+            for attachment in &self.head.attachments {
+                let Attachment {
+                    name,
+                    media_type,
+                    data,
+                } = attachment;
+                writer.attach(name, media_type, unix_ns, data)?;
+            }
+            Ok(ids)
+        };
+        let ids = begun();
+        let (ids, begun) = ids.map_or_else(|cause| (Vec::new(), Err(cause)), |ids| (ids, Ok(())));
+        self.file = Some((writer, ids));
+        Ok(begun.and_then(|()| {
+            let held = std::mem::take(&mut self.ring.held);
+            held.into_iter()
+                .try_for_each(|held| self.put(held.channel, held.stamp, held.data))
+        }))
+    }
+
+    pub(super) fn has_begun(&self) -> bool {
+        self.file.is_some()
+    }
+
+    /// Takes a message of a channel, by its place among all.
+    pub(super) fn put(&mut self, channel: usize, stamp: Stamp, data: Vec<u8>) -> io::Result<()> {
+        let Some((writer, ids)) = &mut self.file else {
+            self.ring.push(Held {
+                channel,
+                stamp,
+                data,
+            });
+            return Ok(());
+        };
+        writer.write(ids[channel], stamp, &data)?;
+        self.counts[channel] += 1;
+        Ok(())
+    }
+
+    /// Writes what came since the last time.
+    pub(super) fn flush(&mut self) -> io::Result<()> {
+        self.file
+            .as_mut()
+            .map_or(Ok(()), |(writer, _)| writer.flush())
+    }
+
+    /// Ends the file, where there is one, also where there is hardly room left. `about` and `attachment` come at its end.
+    pub(super) fn finish(
+        self,
+        is_good: bool,
+        about: BTreeMap<String, String>,
+        attachment: Option<(&str, u64, Vec<u8>)>,
+    ) -> io::Result<()> {
+        let Some((mut writer, _)) = self.file else {
+            return Ok(());
+        };
+        let whole_bytes = writer.whole_bytes();
+        if !is_good {
+            return cut(writer.abandon(), whole_bytes);
+        }
+        let attached = attachment.map_or(Ok(()), |(name, unix_ns, data)| {
+            writer.attach(name, "application/json", unix_ns, &data)
+        });
+        let whole_bytes = writer.whole_bytes();
+        if attached
+            .and_then(|()| writer.add_metadata("cdcr_end", about))
+            .is_err()
+        {
+            return cut(writer.abandon(), whole_bytes);
+        }
+        let whole_bytes = writer.whole_bytes();
+        match writer.finish() {
+            Ok(_) => Ok(()),
+            Err((file, _)) => cut(file, whole_bytes),
+        }
+    }
+}
+
+/// Takes away what is half written, and ends what is whole.
+fn cut(mut file: File, whole_bytes: u64) -> io::Result<()> {
+    file.set_len(whole_bytes)?;
+    file.seek(SeekFrom::Start(whole_bytes))?;
+    mcap::end(&mut file)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_holds_the_newest_and_no_more_than_it_may() {
+        let mut ring = Ring {
+            held: VecDeque::new(),
+            bytes: 0,
+            kept_ns: 10,
+        };
+        let held = |log_ns, bytes| Held {
+            channel: 0,
+            stamp: Stamp {
+                sequence: 0,
+                log_ns,
+                publish_ns: 0,
+            },
+            data: vec![0; bytes],
+        };
+        (0..100).for_each(|log_ns| ring.push(held(log_ns, 3)));
+        assert_eq!((ring.held.len(), ring.bytes), (11, 33));
+        assert_eq!(ring.held[0].stamp.log_ns, 89);
+        ring.push(held(100, RING_BYTES - 2));
+        assert_eq!((ring.held.len(), ring.bytes), (1, RING_BYTES - 2));
+    }
+}

@@ -1,0 +1,189 @@
+//! What is recorded around something that happens, and what viewers draw of a recording.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+
+use cdcr_client::Spiral;
+use cdcr_client::channels::Drawn;
+use cdcr_interchange::cdr;
+use cdcr_interchange::mcap::{Item, Reader};
+use cdcr_interchange::standard::{Log, MarkerArray};
+use cdcr_shared_types::codes::{Mode, RequestKind};
+use cdcr_tests::{Daemon, PATIENT, Program, assert_says, text, track, wait_mode, wait_until};
+use rustix::process::Signal;
+use serde_json::Value;
+
+/// What a file holds: bytes of each message by the topic's last name, and the names of the attachments.
+fn content(file: &Path) -> (BTreeMap<String, Vec<Vec<u8>>>, BTreeSet<String>) {
+    let mut reader = Reader::new(fs::File::open(file).unwrap()).unwrap();
+    let (mut messages, mut attachments) = (BTreeMap::<_, Vec<_>>::new(), BTreeSet::new());
+    while let Some(item) = reader.next_item().unwrap() {
+        match item {
+            Item::Message(message) => {
+                let name = message.channel.topic.rsplit('/').next().unwrap().to_owned();
+                let all = messages.entry(name).or_default();
+                all.push(message.data.to_vec());
+            }
+            Item::Attachment { name, .. } => {
+                attachments.insert(name);
+            }
+            Item::Metadata { .. } => {}
+        }
+    }
+    (messages, attachments)
+}
+
+fn info(daemon: &Daemon, file: &str) -> Value {
+    let line = format!("cdcrctl info {file} --format json");
+    serde_json::from_str(&daemon.place().says(&line, 0, &[])).unwrap()
+}
+
+/// Starts one of our commands, and waits until it says so much.
+fn start(daemon: &Daemon, arguments: &[&str]) -> Program {
+    let place = daemon.place();
+    let mut command = place.command("cdcrctl");
+    Program::start(command.args(arguments).current_dir(place.folder()))
+}
+
+#[test]
+fn a_recording_has_what_viewers_draw_and_what_the_machine_is_like() {
+    let daemon = Daemon::start(PATIENT);
+    let file = daemon.place().folder().join("run.mcap");
+    let mut recorder = start(&daemon, &["record", "-o", "run.mcap"]);
+    wait_until("the recorder has begun", || file.exists());
+    let curve = Spiral {
+        duration_s: 1.5,
+        ..Spiral::for_sections(&[0.3; 3])
+    };
+    let connection = daemon.connect();
+    track(&connection, &curve);
+    recorder.signal(Signal::INT);
+    assert_says(&recorder.output(), 0, &["run.mcap"]);
+    let (messages, attachments) = content(&file);
+    let all = [
+        "configuration.toml",
+        "daemon.json",
+        "doctor.json",
+        "settings.toml",
+        "status.json",
+    ]
+    .map(str::to_owned);
+    assert_eq!(attachments, all.into());
+    let seconds = info(&daemon, "run.mcap")["duration_s"].as_f64().unwrap();
+    for drawn in Drawn::ALL {
+        let topic = drawn.channel(cdcr_tests::ROBOT).topic;
+        assert!(
+            messages.contains_key(topic.rsplit('/').next().unwrap()),
+            "{topic}"
+        );
+    }
+    // Records that a machine's stall left out have no picture.
+    let pictures = messages["scene"].len() as f64;
+    assert!(
+        (0.5..1.05).contains(&(pictures / (30.0 * seconds))),
+        "{pictures} in {seconds} s"
+    );
+    let scene: MarkerArray = cdr::from_bytes(messages["scene"].last().unwrap()).unwrap();
+    let names: BTreeSet<_> = scene.markers.iter().map(|marker| &*marker.ns).collect();
+    for name in ["body", "discs", "tip way", "reference way", "text"] {
+        assert!(names.contains(name), "{name}: {names:?}");
+    }
+    let log = messages["log"].iter();
+    let log: Vec<Log> = log.map(|bytes| cdr::from_bytes(bytes).unwrap()).collect();
+    assert!(
+        log.iter().any(|line| line.msg.starts_with("tracking")),
+        "{log:?}"
+    );
+}
+
+#[test]
+fn what_was_before_a_change_of_mode_is_recorded_with_what_comes_after() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let around = [
+        "record",
+        "--around",
+        "mode",
+        "--before",
+        "1s",
+        "--after",
+        "500ms",
+        "-o",
+        "mode.mcap",
+    ];
+    let mut recorder = start(&daemon, &around);
+    let file = daemon.place().folder().join("mode.mcap");
+    // Long enough that its memory is full.
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    assert!(!file.exists());
+    let mut telemetry = connection.telemetry().unwrap();
+    connection.request(RequestKind::Stop).unwrap();
+    wait_mode(&mut telemetry, Mode::Stopped);
+    assert_says(&recorder.output(), 0, &["mode.mcap"]);
+    let found = info(&daemon, "mode.mcap");
+    let cycles = |mode: &str| found["modes"][mode].as_u64().unwrap_or(0);
+    // Of a machine that stalls there may be fewer.
+    assert!((100..=201).contains(&cycles("holding")), "{found}");
+    assert!((20..=220).contains(&cycles("stopped")), "{found}");
+    assert_eq!(found["cut"], false);
+    // The cycles follow no reference: all of them come out again.
+    daemon
+        .place()
+        .says("cdcrctl replay --verify mode.mcap", 0, &["reproduced"]);
+}
+
+#[test]
+fn the_scope_waits_draws_and_records() {
+    let daemon = Daemon::start(PATIENT);
+    let connection = daemon.connect();
+    let mut scope = start(
+        &daemon,
+        &[
+            "scope",
+            "--trigger",
+            "mode",
+            "--before",
+            "500ms",
+            "--after",
+            "500ms",
+            "-o",
+            "shot.mcap",
+        ],
+    );
+    std::thread::sleep(std::time::Duration::from_secs(1));
+    connection.request(RequestKind::Stop).unwrap();
+    let said = assert_says(
+        &scope.output(),
+        0,
+        &["mode in cycle", "stopped", "response [us]"],
+    );
+    assert!(said.lines().count() > 15, "{said}");
+    assert!(
+        info(&daemon, "shot.mcap")["modes"]["stopped"]
+            .as_u64()
+            .unwrap()
+            > 0
+    );
+}
+
+#[test]
+fn what_does_not_happen_leaves_no_file() {
+    let daemon = Daemon::start(PATIENT);
+    let place = daemon.place();
+    let line = "cdcrctl record --around error>500mm --duration 500ms -o none.mcap";
+    place.says(line, 1, &["nothing was recorded"]);
+    let mut recorder = start(&daemon, &["record", "--around", "fault", "-o", "none.mcap"]);
+    std::thread::sleep(std::time::Duration::from_millis(500));
+    recorder.signal(Signal::INT);
+    let output = recorder.output();
+    assert_eq!(output.status.code(), Some(130), "{}", text(&output));
+    assert!(!place.folder().join("none.mcap").exists());
+    fs::write(place.folder().join("none.mcap"), "mine").unwrap();
+    place.says(
+        "cdcrctl record --around fault -o none.mcap",
+        1,
+        &["is there already"],
+    );
+    place.says("cdcrctl scope --trigger error>5", 2, &["unit"]);
+}
