@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Makes a recording of a daemon of its own, recording.mcap, and its tables in a folder.
+# Makes a recording of a daemon of its own, recording.mcap, and its tables in a folder, and reads what cdcr-view serves of it.
 set -euo pipefail
 folder=$1
-cargo build -q --locked -p cdcr-daemon -p cdcr-client --bins
+cargo build -q --locked -p cdcr-daemon -p cdcr-client -p cdcr-view --bins
 root=$(mktemp -d -p /dev/shm)
 export CDCR_PREFIX=cdcr_oracle_ CDCR_ROOT=$root CDCR_ROBOT=oracle
 programs=()
@@ -17,3 +17,6 @@ target/debug/cdcrctl jog 0.01,0,-0.01 > /dev/null
 kill -INT "$recorder"
 wait "$recorder"
 target/debug/cdcrctl convert "$folder/recording.mcap" --csv "$folder/tables" > /dev/null
+target/debug/cdcr-view --port 0 > "$folder/view.txt" & programs+=($!)
+for _ in $(seq 100); do [ -s "$folder/view.txt" ] && break; sleep 0.1; done
+node interchange/oracles/check_live.mjs "$folder" "$(sed -n 's/.*127\.0\.0\.1:\([0-9]*\);.*/\1/p' "$folder/view.txt")"

@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Others' decoders read what we write, messages and a recording: rosbags and mcap-ros2-support (Python), those of Foxglove (JavaScript).
+# Others' decoders read what we write, messages, a recording and what is served live: rosbags and mcap-ros2-support (Python), those of Foxglove (JavaScript).
 # Needs python3 with venv, node and npm, and their registries; says so and ends with 0 where they are missing.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
@@ -9,7 +9,7 @@ missing() { echo "not tried: $*"; exit 0; }
 for tool in python3 node npm; do command -v "$tool" >/dev/null || missing "$tool is not installed"; done
 python3 -m venv "$folder/venv" >/dev/null || missing "python3 has no venv"
 "$folder/venv/bin/pip" install -q --disable-pip-version-check rosbags==0.11.9 mcap-ros2-support==0.6.0 || missing "pip installs nothing"
-npm install --prefix "$folder" --silent --no-fund --no-audit @mcap/core@2 @mcap/support@1 @foxglove/rosmsg@5 @foxglove/rosmsg2-serialization@3 || missing "npm installs nothing"
+npm install --prefix "$folder" --silent --no-fund --no-audit @mcap/core@2 @mcap/support@1 @foxglove/rosmsg@5 @foxglove/rosmsg2-serialization@3 ws@8 || missing "npm installs nothing"
 cargo run -q --locked -p cdcr-interchange --features sample --example samples -- "$folder"
 "$folder/venv/bin/python" interchange/oracles/check.py "$folder"
 node interchange/oracles/check.mjs "$folder"

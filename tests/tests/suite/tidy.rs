@@ -16,7 +16,7 @@ const SOURCES: [&str; 8] = [
 ];
 
 /// All crates, for the length of their files.
-const CRATES: [&str; 9] = [
+const CRATES: [&str; 10] = [
     "controller",
     "shared-types",
     "daemon",
@@ -26,6 +26,7 @@ const CRATES: [&str; 9] = [
     "bench",
     "tests",
     "packaging",
+    "view",
 ];
 
 /// No file is longer \[lines\].

@@ -29,6 +29,7 @@ mod strangers;
 mod timing;
 mod top;
 mod tutorial;
+mod view;
 
 use std::time::Duration;
 
