@@ -47,6 +47,15 @@ impl Horizon {
         self.blocks
     }
 
+    /// Steps of each block.
+    pub(super) fn lengths(&self) -> impl Iterator<Item = f64> {
+        let firsts = self.first_step[..self.blocks]
+            .iter()
+            .map(|&first| f64::from(first));
+        let ends = firsts.clone().skip(1).chain([self.steps as f64]);
+        firsts.zip(ends).map(|(first, end)| end - first)
+    }
+
     /// The block that controls step `step` (0-based).
     pub fn block_of(&self, step: usize) -> usize {
         usize::from(self.block_of[step])

@@ -48,7 +48,7 @@ use problem::TrackingProblem;
 use solver::Solver;
 
 /// Control blocks M at most. With six sections this makes 240 unknowns.
-pub const CONTROL_BLOCKS_MAX: usize = 20;
+pub const CONTROL_BLOCKS_MAX: usize = crate::optimizer::BLOCKS_MAX;
 /// Scalars of the longest plan.
 pub const PLAN_MAX: usize = COORDINATES_MAX * CONTROL_BLOCKS_MAX;
 /// Particles at most.

@@ -4,8 +4,10 @@ use super::limits::{LIMITS, LimitRow, Limits};
 use super::motion::{ANGLES, Bends, Bent, Motion, VECTORS};
 use super::obstacles::{CLEARANCE, ClearanceRow, Obstacles, StepTime};
 use super::pose_error::{self, PoseWeights, Row};
-use super::{CONTROL_BLOCKS_MAX, Coordinates, NmpcSettings, SolveInput};
-use crate::optimizer::{Bounds, Budget, Cost, Evaluation, LinearModel, Problem, apart};
+use super::{Coordinates, NmpcSettings, SolveInput};
+use crate::optimizer::{
+    Bounds, Budget, Cost, Evaluation, LinearModel, Place, Problem, Stages, WIDTH_MAX, apart,
+};
 use crate::reference::{Orientation, ReferenceSample, ReferenceState};
 use crate::robot::{COORDINATES_MAX, Configuration, Jacobian, Robot};
 use crate::wide::Wide;
@@ -21,8 +23,12 @@ pub(super) struct TrackingProblem<'a> {
     obstacles: &'a Obstacles,
     bounds: &'a Bounds,
     reference: &'a [ReferenceSample],
+    stages: Stages,
 }
 
+const _: () = assert!(COORDINATES_MAX <= WIDTH_MAX);
+/// With so many blocks rows are staged; with fewer a matrix of all is faster (`cdcr-bench solver`).
+const STAGED_BLOCKS_MIN: usize = 4;
 /// Nominal time of one section at W points side by side \[ns\].
 const SECTION_NS: u32 = 15;
 /// Nominal time of the limits of one section, likewise \[ns\].
@@ -52,6 +58,11 @@ impl<'a> TrackingProblem<'a> {
             obstacles,
             bounds,
             reference: input.reference,
+            stages: Stages::new(
+                motion.width(),
+                motion.period_s(),
+                motion.horizon().lengths(),
+            ),
         }
     }
 
@@ -180,32 +191,18 @@ impl<'a> TrackingProblem<'a> {
         } = *self.settings;
         let rate_weight = f64::from(rate_weight);
         if rate_weight > 0.0 {
-            let scale = rate_weight.sqrt();
-            for (i, rate) in z.iter().enumerate() {
-                model.push(scale * rate)[i] = scale;
-            }
+            model.weigh(rate_weight, z);
         }
         if rate_change_weight > 0.0 {
             let scale = rate_change_weight.sqrt();
             for i in 0..z.len() {
                 let earlier = i.checked_sub(self.width());
                 let before = earlier.map_or_else(|| self.previous[i], |k| z[k]);
-                let row = model.push(scale * (z[i] - before));
+                let row = model.push_alone(scale * (z[i] - before));
                 row[i] = scale;
                 if let Some(k) = earlier {
                     row[k] = -scale;
                 }
-            }
-        }
-    }
-
-    /// Writes derivatives with respect to controls held since the start into a row: block by block, times
-    /// the periods for which each block was in force.
-    fn spread(&self, derivatives: &[f64; COORDINATES_MAX], block_periods: &[f64], row: &mut [f64]) {
-        for (block, &periods) in row.chunks_exact_mut(self.width()).zip(block_periods) {
-            let factor = self.motion.period_s() * periods;
-            for (target, derivative) in block.iter_mut().zip(derivatives) {
-                *target = factor * derivative;
             }
         }
     }
@@ -217,8 +214,7 @@ impl<'a> TrackingProblem<'a> {
             let weights = self.weights(at.index);
             pose_error::residuals(&tip, &jacobian, target, &weights, &mut |mut row: Row| {
                 self.motion.by_controls(at.bends, &mut row.derivatives);
-                let into = model.push(row.residual);
-                self.spread(&row.derivatives, at.block_periods, into);
+                model.push(row.residual, &row.derivatives[..self.width()], at.place);
             });
         }
     }
@@ -230,7 +226,7 @@ impl<'a> TrackingProblem<'a> {
         (kind, h): (usize, f64),
         mut derivatives: [f64; COORDINATES_MAX],
         bends: &Bent,
-        block_periods: &[f64],
+        place: Place,
         model: &mut LinearModel,
     ) {
         self.motion.by_controls(bends, &mut derivatives);
@@ -242,11 +238,12 @@ impl<'a> TrackingProblem<'a> {
             .zip(widths)
             .map(|(d, width)| d.abs() * width)
             .sum();
-        let most = per_s * self.motion.period_s() * block_periods.iter().sum::<f64>();
-        if h <= most
-            && let Some(into) = model.push_constraint(kind, h, (h / most).clamp(-1.0, 1.0))
-        {
-            self.spread(&derivatives, block_periods, into);
+        let before = self.stages.lengths()[..place.block].iter().sum::<f64>();
+        let periods = place.periods + if place.since_start { before } else { 0.0 };
+        let most = per_s * self.motion.period_s() * periods;
+        if h <= most {
+            let slack = (h / most).clamp(-1.0, 1.0);
+            model.push_constraint(kind, h, slack, &derivatives[..self.width()], place);
         }
     }
 
@@ -262,20 +259,21 @@ impl<'a> TrackingProblem<'a> {
             return true;
         }
         let mut is_left = true;
-        let block = self.motion.horizon().block_of(at.index);
-        let mut this_step = [0.0; CONTROL_BLOCKS_MAX];
-        this_step[block] = 1.0;
         self.limits
             .rows(&before.scalar(), &at.bends.scalar(), |row: LimitRow| {
                 is_left = is_left && budget.spend(ROW_NS * self.dimension() as u32);
-                let periods = if row.of_step {
-                    &this_step[..=block]
+                let place = if row.of_step {
+                    Place {
+                        since_start: false,
+                        periods: 1.0,
+                        ..at.place
+                    }
                 } else {
-                    at.block_periods
+                    at.place
                 };
                 if is_left {
                     let kind_and_h = (LIMITS, row.h);
-                    self.push_constraint(kind_and_h, row.derivatives, at.bends, periods, model);
+                    self.push_constraint(kind_and_h, row.derivatives, at.bends, place, model);
                 }
             });
         is_left
@@ -291,9 +289,8 @@ impl<'a> TrackingProblem<'a> {
     ) -> bool {
         let instant = self.step_time(at.index);
         let push = |row: ClearanceRow| {
-            let periods = at.block_periods;
             let kind_and_h = (CLEARANCE, row.h);
-            self.push_constraint(kind_and_h, row.derivatives, at.bends, periods, model);
+            self.push_constraint(kind_and_h, row.derivatives, at.bends, at.place, model);
         };
         self.obstacles
             .rows(self.robot, self.settings, instant, shape, budget, push)
@@ -321,12 +318,17 @@ impl<'a> TrackingProblem<'a> {
 struct Step<'a> {
     index: usize,
     bends: &'a Bent,
-    block_periods: &'a [f64],
+    place: Place,
 }
 
 impl Problem for TrackingProblem<'_> {
-    fn dimension(&self) -> usize {
-        self.width() * self.motion.horizon().blocks()
+    fn stages(&self) -> &Stages {
+        &self.stages
+    }
+
+    fn is_staged(&self) -> bool {
+        // A weight on the change of rates ties blocks to each other by more than their sum.
+        self.stages.blocks() >= STAGED_BLOCKS_MIN && self.settings.rate_change_weight == 0.0
     }
 
     fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
@@ -339,12 +341,19 @@ impl Problem for TrackingProblem<'_> {
 
     fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
         let mut bends: Bent = self.motion.start();
-        let mut block_periods = [0.0; CONTROL_BLOCKS_MAX];
+        let mut place = Place {
+            block: 0,
+            since_start: true,
+            periods: 0.0,
+        };
         for step in 0..self.steps() {
             let before = bends;
             self.motion.advance_one(&mut bends, z, step);
             let block = self.motion.horizon().block_of(step);
-            block_periods[block] += 1.0;
+            if block > place.block {
+                (place.block, place.periods) = (block, 0.0);
+            }
+            place.periods += 1.0;
             if !budget.spend(self.linearise_step_ns(step)) {
                 return false;
             }
@@ -352,7 +361,7 @@ impl Problem for TrackingProblem<'_> {
             let at = Step {
                 index: step,
                 bends: &bends,
-                block_periods: &block_periods[..=block],
+                place,
             };
             self.push_pose_rows(&at, &shape, model);
             if !self.push_limit_rows(&before, &at, model, budget)

@@ -2,112 +2,222 @@
 
 use std::collections::BinaryHeap;
 
-use super::{Budget, VIOLATIONS};
+use super::{Budget, Stages, VIOLATIONS};
+
+/// What a row depends on: the unknowns of one block, and perhaps those of all blocks before.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct Place {
+    pub(crate) block: usize,
+    /// Whether it depends on the sum of the blocks before, too, each for its whole length.
+    pub(crate) since_start: bool,
+    /// For how many periods the unknowns of its block were in force.
+    pub(crate) periods: f64,
+}
+
+/// Numbers, each with its derivatives.
+#[derive(Debug, Clone, Default)]
+struct Rows {
+    values: Vec<f64>,
+    derivatives: Vec<f64>,
+    places: Vec<Place>,
+}
+
+impl Place {
+    /// Of the only block there is, or of none.
+    pub(crate) const LAST: Self = Self {
+        block: 0,
+        since_start: true,
+        periods: 1.0,
+    };
+}
+
+impl Rows {
+    fn with_capacity(rows: usize, columns: usize) -> Self {
+        Self {
+            values: Vec::with_capacity(rows),
+            derivatives: Vec::with_capacity(rows * columns),
+            places: Vec::with_capacity(rows),
+        }
+    }
+
+    fn truncate(&mut self, rows: usize, stride: usize) {
+        self.values.truncate(rows);
+        self.derivatives.truncate(rows * stride);
+        self.places.truncate(rows);
+    }
+
+    /// Adds a row with all derivatives zero.
+    fn push(&mut self, value: f64, place: Place, stride: usize) -> &mut [f64] {
+        let start = self.derivatives.len();
+        self.values.push(value);
+        self.places.push(place);
+        self.derivatives.resize(start + stride, 0.0);
+        &mut self.derivatives[start..]
+    }
+}
 
 /// Residuals r, Jacobian J and linearised constraints h + A Δ ≥ 0 at one point.
 ///
 /// A constraint that a step would break becomes a residual of its own, so the step ends on it. Each is
 /// written by its problem in a scale in which it outweighs the residuals.
+///
+/// A row is kept with a derivative for each unknown, or *staged*: with the derivatives of its [`Place`] alone, which every block that
+/// it depends on shares.
 #[derive(Debug, Clone)]
 pub(crate) struct LinearModel {
-    columns: usize,
-    residuals: Vec<f64>,
-    jacobian: Vec<f64>,
+    stages: Stages,
+    is_staged: bool,
+    /// Derivatives that are kept of a row.
+    stride: usize,
+    residuals: Rows,
     /// Residuals of the cost; those after them are constraints that were met.
     cost_rows: usize,
-    constraints: Vec<f64>,
-    constraint_jacobian: Vec<f64>,
+    constraints: Rows,
     /// Of each kind, how far each is from being broken, in the measure of its problem, and its index.
     slackest: [BinaryHeap<(i64, usize)>; VIOLATIONS],
     met: Vec<bool>,
     constraints_max: usize,
+    /// Weight of the squared unknowns themselves, where they are staged.
+    weight: f64,
+    weighed: Vec<f64>,
+    /// Memory for the sum of the blocks before a block.
+    sums: Vec<f64>,
 }
 
 impl LinearModel {
     pub(crate) fn with_capacity(rows: usize, constraints: usize, columns: usize) -> Self {
         Self {
-            columns: 0,
-            residuals: Vec::with_capacity(rows + constraints),
-            jacobian: Vec::with_capacity((rows + constraints) * columns),
+            stages: Stages::default(),
+            is_staged: false,
+            stride: 0,
+            residuals: Rows::with_capacity(rows + constraints, columns),
             cost_rows: 0,
-            constraints: Vec::with_capacity(constraints),
-            constraint_jacobian: Vec::with_capacity(constraints * columns),
+            constraints: Rows::with_capacity(constraints, columns),
             slackest: core::array::from_fn(|_| BinaryHeap::with_capacity(constraints)),
             met: Vec::with_capacity(constraints),
             constraints_max: constraints,
+            weight: 0.0,
+            weighed: Vec::with_capacity(columns),
+            sums: Vec::with_capacity(columns),
         }
     }
 
-    pub(crate) fn clear(&mut self, columns: usize) {
-        self.residuals.clear();
-        self.jacobian.clear();
-        self.constraints.clear();
-        self.constraint_jacobian.clear();
+    /// Forgets all rows; those that come are staged or not.
+    pub(crate) fn clear(&mut self, stages: &Stages, is_staged: bool) {
+        self.stages = *stages;
+        self.is_staged = is_staged;
+        self.stride = if is_staged {
+            stages.width()
+        } else {
+            stages.unknowns()
+        };
+        self.residuals.truncate(0, 0);
+        self.constraints.truncate(0, 0);
         self.slackest.iter_mut().for_each(BinaryHeap::clear);
         self.met.clear();
-        self.columns = columns;
         self.cost_rows = 0;
+        self.weight = 0.0;
+        self.weighed.clear();
     }
 
-    /// Adds a row with all derivatives zero, and returns the derivatives for the caller to fill in.
-    pub(crate) fn push(&mut self, residual: f64) -> &mut [f64] {
-        let start = self.jacobian.len();
-        self.residuals.push(residual);
+    /// Adds a residual, with its derivatives by what unknowns do in a unit of time. Places come in the order of their blocks.
+    pub(crate) fn push(&mut self, residual: f64, derivatives: &[f64], place: Place) {
         self.cost_rows += 1;
-        self.jacobian.resize(start + self.columns, 0.0);
-        &mut self.jacobian[start..]
+        let row = self.residuals.push(residual, place, self.stride);
+        fill(row, derivatives, place, &self.stages, self.is_staged);
     }
 
-    /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]) with all derivatives zero, and returns them for the caller
-    /// to fill in. Of more than there is room for, steps see those with the least `slack`: None for one that has the most.
+    /// Adds the residuals of weights w on the square of each unknown zᵢ: √w zᵢ.
+    pub(crate) fn weigh(&mut self, weight: f64, z: &[f64]) {
+        if self.is_staged {
+            self.weight = weight;
+            self.weighed.extend_from_slice(z);
+            return;
+        }
+        let scale = weight.sqrt();
+        for (i, unknown) in z.iter().enumerate() {
+            self.push_alone(scale * unknown)[i] = scale;
+        }
+    }
+
+    /// Adds a residual with all derivatives zero, and returns them for the caller to fill in. Not for what is staged.
+    pub(crate) fn push_alone(&mut self, residual: f64) -> &mut [f64] {
+        debug_assert!(!self.is_staged, "a row of no place");
+        self.cost_rows += 1;
+        self.residuals.push(residual, Place::LAST, self.stride)
+    }
+
+    /// Adds a constraint h + A Δ ≥ 0 of a kind (below [`VIOLATIONS`]) with its derivatives as those of a residual. Of more than there
+    /// is room for, steps see those with the least `slack`.
     /// No kind takes more than its equal part of the room while another needs it.
     pub(crate) fn push_constraint(
         &mut self,
         kind: usize,
         h: f64,
         slack: f64,
-    ) -> Option<&mut [f64]> {
+        derivatives: &[f64],
+        place: Place,
+    ) {
         let order = in_order(slack);
-        let mut index = self.constraints.len();
+        let rows = &mut self.constraints;
+        let mut index = rows.values.len();
         if index < self.constraints_max {
-            self.constraints.push(h);
+            rows.push(h, place, self.stride);
             self.met.push(false);
-            let length = (index + 1) * self.columns;
-            self.constraint_jacobian.resize(length, 0.0);
         } else {
             let crowded = if self.slackest[kind].len() < self.constraints_max / VIOLATIONS {
-                self.slackest.iter_mut().max_by_key(|heap| heap.len())?
+                self.slackest.iter_mut().max_by_key(|heap| heap.len())
             } else {
                 let own = &mut self.slackest[kind];
-                if order >= own.peek()?.0 {
-                    return None;
-                }
-                own
+                own.peek().is_some_and(|most| order < most.0).then_some(own)
             };
-            index = crowded.pop()?.1;
-            self.constraints[index] = h;
-            self.constraint_jacobian[index * self.columns..][..self.columns].fill(0.0);
+            let Some((_, freed)) = crowded.and_then(BinaryHeap::pop) else {
+                return;
+            };
+            index = freed;
+            rows.values[index] = h;
+            rows.places[index] = place;
+            rows.derivatives[index * self.stride..][..self.stride].fill(0.0);
         }
         self.slackest[kind].push((order, index));
-        Some(&mut self.constraint_jacobian[index * self.columns..][..self.columns])
+        let row = &mut rows.derivatives[index * self.stride..][..self.stride];
+        fill(row, derivatives, place, &self.stages, self.is_staged);
+    }
+
+    pub(super) fn stages(&self) -> &Stages {
+        &self.stages
+    }
+
+    pub(super) fn is_staged(&self) -> bool {
+        self.is_staged
+    }
+
+    /// The weight of the square of each unknown, and where it was: what [`Self::weigh`] was told of staged rows.
+    pub(super) fn weighed(&self) -> Option<(f64, &[f64])> {
+        (self.weight > 0.0).then_some((self.weight, &self.weighed))
     }
 
     /// Residuals of the cost: the first of all.
-    pub(super) fn cost_rows(&self) -> usize {
+    pub(crate) fn cost_rows(&self) -> usize {
         self.cost_rows
     }
 
     /// Residuals, with those of constraints that were met.
     pub(crate) fn rows(&self) -> usize {
-        self.residuals.len()
+        self.residuals.values.len()
     }
 
     pub(crate) fn residual(&self, index: usize) -> f64 {
-        self.residuals[index]
+        self.residuals.values[index]
     }
 
+    /// The derivatives that are kept of a row.
     pub(crate) fn row(&self, index: usize) -> &[f64] {
-        &self.jacobian[index * self.columns..][..self.columns]
+        &self.residuals.derivatives[index * self.stride..][..self.stride]
+    }
+
+    pub(super) fn place(&self, index: usize) -> Place {
+        self.residuals.places[index]
     }
 
     /// Whether a constraint was met.
@@ -117,8 +227,7 @@ impl LinearModel {
 
     /// Forgets which constraints were met.
     pub(super) fn release_constraints(&mut self) {
-        self.residuals.truncate(self.cost_rows);
-        self.jacobian.truncate(self.cost_rows * self.columns);
+        self.residuals.truncate(self.cost_rows, self.stride);
         self.met.fill(false);
     }
 
@@ -126,15 +235,27 @@ impl LinearModel {
     /// before, or the budget was spent.
     pub(crate) fn meet_constraints(&mut self, step: &[f64], budget: &mut Budget<'_>) -> Option<()> {
         let before = self.rows();
-        for (index, h) in self.constraints.iter().enumerate() {
-            if !budget.spend(self.columns as u32) {
+        if self.is_staged {
+            self.stages.sum_up(step, &mut self.sums);
+        }
+        for index in 0..self.constraints.values.len() {
+            if !budget.spend(self.stride as u32) {
                 return None;
             }
-            let row = &self.constraint_jacobian[index * self.columns..][..self.columns];
-            if !self.met[index] && h + dot(row, step) < 0.0 {
+            let (h, place) = (
+                self.constraints.values[index],
+                self.constraints.places[index],
+            );
+            let row = &self.constraints.derivatives[index * self.stride..][..self.stride];
+            let change = if self.is_staged {
+                self.stages.change(row, place, step, &self.sums)
+            } else {
+                dot(row, step)
+            };
+            if !self.met[index] && h + change < 0.0 {
                 self.met[index] = true;
-                self.residuals.push(*h);
-                self.jacobian.extend_from_slice(row);
+                let into = self.residuals.push(h, place, self.stride);
+                into.copy_from_slice(row);
             }
         }
         (self.rows() > before).then_some(())
@@ -142,21 +263,73 @@ impl LinearModel {
 
     /// Half the gradient of the cost, Jᵀr, and what its norm would be if all rows pulled one way: the Frobenius
     /// norm of J times the norm of r. None: the budget was spent.
-    pub(super) fn gradient(&self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
+    pub(crate) fn gradient(&mut self, into: &mut [f64], budget: &mut Budget<'_>) -> Option<f64> {
         into.fill(0.0);
+        self.sums.clear();
+        self.sums.resize(into.len(), 0.0);
         let (mut jacobian, mut residuals) = (0.0, 0.0);
-        for (index, residual) in self.residuals.iter().enumerate() {
-            if !budget.spend(self.columns as u32) {
+        for index in 0..self.rows() {
+            if !budget.spend(self.stride as u32) {
                 return None;
             }
-            let row = self.row(index);
-            for (sum, derivative) in into.iter_mut().zip(row) {
-                *sum += derivative * residual;
-            }
-            jacobian += dot(row, row);
+            let (residual, place) = (self.residual(index), self.place(index));
+            let row = &self.residuals.derivatives[index * self.stride..][..self.stride];
+            let square = dot(row, row);
             residuals += residual * residual;
+            if !self.is_staged {
+                add_times(residual, row, into);
+                jacobian += square;
+                continue;
+            }
+            let first = place.block * self.stride;
+            add_times(place.periods * residual, row, &mut into[first..]);
+            if place.since_start {
+                add_times(residual, row, &mut self.sums[first..]);
+            }
+            jacobian += square * self.stages.squared_periods(place);
+        }
+        if self.is_staged {
+            self.stages.add_later(&self.sums, into);
+        }
+        if let Some((weight, z)) = self.weighed() {
+            add_times(weight, z, into);
+            residuals += weight * dot(z, z);
+            jacobian += weight * z.len() as f64;
         }
         Some(f64::sqrt(jacobian * residuals))
+    }
+}
+
+/// Adds a row times a factor, as far as both go.
+fn add_times(factor: f64, row: &[f64], into: &mut [f64]) {
+    for (sum, derivative) in into.iter_mut().zip(row) {
+        *sum += derivative * factor;
+    }
+}
+
+/// Writes derivatives into a row as it is kept: times the periods for which each block was in force, or as they are.
+fn fill(row: &mut [f64], derivatives: &[f64], place: Place, stages: &Stages, is_staged: bool) {
+    let width = stages.width();
+    if is_staged {
+        for (target, derivative) in row.iter_mut().zip(derivatives) {
+            *target = stages.period() * derivative;
+        }
+        return;
+    }
+    for (index, block) in row
+        .chunks_exact_mut(width)
+        .enumerate()
+        .take(place.block + 1)
+    {
+        let periods = match index == place.block {
+            true => place.periods,
+            false if place.since_start => stages.lengths()[index],
+            false => 0.0,
+        };
+        let factor = stages.period() * periods;
+        for (target, derivative) in block.iter_mut().zip(derivatives) {
+            *target = factor * derivative;
+        }
     }
 }
 
@@ -190,13 +363,9 @@ mod tests {
     /// The slacks that a step sees of constraints of these kinds and slacks.
     fn seen(room: usize, constraints: &[(usize, f64)]) -> Vec<f64> {
         let mut model = LinearModel::with_capacity(0, room, 1);
-        model.clear(1);
+        model.clear(&Stages::one(1), false);
         for &(kind, slack) in constraints {
-            let Some(derivatives) = model.push_constraint(kind, slack, slack) else {
-                continue;
-            };
-            assert_eq!(derivatives, [0.0]);
-            derivatives[0] = -1.0;
+            model.push_constraint(kind, slack, slack, &[-1.0], Place::LAST);
         }
         let met = model.meet_constraints(&[100.0], &mut Budget::unlimited());
         assert_eq!(met, Some(()));

@@ -16,6 +16,7 @@ mod kpso;
 mod linear_model;
 mod random;
 mod simd;
+mod stages;
 
 pub(crate) use bounds::Bounds;
 pub use budget::{Budget, QUANTUM_NS};
@@ -24,9 +25,10 @@ pub use incumbent::Candidate;
 pub(crate) use incumbent::Incumbent;
 pub(crate) use kpso::{Kpso, KpsoSettings, Task};
 pub use kpso::{VelocityRule, cycle_seed};
-pub(crate) use linear_model::LinearModel;
+pub(crate) use linear_model::{LinearModel, Place};
 pub use simd::Simd;
 pub(crate) use simd::apart;
+pub(crate) use stages::{BLOCKS_MAX, Stages, WIDTH_MAX};
 
 use crate::wide::Wide;
 
@@ -72,7 +74,15 @@ pub(crate) trait Cost {
 /// A cost over a box, point by point, and its least-squares structure.
 pub(crate) trait Problem {
     /// Number of unknowns d.
-    fn dimension(&self) -> usize;
+    fn dimension(&self) -> usize {
+        self.stages().unknowns()
+    }
+
+    /// The blocks of its unknowns.
+    fn stages(&self) -> &Stages;
+
+    /// Whether its rows are to be kept staged: each has a [`Place`].
+    fn is_staged(&self) -> bool;
 
     /// Evaluates one point of length d. None when `budget` was spent on the way.
     fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>>;

@@ -133,7 +133,7 @@ fn with_problem_among<T>(
 fn linearised(problem: &TrackingProblem, plan: &[f64]) -> LinearModel {
     let rows = 12 * HORIZON_STEPS_MAX + 2 * plan.len();
     let mut model = LinearModel::with_capacity(rows, CONSTRAINTS_MAX, plan.len());
-    model.clear(plan.len());
+    model.clear(problem.stages(), false);
     assert!(problem.linearise(plan, &mut model, &mut Budget::unlimited()));
     model
 }
@@ -335,4 +335,45 @@ fn limits_leave_room_for_the_nearest_clearances() {
     let depth_m = body.clearance_of(0, &around[0]) - safe_m - 1e-6;
     let is_nearest = |h: &&f64| (**h - 1e3 * depth_m).abs() < 1e-9;
     assert_eq!(all.iter().filter(is_nearest).count(), 50, "{all:?}");
+}
+
+proptest! {
+    /// Staged rows say the same, with a derivative for each block that shares it.
+    #[test]
+    fn staged_rows_say_what_all_derivatives_say(
+        case in cases(),
+        places in prop::collection::vec(
+            (0..3_usize, 0.0..1.0_f64, prop::array::uniform3(-0.1..0.1_f64), prop::array::uniform3(-1.0..1.0_f64)), 3,
+        ),
+    ) {
+        prop_assume!(case.settings.rate_change_weight == 0.0);
+        let around = beside(&case, &places);
+        let mut parameters = RobotParameters::paper(case.at.section_count());
+        parameters.cable_stroke_max_m = 0.01;
+        parameters.cable_speed_max_m_s = 0.02;
+        with_problem_among(&around, &parameters, &case, |problem| {
+            let mut models = [false, true].map(|is_staged| {
+                let mut model = LinearModel::with_capacity(12 * HORIZON_STEPS_MAX + 2 * case.plan.len(), CONSTRAINTS_MAX, case.plan.len());
+                model.clear(problem.stages(), is_staged);
+                assert!(problem.linearise(&case.plan, &mut model, &mut Budget::unlimited()));
+                let mut gradient = vec![0.0; case.plan.len()];
+                let scale = model.gradient(&mut gradient, &mut Budget::unlimited());
+                (model, gradient, scale.expect("no end"))
+            });
+            let [(_, dense, dense_scale), (_, staged, staged_scale)] = &models;
+            prop_assert!((dense_scale - staged_scale).abs() <= 1e-12 * dense_scale);
+            for (dense, staged) in dense.iter().zip(staged) {
+                prop_assert!((dense - staged).abs() <= 1e-12 * dense_scale, "{dense} {staged}");
+            }
+            // They meet the same constraints.
+            let step: Vec<f64> = case.plan.iter().map(|z| -1.7 * z).collect();
+            let met = models.each_mut().map(|(model, ..)| {
+                let _ = model.meet_constraints(&step, &mut Budget::unlimited());
+                let cost_rows = model.cost_rows();
+                (cost_rows..model.rows()).map(|row| model.residual(row)).collect::<Vec<_>>()
+            });
+            prop_assert_eq!(&met[0], &met[1]);
+            Ok(())
+        })?;
+    }
 }

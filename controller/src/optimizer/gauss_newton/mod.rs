@@ -1,6 +1,9 @@
 //! Damped Gauss-Newton steps, projected on the box.
 
+mod smoother;
 mod step;
+
+use smoother::Smoother;
 
 use super::{Bounds, Budget, Incumbent, LinearModel, Problem};
 
@@ -54,6 +57,8 @@ pub(crate) struct GaussNewton {
     /// JᵀJ of the cost's rows, made when it is first needed.
     gram: Vec<f64>,
     gram_is_current: bool,
+    /// Solves for the free unknowns of staged rows.
+    smoother: Smoother,
 }
 
 /// Halvings of a step that made the cost worse.
@@ -82,6 +87,7 @@ impl GaussNewton {
             columns: vec![0.0; order * dimension],
             gram: vec![0.0; dimension * dimension],
             gram_is_current: false,
+            smoother: Smoother::with_capacity(all_rows),
         }
     }
 
@@ -155,7 +161,7 @@ impl GaussNewton {
         budget: &mut Budget<'_>,
     ) -> bool {
         let dimension = z.len();
-        self.model.clear(dimension);
+        self.model.clear(problem.stages(), problem.is_staged());
         self.gram_is_current = false;
         if !problem.linearise(z, &mut self.model, budget) {
             return false;
@@ -237,17 +243,26 @@ impl GaussNewton {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optimizer::Evaluation;
+    use crate::optimizer::{Evaluation, Place, Stages};
     use crate::wide::Wide;
 
     /// |r|² with r = (z₀² + z₁ - 1, 10 (z₁ - z₀)): zero at z₀ = z₁ = (√5 - 1)/2.
     struct Bowl {
-        extra_unknown: bool,
+        stages: Stages,
+    }
+
+    fn bowl(unknowns: usize) -> Bowl {
+        Bowl {
+            stages: Stages::one(unknowns),
+        }
     }
 
     impl Problem for Bowl {
-        fn dimension(&self) -> usize {
-            if self.extra_unknown { 3 } else { 2 }
+        fn stages(&self) -> &Stages {
+            &self.stages
+        }
+        fn is_staged(&self) -> bool {
+            false
         }
         fn evaluate_at(&self, z: &[f64], budget: &mut Budget<'_>) -> Option<Evaluation<1>> {
             let first = z[0] * z[0] + z[1] - 1.0;
@@ -256,16 +271,9 @@ mod tests {
             budget.spend(100).then_some(evaluation)
         }
         fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
-            model
-                .push(z[0] * z[0] + z[1] - 1.0)
-                .iter_mut()
-                .zip([2.0 * z[0], 1.0])
-                .for_each(|(j, value)| *j = value);
-            model
-                .push(10.0 * (z[1] - z[0]))
-                .iter_mut()
-                .zip([-10.0, 10.0])
-                .for_each(|(j, value)| *j = value);
+            let bend = z[0] * z[0] + z[1] - 1.0;
+            model.push(bend, &[2.0 * z[0], 1.0], Place::LAST);
+            model.push(10.0 * (z[1] - z[0]), &[-10.0, 10.0], Place::LAST);
             budget.spend(10)
         }
     }
@@ -300,8 +308,8 @@ mod tests {
     #[test]
     fn both_forms_of_the_step_find_the_root() {
         let root = (5.0_f64.sqrt() - 1.0) / 2.0;
-        for extra_unknown in [false, true] {
-            let (incumbent, outcome) = refine(&Bowl { extra_unknown }, 5.0, 12);
+        for unknowns in [2, 3] {
+            let (incumbent, outcome) = refine(&bowl(unknowns), 5.0, 12);
             assert!(outcome.converged, "{outcome:?}");
             assert!(
                 (incumbent.z()[0] - root).abs() < 1e-10,
@@ -315,22 +323,14 @@ mod tests {
     #[test]
     fn an_active_bound_is_kept_and_the_others_are_solved_for() {
         // With both in [-0.5, 0.5], the best is the corner z₀ = z₁ = 0.5.
-        let (incumbent, _) = refine(
-            &Bowl {
-                extra_unknown: false,
-            },
-            0.5,
-            20,
-        );
+        let (incumbent, _) = refine(&bowl(2), 0.5, 20);
         assert!((incumbent.z()[0] - 0.5).abs() < 1e-3, "{:?}", incumbent.z());
         assert!(incumbent.z().iter().all(|z| z.abs() <= 0.5));
     }
 
     #[test]
     fn a_spent_budget_leaves_the_warm_start() {
-        let problem = Bowl {
-            extra_unknown: false,
-        };
+        let problem = bowl(2);
         let mut bounds = Bounds::with_capacity(2);
         bounds.set_symmetric(&std::iter::repeat_n(1.0, 2), 1);
         let mut incumbent = Incumbent::with_capacity(2);

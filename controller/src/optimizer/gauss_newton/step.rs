@@ -115,6 +115,12 @@ impl GaussNewton {
         for &i in &self.free {
             self.step[i] = 0.0;
         }
+        if self.model.is_staged() {
+            let step = &mut self.step[..dimension];
+            return self
+                .smoother
+                .solve(&self.model, &self.free, damping, step, budget);
+        }
         let rows = self.model.rows();
         // What the fixed unknowns do already.
         let at_rest = self.step[..dimension].iter().all(|step| *step == 0.0);

@@ -1,0 +1,300 @@
+//! The least-squares step of staged rows, in a time that grows with the horizon and not with its cube.
+//!
+//! All rows of a block know the blocks before by one sum, x' = x + length · u. So J Jᵀ + λI is the covariance of what is measured
+//! of a random walk, and the step Δ = -Jᵀ(J Jᵀ + λI)⁻¹ r a Kalman filter forward with a disturbance smoother backward
+//! (de Jong, *Biometrika* 76, 1989; docs/model.md §4): every unknown has variance 1, every row the noise λ. An unknown that is fixed has
+//! variance 0, one with a weight ρ of its own λ/(λ + ρ), and a constraint that was met is one more row.
+
+use crate::optimizer::linear_model::Place;
+use crate::optimizer::stages::{BLOCKS_MAX, WIDTH_MAX};
+use crate::optimizer::{Budget, LinearModel};
+
+/// Workspace, and what the filter leaves to the smoother.
+#[derive(Debug, Clone)]
+pub(super) struct Smoother {
+    /// Rows by block.
+    order: Vec<u16>,
+    /// Where the rows of each block begin in that order, and where the last ones end.
+    begins: [u16; BLOCKS_MAX + 1],
+    is_free: [bool; WIDTH_MAX * BLOCKS_MAX],
+    /// In that order: gain of each row, and what is missing of it by its variance.
+    gains: Vec<f64>,
+    shares: Vec<f64>,
+}
+
+/// What a block's unknowns are before a row is seen.
+struct Prior<const W: usize> {
+    mean: [f64; W],
+    variance: [f64; W],
+}
+
+/// A normal distribution.
+struct State<const N: usize> {
+    mean: [f64; N],
+    covariance: [[f64; N]; N],
+}
+
+impl Smoother {
+    pub(super) fn with_capacity(rows: usize) -> Self {
+        Self {
+            order: vec![0; rows],
+            begins: [0; BLOCKS_MAX + 1],
+            is_free: [false; WIDTH_MAX * BLOCKS_MAX],
+            gains: vec![0.0; rows * 2 * WIDTH_MAX],
+            shares: vec![0.0; rows],
+        }
+    }
+
+    /// Solves for the free unknowns of `step`; the others stay. False: a number is not finite, or the budget was spent.
+    pub(super) fn solve(
+        &mut self,
+        model: &LinearModel,
+        free: &[usize],
+        damping: f64,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        self.is_free[..step.len()].fill(false);
+        for &i in free {
+            self.is_free[i] = true;
+        }
+        self.sort(model);
+        match model.stages().width() {
+            2 => self.smooth::<2, 4>(model, damping, step, budget),
+            4 => self.smooth::<4, 8>(model, damping, step, budget),
+            6 => self.smooth::<6, 12>(model, damping, step, budget),
+            8 => self.smooth::<8, 16>(model, damping, step, budget),
+            10 => self.smooth::<10, 20>(model, damping, step, budget),
+            _ => self.smooth::<12, 24>(model, damping, step, budget),
+        }
+    }
+
+    /// Orders the rows by their blocks.
+    fn sort(&mut self, model: &LinearModel) {
+        self.begins.fill(0);
+        for row in 0..model.rows() {
+            self.begins[model.place(row).block + 1] += 1;
+        }
+        for block in 0..BLOCKS_MAX {
+            self.begins[block + 1] += self.begins[block];
+        }
+        let mut next = self.begins;
+        for row in 0..model.rows() {
+            let at = &mut next[model.place(row).block];
+            self.order[usize::from(*at)] = row as u16;
+            *at += 1;
+        }
+    }
+
+    /// The positions of a block's rows in the order.
+    fn rows_of(&self, block: usize) -> core::ops::Range<usize> {
+        usize::from(self.begins[block])..usize::from(self.begins[block + 1])
+    }
+
+    /// Whether a block of one period has only rows at its end: what they know of its unknowns is the sum, too.
+    fn is_plain(&self, model: &LinearModel, block: usize) -> bool {
+        let at_end = |place: Place| place.since_start && place.periods == 1.0;
+        let mut rows = self.order[self.rows_of(block)].iter();
+        model.stages().lengths()[block] == 1.0
+            && rows.all(|&row| at_end(model.place(usize::from(row))))
+    }
+
+    fn prior<const W: usize>(
+        &self,
+        model: &LinearModel,
+        block: usize,
+        damping: f64,
+        step: &[f64],
+    ) -> Prior<W> {
+        let first = block * W;
+        let mut prior = Prior {
+            mean: [0.0; W],
+            variance: [0.0; W],
+        };
+        for i in 0..W {
+            if !self.is_free[first + i] {
+                prior.mean[i] = step[first + i];
+            } else if let Some((weight, z)) = model.weighed() {
+                prior.mean[i] = -weight * z[first + i] / (damping + weight);
+                prior.variance[i] = damping / (damping + weight);
+            } else {
+                prior.variance[i] = 1.0;
+            }
+        }
+        prior
+    }
+
+    fn smooth<const W: usize, const D: usize>(
+        &mut self,
+        model: &LinearModel,
+        damping: f64,
+        step: &mut [f64],
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        let mut state = State::<W> {
+            mean: [0.0; W],
+            covariance: [[0.0; W]; W],
+        };
+        for block in 0..model.stages().blocks() {
+            let prior = self.prior::<W>(model, block, damping, step);
+            let filtered = if self.is_plain(model, block) {
+                state.add(&prior);
+                self.filter(model, block, damping, &mut state, budget)
+            } else {
+                let mut joint = state.beside::<D>(&prior);
+                let filtered = self.filter(model, block, damping, &mut joint, budget);
+                state = joint.moved_on(model.stages().lengths()[block]);
+                filtered
+            };
+            if !filtered {
+                return false;
+            }
+        }
+        let mut pull = [0.0; W];
+        for block in (0..model.stages().blocks()).rev() {
+            let of_unknowns = if self.is_plain(model, block) {
+                self.pull_back(model, block, &mut pull);
+                pull
+            } else {
+                let length = model.stages().lengths()[block];
+                let mut joint = [0.0; D];
+                for i in 0..W {
+                    (joint[i], joint[W + i]) = (pull[i], length * pull[i]);
+                }
+                self.pull_back(model, block, &mut joint);
+                pull = core::array::from_fn(|i| joint[i]);
+                core::array::from_fn(|i| joint[W + i])
+            };
+            let prior = self.prior::<W>(model, block, damping, step);
+            for i in 0..W {
+                step[block * W + i] = prior.mean[i] - prior.variance[i] * of_unknowns[i];
+            }
+        }
+        step.iter().all(|step| step.is_finite())
+    }
+
+    /// Sees the rows of a block, one after the other. False: the budget was spent.
+    fn filter<const N: usize>(
+        &mut self,
+        model: &LinearModel,
+        block: usize,
+        damping: f64,
+        state: &mut State<N>,
+        budget: &mut Budget<'_>,
+    ) -> bool {
+        for position in self.rows_of(block) {
+            if !budget.spend((N * N) as u32) {
+                return false;
+            }
+            let row = usize::from(self.order[position]);
+            let by: [f64; N] = derivatives(model, row);
+            let gain = &mut self.gains[position * 2 * WIDTH_MAX..][..N];
+            self.shares[position] = state.see(&by, model.residual(row), damping, gain);
+        }
+        true
+    }
+
+    /// What the rows of a block and of those after it pull at the state before them.
+    fn pull_back<const N: usize>(&self, model: &LinearModel, block: usize, pull: &mut [f64; N]) {
+        for position in self.rows_of(block).rev() {
+            let by: [f64; N] = derivatives(model, usize::from(self.order[position]));
+            let gain = &self.gains[position * 2 * WIDTH_MAX..][..N];
+            let met: f64 = gain
+                .iter()
+                .zip(pull.iter())
+                .map(|(gain, pull)| gain * pull)
+                .sum();
+            let force = self.shares[position] - met;
+            for (pull, derivative) in pull.iter_mut().zip(by) {
+                *pull += derivative * force;
+            }
+        }
+    }
+}
+
+/// The derivatives of a row by the sum of the blocks before and, behind them if N has room for both, by its own block.
+fn derivatives<const N: usize>(model: &LinearModel, row: usize) -> [f64; N] {
+    let (of_row, place) = (model.row(row), model.place(row));
+    let mut by = [0.0; N];
+    by[..of_row.len()].copy_from_slice(of_row);
+    if N > of_row.len() {
+        let (before, own) = by.split_at_mut(of_row.len());
+        for ((own, before), derivative) in own.iter_mut().zip(before).zip(of_row) {
+            *own = place.periods * derivative;
+            *before = if place.since_start { *derivative } else { 0.0 };
+        }
+    }
+    by
+}
+
+impl<const N: usize> State<N> {
+    /// Sees one row: residual + `by` · state is nothing but noise of this variance. Returns what was missing by its variance.
+    #[inline]
+    fn see(&mut self, by: &[f64; N], residual: f64, noise: f64, gain: &mut [f64]) -> f64 {
+        let mut spread = [0.0; N];
+        for (line, derivative) in self.covariance.iter().zip(by) {
+            for (spread, covariance) in spread.iter_mut().zip(line) {
+                *spread += covariance * derivative;
+            }
+        }
+        let (mut variance, mut missing) = (0.0, residual);
+        for i in 0..N {
+            variance += by[i] * spread[i];
+            missing += by[i] * self.mean[i];
+        }
+        let share = 1.0 / (variance.max(0.0) + noise);
+        // A product of two equal factors keeps the matrix symmetric to the bit.
+        let root = share.sqrt();
+        let scaled = spread.map(|spread| spread * root);
+        for (line, scale) in self.covariance.iter_mut().zip(scaled) {
+            for (covariance, other) in line.iter_mut().zip(scaled) {
+                *covariance -= scale * other;
+            }
+        }
+        for i in 0..N {
+            gain[i] = spread[i] * share;
+            self.mean[i] -= gain[i] * missing;
+        }
+        missing * share
+    }
+
+    /// Adds unknowns that are in force for one period.
+    fn add(&mut self, prior: &Prior<N>) {
+        for i in 0..N {
+            self.mean[i] += prior.mean[i];
+            self.covariance[i][i] += prior.variance[i];
+        }
+    }
+
+    /// This state, and beside it the unknowns of a block.
+    fn beside<const D: usize>(&self, prior: &Prior<N>) -> State<D> {
+        let mut joint = State {
+            mean: [0.0; D],
+            covariance: [[0.0; D]; D],
+        };
+        for i in 0..N {
+            joint.mean[i] = self.mean[i];
+            joint.mean[N + i] = prior.mean[i];
+            joint.covariance[i][..N].copy_from_slice(&self.covariance[i]);
+            joint.covariance[N + i][N + i] = prior.variance[i];
+        }
+        joint
+    }
+
+    /// The state after unknowns that were in force for `length` periods: the first half, and so often the second.
+    fn moved_on<const W: usize>(&self, length: f64) -> State<W> {
+        let p = &self.covariance;
+        State {
+            mean: core::array::from_fn(|i| self.mean[i] + length * self.mean[W + i]),
+            covariance: core::array::from_fn(|i| {
+                core::array::from_fn(|k| {
+                    let across = p[i][W + k] + p[k][W + i];
+                    p[i][k] + length * (across + length * p[W + i][W + k])
+                })
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,158 @@
+//! The step of staged rows, held against that of the same rows with a derivative for each unknown.
+
+use proptest::prelude::*;
+
+use super::super::GaussNewton;
+use crate::optimizer::{Bounds, Budget, Evaluation, LinearModel, Place, Problem, Stages};
+
+/// Rows of which nothing but their linear model matters.
+#[derive(Debug, Clone)]
+struct Linear {
+    stages: Stages,
+    is_staged: bool,
+    residuals: Vec<Row>,
+    constraints: Vec<Row>,
+    weight: f64,
+}
+
+#[derive(Debug, Clone)]
+struct Row {
+    value: f64,
+    derivatives: Vec<f64>,
+    place: Place,
+}
+
+impl Problem for Linear {
+    fn stages(&self) -> &Stages {
+        &self.stages
+    }
+    fn is_staged(&self) -> bool {
+        self.is_staged
+    }
+    fn evaluate_at(&self, _: &[f64], _: &mut Budget<'_>) -> Option<Evaluation<1>> {
+        None
+    }
+    fn linearise(&self, z: &[f64], model: &mut LinearModel, budget: &mut Budget<'_>) -> bool {
+        for row in &self.residuals {
+            model.push(row.value, &row.derivatives, row.place);
+        }
+        for row in &self.constraints {
+            model.push_constraint(0, row.value, row.value, &row.derivatives, row.place);
+        }
+        if self.weight > 0.0 {
+            model.weigh(self.weight, z);
+        }
+        budget.left()
+    }
+}
+
+const ROWS_MAX: usize = 80;
+const CONSTRAINTS_MAX: usize = 16;
+
+/// The step from `z` in the box ±1.
+fn step(problem: &Linear, damping: f64, z: &[f64], budget: &mut Budget<'_>) -> Option<Vec<f64>> {
+    let unknowns = problem.stages.unknowns();
+    let mut bounds = Bounds::with_capacity(unknowns);
+    bounds.set_symmetric(&std::iter::repeat_n(1.0, unknowns), 1);
+    let rows = ROWS_MAX + unknowns;
+    let mut gauss_newton = GaussNewton::with_capacity(unknowns, rows, CONSTRAINTS_MAX);
+    let mut to = z.to_vec();
+    let found = gauss_newton.propose(problem, &bounds, damping, budget, z, &mut to);
+    found.then(|| to.iter().zip(z).map(|(to, from)| to - from).collect())
+}
+
+fn problems() -> impl Strategy<Value = (Linear, Vec<f64>)> {
+    let lengths = prop_oneof![
+        prop::collection::vec(Just(1.0), 1..=8),
+        prop::collection::vec((1..=3_u8).prop_map(f64::from), 1..=5),
+    ];
+    (1..=6_usize, lengths, prop_oneof![Just(0.0), 1e-4..1e-2_f64]).prop_flat_map(
+        |(sections, lengths, weight)| {
+            let (width, blocks) = (2 * sections, lengths.len());
+            let stages = Stages::new(width, 0.1, lengths.iter().copied());
+            let row = |scale: f64| {
+                let derivatives = prop::collection::vec(-1.0..1.0_f64, width);
+                let place = (0..blocks, any::<bool>(), 0..3_u8);
+                let lengths = lengths.clone();
+                (-1.0..1.0_f64, derivatives, place).prop_map(
+                    move |(value, derivatives, (block, of_step, short))| Row {
+                        value: scale * value,
+                        derivatives: derivatives.iter().map(|d| scale * d).collect(),
+                        place: Place {
+                            block,
+                            since_start: !of_step,
+                            periods: if of_step {
+                                1.0
+                            } else {
+                                f64::max(1.0, lengths[block] - f64::from(short))
+                            },
+                        },
+                    },
+                )
+            };
+            let at_end = row(1.0).prop_map(|row| Row {
+                place: Place {
+                    since_start: true,
+                    ..row.place
+                },
+                ..row
+            });
+            let residuals = prop::collection::vec(at_end, 1..=3 * blocks);
+            let constraints = prop::collection::vec(row(30.0), 0..=blocks);
+            let z = prop::collection::vec(
+                prop_oneof![3 => -0.9..0.9_f64, 1 => Just(1.0), 1 => Just(-1.0)],
+                width * blocks,
+            );
+            (residuals, constraints, z).prop_map(move |(mut residuals, constraints, z)| {
+                residuals.sort_by_key(|row| row.place.block);
+                let problem = Linear {
+                    stages,
+                    is_staged: true,
+                    residuals,
+                    constraints,
+                    weight,
+                };
+                (problem, z)
+            })
+        },
+    )
+}
+
+proptest! {
+    #[test]
+    fn staged_rows_give_the_step_of_all_derivatives((staged, z) in problems(), exponent in 2..8_i32) {
+        let damping = 0.1_f64.powi(exponent);
+        let dense = Linear { is_staged: false, ..staged.clone() };
+        let of = |problem| step(problem, damping, &z, &mut Budget::unlimited());
+        let (staged, dense) = (of(&staged).expect("solved"), of(&dense).expect("solved"));
+        for (staged, dense) in staged.iter().zip(&dense) {
+            prop_assert!((staged - dense).abs() < 1e-6, "{staged} {dense}");
+        }
+    }
+}
+
+#[test]
+fn a_number_that_is_not_finite_and_a_spent_budget_give_no_step() {
+    let row = |value| Row {
+        value,
+        derivatives: vec![0.3, 0.2],
+        place: Place {
+            block: 3,
+            since_start: true,
+            periods: 1.0,
+        },
+    };
+    let problem = |value| Linear {
+        stages: Stages::new(2, 0.1, [1.0; 4].into_iter()),
+        is_staged: true,
+        residuals: vec![row(value)],
+        constraints: vec![],
+        weight: 0.0,
+    };
+    let z = [0.0; 8];
+    let unlimited = &mut Budget::unlimited();
+    assert!(step(&problem(0.01), 1e-9, &z, unlimited).is_some());
+    assert_eq!(step(&problem(f64::NAN), 1e-9, &z, unlimited), None);
+    let spent = &mut Budget::of_quanta(0);
+    assert_eq!(step(&problem(0.01), 1e-9, &z, spent), None);
+}
