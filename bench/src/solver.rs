@@ -6,6 +6,7 @@
 
 pub mod growth;
 pub mod guard;
+pub mod hard;
 
 use std::time::{Duration, Instant};
 
@@ -46,6 +47,8 @@ const CAPSULE_LENGTH_M: f64 = 0.03;
 
 /// Time of one size, about \[s\].
 const SIZE_S: f64 = 1.0;
+/// Time of all hard problems in a round, about \[s\].
+const HARD_S: f64 = 10.0;
 /// Time of all measurements of the safety checks in a round, about \[s\].
 const GUARD_S: f64 = 3.0;
 
@@ -84,6 +87,15 @@ pub struct SolverOptions {
 }
 
 impl SolverOptions {
+    /// Not the short form of a quick report.
+    fn is_whole(&self) -> bool {
+        self.moments == guard::MOMENTS
+    }
+
+    fn hard_s(&self) -> f64 {
+        if self.is_whole() { HARD_S } else { 0.0 }
+    }
+
     fn guard_s(&self) -> f64 {
         GUARD_S * self.moments as f64 / guard::MOMENTS as f64
     }
@@ -106,11 +118,11 @@ impl Benchmark for SolverOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + self.guard_s())
+        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + self.hard_s() + self.guard_s())
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (mut rounds, mut guarded) = (Vec::new(), Vec::new());
+        let (mut rounds, mut guarded, mut hard) = (Vec::new(), Vec::new(), Vec::new());
         for round in 1..=self.rounds {
             let mut cases = Vec::new();
             for size in &self.sizes {
@@ -120,10 +132,17 @@ impl Benchmark for SolverOptions {
                 progress.advance(SIZE_S);
             }
             rounds.push(cases);
+            if self.is_whole() {
+                hard.push(hard::measure()?);
+                progress.advance(HARD_S);
+            }
             guarded.push(guard::measure(self.moments)?);
             progress.advance(self.guard_s());
         }
         let mut dataset = dataset(&rounds)?;
+        if self.is_whole() {
+            hard::add(&mut dataset, &hard)?;
+        }
         guard::add(&mut dataset, &guarded)?;
         Ok(dataset)
     }
