@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder};
+use cdcr_controller::plant::{Flaws, MisbehavingRobot, MotorOrder, true_robot};
 use cdcr_controller::robot::{Configuration, RobotError};
 use cdcr_shared_types::Measurement;
 use cdcr_shared_types::codes::{Interface, MeasurementKind};
@@ -35,6 +35,14 @@ pub enum PlantError {
     /// The flaws make it no robot.
     #[error("a robot with these flaws cannot be built: {0}")]
     Robot(#[from] RobotError),
+    /// Another number of sections than the robot has.
+    #[error("{given} sections are given, but the robot has {robot}")]
+    SectionCount {
+        /// Sections that were given.
+        given: usize,
+        /// Sections of the robot.
+        robot: usize,
+    },
 }
 
 impl PlantDriver {
@@ -59,6 +67,21 @@ impl PlantDriver {
             plant: MisbehavingRobot::new(&model, start.unwrap_or(&straight), flaws, seed)?,
             moved_ns: monotonic_ns(),
         })
+    }
+
+    /// The same with sections that have other lengths (m), radii (m) and angles of their cables (rad) than the daemon is configured with, three
+    /// numbers for each, base first; whatever the flaws say of the geometry.
+    ///
+    /// # Errors
+    /// [`PlantError`].
+    pub fn with_geometry(mut self, geometry: &[[f64; 3]]) -> Result<Self, PlantError> {
+        let (given, robot) = (geometry.len(), self.sections as usize);
+        if given != robot {
+            return Err(PlantError::SectionCount { given, robot });
+        }
+        let truth = true_robot(self.plant.model(), geometry)?;
+        self.plant = self.plant.with_truth(truth);
+        Ok(self)
     }
 
     /// Moves on to now, and takes the commands that have come.

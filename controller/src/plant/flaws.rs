@@ -3,6 +3,7 @@ use core::ops::RangeInclusive;
 use serde::{Deserialize, Serialize};
 
 use crate::estimator::Actuator;
+use crate::robot::CABLES_MAX;
 
 /// How a sensor gives what it measures. The default is at once, whenever it is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -25,6 +26,11 @@ pub struct Flaws {
     pub motor_speed_max_m_s: f64,
     /// A cable that is pulled is longer by this part of the pull: the bends are less than its motor says.
     pub stretch: f64,
+    /// Every cable is so much longer than its motor says (m): cables pull and do not push, so each section springs back towards straight as far
+    /// as that lets it.
+    pub slack_m: f64,
+    /// This cable broke and pulls no more: 1 is the first of the base section; 0: none (the whole part counts). No encoder tells.
+    pub broken_cable: f64,
     /// Coulomb friction: for each radian that the body is bent up to the end of its section, a cable stays so far behind its motor (m/rad), on
     /// the side that it was moved from. Where the play is the same everywhere, this grows with the bends.
     pub friction_m_per_rad: f64,
@@ -41,6 +47,8 @@ pub struct Flaws {
     pub cables: Sampling,
     /// A measured coordinate of the tip is off by this: standard deviation (m).
     pub tip_noise_m: f64,
+    /// Smallest step between two values of a measured coordinate of the tip (m); 0: as fine as numbers are.
+    pub tip_tick_m: f64,
     /// The sensor of the tip measures it so far beside (x, y, z) (m).
     pub tip_bias_m: [f64; 3],
     /// How that sensor gives what it measures.
@@ -65,6 +73,8 @@ impl Default for Flaws {
             actuator: Actuator::IDEAL,
             motor_speed_max_m_s: f64::INFINITY,
             stretch: 0.0,
+            slack_m: 0.0,
+            broken_cable: 0.0,
             friction_m_per_rad: 0.0,
             droop_m: 0.0,
             offset_m: 0.0,
@@ -72,6 +82,7 @@ impl Default for Flaws {
             tick_m: 0.0,
             cables: Sampling::default(),
             tip_noise_m: 0.0,
+            tip_tick_m: 0.0,
             tip_bias_m: [0.0; 3],
             tip: Sampling::default(),
             length_error: 0.0,
@@ -85,7 +96,7 @@ impl Default for Flaws {
 }
 
 /// Flaws by name.
-pub const FLAWS: usize = 31;
+pub const FLAWS: usize = 34;
 
 /// Why a flaw cannot be set.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -130,6 +141,12 @@ impl Flaws {
                 1e-3..=10.0,
             ),
             ("stretch", &mut self.stretch, 0.0..=0.2),
+            ("slack_m", &mut self.slack_m, SMALL_M),
+            (
+                "broken_cable",
+                &mut self.broken_cable,
+                0.0..=CABLES_MAX as f64,
+            ),
             ("friction_m_per_rad", &mut self.friction_m_per_rad, SMALL_M),
             ("droop_m", &mut self.droop_m, LENGTH_M),
             ("offset_m", &mut self.offset_m, LENGTH_M),
@@ -139,6 +156,7 @@ impl Flaws {
             ("cable_interval_s", &mut cables.interval_s, INTERVAL_S),
             ("cable_dropout", &mut cables.dropout, DROPOUT),
             ("tip_noise_m", &mut self.tip_noise_m, SMALL_M),
+            ("tip_tick_m", &mut self.tip_tick_m, SMALL_M),
             ("tip_bias_x_m", bias_x, LENGTH_M),
             ("tip_bias_y_m", bias_y, LENGTH_M),
             ("tip_bias_z_m", bias_z, LENGTH_M),

@@ -6,8 +6,28 @@ use nalgebra::{Isometry3, Point3, Vector3};
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
+use super::loose::loosely_bent;
 use super::{Flaws, Sampling};
 use crate::robot::{CABLES_MAX, Configuration, Obstacle, Robot, RobotError, RobotParameters};
+
+/// The robot with other lengths (m), distances (m) and angles of the cables (rad) of its sections, three numbers for each, base first; what is
+/// not given is as in the model.
+///
+/// # Errors
+/// When they make it no robot.
+pub fn true_robot(model: &Robot, geometry: &[[f64; 3]]) -> Result<Robot, RobotError> {
+    let mut truth = RobotParameters {
+        sections: model.sections().to_vec(),
+        cable_speed_max_m_s: model.cable_speed_max_m_s(),
+        cable_stroke_max_m: model.cable_stroke_max_m(),
+    };
+    for (section, [length_m, radius_m, angle_rad]) in truth.sections.iter_mut().zip(geometry) {
+        section.length_m = *length_m;
+        section.cable_radius_m = *radius_m;
+        section.cable_offset_rad = *angle_rad;
+    }
+    Robot::new(&truth)
+}
 
 /// What the motors are told.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -292,13 +312,7 @@ impl MisbehavingRobot {
             };
             let noise_m = self.flaws.noise_m * self.noise.random_range(-1.0..=1.0);
             let turned_m = then.motor_m[cable] + offset_m + noise_m;
-            let tick_m = self.flaws.tick_m;
-            let counted_m = if tick_m > 0.0 {
-                (turned_m / tick_m).round() * tick_m
-            } else {
-                turned_m
-            };
-            lengths_m[cable] = self.straight_m(cable) + counted_m;
+            lengths_m[cable] = self.straight_m(cable) + counted(turned_m, self.flaws.tick_m);
         }
         Some(lengths_m)
     }
@@ -310,7 +324,10 @@ impl MisbehavingRobot {
         // A sum of twelve uniform numbers is as good as a normal one out to four deviations.
         Some(tip_m.map(|coordinate_m| {
             let sum: f64 = (0..12).map(|_| self.noise.random_range(-0.5..=0.5)).sum();
-            coordinate_m + self.flaws.tip_noise_m * sum
+            counted(
+                coordinate_m + self.flaws.tip_noise_m * sum,
+                self.flaws.tip_tick_m,
+            )
         }))
     }
 
@@ -321,15 +338,23 @@ impl MisbehavingRobot {
 
     fn bent_by(&self, cable_m: &[f64; CABLES_MAX]) -> Configuration {
         // Pulled is shorter.
-        let bends_m = cable_m.map(|stroke_m| {
+        let mut bends_m = cable_m.map(|stroke_m| {
             let stretched = if stroke_m < 0.0 {
                 self.flaws.stretch
             } else {
                 0.0
             };
-            stroke_m * (1.0 - stretched)
+            stroke_m * (1.0 - stretched) + self.flaws.slack_m
         });
-        let mut bends = self.truth.bend_from_cable_strokes(&bends_m);
+        let broken = (self.flaws.broken_cable as usize).checked_sub(1);
+        if let Some(stroke_m) = broken.and_then(|broken| bends_m.get_mut(broken)) {
+            *stroke_m = f64::INFINITY;
+        }
+        let mut bends = if broken.is_some() || self.flaws.slack_m > 0.0 {
+            loosely_bent(&self.truth, &bends_m)
+        } else {
+            self.truth.bend_from_cable_strokes(&bends_m)
+        };
         let (pairs, _) = bends.as_mut_slice().as_chunks_mut::<2>();
         for pair in pairs {
             let grown = 1.0 + pair[0].hypot(pair[1]);
@@ -373,9 +398,23 @@ impl MisbehavingRobot {
         }
     }
 
+    /// What the controller takes it for.
+    pub fn model(&self) -> &Robot {
+        &self.model
+    }
+
     /// The robot that it is in truth.
     pub fn truth(&self) -> &Robot {
         &self.truth
+    }
+}
+
+/// The value that a sensor with steps of `tick_m` (m) gives, 0: as fine as numbers are.
+fn counted(value_m: f64, tick_m: f64) -> f64 {
+    if tick_m > 0.0 {
+        (value_m / tick_m).round() * tick_m
+    } else {
+        value_m
     }
 }
 

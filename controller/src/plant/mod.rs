@@ -4,8 +4,9 @@
 
 mod flaws;
 mod kinematic;
+mod loose;
 mod misbehaving;
 
 pub use flaws::{FLAWS, FlawError, Flaws, Preset, Sampling};
 pub use kinematic::KinematicPlant;
-pub use misbehaving::{MisbehavingRobot, MotorOrder};
+pub use misbehaving::{MisbehavingRobot, MotorOrder, true_robot};

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 
-use cdcr_controller::plant::{Flaws, Preset};
-use cdcr_controller::robot::{Configuration, Robot, RobotParameters, SectionParameters};
+use cdcr_controller::plant::{Flaws, Preset, true_robot};
+use cdcr_controller::robot::{Configuration, Robot};
 use serde::{Deserialize, Serialize};
 
 use super::{ConfigError, Origins, ns};
@@ -59,9 +59,9 @@ cdcr_controller::parameters! {
         /// model, and of "blind" anyway.
         simulated_tip: bool = false;
         /// What else is wrong with it, or otherwise than with the preset: name = number. Of the motors delay_s, time_constant_s,
-        /// play_m, motor_speed_max_m_s and droop_m; of the cables stretch (of 1) and friction_m_per_rad; of the encoders offset_m, noise_m, tick_m,
-        /// cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of the tip tip_noise_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m,
-        /// tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
+        /// play_m, motor_speed_max_m_s and droop_m; of the cables stretch (of 1), slack_m, broken_cable (its number, 1 is the first) and
+        /// friction_m_per_rad; of the encoders offset_m, noise_m, tick_m, cable_delay_s, cable_interval_s and cable_dropout (of 1); of the sensor of
+        /// the tip tip_noise_m, tip_tick_m, tip_bias_x_m, tip_bias_y_m, tip_bias_z_m, tip_delay_s, tip_interval_s and tip_dropout; of the geometry length_error, cable_radius_error (of 1) and cable_angle_error_rad; of a load
         /// payload_u_rad and payload_v_rad; of the base base_x_m, base_y_m, base_z_m, base_turn_x_rad, base_turn_y_rad and
         /// base_turn_z_rad. Not of the ideal robot.
         simulated_flaws: BTreeMap<String, f64> = BTreeMap::new();
@@ -134,19 +134,7 @@ impl LinkConfig {
             let message = format!("{is} sections are given, but the robot has {should}");
             return Err(is_refused(&message));
         }
-        let sections = robot.sections().iter().zip(given);
-        let sections = sections.map(|(section, given)| SectionParameters {
-            length_m: given[0],
-            cable_radius_m: given[1],
-            cable_offset_rad: given[2],
-            ..*section
-        });
-        let truth = RobotParameters {
-            sections: sections.collect(),
-            cable_speed_max_m_s: robot.cable_speed_max_m_s(),
-            cable_stroke_max_m: robot.cable_stroke_max_m(),
-        };
-        let truth = Robot::new(&truth).map_err(|error| is_refused(&error.to_string()));
+        let truth = true_robot(robot, given).map_err(|error| is_refused(&error.to_string()));
         truth.map(Some)
     }
 

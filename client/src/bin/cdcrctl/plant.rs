@@ -38,6 +38,9 @@ pub(crate) fn run(target: &Target, options: &PlantOptions) -> anyhow::Result<Don
         flaws = flaws.with(name, *value)?;
     }
     let mut robot = PlantDriver::new(&connection, interface, None, flaws, seed)?;
+    if !options.sections.is_empty() {
+        robot = robot.with_geometry(&options.sections)?;
+    }
     let interrupt = Interrupt::catch()?;
     writeln!(
         std::io::stdout(),

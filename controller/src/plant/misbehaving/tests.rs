@@ -187,6 +187,50 @@ fn sensors_are_as_bad_as_is_said_and_repeat() {
 }
 
 #[test]
+fn a_sensor_of_the_tip_that_counts_says_whole_steps() {
+    let mut counted = robot(Flaws {
+        tip_noise_m: 3e-4,
+        tip_tick_m: 1e-3,
+        ..Flaws::default()
+    });
+    let tip_m = counted.tip_m();
+    for _ in 0..100 {
+        let measured_m = counted.measure_tip().unwrap();
+        assert!((measured_m - tip_m).amax() < 0.5e-3 + 6.0 * 3e-4);
+        assert!(
+            measured_m
+                .iter()
+                .all(|m| (m / 1e-3 - (m / 1e-3).round()).abs() < 1e-9)
+        );
+    }
+}
+
+/// Encoders are on the motors: they say that nothing is wrong.
+#[test]
+fn cables_that_are_slack_or_broken_bend_it_less_and_no_encoder_tells() {
+    for (flaw, value) in [("slack_m", 2e-3), ("broken_cable", 1.0)] {
+        let mut loose = robot(Flaws::default().with(flaw, value).unwrap());
+        run(&mut loose, lengths([0.5, 0.0, 0.0, 0.0]), 1, STEP_S);
+        let bent_rad = loose.configuration().bend_rad(0);
+        assert!(bent_rad < 0.35, "{flaw}: {bent_rad}");
+        let measured = model().bend_from_cable_lengths(&loose.measure_cables().unwrap());
+        assert!((measured.as_slice()[0] - 0.5).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn sections_may_have_lengths_and_cables_of_their_own() {
+    let truth = true_robot(&model(), &[[0.31, 0.013, 0.1]]).unwrap();
+    assert!((truth.reach_m() - 0.61).abs() < 1e-12);
+    let [first, second] = truth.sections() else {
+        panic!("two sections")
+    };
+    assert_eq!((first.cable_radius_m, first.cable_offset_rad), (0.013, 0.1));
+    assert_eq!(*second, model().sections()[1]);
+    assert!(true_robot(&model(), &[[-0.3, 0.0125, 0.0]]).is_err());
+}
+
+#[test]
 fn sections_have_mechanical_ends_and_motors_a_largest_speed() {
     for order in [speeds([3.0, 4.0, 0.0, 0.0]), lengths([3.0, 4.0, 0.1, 0.0])] {
         let mut robot = robot(lagging(0.0, 0.02));

@@ -156,6 +156,27 @@ fn a_simulated_robot_in_a_process_of_its_own_is_driven() {
     }
 }
 
+/// Straight, it is as long as its sections are in truth, on a base that stands elsewhere: its sensor says so, and the daemon takes it in.
+#[test]
+fn a_simulated_robot_may_be_another_one_than_is_configured() {
+    let daemon = Daemon::start(&format!(
+        "{PATIENT}[link]\nkind = \"driver\"\nmeasurement_timeout_ms = 2000.0\n"
+    ));
+    let refused = says(&daemon, "plant --section 0.31,0.0125,0", 1);
+    assert!(refused.contains("1 sections are given"), "{refused}");
+    let mut command = daemon.place().command("cdcrctl");
+    let sections = "--section 0.31,0.0125,0 --section 0.29,0.0125,0.7 --section 0.32,0.0125,1.4";
+    let line = format!(
+        "plant --preset ideal --tip 100 {sections} --flaw base_x_m=0.01 --flaw tip_tick_m=1e-4"
+    );
+    let mut plant = Program::start(command.args(line.split(' ')));
+    let mut telemetry = daemon.connect().telemetry().unwrap();
+    let measured = wait_record(&mut telemetry, |record| record.tip_measured_ns > 0);
+    assert!(distance_m(measured.tip_measured_m, [0.01, 0.0, 0.92]) < 1e-9);
+    plant.signal(Signal::INT);
+    assert_eq!(plant.output().status.code(), Some(0));
+}
+
 #[test]
 fn a_way_from_where_the_tip_no_longer_is_is_not_gone() {
     // Home takes 60 s.

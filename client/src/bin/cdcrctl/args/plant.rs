@@ -16,6 +16,10 @@ pub(crate) struct PlantOptions {
     /// repeated
     #[arg(long = "flaw", value_name = "NAME=VALUE", value_parser = flaw)]
     pub(crate) flaws: Vec<(String, f64)>,
+    /// What a section is in truth, as `link.simulated_geometry`: length and radius of the cables in m, angle of the first in rad; once for each
+    /// section, base first [default: as the daemon is configured, and what the preset makes of that]
+    #[arg(long = "section", value_name = "LENGTH,RADIUS,ANGLE", value_parser = value::vector)]
+    pub(crate) sections: Vec<[f64; 3]>,
     /// What of a command it obeys [default: link.interface of the daemon]
     #[arg(long, value_parser = interface())]
     pub(crate) interface: Option<Interface>,
