@@ -3,6 +3,7 @@
 //!
 //! A closed loop offline; each seed gives the same bits again.
 
+mod parts;
 mod scenario;
 mod tuning;
 
@@ -10,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use anyhow::{Context, Result, ensure};
-use cdcr_controller::closed_loop::{FigureEight, FigureEightRun};
+use cdcr_controller::closed_loop::{FigureEight, FigureEightRest, FigureEightRun};
 use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::robot::{Obstacle, Shape};
 use nalgebra::Vector3;
@@ -28,11 +29,12 @@ const EXPLANATION: &str = "\
 sections as its name says follow one through the tip of the straight robot; some follow the paper's spiral, one of them 60 mm lower. The robot is not its model: its motors lag, its \
 sensors have noise, its sections have other lengths, a load bends it. The error is that of the tip in truth, without the first \
 second: mean and settled are means over the seeds, rms, largest error and following are those of the worst seed. The controller is the one of \
-a daemon with its default settings and its motors configured (<em>full</em>), and the same with a part switched off. <em>At rest</em> is the largest error, in the worst \
+a daemon with its default settings and its motors configured (<em>full</em>), the same with a part switched off, and its <em>first version</em>: what is measured is \
+believed at once, of the tip by an exact step, the motors are taken for ideal, rates cost nothing. <em>At rest</em> is the largest error, in the worst \
 seed, of a robot that is sent somewhere and shall stay there; <em>following</em> is the largest difference of a motor from where it is commanded. <em>Reached</em>: all that \
 is wanted, and every command within its limits.</p>\n";
 
-const COLUMNS: [Column; 15] = [
+const COLUMNS: [Column; 16] = [
     word("robot", "name"),
     word("plant", "plant"),
     word("controller", "controller"),
@@ -43,6 +45,7 @@ const COLUMNS: [Column; 15] = [
     fixed("settled mm", "settled_error_mm", 3),
     fixed("max mm", "max_error_mm", 3),
     fixed("at rest mm", "rest_error_mm", 3),
+    fixed("at rest rad/s", "rest_rate_rad_s", 3),
     fixed("rate change rms rad/s", "rate_change_rms", 4),
     fixed("clearance mm", "min_clearance_mm", 2),
     fixed("following mm", "following_error_mm", 3),
@@ -55,11 +58,7 @@ const COMPARISON: [Column; 10] = [
     word("robot", "name"),
     fixed("full", "full", 3),
     fixed("no actuator model", "no actuator model", 3),
-    fixed(
-        "sensors believed at once, motors taken for ideal",
-        "no estimator",
-        3,
-    ),
+    fixed("first version", "first version", 3),
     fixed("no tip", "no tip", 3),
     fixed("open loop", "open loop", 3),
     fixed("rate change rms rad/s", "rate_change_rms", 4),
@@ -168,6 +167,7 @@ impl Benchmark for RobustnessOptions {
             svg: sheet(&panels, 2, 420)?,
         });
         dataset.sheets.push(comparison(&rows));
+        dataset.sheets.push(parts::table(&rows));
         let title = "Robots that are not their model, on a figure eight";
         let sheet = Sheet::new(&rows)?.key("scenarios").file("robustness");
         dataset.sheets.push(sheet.table(title, &COLUMNS));
@@ -210,7 +210,7 @@ impl RobustnessOptions {
 
     /// Runs all cases, each core one after the other; none depends on another.
     fn all_runs(&self, cases: &[Case], progress: &mut Progress) -> Result<Vec<Runs>> {
-        let arena = Arena::new()?;
+        let eight = FigureEight::new()?;
         let (next, progress) = (AtomicUsize::new(0), Mutex::new(progress));
         let work = || {
             let mut done = Vec::new();
@@ -221,7 +221,7 @@ impl RobustnessOptions {
                 };
                 let what = format!("{}, {}", case.scenario.name, case.control.name());
                 lock(&progress).begin(&what);
-                done.push((index, case.runs(&arena, self.seeds, &progress)?));
+                done.push((index, case.runs(&eight, self.seeds, &progress)?));
             }
         };
         let done = std::thread::scope(|scope| {
@@ -238,38 +238,33 @@ impl RobustnessOptions {
     }
 }
 
-/// What the robots follow.
-struct Arena {
-    eight: FigureEight,
-    ball: [Obstacle; 1],
-}
-
-impl Arena {
-    fn new() -> Result<Self> {
-        Ok(Self {
-            eight: FigureEight::new()?,
-            ball: ball()?,
-        })
-    }
-}
-
 impl Case {
     /// One run for each seed.
-    fn runs(&self, arena: &Arena, seeds: u32, progress: &Mutex<&mut Progress>) -> Result<Runs> {
+    fn runs(
+        &self,
+        eight: &FigureEight,
+        seeds: u32,
+        progress: &Mutex<&mut Progress>,
+    ) -> Result<Runs> {
         let scenario = &self.scenario;
-        let eight = match scenario.way {
-            Way::Eight => arena.eight.clone(),
+        let eight = self.control.eight(match scenario.way {
+            Way::Eight => eight.clone(),
             Way::ThroughStraight(sections) => FigureEight::through_straight(sections)?,
             Way::Spiral { lower_m } => FigureEight::spiral(lower_m)?,
-        };
-        let obstacles = &arena.ball[..usize::from(scenario.has_ball)];
+        });
+        let obstacles: Vec<_> = scenario
+            .ball_x_m
+            .map(ball)
+            .transpose()?
+            .into_iter()
+            .collect();
         let mut runs = Runs::default();
         for seed in 1..=u64::from(seeds) {
             interrupt::check()?;
             let driven = scenario.driven(self.control, self.obeys_positions, seed);
-            runs.rounds.push(eight.run(driven, obstacles)?);
-            if self.control == Control::Full && scenario.targets.rest_mm.is_finite() {
-                runs.rest_mm.push(eight.rest_error_mm(driven)?);
+            runs.rounds.push(eight.run(driven, &obstacles)?);
+            if scenario.rests && self.control.rests() {
+                runs.rests.push(eight.rest(driven)?);
             }
             lock(progress).advance(RUN_S / cores() as f64);
         }
@@ -286,11 +281,10 @@ fn lock<'a, 'p>(progress: &'a Mutex<&'p mut Progress>) -> MutexGuard<'a, &'p mut
     progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// 5 mm nearer to the tip than the safe distance where that turns.
-fn ball() -> Result<[Obstacle; 1]> {
-    let centre_m = Vector3::new(0.37, 0.0, 0.7);
-    let ball = Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros());
-    Ok([ball.context("the ball")?])
+/// A ball of 20 mm radius on the way of the figure eight or beside it.
+fn ball(x_m: f64) -> Result<Obstacle> {
+    let centre_m = Vector3::new(x_m, 0.0, 0.7);
+    Obstacle::new(Shape::Sphere { centre_m }, 0.02, Vector3::zeros()).context("the ball")
 }
 
 /// The mean error of every robot with each controller behind the position interface, from the rows of a result.
@@ -308,6 +302,11 @@ pub fn comparison(rows: &[Value]) -> Sheet {
     Sheet::of(title, &COMPARISON, robots)
 }
 
+/// What each part of the controller is for, from the rows of a result.
+pub fn parts(rows: &[Value]) -> Sheet {
+    parts::table(rows)
+}
+
 /// What one knob of a sweep does, from the rows of its result.
 pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
     tuning::table(knob, rows)
@@ -317,8 +316,8 @@ pub fn knob(knob: &str, rows: &[Value]) -> Sheet {
 #[derive(Default)]
 struct Runs {
     rounds: Vec<FigureEightRun>,
-    /// Largest error at rest; empty where nothing is wanted of it.
-    rest_mm: Vec<f64>,
+    /// What it did at rest; empty where nothing is wanted of it.
+    rests: Vec<FigureEightRest>,
 }
 
 /// One line: a robot with a controller, over all seeds. `ideal_change`: root mean square of what the rates of the ideal robot change by \[rad/s\].
@@ -326,7 +325,7 @@ fn row(
     scenario: &Scenario,
     control: Control,
     interface: &str,
-    Runs { rounds, rest_mm }: &Runs,
+    Runs { rounds, rests }: &Runs,
     ideal_change: Option<f64>,
 ) -> Value {
     let average =
@@ -342,13 +341,17 @@ fn row(
     ]
     .map(largest);
     let rate_change = average(FigureEightRun::rate_change_square).sqrt();
-    let rest_mm = rest_mm.iter().copied().reduce(f64::max);
+    let at_rest = |of: fn(&FigureEightRest) -> f64| rests.iter().map(of).reduce(f64::max);
+    let rest_mm = at_rest(|rest| rest.error_mm);
+    // None without an obstacle.
+    let clearance_mm = clearances.reduce(f64::min).filter(|mm| mm.is_finite());
     let targets = &scenario.targets;
     let is_within = mean_mm <= targets.mean_mm
         && worst_rms_mm <= targets.rms_mm
         && settled_mm <= targets.settled_mm
         && max_mm <= targets.max_mm
         && rest_mm.unwrap_or(0.0) <= targets.rest_mm
+        && clearance_mm.unwrap_or(f64::INFINITY) >= targets.clearance_mm
         && ideal_change.is_none_or(|ideal| rate_change <= targets.rate_change * ideal);
     // Nothing is wanted of a controller with a part switched off.
     let is_full = control == Control::Full;
@@ -363,10 +366,12 @@ fn row(
         "rms_error_mm": worst_rms_mm,
         "max_error_mm": max_mm,
         "rest_error_mm": rest_mm,
+        // Of the fastest component.
+        "rest_rate_rad_s": at_rest(|rest| rest.rate_rad_s),
         // Root mean square of what the rates change by from cycle to cycle [rad/s].
         "rate_change_rms": rate_change,
-        // Of the true body; none without an obstacle.
-        "min_clearance_mm": clearances.reduce(f64::min).filter(|mm| mm.is_finite()),
+        // Of the true body.
+        "min_clearance_mm": clearance_mm,
         "safe_distance_mm": 1e3 * NmpcSettings::default().safe_distance_m,
         // Of the motor that is farthest from where it is commanded.
         "following_error_mm": following_mm,
@@ -383,7 +388,7 @@ fn draw(panels: &mut Vec<Panel>, scenario: &Scenario, control: Control, run: &Fi
     let parts = run.errors_mm().chunks(DRAWN_CYCLES).enumerate();
     let time_s = |part: usize| (part * DRAWN_CYCLES) as f64 * FigureEight::PERIOD_S;
     let points = parts.map(|(part, errors_mm)| (time_s(part), most(errors_mm)));
-    let curve = Curve::line(control.label(), points.collect(), control.colour());
+    let curve = Curve::line(control.name(), points.collect(), control.colour());
     if control == Control::Full {
         panels.push(Panel {
             title: scenario.name.to_owned(),

@@ -1,11 +1,12 @@
 //! Robots, what is known of them, and what is done about the rest.
 
-use cdcr_controller::closed_loop::{Driven, Sensor};
+use cdcr_controller::closed_loop::{Driven, FigureEight, Part, Sensor};
 use cdcr_controller::estimator::Actuator;
+use cdcr_controller::nmpc::NmpcSettings;
 use cdcr_controller::plant::{Flaws, Preset};
 use plotters::style::RGBColor;
 
-use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE};
+use crate::chart::{BLUE, GREEN, GREY, ORANGE, PURPLE, SKY};
 use crate::named::named;
 
 /// How far the second half of the spiral is, on average, from the nearest point that the tip of a robot with sections 5 % shorter reaches
@@ -22,8 +23,16 @@ named! {
         Full = "full",
         /// The motors are taken for ideal.
         NoActuator = "no actuator model",
-        /// What is measured is believed at once, and the motors are taken for ideal.
-        NoEstimator = "no estimator",
+        /// What is measured is believed at once.
+        NoFilter = "no filter",
+        /// How the offset of the tip changes along its way is not learnt.
+        NoSlope = "no offset along the way",
+        /// Rates cost nothing.
+        NoRateWeight = "no weight on rates",
+        /// The body keeps no more distance where its tip is measured beside its bends.
+        NoMargin = "no margin",
+        /// All of that: what is measured is believed at once, the motors are taken for ideal, rates cost nothing.
+        First = "first version",
         /// The sensor of the tip is not used.
         NoTip = "no tip",
         /// Nothing is measured.
@@ -32,11 +41,19 @@ named! {
 }
 
 impl Control {
-    /// Its name in pictures and tables.
-    pub(super) fn label(self) -> &'static str {
+    /// Whether it is said what a robot does with it at rest.
+    pub(super) fn rests(self) -> bool {
+        matches!(self, Self::Full | Self::NoRateWeight | Self::First)
+    }
+
+    /// The way with the settings of the solver that it has.
+    pub(super) fn eight(self, eight: FigureEight) -> FigureEight {
         match self {
-            Self::NoEstimator => "sensors believed at once, motors taken for ideal",
-            other => other.name(),
+            Self::NoRateWeight | Self::First => eight.with_settings(NmpcSettings {
+                rate_weight: 0.0.into(),
+                ..NmpcSettings::default()
+            }),
+            _ => eight,
         }
     }
 
@@ -44,8 +61,9 @@ impl Control {
         match self {
             Self::Full => BLUE,
             Self::NoActuator => GREEN,
-            Self::NoTip => PURPLE,
-            Self::NoEstimator => ORANGE,
+            Self::NoTip | Self::NoRateWeight => PURPLE,
+            Self::NoFilter | Self::NoSlope | Self::NoMargin => SKY,
+            Self::First => ORANGE,
             Self::OpenLoop => GREY,
         }
     }
@@ -71,8 +89,10 @@ pub(super) struct Scenario {
     actuator: Actuator,
     sensor: Sensor,
     pub(super) way: Way,
-    /// A ball stands at the way.
-    pub(super) has_ball: bool,
+    /// A ball stands at the way, with its centre at this x (m).
+    pub(super) ball_x_m: Option<f64>,
+    /// It is sent somewhere and shall stay there, too.
+    pub(super) rests: bool,
     pub(super) targets: Targets,
 }
 
@@ -88,6 +108,8 @@ pub(super) struct Targets {
     pub(super) rest_mm: f64,
     /// Root mean square of what the rates change by, over that of the ideal robot.
     pub(super) rate_change: f64,
+    /// The **least** clearance of the true body that is wanted.
+    pub(super) clearance_mm: f64,
 }
 
 impl Targets {
@@ -98,6 +120,7 @@ impl Targets {
         max_mm: f64::INFINITY,
         rest_mm: f64::INFINITY,
         rate_change: f64::INFINITY,
+        clearance_mm: f64::NEG_INFINITY,
     };
 
     pub(super) fn text(&self) -> String {
@@ -110,9 +133,12 @@ impl Targets {
             ("rate change", self.rate_change, "× ideal"),
         ];
         let finite = all.into_iter().filter(|(_, most, _)| most.is_finite());
-        let wanted: Vec<String> = finite
+        let mut wanted: Vec<String> = finite
             .map(|(name, most, unit)| format!("{name} ≤ {most} {unit}"))
             .collect();
+        if self.clearance_mm.is_finite() {
+            wanted.push(format!("clearance ≥ {} mm", self.clearance_mm));
+        }
         if wanted.is_empty() {
             return "within limits".to_owned();
         }
@@ -129,7 +155,8 @@ impl Scenario {
             flaws,
             sensor: Sensor::Cables,
             way: Way::Eight,
-            has_ball: false,
+            ball_x_m: None,
+            rests: false,
             targets: Targets::NONE,
         }
     }
@@ -160,7 +187,6 @@ impl Scenario {
             way: Way::ThroughStraight(sections),
             ..noisy_tip(name, noise_m)
         };
-        let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
         let wrong_model = |name, length_error, way| Self {
             way,
             ..Self::new(
@@ -193,6 +219,7 @@ impl Scenario {
                 play_m,
                 ..Actuator::IDEAL
             },
+            rests: true,
             ..Self::new(name, play).sensor(tip(1)).wants(Targets {
                 rest_mm: 0.3,
                 ..Targets::NONE
@@ -227,9 +254,38 @@ impl Scenario {
             straight(2, "tip alone, 0.5 mm, 2 sections, through straight", 5e-4).wants(mean(0.25)),
             straight(3, "tip alone, 0.1 mm, 3 sections, through straight", 1e-4).wants(mean(0.1)),
             straight(3, "tip alone, 0.5 mm, 3 sections, through straight", 5e-4).wants(mean(0.25)),
-            of_preset("laboratory", Preset::Laboratory),
+        ]
+        .into_iter()
+        .chain(Self::longer_and_presets())
+        .collect()
+    }
+
+    /// One that would run into the ball, and those of `link.simulated`.
+    fn longer_and_presets() -> Vec<Self> {
+        let of_preset = |name, preset: Preset| Self::new(name, preset.flaws());
+        let tip = |every| Sensor::CablesAndTip { every };
+        let longer = with(|f| {
+            f.length_error = 0.05;
+            f.noise_m = 3e-5;
+            f.tip_noise_m = 3e-4;
+        });
+        vec![
             Self {
-                has_ball: true,
+                ball_x_m: Some(0.33),
+                ..Self::new("5 % longer, ball", longer)
+                    .sensor(tip(2))
+                    .wants(Targets {
+                        clearance_mm: 9.9,
+                        ..Targets::NONE
+                    })
+            },
+            Self {
+                rests: true,
+                ..of_preset("laboratory", Preset::Laboratory)
+            },
+            Self {
+                // 5 mm nearer to the tip than the safe distance where that turns.
+                ball_x_m: Some(0.37),
                 ..of_preset("laboratory, ball", Preset::Laboratory)
             },
             of_preset("sloppy, with tip", Preset::Sloppy).sensor(tip(2)),
@@ -257,16 +313,20 @@ impl Scenario {
         }
     }
 
-    /// The controllers that differ on it.
+    /// The controllers that differ on it. What a part is for shows where nothing else hides it: one or two robots are enough.
     pub(super) fn controls(&self) -> impl Iterator<Item = Control> {
+        let name = self.name;
         let has_tip = matches!(self.sensor, Sensor::CablesAndTip { .. });
         let lags = self.actuator != Actuator::IDEAL;
         Control::ALL
             .into_iter()
             .filter(move |control| match control {
-                Control::Full | Control::OpenLoop => true,
+                Control::Full | Control::OpenLoop | Control::First => true,
                 Control::NoActuator => lags,
-                Control::NoEstimator => !has_tip,
+                Control::NoFilter => name == "30 µm of noise" || name.starts_with("tip alone"),
+                Control::NoSlope => name.starts_with("wrong model"),
+                Control::NoRateWeight => name == "laboratory",
+                Control::NoMargin => name == "5 % longer, ball",
                 Control::NoTip => has_tip,
             })
     }
@@ -278,13 +338,20 @@ impl Scenario {
             time_constant_s: TIME_CONSTANT_S,
             obeys_positions,
             sensor: self.sensor,
+            without: None,
             seed,
         };
         match control {
-            Control::Full => {}
+            Control::Full | Control::NoRateWeight => {}
             Control::NoActuator => driven.actuator = Actuator::IDEAL,
-            Control::NoEstimator => {
-                (driven.actuator, driven.time_constant_s) = (Actuator::IDEAL, 0.0);
+            Control::NoFilter => {
+                (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
+            }
+            Control::NoSlope => driven.without = Some(Part::Slope),
+            Control::NoMargin => driven.without = Some(Part::Margin),
+            Control::First => {
+                driven.actuator = Actuator::IDEAL;
+                (driven.time_constant_s, driven.without) = (0.0, Some(Part::Filter));
             }
             Control::NoTip => driven.sensor = Sensor::Cables,
             Control::OpenLoop => driven.sensor = Sensor::Nothing,

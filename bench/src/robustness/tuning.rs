@@ -193,6 +193,7 @@ fn follow(eight: &FigureEight, knobs: &Knobs, sensor: Sensor) -> Result<FigureEi
         time_constant_s: 1e-3 * knobs.time_constant_ms,
         obeys_positions: true,
         sensor,
+        without: None,
         seed: 1,
     };
     Ok(eight.clone().with_settings(settings).run(driven, &[])?)

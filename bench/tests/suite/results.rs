@@ -22,6 +22,9 @@ fn rows(document: &Value, key: &str) -> Vec<Value> {
 fn table(file: &str, knob: Option<&str>, document: &Value) -> Sheet {
     match (file, knob) {
         ("results/robustness.json", None) => robustness::comparison(&rows(document, "scenarios")),
+        ("results/robustness.json", Some("parts")) => {
+            robustness::parts(&rows(document, "scenarios"))
+        }
         ("results/tuning.json", Some(knob)) => robustness::knob(knob, &rows(document, "knobs")),
         other => panic!("no table is made from {other:?}"),
     }

@@ -62,13 +62,37 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     for interface in ["position", "velocity"] {
         let of = |name: &str, controller: &str| mean_mm(name, controller, interface);
         assert!(of("ideal", "full") < 1e-9);
-        assert!(of("30 µm of noise", "full") < 0.3 * of("30 µm of noise", "no estimator"));
+        assert!(of("30 µm of noise", "full") < 0.3 * of("30 µm of noise", "first version"));
         let lag = "lag 30 ms, delay 15 ms";
         assert!(of(lag, "full") < of(lag, "no actuator model"));
         assert!(of("wrong model", "full") < 0.01 * of("wrong model", "no tip"));
         let play = "play of 0.5 mm";
         assert!(of(play, "full") < 0.2 * of(play, "no actuator model"));
-        assert!(of("slow", "full") < 0.1 * of("slow", "no estimator"));
+        assert!(of("slow", "full") < 0.1 * of("slow", "first version"));
+    }
+    // What a part is for shows on a robot that needs it.
+    let parts = [
+        ("30 µm of noise", "no filter", "rate_change_rms", 50.0),
+        ("tip alone, 0.5 mm", "no filter", "mean_error_mm", 2.0),
+        (
+            "wrong model, spiral",
+            "no offset along the way",
+            "settled_error_mm",
+            2.0,
+        ),
+        ("laboratory", "no weight on rates", "rest_rate_rad_s", 5.0),
+    ];
+    for (name, controller, key, times) in parts {
+        let of = |controller: &str| {
+            let mut both = rows.iter().filter(|row| row["name"] == name);
+            let row = both.find(|row| row["controller"] == controller);
+            row.expect(name)[key].as_f64().expect("a number")
+        };
+        let [with, without] = ["full", controller].map(of);
+        assert!(
+            without > times * with,
+            "{name}: {without} without, {with} with {controller}"
+        );
     }
     let of = |name: &str, key: &str| {
         let row = rows
@@ -96,6 +120,8 @@ fn every_robot_has_every_part_of_the_controller_switched_off() {
     for row in &rows {
         assert!(row["limit_excess"].as_f64() <= Some(1e-9), "{row}");
     }
+    let margin = rows.iter().find(|row| row["controller"] == "no margin");
+    assert!(margin.expect("a robot that is longer")["min_clearance_mm"].as_f64() < Some(0.0));
     let ball = rows.iter().find(|row| row["name"] == "laboratory, ball");
     assert!(ball.expect("a ball")["min_clearance_mm"].as_f64() > Some(5.0));
 }
@@ -113,7 +139,7 @@ fn is_what_was_committed(document: &Value) {
     assert!(!is_whole || list(document, "metrics").len() == metrics.len());
     let lags = |row: &Value| {
         // What oscillates goes by the last bits.
-        let is_steady = row["controller"] != "no estimator";
+        let is_steady = row["controller"] != "first version";
         is_steady
             && row["name"]
                 .as_str()

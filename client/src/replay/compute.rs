@@ -359,6 +359,7 @@ impl Computer {
             Some(_) => {}
             None => self.nmpc.forget_plan(),
         }
+        self.nmpc.limit_acceleration(record.acceleration_rad_s2);
         let steps = settings.horizon_steps as usize;
         let window = reference.window(record, steps);
         let approach = approach_of(&record.approach);

@@ -1,8 +1,8 @@
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 
 use crate::estimator::{Actuator, Estimator, Measurement, Slack};
 use crate::plant::{Flaws, MisbehavingRobot, MotorOrder};
-use crate::robot::{BendRates, CABLES_MAX, Configuration, Robot, RobotError};
+use crate::robot::{BendRates, CABLES_MAX, Configuration, Jacobian, Robot, RobotError};
 
 /// A robot that is not its model, and what the controller knows of that.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -17,8 +17,21 @@ pub struct Driven {
     pub obeys_positions: bool,
     /// What is measured.
     pub sensor: Sensor,
+    /// What the controller does without, to see what that is for.
+    pub without: Option<Part>,
     /// Of the noise.
     pub seed: u64,
+}
+
+/// A part of the controller that uses the tip.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// The filter of the tip: without it the bends are those nearest to the estimate that bring the tip exactly where it is measured.
+    Filter,
+    /// How the offset of the tip changes along its way.
+    Slope,
+    /// The distance that the body keeps in addition where its tip is measured beside its bends.
+    Margin,
 }
 
 /// What a robot measures, at releases.
@@ -65,6 +78,10 @@ impl DrivenRobot {
         let estimator = Estimator::new(*start)
             .with_actuator(model, driven.actuator)
             .with_time_constant(driven.time_constant_s);
+        let estimator = match driven.without {
+            Some(Part::Slope) => estimator.without_tip_slope(),
+            _ => estimator,
+        };
         let mut robot = Self {
             driven: *driven,
             model: model.clone(),
@@ -111,6 +128,14 @@ impl DrivenRobot {
         self.estimator.tip_offset_m()
     }
 
+    /// How much more distance its body keeps (m).
+    pub(super) fn margin_m(&self) -> f64 {
+        match self.driven.without {
+            Some(Part::Margin) => 0.0,
+            _ => self.tip_offset_m().norm(),
+        }
+    }
+
     pub(super) fn plant(&self) -> &MisbehavingRobot {
         &self.plant
     }
@@ -154,7 +179,11 @@ impl DrivenRobot {
         if tip_every.is_some_and(|every| self.releases.is_multiple_of(every.max(1)))
             && let Some(tip_m) = self.plant.measure_tip()
         {
-            if has_cables {
+            if self.driven.without == Some(Part::Filter) {
+                let bends = nearest_with_tip(&self.model, self.estimator.present(), &tip_m);
+                let bends = Measurement::Configuration(bends);
+                self.estimator.correct(&self.model, &bends, 0.0);
+            } else if has_cables {
                 self.estimator.correct_tip(&self.model, &tip_m, 0.0);
             } else {
                 let tip = Measurement::TipPosition(tip_m);
@@ -163,4 +192,35 @@ impl DrivenRobot {
         }
         self.releases += 1;
     }
+}
+
+/// Steps to a tip: each gains about three digits.
+const TIP_STEPS: usize = 4;
+/// Their damping (m²): against rounding.
+const TIP_DAMPING_M2: f64 = 1e-9;
+
+/// The configuration nearest to `start` whose tip is at `position_m`, by least squares that have no noise model.
+fn nearest_with_tip(
+    robot: &Robot,
+    start: Configuration,
+    position_m: &Vector3<f64>,
+) -> Configuration {
+    let mut nearest = start;
+    let mut jacobian = Jacobian::default();
+    for _ in 0..TIP_STEPS {
+        let missing_m = position_m - robot.tip_jacobian(&nearest, &mut jacobian).position_m;
+        let column = |i| Vector3::from_column_slice(&jacobian.column(i)[..3]);
+        let mut gram = Matrix3::identity() * TIP_DAMPING_M2;
+        for i in 0..robot.coordinate_count() {
+            gram += column(i) * column(i).transpose();
+        }
+        let Some(cholesky) = gram.cholesky() else {
+            break;
+        };
+        let weights = cholesky.solve(&missing_m);
+        for (i, bend) in nearest.as_mut_slice().iter_mut().enumerate() {
+            *bend += column(i).dot(&weights);
+        }
+    }
+    nearest
 }

@@ -61,6 +61,15 @@ pub struct FigureEightRun {
     limit_excess: f64,
 }
 
+/// What a robot does that was sent somewhere and shall stay there, from the fifth second to the twentieth.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FigureEightRest {
+    /// Largest error of the tip in truth (mm).
+    pub error_mm: f64,
+    /// Largest rate of a component that was commanded (rad/s).
+    pub rate_rad_s: f64,
+}
+
 impl FigureEight {
     /// Period (s).
     pub const PERIOD_S: f64 = 0.005;
@@ -212,11 +221,11 @@ impl FigureEight {
         Ok(run)
     }
 
-    /// The robot is sent 36 mm away, and shall stay there: its largest error from the fifth second to the twentieth (mm).
+    /// The robot is sent 36 mm away, and shall stay there.
     ///
     /// # Errors
     /// As [`run`](Self::run).
-    pub fn rest_error_mm(&self, driven: Driven) -> Result<f64, FigureEightError> {
+    pub fn rest(&self, driven: Driven) -> Result<FigureEightRest, FigureEightError> {
         let (robot, settings) = (&self.robot, self.settings(&driven.flaws));
         let start = Configuration::from_bend_angles(&[[0.4, 0.0]; 3]);
         let goal = ReferenceSample {
@@ -228,14 +237,20 @@ impl FigureEight {
         let mut closed = ClosedLoop::new(robot, Self::PERIOD_S, settings, start, &[], |_| goal)?
             .with_acceleration(ACCELERATION_RAD_S2)
             .with_driven(driven)?;
-        let mut most_mm = 0.0_f64;
+        let mut rest = FigureEightRest {
+            error_mm: 0.0,
+            rate_rad_s: 0.0,
+        };
         for cycle in 0..REST_CYCLES.end {
             closed.step(&mut nmpc);
             if REST_CYCLES.contains(&cycle) {
-                most_mm = most_mm.max(1e3 * closed.error_m());
+                rest.error_mm = rest.error_mm.max(1e3 * closed.error_m());
+                let rates = closed.command().rates;
+                let fastest = rates.as_slice().iter().map(|rate| rate.abs());
+                rest.rate_rad_s = fastest.fold(rest.rate_rad_s, f64::max);
             }
         }
-        Ok(most_mm)
+        Ok(rest)
     }
 }
 

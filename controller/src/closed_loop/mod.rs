@@ -19,8 +19,8 @@ use crate::reference::ReferenceSample;
 use crate::robot::{BendRates, Configuration, Obstacle, Robot, RobotError};
 use crate::safety::{LimitsHit, SafeCommand, Situation, safe_command};
 use driven::DrivenRobot;
-pub use driven::{Driven, Sensor};
-pub use figure_eight::{FigureEight, FigureEightError, FigureEightRun};
+pub use driven::{Driven, Part, Sensor};
+pub use figure_eight::{FigureEight, FigureEightError, FigureEightRest, FigureEightRun};
 
 /// The robot, the obstacles and the reference around it, and the safety checks of its commands.
 ///
@@ -150,6 +150,7 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
 
     /// One period: solves without a limit on time, makes the result safe, and moves on.
     pub fn step(&mut self, nmpc: &mut Nmpc) -> SolveReport {
+        nmpc.limit_acceleration(self.acceleration_rad_s2);
         let (desired_rates, report) = nmpc.solve(&self.input(), &mut Budget::unlimited());
         self.advance(&desired_rates);
         report
@@ -266,7 +267,10 @@ impl<R: Fn(f64) -> ReferenceSample> ClosedLoop<R> {
 
     /// How much more distance the body keeps (m).
     fn margin_m(&self) -> f64 {
-        self.tip_offset_m().norm().max(self.tip_offset_m)
+        let driven = self.driven.as_ref();
+        driven
+            .map_or(0.0, |driven| driven.margin_m())
+            .max(self.tip_offset_m)
     }
 
     /// Obstacles, and the reference over the horizon, in the time of the robot that lags.

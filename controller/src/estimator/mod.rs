@@ -99,6 +99,13 @@ impl Estimator {
         self
     }
 
+    /// The same where the offset of the tip does not go along with it: to see what that is for. Call it after [`Self::with_tip_noise`].
+    #[must_use]
+    pub fn without_tip_slope(mut self) -> Self {
+        self.tip_offset = self.tip_offset.without_slope();
+        self
+    }
+
     /// Begins anew at `configuration`, with motors at rest. How far the tip is beside its bends stays: it is the model that is off.
     pub fn begin(&mut self, configuration: Configuration) {
         self.stages = [configuration; STAGES];

@@ -37,10 +37,19 @@ pub(super) struct TipOffset {
 impl TipOffset {
     /// Nothing was learnt. A measured coordinate is off by `noise_m`: standard deviation.
     pub(super) fn new(noise_m: f64) -> Self {
+        Self::with_slope(TipSlope::new(noise_m))
+    }
+
+    /// The same with one that does not go along with the tip.
+    pub(super) fn without_slope(&self) -> Self {
+        Self::with_slope(TipSlope::none(self.slope.noise_m()))
+    }
+
+    fn with_slope(slope: TipSlope) -> Self {
         Self {
             offset_m: Vector3::zeros(),
             learnt_m: Vector3::zeros(),
-            slope: TipSlope::new(noise_m),
+            slope,
             placed_m: None,
             unplaced_s: 0.0,
             measured_m: Vector3::repeat(f64::NAN),
@@ -61,7 +70,7 @@ impl TipOffset {
 
     /// The same where nothing was learnt.
     pub(super) fn forgotten(&self) -> Self {
-        Self::new(self.slope.noise_m())
+        Self::with_slope(self.slope.forgotten())
     }
 
     pub(super) fn offset_m(&self) -> Vector3<f64> {

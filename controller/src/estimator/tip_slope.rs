@@ -26,18 +26,35 @@ pub(super) struct TipSlope {
     /// Where the bends placed the tip when it was measured last (m).
     placed_m: Option<Vector3<f64>>,
     noise_m: f64,
+    /// Standard deviation of a derivative of which nothing is known; 0: the offset is taken to be the same everywhere.
+    deviation: f64,
 }
 
 impl TipSlope {
     /// Nothing was learnt. A measured coordinate is off by `noise_m`: standard deviation.
     pub(super) fn new(noise_m: f64) -> Self {
-        let deviations = Vector4::new(UNKNOWN_M, SLOPE, SLOPE, SLOPE);
+        Self::with_deviation(noise_m, SLOPE)
+    }
+
+    /// The same with an offset that is taken to be the same everywhere.
+    pub(super) fn none(noise_m: f64) -> Self {
+        Self::with_deviation(noise_m, 0.0)
+    }
+
+    /// The same where nothing was learnt.
+    pub(super) fn forgotten(&self) -> Self {
+        Self::with_deviation(self.noise_m, self.deviation)
+    }
+
+    fn with_deviation(noise_m: f64, deviation: f64) -> Self {
+        let deviations = Vector4::new(UNKNOWN_M, deviation, deviation, deviation);
         Self {
             offset_m: Vector3::zeros(),
             slope: Matrix3::zeros(),
             covariance: Matrix4::from_diagonal(&deviations.map(|deviation| deviation * deviation)),
             placed_m: None,
             noise_m,
+            deviation,
         }
     }
 
@@ -94,7 +111,7 @@ impl TipSlope {
         self.slope *= kept;
         let forgotten = Matrix4::from_diagonal(&Vector4::new(1.0, kept, kept, kept));
         let along = forgotten * along;
-        let anew = (1.0 - kept * kept) * SLOPE * SLOPE;
+        let anew = (1.0 - kept * kept) * self.deviation * self.deviation;
         let wandered_m2 = WANDER_M * WANDER_M * since_s;
         self.covariance = along * self.covariance * along.transpose()
             + Matrix4::from_diagonal(&Vector4::new(wandered_m2, anew, anew, anew));

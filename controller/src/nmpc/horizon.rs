@@ -61,6 +61,11 @@ impl Horizon {
         usize::from(self.block_of[step])
     }
 
+    /// Steps from the beginning to the end of the first step of a block.
+    pub(super) fn steps_into(&self, block: usize) -> usize {
+        usize::from(self.first_step[block]) + 1
+    }
+
     /// The plan moved on by `elapsed` periods: what was planned for then; past its end the last
     /// block is held on. `into` has the length of `plan`.
     pub(super) fn shift(&self, plan: &[f64], elapsed: u64, into: &mut [f64]) {

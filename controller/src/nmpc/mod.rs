@@ -85,6 +85,8 @@ pub struct SolveInput<'a> {
 pub struct Nmpc {
     robot: Robot,
     period_s: f64,
+    /// How fast the rate of a component may grow (rad/s²).
+    acceleration_rad_s2: f64,
     settings: NmpcSettings,
     horizon: Horizon,
     /// The box of the controls.
@@ -123,6 +125,7 @@ impl Nmpc {
         let mut nmpc = Self {
             robot,
             period_s,
+            acceleration_rad_s2: f64::INFINITY,
             settings,
             horizon: Horizon::new(&settings),
             bounds: Bounds::with_capacity(unknowns),
@@ -134,6 +137,13 @@ impl Nmpc {
         };
         nmpc.apply(settings);
         Ok(nmpc)
+    }
+
+    /// From now on the rate of a component grows by `acceleration_rad_s2` \[rad/s²\], above 0, at most; infinite, as at first: as it likes. To slow
+    /// down is free, as in [`Situation::acceleration_rad_s2`](crate::safety::Situation::acceleration_rad_s2), by which the command is limited: a plan
+    /// that does not know that limit promises, over a long horizon, turns that never come. In bend angles it is not known.
+    pub fn limit_acceleration(&mut self, acceleration_rad_s2: f64) {
+        self.acceleration_rad_s2 = acceleration_rad_s2;
     }
 
     /// Takes over other settings; the plan is cut or continued to the new horizon, and forgotten when the
@@ -250,9 +260,15 @@ impl Nmpc {
             input.previous_rates,
             input.elapsed_periods,
         );
+        let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
+        if self.settings.coordinates == Coordinates::BendVector {
+            let change_rad_s = self.acceleration_rad_s2 * self.period_s;
+            let change = |block| change_rad_s * self.horizon.steps_into(block) as f64;
+            self.bounds
+                .keep_near(input.previous_rates.as_slice(), change);
+        }
         self.bounds.project(&mut self.warm_plan);
 
-        let fastest_rad_s = motion.fastest_rad_s(&self.bounds);
         self.obstacles.gather(
             robot,
             &motion,

@@ -230,8 +230,9 @@ impl<'a> TrackingProblem<'a> {
         model: &mut LinearModel,
     ) {
         self.motion.by_controls(bends, &mut derivatives);
-        // The box is the same for every block.
-        let (lower, upper) = (self.bounds.lower(), self.bounds.upper());
+        // The box of the last block is the widest.
+        let last = self.dimension() - self.width();
+        let (lower, upper) = (&self.bounds.lower()[last..], &self.bounds.upper()[last..]);
         let widths = upper.iter().zip(lower).map(|(upper, lower)| upper - lower);
         let per_s: f64 = derivatives
             .iter()

@@ -29,6 +29,21 @@ impl Bounds {
         }
     }
 
+    /// Leaves of the box what can be reached from `previous`: so that component i goes no farther beyond it, away from zero, and no farther
+    /// beyond zero than `change(block)`, for each repetition of the box. To go towards zero is free.
+    pub(crate) fn keep_near(&mut self, previous: &[f64], change: impl Fn(usize) -> f64) {
+        let width = previous.len();
+        let blocks = self.lower.chunks_exact_mut(width);
+        let blocks = blocks.zip(self.upper.chunks_exact_mut(width)).enumerate();
+        for (block, (lower, upper)) in blocks {
+            let change = change(block);
+            for ((lower, upper), previous) in lower.iter_mut().zip(upper).zip(previous) {
+                *lower = lower.max(previous.min(0.0) - change);
+                *upper = upper.min(previous.max(0.0) + change);
+            }
+        }
+    }
+
     /// Number of unknowns.
     pub(crate) fn dimension(&self) -> usize {
         self.lower.len()

@@ -70,6 +70,7 @@ fn driven(flaws: Flaws) -> Driven {
         time_constant_s: 0.15,
         obeys_positions: true,
         sensor: Sensor::Cables,
+        without: None,
         seed: 1,
     }
 }
@@ -118,6 +119,35 @@ fn noise_of_the_cables_is_averaged_and_does_not_rattle() {
     assert!(figures.rate_change_rms < 0.05 * believed.rate_change_rms);
     let quiet = worst("no noise", driven(Flaws::default()));
     assert!(figures.rate_change_rms < 2.0 * quiet.rate_change_rms);
+}
+
+/// A plan that does not know how fast rates may grow promises turns that never come: over 20 steps the tip was up to 8.6 mm off.
+#[test]
+fn a_long_horizon_knows_how_fast_rates_grow() {
+    let settings = NmpcSettings {
+        horizon_steps: 20,
+        control_blocks: 5,
+        rate_weight: RateWeight::MEASURED,
+        ..NmpcSettings::default()
+    };
+    let eight = FigureEight::new().unwrap().with_settings(settings);
+    for &lag_s in crate::cases(1, &[0.0, 0.03]) {
+        let noisy = Driven {
+            actuator: actuator(0.0, lag_s),
+            ..driven(Flaws {
+                actuator: actuator(0.0, lag_s),
+                noise_m: 3e-5,
+                ..Flaws::default()
+            })
+        };
+        let run = eight.run(noisy, &[]).unwrap();
+        println!(
+            "lag {lag_s} s: {} mm, at most {} mm",
+            run.mean_mm(),
+            run.max_mm()
+        );
+        assert!(run.mean_mm() < 0.15 && run.max_mm() < 0.4);
+    }
 }
 
 /// The figures of motors that are not quite what they are taken for: 30 ms ± 30 %, 15 ms ± 5 ms.
@@ -325,12 +355,12 @@ fn a_robot_with_play_stays_where_it_is_sent() {
     let eight = FigureEight::new().unwrap();
     // Within how many mm with the first seed, and with each of five.
     let robots = [
-        (5e-4, 0.02, 0.35, 0.51),
-        (0.0, 0.0, 0.13, 0.28),
-        (0.0, 0.02, 0.2, 0.3),
-        (4e-4, 0.0, 0.2, 0.28),
-        (4e-4, 0.02, 0.28, 0.34),
-        (5e-4, 0.0, 0.34, 0.36),
+        (5e-4, 0.02, 0.38, 0.42),
+        (0.0, 0.0, 0.13, 0.25),
+        (0.0, 0.02, 0.23, 0.28),
+        (4e-4, 0.0, 0.18, 0.26),
+        (4e-4, 0.02, 0.28, 0.3),
+        (5e-4, 0.0, 0.42, 0.42),
     ];
     for &(known_m, lag_s, first_mm, each_mm) in crate::cases(1, &robots) {
         for &obeys_positions in crate::cases(1, &[true, false]) {
@@ -340,7 +370,7 @@ fn a_robot_with_play_stays_where_it_is_sent() {
                     seed,
                     ..resting(known_m, lag_s)
                 };
-                let mm = eight.rest_error_mm(driven).unwrap();
+                let mm = eight.rest(driven).unwrap().error_mm;
                 println!("known as {known_m} m, lag {lag_s} s, seed {seed}: {mm} mm");
                 let within_mm = if seed == 1 { first_mm } else { each_mm };
                 assert!(mm < within_mm, "{known_m} m, {lag_s} s: {mm} mm");
@@ -371,8 +401,8 @@ fn the_weights_of_the_preset_smooth_make_a_robot_with_play_swing() {
             time_constant_s: 0.3,
             ..resting(known_m, lag_s)
         };
-        let mm = eight.rest_error_mm(driven).unwrap();
+        let mm = eight.rest(driven).unwrap().error_mm;
         println!("known as {known_m} m, lag {lag_s} s: {mm} mm");
-        assert!((1.3..4.7).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
+        assert!((1.3..4.8).contains(&mm), "{known_m} m, {lag_s} s: {mm} mm");
     }
 }

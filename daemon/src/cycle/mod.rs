@@ -416,6 +416,8 @@ impl Cycle {
         costs: Costs,
         clock: &impl Clock,
     ) -> (BendRates, SolveReport) {
+        self.nmpc
+            .limit_acceleration(self.policy.acceleration_rad_s2);
         let settings = self.nmpc.settings();
         let steps = settings.horizon_steps as usize;
         let now = GridPoint {
