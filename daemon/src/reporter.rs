@@ -197,10 +197,15 @@ impl Reporter {
     fn counts(&self, record: &CycleRecord) -> wire::Statistics {
         let has_solved = record.report.status != SolveStatus::Idle;
         let is_repeated = record.measurement_use == MeasurementUse::Repeated;
+        let error_m = self.tracking_error_m(record);
+        let error_nm = error_m.map_or(0, |error_m| (1e9 * error_m) as u64);
         wire::Statistics {
             budget_hits: u64::from(record.report.budget_spent),
             stale_inputs: u64::from(record.stale_inputs),
             limited_cycles: u64::from(has_solved && convert::guard_flags(record) != 0),
+            tracked_cycles: u64::from(error_m.is_some()),
+            tip_error_sum_nm: error_nm,
+            tip_error_max_nm: error_nm,
             stale_measurements: u64::from(self.has_driver && is_repeated),
             longest_gap_ns: record.longest_gap_ns,
             ..wire::Statistics::default()

@@ -301,12 +301,13 @@ impl Field {
 
 /// The unit that a name ends with; longer endings first.
 const fn unit_of(name: &str) -> &'static str {
-    const UNITS: [(&str, &str); 6] = [
+    const UNITS: [(&str, &str); 7] = [
         ("_rad_s2", "rad/s²"),
         ("_rad_s", "rad/s"),
         ("_m_s", "m/s"),
         ("_rad", "rad"),
         ("_ns", "ns"),
+        ("_nm", "nm"),
         ("_m", "m"),
     ];
     let mut at = 0;

@@ -55,7 +55,7 @@ message! {
 
     /// Counts and latencies of the cycles in one stretch of time.
     #[derive(Eq)]
-    pub struct Statistics "cdcr.Statistics.v3" {
+    pub struct Statistics "cdcr.Statistics.v4" {
         /// Cycles that ran.
         cycles: u64 [sum "cycles"],
         /// Cycles that started later than the late-start limit.
@@ -72,6 +72,12 @@ message! {
         stale_inputs: u64 [sum "stale inputs"],
         /// Cycles that solved and whose command limits or guard changed.
         limited_cycles: u64 [sum "limited cycles"],
+        /// Cycles that followed a reference.
+        tracked_cycles: u64 [sum "tracked cycles"],
+        /// Distances of tip and reference in them, as estimated, added up \[nm\].
+        tip_error_sum_nm: u64 [sum "tip errors"],
+        /// The largest of them \[nm\].
+        tip_error_max_nm: u64 [max "largest tip error"],
         /// Cycles of a robot behind a driver that saw no newer measurement than the cycle before.
         stale_measurements: u64 [sum "stale measurements"],
         /// Records, with their part of the statistics, and events that were lost inside the daemon because a queue was full.
@@ -98,7 +104,7 @@ message! {
     }
 
     /// The latest snapshot of the daemon, for whoever joins late. Published ten times a second.
-    pub struct Status "cdcr.Status.v6" {
+    pub struct Status "cdcr.Status.v7" {
         /// The daemon, sequence, time.
         header: Header,
         /// Name of the robot, as in the service names.

@@ -45,13 +45,14 @@ impl Bar {
         self.bar.set_message(format!("{played_s:.1} s"));
     }
 
-    pub(crate) fn show(&self, progress: &FeedProgress) {
+    /// How far it is, and beside it what else is to be told while it tracks.
+    pub(crate) fn show(&self, progress: &FeedProgress, beside: Option<String>) {
         self.bar.set_length(ms(progress.duration_s));
         self.bar.set_position(ms(progress.played_s));
-        let tracked = if progress.tracking {
-            "tracking"
-        } else {
-            "not tracking"
+        let tracked = match beside {
+            Some(beside) if progress.tracking => beside,
+            None if progress.tracking => "tracking".to_owned(),
+            _ => "not tracking".to_owned(),
         };
         self.bar.set_message(format!(
             "{:.1} of {:.1} s, {tracked}",

@@ -177,7 +177,7 @@ pub(crate) fn follow(
                 error.take(record);
                 refused = watch(record).err();
             }
-            FeedEvent::Progress(progress) => bar.show(&progress),
+            FeedEvent::Progress(progress) => bar.show(&progress, error.live()),
             _ => {}
         }
         if refused.is_some() || interrupt.is_raised() {

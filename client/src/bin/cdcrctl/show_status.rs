@@ -182,11 +182,18 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
     let mut counters: Vec<_> = left.into_iter().zip(right).collect();
     // The number of cycles first, that of late starts last, where the causes follow.
     counters[1..].reverse();
+    counters.retain(|((field, _), _)| !ERROR.contains(&field.name));
     for ((field, left), (_, right)) in counters {
         let solved = both.map(|statistics| statistics.solve.count);
         let (heading, left, right) = counter_texts(field, [left, right], solved);
         writeln!(out, "{heading:<30}{left:>23}   {right:>33}")?;
     }
+    let [left, right] = both.map(error_text);
+    writeln!(
+        out,
+        "{:<30}{left:>23}   {right:>33}",
+        "tip error mean, max mm"
+    )?;
     for (index, cause) in LateCause::ALL.iter().enumerate().skip(1) {
         let counts = both.map(|statistics| statistics.causes[index]);
         if counts != [0, 0] {
@@ -196,6 +203,19 @@ fn statistics(out: &mut String, status: &Status, now_ns: u64) -> std::fmt::Resul
         }
     }
     Ok(())
+}
+
+/// What one line tells together.
+const ERROR: [&str; 3] = ["tracked_cycles", "tip_error_sum_nm", "tip_error_max_nm"];
+
+/// How far the tip was from its reference while it followed one, as estimated.
+fn error_text(statistics: &Statistics) -> String {
+    if statistics.tracked_cycles == 0 {
+        return "-".to_owned();
+    }
+    let mean_nm = statistics.tip_error_sum_nm as f64 / statistics.tracked_cycles as f64;
+    let max_nm = statistics.tip_error_max_nm as f64;
+    format!("{:.3}, {:.3}", 1e-6 * mean_nm, 1e-6 * max_nm)
 }
 
 type LatencyOf = fn(&Statistics) -> &LatencySummary;
@@ -337,6 +357,9 @@ mod tests {
         status.since_reset.wake.p99_ns = 42_500;
         status.since_reset.solve.count = 7;
         status.since_reset.limited_cycles = 1;
+        status.since_reset.tracked_cycles = 4;
+        status.since_reset.tip_error_sum_nm = 6_000_000;
+        status.since_reset.tip_error_max_nm = 2_500_000;
         status.since_reset.solve.p50_ns = 4_000_000;
         status.last_minute.deadline_misses = 12;
         status.since_reset.causes[LateCause::Stall.code() as usize] = 4;
@@ -357,6 +380,7 @@ mod tests {
                 "limited cycles (of solved){:>27}{:>36}\n",
                 "1 (14.3 %)", "0 (0.0 %)"
             ),
+            &format!("tip error mean, max mm{:>31}{:>36}\n", "1.500, 2.500", "-"),
             &format!("  by stall of the processor{:>26}{:>36}\n", 4, 0),
             "pinned to no core",
             "obstacles   2, smallest clearance 10.50 mm",

@@ -31,6 +31,7 @@ struct Measured {
     /// Where the reference was at the newest releases \[ns, m\], oldest first.
     reference: VecDeque<(u64, [f64; 3])>,
     newest_ns: u64,
+    newest_m: f64,
     count: u64,
     sum_m: f64,
     max_m: f64,
@@ -67,9 +68,10 @@ impl Measured {
                 (record.tip_measured_m[i] - reference_m).powi(2)
             })
             .sum();
+        self.newest_m = square.sqrt();
         self.count += 1;
-        self.sum_m += square.sqrt();
-        self.max_m = self.max_m.max(square.sqrt());
+        self.sum_m += self.newest_m;
+        self.max_m = self.max_m.max(self.newest_m);
     }
 }
 
@@ -103,7 +105,19 @@ impl TipError {
         }
     }
 
-    /// Says what it was, and fails where it was larger than `limit_m`.
+    /// The newest, once a cycle tracked; by the sensor of the tip, too, where there is one.
+    pub(crate) fn live(&self) -> Option<String> {
+        if self.cycles == 0 {
+            return None;
+        }
+        let measured = match self.measured.count {
+            0 => String::new(),
+            _ => format!(", measured {:.3}", 1e3 * self.measured.newest_m),
+        };
+        Some(format!("error {:.3}{measured} mm", 1e3 * self.final_m))
+    }
+
+    /// Says what it was, and fails where it was larger than `limit_m`, as estimated or as measured.
     pub(crate) fn tell(&self, limit_m: Option<f64>) -> anyhow::Result<()> {
         if self.approach_cycles > 0 {
             let seconds = (self.approach_cycles * self.period_ns) as f64 * 1e-9;
@@ -153,10 +167,16 @@ impl TipError {
     fn check(&self, limit_m: f64) -> anyhow::Result<()> {
         let cycles = (self.cycles > 0).then_some(self.cycles);
         cycles.context("no cycle tracked the reference, so no error can be compared with --max-error: use --track")?;
-        if self.max_m > limit_m {
-            let [max, limit] = [self.max_m, limit_m].map(|m| 1e3 * m);
+        // What the estimate does not know is in what was measured alone.
+        let (by, max_m) = if self.measured.max_m > self.max_m {
+            (" by its sensor", self.measured.max_m)
+        } else {
+            ("", self.max_m)
+        };
+        if max_m > limit_m {
+            let [max, limit] = [max_m, limit_m].map(|m| 1e3 * m);
             bail!(
-                "the tip was up to {max:.3} mm from its reference, more than --max-error, {limit:.3} mm"
+                "the tip was up to {max:.3} mm from its reference{by}, more than --max-error, {limit:.3} mm"
             );
         }
         Ok(())
@@ -221,6 +241,17 @@ mod tests {
         let measured = &error.measured;
         assert_eq!(measured.count, 2);
         assert!((measured.max_m - 0.25).abs() < 1e-12 && (measured.sum_m - 0.5).abs() < 1e-12);
+        assert_eq!(
+            error.live().as_deref(),
+            Some("error 0.000, measured 250.000 mm")
+        );
+        // The estimate, whose error is 0, does not decide alone.
+        assert!(error.tell(Some(0.251)).is_ok());
+        let text = error.tell(Some(0.249)).expect_err("larger").to_string();
+        assert!(
+            text.contains("250.000 mm from its reference by its sensor"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -251,6 +282,7 @@ mod tests {
     fn a_limit_is_for_the_largest_error_and_for_something_that_was_tracked() {
         let mut error = TipError::default();
         assert!(error.tell(None).is_ok());
+        assert_eq!(error.live(), None);
         assert!(error.tell(Some(1.0)).is_err());
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 1, 0.003));
         error.take(&record(Mode::Tracking, ReferenceState::Inside, 2, 0.001));

@@ -68,8 +68,9 @@ pub(crate) struct FeedArguments {
     /// How the daemon interpolates between the points: straight lines, or a smooth cubic curve
     #[arg(long, value_parser = value::interpolation(), default_value = Interpolation::Cubic.text())]
     pub(crate) interpolation: Interpolation,
-    /// Largest error of the tip: fail when it is larger in any cycle after the approach, or nothing was tracked; with its
-    /// unit, 2mm or 0.002m. A point that no bend of the robot comes so near to, 1 mm without this option, is refused before anything moves
+    /// Largest error of the tip: fail when it is larger in any cycle after the approach, as estimated or by a sensor of the tip, noise
+    /// included, or nothing was tracked; with its unit, 2mm or 0.002m. A point that no bend of the robot comes so near to, 1 mm without
+    /// this option, is refused before anything moves
     #[arg(long, value_name = "LENGTH", value_parser = value::length_m)]
     pub(crate) max_error: Option<f64>,
     /// Time from now until the reference begins

@@ -131,7 +131,7 @@ fn feed(
         match event {
             FeedEvent::Scheduled { start_ns } => origin_ns = start_ns,
             FeedEvent::Record(record) => cycles.extend(Cycle::of(record, spiral, origin_ns)),
-            FeedEvent::Progress(progress) => bar.show(&progress),
+            FeedEvent::Progress(progress) => bar.show(&progress, None),
             _ => {}
         }
         // More of them than the queue holds may come in five seconds.
