@@ -1,9 +1,10 @@
 //! How long a solve takes, and how that grows with sections, steps, particles, iterations and obstacles,
-//! on every path of this processor; and how long the safety checks take among many obstacles.
+//! on every path of this processor; how long the estimate takes before it, and the safety checks after it among many obstacles.
 //!
 //! All paths give the same bits, so in each cycle every path solves the same problem, one after the
 //! other, and the speed-up is a ratio of times that were measured side by side.
 
+pub mod estimate;
 pub mod growth;
 pub mod guard;
 pub mod hard;
@@ -51,6 +52,8 @@ const SIZE_S: f64 = 1.0;
 const HARD_S: f64 = 10.0;
 /// Time of all measurements of the safety checks in a round, about \[s\].
 const GUARD_S: f64 = 3.0;
+/// Time of all measurements of the estimate in a round, about \[s\].
+const ESTIMATE_S: f64 = 1.0;
 
 const EXPLANATION: &str = "\
 <p>How long one solve takes, back to back, without a daemon: the paper's size, and from there one thing at a \
@@ -58,7 +61,9 @@ time. Every path of the processor gives the same bits; in each cycle all paths s
 after the other, so the speed-up is a ratio of times that were measured side by side. Each number is the \
 median of the rounds, and a round goes through all sizes. First solves are not counted.</p>\
 <p>The safety checks, limits and clearance guard, are measured at random moments of six sections with 64 obstacles in reach, \
-where they take longest; of five runs at each moment the fastest counts.</p>\n";
+where they take longest; of five runs at each moment the fastest counts.</p>\
+<p>The estimate that a solve starts from is measured before it, cycle by cycle, with the default settings of the solver: what filters, models of motors \
+and play, and a sensor of the tip add to an estimate that believes its cables at once.</p>\n";
 
 const COLUMNS: [Column; 11] = [
     word("solver", "solver"),
@@ -81,7 +86,7 @@ pub struct SolverOptions {
     pub rounds: u32,
     #[arg(skip = sizes())]
     pub sizes: Vec<Size>,
-    /// Moments of each kind in which the safety checks are measured.
+    /// Moments of each kind in which the safety checks are measured; twice as many cycles of the estimate.
     #[arg(skip = guard::MOMENTS)]
     pub moments: u64,
 }
@@ -96,8 +101,8 @@ impl SolverOptions {
         if self.is_whole() { HARD_S } else { 0.0 }
     }
 
-    fn guard_s(&self) -> f64 {
-        GUARD_S * self.moments as f64 / guard::MOMENTS as f64
+    fn checks_s(&self) -> f64 {
+        (GUARD_S + ESTIMATE_S) * self.moments as f64 / guard::MOMENTS as f64
     }
 }
 
@@ -118,11 +123,13 @@ impl Benchmark for SolverOptions {
     }
 
     fn expected_s(&self) -> f64 {
-        f64::from(self.rounds) * (self.sizes.len() as f64 * SIZE_S + self.hard_s() + self.guard_s())
+        let solves_s = self.sizes.len() as f64 * SIZE_S + self.hard_s();
+        f64::from(self.rounds) * (solves_s + self.checks_s())
     }
 
     fn run(&self, progress: &mut Progress) -> Result<Dataset> {
-        let (mut rounds, mut guarded, mut hard) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut rounds, mut hard) = (Vec::new(), Vec::new());
+        let (mut guarded, mut estimated) = (Vec::new(), Vec::new());
         for round in 1..=self.rounds {
             let mut cases = Vec::new();
             for size in &self.sizes {
@@ -137,13 +144,16 @@ impl Benchmark for SolverOptions {
                 progress.advance(HARD_S);
             }
             guarded.push(guard::measure(self.moments)?);
-            progress.advance(self.guard_s());
+            let cycles = estimate::CYCLES * self.moments / guard::MOMENTS;
+            estimated.push(estimate::measure(cycles)?);
+            progress.advance(self.checks_s());
         }
         let mut dataset = dataset(&rounds)?;
         if self.is_whole() {
             hard::add(&mut dataset, &hard)?;
         }
         guard::add(&mut dataset, &guarded)?;
+        estimate::add(&mut dataset, &estimated)?;
         Ok(dataset)
     }
 }

@@ -69,6 +69,7 @@ fn a_report_holds_every_format_and_a_smaller_one_does_not_replace_it() {
         "report.txt",
         "solver-growth.csv",
         "solver-guard.csv",
+        "solver-estimate.csv",
         "solver-sections.svg",
         "solver.csv",
     ];

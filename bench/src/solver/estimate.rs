@@ -1,0 +1,214 @@
+//! How long the estimate takes beside the solve that follows it: three sections on the figure eight, without a daemon.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use cdcr_controller::closed_loop::FigureEight;
+use cdcr_controller::estimator::{Actuator, Estimator, Measurement};
+use cdcr_controller::nmpc::{Nmpc, NmpcSettings, SolveInput};
+use cdcr_controller::optimizer::{Budget, cycle_seed};
+use cdcr_controller::robot::{BendRates, Configuration, Robot, RobotParameters};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use crate::dataset::{Column, Dataset, Sheet, fixed, plain, word};
+use crate::metric::median;
+use crate::named::named;
+use crate::numbers::Numbers;
+use crate::quantiles::{histogram, quantile_us};
+
+const SECTIONS: usize = 3;
+/// Cycles of each kind.
+pub const CYCLES: u64 = 2000;
+const WARM_UP: u64 = 50;
+const CABLE_NOISE_M: f64 = 3e-5;
+const TIP_NOISE_M: f64 = 3e-4;
+const TIME_CONSTANT_S: f64 = 0.15;
+
+named! {
+    /// What is measured, and how the motors are.
+    pub enum Sensed {
+        /// Believed at once: no filter, ideal motors.
+        AtOnce = "cables, believed at once",
+        Cables = "cables",
+        CablesAndTip = "cables and tip",
+        Tip = "tip alone",
+        Play = "cables and tip, lag and play",
+    }
+}
+
+pub const COLUMNS: [Column; 6] = [
+    word("measured", "sensed"),
+    plain("cycles", "cycles"),
+    fixed("estimate p50 µs", "estimate_p50_us", 2),
+    fixed("estimate p99 µs", "estimate_p99_us", 2),
+    fixed("solve p50 µs", "solve_p50_us", 2),
+    fixed("both p50 µs", "both_p50_us", 2),
+];
+
+/// One line: what is measured, and how long estimate and solve take.
+#[derive(Debug, Clone, Serialize)]
+pub struct Estimated {
+    pub sensed: Sensed,
+    pub cycles: u64,
+    pub estimate_p50_us: f64,
+    pub estimate_p99_us: f64,
+    pub solve_p50_us: f64,
+    pub both_p50_us: f64,
+}
+
+/// Measures every kind for so many cycles.
+pub fn measure(cycles: u64) -> Result<Vec<Estimated>> {
+    Sensed::ALL
+        .iter()
+        .map(|sensed| sensed.measure(cycles))
+        .collect()
+}
+
+/// Adds what was measured in some rounds.
+pub fn add(dataset: &mut Dataset, rounds: &[Vec<Estimated>]) -> Result<()> {
+    let mut rows = Vec::new();
+    for (index, first) in rounds.first().into_iter().flatten().enumerate() {
+        let each = |value: fn(&Estimated) -> f64| rounds.iter().map(move |row| value(&row[index]));
+        let middle = |value| median(each(value)).unwrap_or(f64::NAN);
+        rows.push(Estimated {
+            estimate_p50_us: middle(|row| row.estimate_p50_us),
+            estimate_p99_us: middle(|row| row.estimate_p99_us),
+            solve_p50_us: middle(|row| row.solve_p50_us),
+            both_p50_us: middle(|row| row.both_p50_us),
+            ..first.clone()
+        });
+        let name = format!("estimate/{}", first.sensed.name());
+        let p50 = each(|row| row.estimate_p50_us);
+        dataset.lower(format!("{name}/p50"), "µs", p50);
+        dataset.lower(
+            format!("{name}/both/p50"),
+            "µs",
+            each(|row| row.both_p50_us),
+        );
+    }
+    let sheet = Sheet::new(&rows)?.key("estimate").file("estimate");
+    let title =
+        "Time of the estimate and of the solve that follows it: three sections on the figure eight";
+    dataset.sheets.push(sheet.table(title, &COLUMNS));
+    Ok(())
+}
+
+impl Sensed {
+    fn estimator(self, robot: &Robot, begin: Configuration) -> Estimator {
+        let estimator = Estimator::new(begin);
+        match self {
+            Self::AtOnce => estimator,
+            Self::Play => {
+                let actuator = Actuator {
+                    delay_s: 0.01,
+                    time_constant_s: 0.03,
+                    play_m: 5e-4,
+                };
+                let estimator = estimator.with_actuator(robot, actuator);
+                estimator.with_time_constant(TIME_CONSTANT_S)
+            }
+            _ => estimator.with_time_constant(TIME_CONSTANT_S),
+        }
+    }
+
+    /// Takes in what is measured of a robot that is bent like this.
+    fn correct(self, estimator: &mut Estimator, robot: &Robot, seen: &Seen) {
+        match self {
+            Self::Tip => {
+                estimator.correct(robot, &Measurement::TipPosition(seen.tip_m), 0.0);
+            }
+            Self::AtOnce | Self::Cables => {
+                estimator.correct(robot, &seen.cables, 0.0);
+            }
+            Self::CablesAndTip | Self::Play => {
+                estimator.correct(robot, &seen.cables, 0.0);
+                estimator.correct_tip(robot, &seen.tip_m, 0.0);
+            }
+        }
+    }
+
+    fn measure(self, cycles: u64) -> Result<Estimated> {
+        let robot = Robot::new(&RobotParameters::paper(SECTIONS))?;
+        let settings = NmpcSettings::default();
+        let mut nmpc = Nmpc::new(robot.clone(), FigureEight::PERIOD_S, settings)?;
+        let mut truth = Configuration::from_bend_angles(&[[0.4, 0.0]; SECTIONS]);
+        let mut estimator = self.estimator(&robot, truth);
+        let mut rates = BendRates::zero(SECTIONS);
+        let mut numbers = Numbers::new(1);
+        let [mut estimates, mut solves, mut both] = [histogram()?, histogram()?, histogram()?];
+        for cycle in 0..WARM_UP + cycles {
+            truth = truth.advanced(&rates, FigureEight::PERIOD_S);
+            let seen = Seen::of(&robot, &truth, &mut numbers);
+            let time_s = |step: u64| (cycle + step) as f64 * FigureEight::PERIOD_S;
+            let steps = 1..=u64::from(settings.horizon_steps);
+            let reference: Vec<_> = steps
+                .map(|step| FigureEight::reference(time_s(step)))
+                .collect();
+            let begin = Instant::now();
+            estimator.predict(&rates, FigureEight::PERIOD_S);
+            self.correct(&mut estimator, &robot, &seen);
+            let estimated = Instant::now();
+            let input = SolveInput {
+                configuration: estimator.configuration(),
+                previous_rates: &rates,
+                reference: &reference,
+                obstacles: &[],
+                tip_offset_m: 0.0,
+                elapsed_periods: 1,
+                seed: cycle_seed(settings.seed, cycle),
+            };
+            let (next, _) = nmpc.solve(&input, &mut Budget::unlimited());
+            let solved = Instant::now();
+            rates = next;
+            if cycle >= WARM_UP {
+                for (times, from, to) in [
+                    (&mut estimates, begin, estimated),
+                    (&mut solves, estimated, solved),
+                    (&mut both, begin, solved),
+                ] {
+                    times.saturating_record((to - from).as_nanos() as u64);
+                }
+            }
+        }
+        Ok(Estimated {
+            sensed: self,
+            cycles,
+            estimate_p50_us: quantile_us(&estimates, 0.5),
+            estimate_p99_us: quantile_us(&estimates, 0.99),
+            solve_p50_us: quantile_us(&solves, 0.5),
+            both_p50_us: quantile_us(&both, 0.5),
+        })
+    }
+}
+
+/// What sensors say.
+struct Seen {
+    cables: Measurement,
+    tip_m: Vector3<f64>,
+}
+
+impl Seen {
+    fn of(robot: &Robot, truth: &Configuration, numbers: &mut Numbers) -> Self {
+        let mut noise_m = |most_m: f64| numbers.between(-most_m, most_m);
+        let lengths_m = robot.cable_lengths(truth);
+        Self {
+            cables: Measurement::CableLengths(lengths_m.map(|m| m + noise_m(CABLE_NOISE_M))),
+            tip_m: robot.tip_position(truth).map(|m| m + noise_m(TIP_NOISE_M)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_take_as_long_as_each_of_them_or_longer() {
+        for found in measure(200).expect("measured") {
+            println!("{found:?}");
+            assert!(found.estimate_p50_us > 0.0 && found.estimate_p50_us <= found.estimate_p99_us);
+            assert!(found.both_p50_us >= found.solve_p50_us.max(found.estimate_p50_us));
+        }
+    }
+}
