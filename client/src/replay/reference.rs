@@ -132,13 +132,11 @@ impl Reference {
             return;
         };
         for between in last + 1..number {
-            match self.chunks.remove(&(sender, between)) {
-                Some(chunk) => self.put(chunk, (sender, between)),
-                None => {
-                    self.is_known = false;
-                    break;
-                }
-            }
+            let Some(chunk) = self.chunks.remove(&(sender, between)) else {
+                self.is_known = false;
+                break;
+            };
+            self.put(chunk, (sender, between));
         }
         self.put(chunk, key);
     }
