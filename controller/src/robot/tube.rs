@@ -32,7 +32,7 @@ use super::SectionParameters;
 use super::chord::Chord;
 use super::lanes::{Frame, WideVector};
 use super::obstacle::Axis;
-use crate::wide::{Wide, all, any, both, either, not};
+use crate::wide::{Wide, any, both, either, not};
 
 /// Below this bend (rad) a section is taken as straight: its end is then less than 1e-15 of its length aside.
 const STRAIGHT_RAD: f64 = 1e-15;
@@ -44,11 +44,15 @@ const NORMAL_SHARE: f64 = 1e-30;
 /// Nearer to the circle's axis than this, in radii, a point counts as on it: squares of smaller numbers underflow.
 const CENTRE: f64 = 1e-100;
 
-/// Newton's method ends when a step moves the point on the segment by less than this (m). It converges at least as fast as for a
-/// triple root, by a third per step, so what remains is at most two such steps.
+/// Newton's method ends when a step moves the point on the segment by less than this (m), or leaves less of the distance. It converges at
+/// least as fast as for a triple root, by a third per step, so what remains is at most two such steps.
 const STEP_M: f64 = 1e-12;
 
-/// Bound on the steps from each end. Over 300 000 random segments both ends together took 3.4, a single one 21 at most. A
+/// What a step of s (m) leaves of the distance d (m) is at most this times s²/d: along two more of them G = d²/2 falls by at most
+/// |G'| · 2s ≤ 2s², and the step itself halved d at most.
+const STEP_LEFT: f64 = 8.0;
+
+/// Bound on the steps from each end. To [`STEP_M`] on the segment both ends together took 3.4 over 300 000 random ones, a single one 21 at most. A
 /// double root gains 2⁻⁴⁰; at a triple root, where the distance depends on the fourth power of what remains, (2/3)⁴⁰ = 9e-8 of
 /// the segment is left.
 const STEPS_MAX: usize = 40;
@@ -161,46 +165,44 @@ impl<const W: usize> Tube<W> {
         let (start, end) = (after_start_m.norm_squared(), after_end_m.norm_squared());
         (q * q + y * y).select(
             start.min_or_nan(end),
-            self.faces(z, after_end_m.dot(&self.end_along)),
+            faces(self.bend_rad, z, after_end_m.dot(&self.end_along)),
         )
     }
 
     /// [`Self::nearest`] for a segment, with the squared distance (m²). Bounded work: at most [`STEPS_MAX`] Newton steps from
     /// either end.
+    ///
+    /// The arc is nearest at one of its ends, or where it is as near as its circle: there the segment ends, or the circle is nearest.
     #[inline(always)]
     fn nearest_on_segment(&self, axis: &Axis) -> (Wide<W>, Wide<W>) {
-        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
-        let line = Line {
-            curvature_1_m: self.curvature_1_m,
-            start: self.local(&(WideVector::splat(&axis.start_m) - self.start_m)),
-            span: self.local(&WideVector::splat(&axis.span_m)),
-            length_m: axis.length_m,
-        };
-        let middle = line.nearest_to_axis();
-        let [from_start, from_end] = line.descend_from_both_ends(middle);
-        let candidates = [
-            one,
-            axis.share(&self.start_m),
-            axis.share(&self.end_m),
-            from_start,
-            from_end,
-        ];
-        let mut t = zero;
-        let mut square_m2 = self.square_m2(&WideVector::splat(&axis.start_m));
+        let (mut t, mut square_m2) = to_point(axis, &self.start_m);
+        let [first, second, third, fourth] = self.line(axis).nearest_to_circle();
+        let candidates = [to_point(axis, &self.end_m), first, second, third, fourth];
         for i in 0..candidates.len() {
-            let candidate = candidates[i];
-            // The ends were first, and most candidates are one of them.
-            let is_end = either(candidate.less_or_equal(zero), one.less_or_equal(candidate));
-            if i > 0 && all(is_end) {
-                continue;
-            }
-            let found_m2 = self.square_m2(&axis.point(candidate));
+            let (candidate, found_m2) = candidates[i];
             // A NaN replaces what was found: it must not be lost.
             let nearer = either(found_m2.less(square_m2), found_m2.is_nan());
             t = candidate.select(t, nearer);
             square_m2 = found_m2.select(square_m2, nearer);
         }
         (t, square_m2)
+    }
+
+    #[inline(always)]
+    fn line(&self, axis: &Axis) -> Line<W> {
+        let start_m = WideVector::splat(&axis.start_m);
+        let span_m = WideVector::splat(&axis.span_m);
+        Line {
+            bend_rad: self.bend_rad,
+            curvature_1_m: self.curvature_1_m,
+            start: self.local(&(start_m - self.start_m)),
+            span: self.local(&span_m),
+            end_rise_m: [
+                (start_m - self.end_m).dot(&self.end_along),
+                span_m.dot(&self.end_along),
+            ],
+            length_m: axis.length_m,
+        }
     }
 
     /// A vector of the base frame in the section's own axes.
@@ -212,23 +214,6 @@ impl<const W: usize> Tube<W> {
             vector.dot(&self.along),
         ])
     }
-
-    /// Whether the circle's nearest point belongs to the arc: its angle is in [0, θ]. `z_m` is the point's height over the
-    /// start, `end_z_m` that over the end.
-    #[inline(always)]
-    fn faces(&self, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
-        let zero = Wide::splat(0.0);
-        let after_start = zero.less_or_equal(z_m);
-        let before_end = end_z_m.less_or_equal(zero);
-        // Up to half a circle both have to hold, after that one of the two; both imply one.
-        let more_than_half = not(self.bend_rad.less_or_equal(Wide::splat(PI)));
-        let full = Wide::splat(TAU).less_or_equal(self.bend_rad);
-        let one_holds = either(either(after_start, before_end), full);
-        either(
-            both(after_start, before_end),
-            both(more_than_half, one_holds),
-        )
-    }
 }
 
 impl Tube<1> {
@@ -237,6 +222,34 @@ impl Tube<1> {
         let axes = [self.along, self.across].map(|axis| axis.narrow());
         let Wide([bend_rad]) = self.bend_rad;
         Chord::new(ends_m, axes, self.length_m, bend_rad)
+    }
+
+    /// The least of direction · point along the arc (m), for up to half a circle; NaN for more, and for a NaN in the bends. Along the arc its
+    /// slope changes sign once at most there: where from falling to rising, the whole circle is no lower, R (x - √(x² + z²)) beyond the start
+    /// for a direction with the components x across and z along.
+    pub(super) fn least_along_m(&self, direction: &Vector3<f64>) -> f64 {
+        let (Wide([bend_rad]), Wide([curvature_1_m])) = (self.bend_rad, self.curvature_1_m);
+        if bend_rad > PI || bend_rad.is_nan() {
+            return f64::NAN;
+        }
+        let [start_m, end_m, across, along, end_along] = [
+            &self.start_m,
+            &self.end_m,
+            &self.across,
+            &self.along,
+            &self.end_along,
+        ]
+        .map(|vector| direction.dot(&vector.narrow()));
+        if along < 0.0 && end_along > 0.0 {
+            let root = (across * across + along * along).sqrt();
+            let below = if across > 0.0 {
+                along * along / (across + root)
+            } else {
+                root - across
+            };
+            return start_m - below / curvature_1_m;
+        }
+        start_m.min(end_m)
     }
 
     /// Normal to the plane of the arc, a unit vector in the base frame; of a straight section, some normal.
@@ -250,7 +263,7 @@ impl Tube<1> {
         let local = self.local(&(point - self.start_m));
         let (_, Wide([h])) = in_plane(self.curvature_1_m, &local);
         let end_z_m = (point - self.end_m).dot(&self.end_along);
-        let [faces] = self.faces(local.0[2], end_z_m);
+        let [faces] = faces(self.bend_rad, local.0[2], end_z_m);
         if h < CENTRE || !faces {
             return self.nearer_end(&point);
         }
@@ -309,18 +322,100 @@ fn in_plane<const W: usize>(kappa: Wide<W>, local: &WideVector<W>) -> (Wide<W>, 
     (kappa * (x * x + z * z) - (x + x), h)
 }
 
+/// Where a segment is nearest to a point (m), and that squared distance (m²).
+#[inline(always)]
+fn to_point<const W: usize>(axis: &Axis, point_m: &WideVector<W>) -> (Wide<W>, Wide<W>) {
+    let t = axis.share(point_m);
+    (t, (axis.point(t) - *point_m).norm_squared())
+}
+
+/// Whether the nearest point of the circle of an arc belongs to the arc: its angle is in [0, θ]. `z_m` is a point's height over the
+/// start, `end_z_m` that over the end.
+#[inline(always)]
+fn faces<const W: usize>(bend_rad: Wide<W>, z_m: Wide<W>, end_z_m: Wide<W>) -> [bool; W] {
+    let zero = Wide::splat(0.0);
+    let after_start = zero.less_or_equal(z_m);
+    let before_end = end_z_m.less_or_equal(zero);
+    // Up to half a circle both have to hold, after that one of the two; both imply one.
+    let more_than_half = not(bend_rad.less_or_equal(Wide::splat(PI)));
+    let full = Wide::splat(TAU).less_or_equal(bend_rad);
+    let one_holds = either(either(after_start, before_end), full);
+    either(
+        both(after_start, before_end),
+        both(more_than_half, one_holds),
+    )
+}
+
 /// A segment start + t span, 0 ≤ t ≤ 1, in the axes of W sections (m).
 struct Line<const W: usize> {
+    bend_rad: Wide<W>,
     curvature_1_m: Wide<W>,
     start: WideVector<W>,
     span: WideVector<W>,
+    /// Height of the start over the end of the section, and of the span.
+    end_rise_m: [Wide<W>; 2],
     length_m: f64,
 }
 
 impl<const W: usize> Line<W> {
-    /// G' and G'' at t (m²). G'' as q'² + q q'' + y'², which does not cancel where the section is straight.
+    /// The ends of the segment, and where it is nearest to the circle from either, each with the squared distance (m²) where the arc is as near as
+    /// its circle, else infinity. Of a single section both ends side by side, which has the same bits and no search waits for the other.
     #[inline(always)]
-    fn derivatives(&self, t: Wide<W>) -> (Wide<W>, Wide<W>) {
+    fn nearest_to_circle(&self) -> [(Wide<W>, Wide<W>); 4] {
+        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
+        let middle = self.nearest_to_axis();
+        if W > 1 {
+            let (from_start, from_end) = (self.descend(zero, middle), self.descend(one, middle));
+            return [
+                (zero, self.circle_m2(zero)),
+                (one, self.circle_m2(one)),
+                (from_start, self.circle_m2(from_start)),
+                (from_end, self.circle_m2(from_end)),
+            ];
+        }
+        let line = self.twice();
+        let ends = Wide([0.0, 1.0]);
+        let found = line.descend(ends, Wide::splat(middle.0[0]));
+        let (Wide(at_ends), Wide(at_found)) = (line.circle_m2(ends), line.circle_m2(found));
+        let Wide([from_start, from_end]) = found;
+        [
+            (zero, Wide::splat(at_ends[0])),
+            (one, Wide::splat(at_ends[1])),
+            (Wide::splat(from_start), Wide::splat(at_found[0])),
+            (Wide::splat(from_end), Wide::splat(at_found[1])),
+        ]
+    }
+
+    /// The first lane in both.
+    #[inline(always)]
+    fn twice(&self) -> Line<2> {
+        let wide = |x: Wide<W>| Wide::<2>::splat(x.0[0]);
+        let vector = |vector: &WideVector<W>| WideVector(vector.0.map(wide));
+        Line {
+            bend_rad: wide(self.bend_rad),
+            curvature_1_m: wide(self.curvature_1_m),
+            start: vector(&self.start),
+            span: vector(&self.span),
+            end_rise_m: self.end_rise_m.map(wide),
+            length_m: self.length_m,
+        }
+    }
+
+    /// Squared distance from the circle at t (m²), infinite where its nearest point is not on the arc.
+    #[inline(always)]
+    fn circle_m2(&self, t: Wide<W>) -> Wide<W> {
+        let local = self.start + self.span * t;
+        let [_, y, z] = local.0;
+        let (q_h, h) = in_plane(self.curvature_1_m, &local);
+        let q = q_h / (h + 1.0);
+        let [end_z, end_slope] = self.end_rise_m;
+        let faces = faces(self.bend_rad, z, end_z + end_slope * t);
+        (q * q + y * y).select(Wide::splat(f64::INFINITY), faces)
+    }
+
+    /// d², G' and G'' at t (m²). G'' as q'² + q q'' + y'², which does not cancel where the section is straight.
+    #[inline(always)]
+    fn derivatives(&self, t: Wide<W>) -> [Wide<W>; 3] {
         let (kappa, local) = (self.curvature_1_m, self.start + self.span * t);
         let ([x, y, z], [x_slope, y_slope, z_slope]) = (local.0, self.span.0);
         let (q_h, h) = in_plane(kappa, &local);
@@ -333,10 +428,11 @@ impl<const W: usize> Line<W> {
         let q_slope = (big_z * z_slope - big_x * x_slope) * per_h;
         let c = (big_x * z_slope + big_z * x_slope) * per_h;
         let q_curvature = kappa * (c * c) * per_h;
-        (
+        [
+            q * q + y * y,
             q * q_slope + y * y_slope,
             q_slope * q_slope + q * q_curvature + y_slope * y_slope,
-        )
+        ]
     }
 
     /// The t in [0, 1] nearest to the circle's axis, where G'' is least; any where G'' is constant.
@@ -352,25 +448,6 @@ impl<const W: usize> Line<W> {
         one.select(t.clamp(0.0, 1.0), constant)
     }
 
-    /// [`Self::descend`] from start and end: of a single section side by side, which has the same bits and no search waits for
-    /// the other.
-    #[inline(always)]
-    fn descend_from_both_ends(&self, middle: Wide<W>) -> [Wide<W>; 2] {
-        let (zero, one) = (Wide::splat(0.0), Wide::splat(1.0));
-        if W > 1 {
-            return [self.descend(zero, middle), self.descend(one, middle)];
-        }
-        let twice = |vector: &WideVector<W>| WideVector(vector.0.map(|x| Wide::<2>::splat(x.0[0])));
-        let line = Line::<2> {
-            curvature_1_m: Wide::splat(self.curvature_1_m.0[0]),
-            start: twice(&self.start),
-            span: twice(&self.span),
-            length_m: self.length_m,
-        };
-        let Wide(found) = line.descend(Wide([0.0, 1.0]), Wide::splat(middle.0[0]));
-        found.map(Wide::splat)
-    }
-
     /// The minimum of G between `from`, an end of the segment, and `middle`, the t nearest to the circle's axis, if there is one;
     /// else some t between. G'' falls on the way, so Newton's steps stay short of the minimum: it lies where G is convex, and
     /// where G is not, there is none to be found.
@@ -378,13 +455,16 @@ impl<const W: usize> Line<W> {
     fn descend(&self, from: Wide<W>, middle: Wide<W>) -> Wide<W> {
         let (mut t, mut searching) = (from, [true; W]);
         for _ in 0..STEPS_MAX {
-            let (slope, curvature) = self.derivatives(t);
+            let [square_m2, slope, curvature] = self.derivatives(t);
             let step = -slope / curvature;
             let forward = Wide::splat(0.0).less(step * (middle - from));
             let moving = both(searching, forward);
             let passes = (middle - t).abs().less_or_equal(step.abs());
             t = middle.select(t + step, passes).select(t, moving);
-            let small = (step.abs() * self.length_m).less(Wide::splat(STEP_M));
+            let step_m = step * self.length_m;
+            let left_m2 = step_m * step_m * STEP_LEFT;
+            let is_near = (left_m2 * left_m2).less(square_m2 * (STEP_M * STEP_M));
+            let small = either(step_m.abs().less(Wide::splat(STEP_M)), is_near);
             searching = both(moving, not(either(passes, small)));
             if !any(searching) {
                 break;

@@ -7,7 +7,7 @@ mod rows;
 mod way;
 
 use crate::estimator::Slack;
-use crate::robot::{BendRates, Configuration, Obstacle, Robot};
+use crate::robot::{BendRates, Configuration, Obstacle, Robot, SECTIONS_MAX};
 
 use super::Limits;
 use super::projection::Region;
@@ -294,6 +294,18 @@ impl ClearanceGuard<'_> {
             }
         }
         held
+    }
+
+    /// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are
+    /// not faster.
+    fn farthest_m(&self, rates: &BendRates) -> [f64; SECTIONS_MAX] {
+        let way_s = self.stopping.way(fastest(rates)).way_s;
+        let mut change_rad = [0.0; SECTIONS_MAX];
+        for (change_rad, section) in change_rad.iter_mut().zip(self.robot.sections()) {
+            let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);
+            *change_rad = way_s * core::f64::consts::SQRT_2 * largest_rad_s;
+        }
+        self.robot.travel_m(&self.bent_most(change_rad))
     }
 
     fn without_play(&self) -> Self {

@@ -1,6 +1,9 @@
 //! The obstacles that the body can get too near to, section by section, and what is left of their clearances at a place.
 
 use core::cell::{Cell, OnceCell};
+use std::borrow::Cow;
+
+use nalgebra::Vector3;
 
 use crate::robot::{
     BendRates, Body, BodyMotion, Configuration, Obstacle, Pose, Robot, SECTIONS_MAX, Shape,
@@ -27,8 +30,8 @@ const PLACE_LOOKS: u32 = 24;
 /// and a row of a correction, with its part of the solution, beside its clearance.
 pub(super) const ROW_LOOKS: u32 = 10;
 
-/// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: infinite
-/// where nothing is watched, NaN where the state is not finite.
+/// What is left of a clearance beyond what must be \[m\], of each watched obstacle and each of the sections, at least: of any value
+/// where it is not asked for, NaN where the state is not finite.
 pub(super) type Spare = [[f64; SECTIONS_MAX]; NEAR_MAX];
 
 /// Sections of each watched obstacle, a bit each.
@@ -40,6 +43,7 @@ pub(super) struct Near<'a> {
     still: &'a Stance,
     /// What no section comes near to is farther than this from all of them \[m\].
     beyond_m: f64,
+    period_s: f64,
     watched_count: usize,
     watched: [Option<Watched<'a>>; NEAR_MAX],
     /// What is left of [`LOOKS`].
@@ -51,6 +55,10 @@ pub(super) struct Near<'a> {
     lack: Cell<Option<Lack>>,
     /// The sections of each watched obstacle that have a row in the region of a correction, a bit each.
     rows: [Cell<u8>; NEAR_MAX],
+    /// From each watched capsule to each section, the direction in which these were nearest when that was looked for last; zero where it was not.
+    directions: [[Cell<[f64; 3]>; SECTIONS_MAX]; NEAR_MAX],
+    /// What each section must keep after the period \[m\], beside obstacles that move; zero where that was not looked for.
+    period_floor_m: [[Cell<f64>; SECTIONS_MAX]; NEAR_MAX],
 }
 
 /// Where a section is too near to a watched obstacle, or may be.
@@ -72,6 +80,8 @@ pub(super) struct Stance {
 #[derive(Clone, Copy)]
 pub(super) struct Watched<'a> {
     obstacle: &'a Obstacle,
+    /// Its place among the watched.
+    index: usize,
     speed_m_s: f64,
     /// The clearance of each section now \[m\], at least, and exactly where it is less than `kept_m`: infinite for one that is
     /// not watched.
@@ -122,7 +132,7 @@ impl<'a> Near<'a> {
         is_ramp: bool,
     ) -> Option<Self> {
         let way = guard.stopping.way(fastest(rates));
-        let travel_m = farthest_m(guard, rates);
+        let travel_m = guard.farthest_m(rates);
         let time_s = way.time_s(way.way_s);
         let radii_m = guard.robot.sections().iter().map(|s| s.body_radius_m);
         let thinnest_m = radii_m.fold(f64::INFINITY, f64::min);
@@ -130,14 +140,16 @@ impl<'a> Near<'a> {
         let mut near = Self {
             still,
             beyond_m: guard.safe_distance_m + nearest_m,
+            period_s: guard.period_s,
             watched_count: 0,
             watched: [None; NEAR_MAX],
             looks: Cell::new(LOOKS),
             order: Cell::new(core::array::from_fn(|index| index as u8)),
             lack: Cell::new(None),
             rows: [const { Cell::new(0) }; NEAR_MAX],
+            directions: [const { [const { Cell::new([0.0; 3]) }; SECTIONS_MAX] }; NEAR_MAX],
+            period_floor_m: [const { [const { Cell::new(0.0) }; SECTIONS_MAX] }; NEAR_MAX],
         };
-        let body = &still.body;
         let (mut looks, mut least_m) = (LOOKS, f64::INFINITY);
         let mut slots = near.watched.iter_mut();
         for obstacle in guard.obstacles {
@@ -145,7 +157,7 @@ impl<'a> Near<'a> {
             let speed_m_s = obstacle.velocity_m_s().norm();
             let reach_m = travel_m.map(|travel_m| safe_m + travel_m + 2.0 * time_s * speed_m_s);
             let enough_m = least_m.max(safe_m);
-            let start_m = body.clearances_below(obstacle, &reach_m, enough_m);
+            let start_m = still.body.clearances_below(obstacle, &reach_m, enough_m);
             if start_m == [f64::INFINITY; SECTIONS_MAX] {
                 continue;
             }
@@ -154,6 +166,7 @@ impl<'a> Near<'a> {
             let is_continued = is_ramp && speed_m_s == 0.0;
             let watched = Watched {
                 obstacle,
+                index: near.watched_count,
                 speed_m_s,
                 start_m,
                 kept_m: if is_continued {
@@ -164,8 +177,7 @@ impl<'a> Near<'a> {
                 },
                 dip_m,
             };
-            let is_exact = |start_m: &&f64| **start_m < enough_m;
-            let exact_count = start_m.iter().filter(is_exact).count() as u32;
+            let exact_count = start_m.iter().filter(|m| **m < enough_m).count() as u32;
             looks = looks.saturating_sub(watched.looks() * exact_count);
             least_m = watched.nearest_m().min(least_m);
             *slots.next()? = Some(watched);
@@ -229,18 +241,16 @@ impl<'a> Near<'a> {
         }
     }
 
-    /// The spare of the sections in `which` at the start of the way.
-    pub(super) fn spare_at_start(&self, which: &Sections) -> Spare {
-        let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
+    /// Fills `spare_m` with the spare of the sections in `which` at the start of the way.
+    pub(super) fn spare_at_start(&self, which: &Sections, spare_m: &mut Spare) {
         for (index, watched) in self.watched().enumerate() {
             for j in sections(which[index]) {
                 spare_m[index][j] = watched.start_m[j] - watched.start_m[j].min(watched.kept_m);
             }
         }
-        spare_m
     }
 
-    /// The spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle.
+    /// Fills `spare_m` with the spare of the sections in `which` at a place, where none is less than -`lack_m` of its obstacle.
     ///
     /// # Errors
     /// As [`check`](super::way::check).
@@ -249,8 +259,8 @@ impl<'a> Near<'a> {
         place: &Place,
         which: &Sections,
         lack_m: impl Fn(&Watched<'_>) -> f64,
-    ) -> Result<Spare, f64> {
-        let mut spare_m = [[f64::INFINITY; SECTIONS_MAX]; NEAR_MAX];
+        spare_m: &mut Spare,
+    ) -> Result<(), f64> {
         let mut order = self.order.get();
         for turn in 0..self.watched_count {
             let index = usize::from(order[turn]);
@@ -272,22 +282,19 @@ impl<'a> Near<'a> {
                 spare_m[index][j] = spare;
             }
         }
-        Ok(spare_m)
+        Ok(())
     }
 
     /// What is left to section j at a place \[m\]: exactly, or a bound of at least 0.
     fn spare_m(&self, place: &Place, watched: &Watched<'_>, j: usize) -> f64 {
-        // Of one that moves, to find the floor takes as long.
-        let floor_m = if watched.stands() {
-            watched.start_m[j]
-        } else {
-            f64::INFINITY
-        };
-        let clearance_m = self.clearance_m(place, watched, j, floor_m);
-        if clearance_m >= watched.kept_m {
-            return clearance_m - watched.kept_m;
+        let least_m = place.clearance_min_m(watched, j);
+        if least_m >= watched.kept_m {
+            return least_m - watched.kept_m;
         }
-        clearance_m - self.floor_m(watched, j, place.time_s)
+        let floor_m = self.floor_m(watched, j, place.time_s);
+        let clearance_m =
+            self.clearance_below(&place.stance.body, watched, (j, place.time_s), floor_m);
+        clearance_m - floor_m
     }
 
     /// The clearance of section j at a place \[m\]: exactly, or a bound of at least what is kept, or at least `enough_m`.
@@ -298,8 +305,7 @@ impl<'a> Near<'a> {
         j: usize,
         enough_m: f64,
     ) -> f64 {
-        let moved_m = place.displacement_m[j] + watched.speed_m_s * place.time_s + ROUNDING_M;
-        let least_m = watched.start_m[j] - moved_m;
+        let least_m = place.clearance_min_m(watched, j);
         if least_m >= watched.kept_m {
             return least_m;
         }
@@ -316,15 +322,26 @@ impl<'a> Near<'a> {
         enough_m: f64,
     ) -> f64 {
         let obstacle = watched.obstacle_at(time_s);
-        if watched.looks() > 1 {
-            let least_m = body.clearance_min_of(j, &obstacle);
-            if least_m >= enough_m {
-                self.count(1);
-                return least_m;
-            }
+        if watched.looks() == 1 {
+            self.count(1);
+            return body.clearance_of(j, &obstacle);
         }
-        self.count(watched.looks());
-        body.clearance_of(j, &obstacle)
+        // The direction in which both were nearest last tells more than the chord does.
+        let known = &self.directions[watched.index][j];
+        let direction = Vector3::from(known.get());
+        let least_m = if direction == Vector3::zeros() {
+            body.clearance_min_of(j, &obstacle)
+        } else {
+            body.clearance_min_along(j, &obstacle, &direction)
+        };
+        if least_m >= enough_m {
+            self.count(1);
+            return least_m;
+        }
+        self.count(CAPSULE_LOOKS);
+        let nearest = body.nearest_of(j, &obstacle);
+        known.set(nearest.direction.into());
+        nearest.clearance_m
     }
 
     /// What section j must keep after `time_s` \[m\]: min(D, what is left to the robot that stands still). A NaN gives D, which
@@ -337,8 +354,19 @@ impl<'a> Near<'a> {
         if start_m - watched.moves_m(time_s) - ROUNDING_M >= watched.kept_m {
             return watched.kept_m;
         }
-        self.clearance_below(&self.still.body, watched, (j, time_s), watched.kept_m)
-            .min(watched.kept_m)
+        // Every command is looked at there.
+        let is_period = time_s == self.period_s;
+        let known_m = &self.period_floor_m[watched.index][j];
+        if is_period && known_m.get() != 0.0 {
+            return known_m.get();
+        }
+        let floor_m = self
+            .clearance_below(&self.still.body, watched, (j, time_s), watched.kept_m)
+            .min(watched.kept_m);
+        if is_period {
+            known_m.set(floor_m);
+        }
+        floor_m
     }
 
     /// The robot that stands still.
@@ -399,13 +427,21 @@ impl<'a> Near<'a> {
     }
 }
 
+impl Place {
+    /// What the clearance of a section is at least, by how far it is from where it is now \[m\].
+    fn clearance_min_m(&self, watched: &Watched<'_>, j: usize) -> f64 {
+        let moved_m = self.displacement_m[j] + watched.moves_m(self.time_s) + ROUNDING_M;
+        watched.start_m[j] - moved_m
+    }
+}
+
 impl Watched<'_> {
     /// Where it is after a time.
-    pub(super) fn obstacle_at(&self, time_s: f64) -> Obstacle {
+    pub(super) fn obstacle_at(&self, time_s: f64) -> Cow<'_, Obstacle> {
         if self.stands() {
-            return *self.obstacle;
+            return Cow::Borrowed(self.obstacle);
         }
-        self.obstacle.moved(time_s)
+        Cow::Owned(self.obstacle.moved(time_s))
     }
 
     pub(super) fn stands(&self) -> bool {
@@ -461,16 +497,4 @@ pub(super) fn sections(bits: u8) -> impl Iterator<Item = usize> {
 /// Where the rule holds exactly for these rates: after the period, and after the stopping way.
 pub(super) fn ends_s(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; 2] {
     [guard.period_s, guard.stopping.way(fastest(rates)).way_s]
-}
-
-/// What no point of each section moves by along the whole way \[m\], at these rates or any others inside the limits that are
-/// not faster.
-fn farthest_m(guard: &ClearanceGuard<'_>, rates: &BendRates) -> [f64; SECTIONS_MAX] {
-    let way_s = guard.stopping.way(fastest(rates)).way_s;
-    let mut change_rad = [0.0; SECTIONS_MAX];
-    for (change_rad, section) in change_rad.iter_mut().zip(guard.robot.sections()) {
-        let largest_rad_s = fastest(rates).min(section.rate_max_rad_s);
-        *change_rad = way_s * core::f64::consts::SQRT_2 * largest_rad_s;
-    }
-    guard.robot.travel_m(&guard.bent_most(change_rad))
 }

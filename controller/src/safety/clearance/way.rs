@@ -60,18 +60,20 @@ pub(super) fn check(
     }
     // What is not clear mostly is not at the end of the way.
     let [period_s, end_s] = ends_s(guard, rates);
-    let clear_at = |way_s| {
-        let place = near.place(guard, rates, way_s);
-        let spare_m = near.spare_at(&place, &open, |_| guard.rounding_m())?;
-        Ok::<_, f64>((place, spare_m))
-    };
-    let (end, period) = (clear_at(end_s)?, clear_at(period_s)?);
+    let mut spare_m = [[[0.0; SECTIONS_MAX]; NEAR_MAX]; 3];
+    let [start_m, period_m, end_m] = &mut spare_m;
+    let lack_m = |_: &Watched<'_>| guard.rounding_m();
+    let end = near.place(guard, rates, end_s);
+    near.spare_at(&end, &open, lack_m, end_m)?;
+    let period = near.place(guard, rates, period_s);
+    near.spare_at(&period, &open, lack_m, period_m)?;
+    near.spare_at_start(&open, start_m);
     let start = Left {
         way_s: 0.0,
         stance: near.still(),
-        spare_m: &near.spare_at_start(&open),
+        spare_m: start_m,
     };
-    let [period, end] = [&period, &end].map(|(place, spare_m)| Left::new(place, spare_m));
+    let (period, end) = (Left::new(&period, period_m), Left::new(&end, end_m));
     way.is_clear_between(start, period, &open, DEPTH)?;
     way.is_clear_between(period, end, &open, DEPTH)
 }
@@ -109,8 +111,9 @@ impl Way<'_> {
             return Err(HALF);
         }
         let place: Place = self.near.place(self.guard, self.rates, way_s);
-        let dip_m = |watched: &Watched| watched.dip_m;
-        let spare_m = self.near.spare_at(&place, &open, dip_m)?;
+        let dip_m = |watched: &Watched<'_>| watched.dip_m;
+        let mut spare_m = [[0.0; SECTIONS_MAX]; NEAR_MAX];
+        self.near.spare_at(&place, &open, dip_m, &mut spare_m)?;
         let middle = Left::new(&place, &spare_m);
         self.is_clear_between(from, middle, &open, depth - 1)?;
         self.is_clear_between(middle, to, &open, depth - 1)

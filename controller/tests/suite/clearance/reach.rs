@@ -7,7 +7,9 @@ use nalgebra::Vector3;
 use proptest::prelude::*;
 
 use crate::clearance::oracle::axis_distance_m;
-use crate::clearance::scene::{bend_max_rad, capsule, places, robots_and_shapes, segment, sphere};
+use crate::clearance::scene::{
+    bend_max_rad, capsule, places, robots_and_shapes, segment, sphere, vector,
+};
 
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(crate::repetitions(50, 400)))]
@@ -15,8 +17,10 @@ proptest! {
     #[test]
     fn what_is_out_of_reach_is_further_than_the_travel(
         (robot, shape) in robots_and_shapes(), place in places(), travel_m in -0.1..1.0_f64,
+        direction in vector(1.0),
     ) {
         let [start_m, end_m] = segment(&robot, &shape, place);
+        let direction = direction.normalize();
         for obstacle in [sphere(start_m, 0.02), capsule(start_m, end_m, 0.02)] {
             let clearance_m = robot.clearance_m(&shape, &obstacle);
             if !robot.reaches(&shape, &obstacle, travel_m) {
@@ -30,6 +34,15 @@ proptest! {
                 let bulge_m = 0.125 * section.length_m * shape.bend_rad(j);
                 let is_known = shape.bend_rad(j) <= PI && least_m > f64::NEG_INFINITY;
                 prop_assert!(!is_known || exact_m - least_m <= 2.0 * bulge_m + 1e-6);
+                // In any direction; and in that of a straight section, it is the clearance.
+                let own = body.nearest_of(j, &obstacle).direction;
+                for direction in [own, -own, direction] {
+                    let least_m = body.clearance_min_along(j, &obstacle, &direction);
+                    let is_half = shape.bend_rad(j) > PI - 1e-9;
+                    prop_assert!(least_m <= exact_m || is_half && least_m.is_nan());
+                }
+                let least_m = body.clearance_min_along(j, &obstacle, &own);
+                prop_assert!(bulge_m > 0.0 || exact_m < 1e-3 || exact_m - least_m <= 1e-9);
             }
             // Within the diameter of the largest ball the bound has to let go.
             let largest_m = robot.sections().iter().map(|section| section.length_m).fold(0.0, f64::max);
