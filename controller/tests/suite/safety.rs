@@ -339,7 +339,7 @@ fn homing(sections: usize, balls: usize, runs: u32) -> (u32, u32, u32) {
 
 #[test]
 fn balls_on_the_way_home_are_passed() {
-    let runs = crate::repetitions(20, 40);
+    let runs = crate::oracle::number("CDCR_HOMING_RUNS", crate::repetitions(20, 40).into()) as u32;
     for &(sections, balls, tenths) in crate::cases(1, &[(3, 1, 10), (3, 4, 8), (3, 8, 6)]) {
         let (blocked, arrived, stood) = homing(sections, balls, runs);
         println!(
@@ -348,7 +348,7 @@ fn balls_on_the_way_home_are_passed() {
         assert!(10 * arrived >= tenths * runs);
     }
     if std::env::var_os("CDCR_WHOLE").is_some() {
-        let (blocked, arrived, stood) = homing(6, 32, 4);
+        let (blocked, arrived, stood) = homing(6, 32, runs / 10);
         println!("6 sections, 32 balls: {arrived} of {blocked} arrive, {stood} stand still");
         assert_eq!(stood, 0);
     }

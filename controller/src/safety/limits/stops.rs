@@ -206,3 +206,6 @@ fn square_between(one: &BendRates, other: &BendRates) -> f64 {
     let pairs = one.as_slice().iter().zip(other.as_slice());
     pairs.map(|(one, other)| (one - other).powi(2)).sum()
 }
+
+#[cfg(test)]
+mod tests;

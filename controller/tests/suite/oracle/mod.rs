@@ -27,7 +27,7 @@ const DECELERATIONS_RAD_S2: [f64; 2] = [f64::INFINITY, 40.0];
 const FARTHER: f64 = 0.01;
 
 /// A count, or where it begins, from the environment.
-fn number(name: &str, otherwise: u64) -> u64 {
+pub(crate) fn number(name: &str, otherwise: u64) -> u64 {
     std::env::var(name).map_or(otherwise, |text| text.parse().unwrap())
 }
 
